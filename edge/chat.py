@@ -19,7 +19,13 @@ import httpx
 
 from edge.config import TranslatorLlm, WriterModel
 from edge.errors import UnavailableError
-from edge.host.http import Exchange, GivenUpError, Reply, explanation, failure
+from edge.host.http import (
+    CancellableRequest,
+    HttpReply,
+    RequestCancelledError,
+    explanation,
+    failure_reason,
+)
 from edge.text import bounded_repr, one_line, split_url
 
 MAX_ANSWER_BYTES = 256 * 1024
@@ -32,7 +38,7 @@ class ChatError(UnavailableError):
     """An error of a chat server; the message has the server, the problem and the remedy."""
 
 
-class CutOffError(ChatError):
+class TokenLimitError(ChatError):
     """The model reached the token limit before the end of its answer.
 
     Attributes:
@@ -44,7 +50,7 @@ class CutOffError(ChatError):
         self.answer = answer
 
 
-class LateError(ChatError):
+class ChatTimeoutError(ChatError):
     """The complete answer did not arrive within the time limit."""
 
 
@@ -87,7 +93,7 @@ class ChatClient:
         verify = ssl.create_default_context() if parts.scheme == "https" else False
         limits = httpx.Limits(max_keepalive_connections=0)
         self._http = httpx.Client(verify=verify, trust_env=False, limits=limits)
-        self._under_way: set[Exchange] = set()
+        self._under_way: set[CancellableRequest] = set()
         if not re.fullmatch(r"[\x21-\x7e]*", self._api_key):
             raise ChatError(
                 f"{self.url}: the API key has characters that no HTTP header can have; "
@@ -107,8 +113,8 @@ class ChatClient:
             options: further fields of the request, such as `temperature`.
 
         Raises:
-            ChatError: no usable answer within the limits; `CutOffError` if the token limit ended
-            it.
+            ChatError: no usable answer within the limits; `TokenLimitError` if the token limit
+            ended it.
         """
         return self._content(self._reply(messages, left_s, options))
 
@@ -141,11 +147,11 @@ class ChatClient:
         with self._lock:
             self._closed, exchanges = True, tuple(self._under_way)
         for exchange in exchanges:
-            exchange.give_up(GivenUpError())
+            exchange.give_up(RequestCancelledError())
 
     def _reply(
         self, messages: list[dict[str, Any]], left_s: float | None, options: dict[str, Any]
-    ) -> Reply:
+    ) -> HttpReply:
         left_s = self.time_limit_s if left_s is None else left_s
         if left_s <= 0:
             raise self._late()
@@ -161,14 +167,14 @@ class ChatClient:
             raise self._error(f"the answer has more than {limit_kb:g} KB; is it a chat server?")
         return reply
 
-    def _exchange(self, body: bytes, left_s: float) -> Reply:
-        exchange, request = Exchange(), self._request(body, left_s)
+    def _exchange(self, body: bytes, left_s: float) -> HttpReply:
+        exchange, request = CancellableRequest(), self._request(body, left_s)
         with self._lock:
             if self._closed:
-                raise self._error(_reason(GivenUpError()))
+                raise self._error(_reason(RequestCancelledError()))
             self._under_way.add(exchange)
         try:
-            return exchange.carry_out(self._http, request, self.max_answer_bytes, left_s)
+            return exchange.send(self._http, request, self.max_answer_bytes, left_s)
         except (TimeoutError, httpx.TimeoutException):
             raise self._late() from None
         except Exception as error:
@@ -190,7 +196,7 @@ class ChatClient:
             "POST", url.geturl(), content=body, headers=headers, timeout=left_s
         )
 
-    def _content(self, reply: Reply) -> str:
+    def _content(self, reply: HttpReply) -> str:
         answer, shown = self._json(reply), self._quote(reply.body)
         try:
             choice = answer["choices"][0]
@@ -204,12 +210,12 @@ class ChatClient:
             )
         if ended_by == "length":
             error = f"{self.url}: the answer was cut off at the token limit; use another model"
-            raise CutOffError(error, content or "")
+            raise TokenLimitError(error, content or "")
         if not content or not content.strip():
             raise self._error("the answer is empty; try another model")
         return content
 
-    def _likeliest(self, reply: Reply) -> list[tuple[str, float]]:
+    def _likeliest(self, reply: HttpReply) -> list[tuple[str, float]]:
         answer = self._json(reply)
         try:
             found = answer["choices"][0]["logprobs"]["content"][0]["top_logprobs"]
@@ -228,7 +234,7 @@ class ChatClient:
                 raise self._error(f"the answer has an invalid logprob, {shown}; check the server")
         return [(token, float(max(logprob, LEAST))) for token, logprob in pairs]
 
-    def _json(self, reply: Reply) -> Any:
+    def _json(self, reply: HttpReply) -> Any:
         try:
             return json.loads(reply.body)
         except (ValueError, RecursionError):
@@ -252,8 +258,8 @@ class ChatClient:
     def _error(self, what: str) -> ChatError:
         return ChatError(f"{self.url}: {what}")
 
-    def _late(self) -> LateError:
-        return LateError(
+    def _late(self) -> ChatTimeoutError:
+        return ChatTimeoutError(
             f"{self.url}: no whole answer within {self.time_limit_s:g} s; raise time_limit_s or "
             "use a faster model"
         )
@@ -272,14 +278,14 @@ def _split(url: str) -> SplitResult:
 def _reason(error: Exception) -> str:
     """Return the problem and the remedy."""
     match error:
-        case GivenUpError():
+        case RequestCancelledError():
             return "cancelled: the client is closed"
         case httpx.HTTPError() | UnicodeError():
-            return failure(error)
+            return failure_reason(error)
     raise error
 
 
-def client_of(config: TranslatorLlm | WriterModel) -> ChatClient:
+def make_chat_client(config: TranslatorLlm | WriterModel) -> ChatClient:
     """Return the client that a configuration describes; the API key comes from the environment.
 
     Raises:

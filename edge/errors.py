@@ -18,7 +18,7 @@ EXIT_CODES = {
     os.EX_CONFIG: "the configuration or the environment is wrong",
 }
 """Meaning of each code. In addition, 128 + N: signal N killed the process before it stopped."""
-WILL_NOT_MEND = (os.EX_USAGE, os.EX_DATAERR, os.EX_CONFIG)
+PERMANENT = (os.EX_USAGE, os.EX_DATAERR, os.EX_CONFIG)
 """Codes that the same command would return again. The service is not restarted after these."""
 
 

@@ -92,7 +92,7 @@ class Grid:
     origin_xy_m: tuple[float, float]
     resolution_m: float
 
-    def of_metres(self, xy_m: np.ndarray) -> np.ndarray:
+    def to_cells(self, xy_m: np.ndarray) -> np.ndarray:
         """Convert points (…, 2) from metres to cell units.
 
         Cell (row r, column c) spans [c, c + 1) x [r, r + 1).
@@ -127,7 +127,7 @@ class Grid:
         return float(np.count_nonzero(self.cells >= 0)) * self.resolution_m**2
 
 
-def thin(grid: Grid, max_side: int) -> Grid:
+def downsample(grid: Grid, max_side: int) -> Grid:
     """Merge blocks of k x k cells: occupied wins over free, free over unknown.
 
     k is the smallest factor that keeps both sides within `max_side` cells.
@@ -316,7 +316,7 @@ class Lens:
         return f"{self.model} distortion, k1 = {self.coefficients[0]:g}"
 
 
-def optical(T: np.ndarray) -> np.ndarray:
+def to_optical(T: np.ndarray) -> np.ndarray:
     """Return the same (4, 4) pose with optical axes instead of body axes."""
     T = T.copy()
     T[:3, :3] = T[:3, :3] @ R_BODY_OPTICAL

@@ -21,24 +21,24 @@ from edge.bus.presence import Presence
 from edge.bus.requests import RequestServer
 from edge.bus.session import ENVELOPE_BYTES, zenoh_session
 from edge.config import Config
-from edge.config.environment import READ, is_ours
+from edge.config.environment import KNOWN_VARIABLES, is_ours
 from edge.errors import UserError
 from edge.host import calibration, resources
 from edge.host.children import python_module
-from edge.host.interruptible import raise_if_stopped, unless_stopped
-from edge.host.memory import trimmed
+from edge.host.interruptible import raise_if_stopped, run_unless_stopped
+from edge.host.memory import trim_memory_periodically
+from edge.host.periodic import run_periodically
 from edge.host.ports import free_port
-from edge.host.repeated import repeated
 from edge.loop import requests
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.result import Sink
-from edge.loop.runner import Running
+from edge.loop.runner import RunningService
 from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
 from edge.loop.source import Source
 from edge.loop.warmup import warm_up
 from edge.memory import SiteFile
-from edge.mission.brief import Brief
+from edge.mission.spec import MissionSpec
 from edge.perception.detection.detector import Detector
 from edge.perception.detection.sim import TruthAt
 from edge.perception.factory import make_detector
@@ -49,8 +49,8 @@ from edge.perception.worker import DetectorWorker
 from edge.policies import find_policy
 from edge.sinks import find_sinks
 from edge.sources import find_source
-from edge.sources.truth import make_truth
-from edge.tasks.brief import prepared
+from edge.sources.truth import make_ground_truth
+from edge.tasks.mission_spec import prepare_mission
 
 log = logging.getLogger("edge")
 _SWITCH_S = 2e-4
@@ -59,7 +59,7 @@ _CHILD_CHECK_S = 0.2
 
 
 @dataclass
-class Launched(Running):
+class LaunchedService(RunningService):
     """A running service with its Zenoh session and its sinks."""
 
     session: zenoh.Session
@@ -77,7 +77,7 @@ def open_service(
     progress: Callable[[str], None] = lambda what: None,
     amiss: Callable[[], Sequence[str]] = tuple,
     make_source: Callable[..., Source] | None = None,
-) -> Iterator[Launched]:
+) -> Iterator[LaunchedService]:
     """Prepare the mission, open Zenoh, load the detector and compile kernels; close all at exit.
 
     Zenoh is opened before the slow steps. If another service has the endpoint, the start fails at
@@ -88,7 +88,7 @@ def open_service(
         sinks: Sinks in addition to those of the configuration.
         asked: The mission of the configuration, if the command line set it.
         formula: A formula that replaces the mission of the configuration.
-        task: A task that replaces the mission of the configuration (`edge.tasks.brief`). If
+        task: A task that replaces the mission of the configuration (`edge.tasks.mission_spec`). If
             `asked`, `formula` and `task` are all None, the unfinished mission of a checkpoint
             continues. It then takes precedence over the configuration.
         stop: Event that cancels the start. A step that cannot be interrupted, such as compiling,
@@ -130,7 +130,7 @@ def open_service(
         idle = mission.on_request and brief is None and {asked, formula, task} == {None}
         if brief is None:
             progress("understanding the mission")
-            brief = prepared(config, task, site.known, formula=formula)
+            brief = prepare_mission(config, task, site.known, formula=formula)
         raise_if_stopped(stop)
         session = stack.enter_context(
             zenoh_session(
@@ -144,7 +144,7 @@ def open_service(
         )
         presence = Presence(session, config.zenoh)
         stack.callback(presence.close)
-        policy = unless_stopped(make_policy, stop)
+        policy = run_unless_stopped(make_policy, stop)
         # Sinks are made before the slow steps: a port may be in use, and a plugin may fail.
         every = [*(make(config=config, session=session) for make in make_sinks), *sinks]
         for sink in every:
@@ -152,16 +152,16 @@ def open_service(
         source = make_source(config=config, session=session)
         stack.callback(source.close)
         lockstep = config.loop.lockstep
-        masker = unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
+        masker = run_unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
         progress("loading the detector")
-        detector = _load(config, brief.prompts, make_truth(config, session), stop, progress)
+        detector = _load(config, brief.prompts, make_ground_truth(config, session), stop, progress)
         worker = DetectorWorker(detector, lockstep, masker)
         stack.callback(worker.close)
         progress("loading the scorers")
-        scorers = unless_stopped(partial(make_scorers, config, brief.prompts), stop)
+        scorers = run_unless_stopped(partial(make_scorers, config, brief.prompts), stop)
         if scorers is not None:
             stack.callback(scorers.close)
-        unless_stopped(partial(warm_up, config, progress), stop)
+        run_unless_stopped(partial(warm_up, config, progress), stop)
         raise_if_stopped(stop)
         servers: dict[str, RequestServer] = {}
 
@@ -179,10 +179,10 @@ def open_service(
         )  # fmt: skip
         stack.callback(service.close)
 
-        def prepare(**request: Any) -> Brief:
-            return prepared(config, site=site.known, **request)
+        def prepare(**request: Any) -> MissionSpec:
+            return prepare_mission(config, site=site.known, **request)
 
-        served = requests.served(service, prepare, amiss)
+        served = requests.request_handlers(service, prepare, amiss)
         for key, (verbs, handle) in served.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)
@@ -197,8 +197,8 @@ def open_service(
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_S)
         if not lockstep:
-            stack.enter_context(trimmed())
-        yield Launched(config, service, worker, source, servers, session, every)
+            stack.enter_context(trim_memory_periodically())
+        yield LaunchedService(config, service, worker, source, servers, session, every)
 
 
 def _load(
@@ -216,7 +216,7 @@ def _load(
 
     make = partial(make_detector, config.perception, targets, report, cancelled=stop, truth=truth)
     if config.perception.isolation == "thread":
-        return unless_stopped(make, stop)
+        return run_unless_stopped(make, stop)
     try:
         return make()
     except ModelError:
@@ -224,7 +224,7 @@ def _load(
         raise
 
 
-def on_a_free_port(config: Config) -> Config:
+def with_free_port(config: Config) -> Config:
     """Return the configuration with a free local endpoint.
 
     It needs no router, and no certificate of `zenoh.file`.
@@ -237,7 +237,7 @@ def on_a_free_port(config: Config) -> Config:
 
 
 @contextmanager
-def children(
+def child_processes(
     config: Config, stop: threading.Event, *commands: tuple[str, ...]
 ) -> Iterator[list[subprocess.Popen[bytes]]]:
     """Run `edge COMMAND` processes with this configuration until the block ends.
@@ -258,7 +258,7 @@ def children(
     Raises:
         UserError: A child could not be started, or ended by itself.
     """
-    environ = {k: v for k, v in os.environ.items() if k in READ or not is_ours(k)}
+    environ = {k: v for k, v in os.environ.items() if k in KNOWN_VARIABLES or not is_ours(k)}
     started: list[subprocess.Popen[bytes]] = []
     with _in_memory(config) as file:
         path = f"/proc/self/fd/{file.fileno()}"
@@ -303,7 +303,7 @@ def _watched(
         if any(child.poll() is not None for child in started):
             stop.set()
 
-    return repeated("children", _CHILD_CHECK_S, check)
+    return run_periodically("children", _CHILD_CHECK_S, check)
 
 
 def _check(names: list[str], started: list[subprocess.Popen[bytes]]) -> None:

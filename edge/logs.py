@@ -44,7 +44,7 @@ def setup(level: str = "info", as_json: bool = False, stream: TextIO | None = No
     logging.getLogger("edge").setLevel(level.upper())
 
 
-def once(key: Hashable) -> bool:
+def first_time(key: Hashable) -> bool:
     """Return True for the first call with `key` in this process.
 
     >>> once("readme example"), once("readme example")

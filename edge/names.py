@@ -347,14 +347,14 @@ def canonical(word: str) -> str:
     return _CANONICAL.get(singular(text), singular(text))
 
 
-def same(a: str, b: str) -> bool:
+def same_name(a: str, b: str) -> bool:
     """Return True if two words are names of the same object."""
     return canonical(a) == canonical(b)
 
 
 def same_as_any(name: str, others: Iterable[str]) -> bool:
     """Return True if a name is another word for one of `others`."""
-    return any(same(name, other) for other in others)
+    return any(same_name(name, other) for other in others)
 
 
 def names_of(word: str) -> tuple[str, ...]:
@@ -376,7 +376,7 @@ def is_kind_of(word: str, broader: str) -> bool:
     return wanted in nouns or any(wanted in BROADER.get(noun, ()) for noun in nouns)
 
 
-def akin(a: str, b: str) -> bool:
+def may_be_same_object(a: str, b: str) -> bool:
     """Return True if two words may name one object: the same name, or a kind of the other.
 
     >>> akin("armchair", "chair"), akin("chair", "armchair"), akin("sofa", "armchair")
@@ -385,17 +385,18 @@ def akin(a: str, b: str) -> bool:
     return is_kind_of(a, b) or is_kind_of(b, a)
 
 
-def near(a: str, b: str) -> bool:
-    """Return True if two objects are hard to tell apart in one view: `akin`, or listed in `NEAR`.
+def look_alike(a: str, b: str) -> bool:
+    """Return True if two objects are hard to tell apart in one view: `may_be_same_object`, or
+    listed in `NEAR`.
 
     >>> near("wardrobe", "cabinet"), near("cabinet", "wardrobe"), near("bed", "sofa")
     (True, True, False)
     """
     x, y = canonical(a), canonical(b)
-    return akin(a, b) or y in NEAR.get(x, ()) or x in NEAR.get(y, ())
+    return may_be_same_object(a, b) or y in NEAR.get(x, ()) or x in NEAR.get(y, ())
 
 
-def outside(words: Iterable[str], targets: Sequence[str]) -> tuple[str, ...]:
+def non_targets(words: Iterable[str], targets: Sequence[str]) -> tuple[str, ...]:
     """Return the canonical names that are no target and no kind of a target, each once.
 
     >>> outside(("couch", "sofa", "armchair", "lamp"), ("chair",))

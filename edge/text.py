@@ -105,7 +105,7 @@ def printable_lines(text: object) -> str:
     return "\n".join(map(_printable, str(text).splitlines()))
 
 
-def some_lines(text: str, limit: int) -> str:
+def bounded_lines(text: str, limit: int) -> str:
     """Return multi-line outside text without control characters, of at most `limit` characters.
 
     Text that is too long is cut and ends in `…`.
@@ -175,18 +175,18 @@ def split_url(url: str, of: str, wanted: str) -> SplitResult:
         parts = urlsplit(url)
         parts.port  # noqa: B018 - raises if it is not a number
     except ValueError:
-        shown = one_line(without_secrets(url))
+        shown = one_line(redact(url))
         raise ValueError(f"not the URL of {of}: {shown!r}; {wanted}") from None
     if parts.username is not None or parts.password is not None:
         raise ValueError(f"the URL of {of} must not hold a password; {wanted}")
     usable = parts.scheme in ("http", "https") and parts.hostname and url.isprintable()
     if not usable or " " in url or not url.isascii():
-        shown = one_line(without_secrets(url))
+        shown = one_line(redact(url))
         raise ValueError(f"not the URL of {of}: {shown!r}; {wanted}")
     return parts
 
 
-def aligned(rows: Sequence[Sequence[object]], left: int | None = None) -> str:
+def format_table(rows: Sequence[Sequence[object]], left: int | None = None) -> str:
     """Return a text table with columns as wide as their widest cell.
 
     The first `left` columns (default: all) are left-aligned, the others right-aligned.
@@ -206,7 +206,7 @@ def aligned(rows: Sequence[Sequence[object]], left: int | None = None) -> str:
     )
 
 
-def without_secrets(data: Any, depth: int = 100) -> Any:
+def redact(data: Any, depth: int = 100) -> Any:
     """Return the data with possible secrets replaced by `***`.
 
     Removed are the user, password, query and fragment of a URL, everything after the address of a
@@ -229,12 +229,10 @@ def without_secrets(data: Any, depth: int = 100) -> Any:
         return "…"
     if isinstance(data, dict):
         return {
-            key: "***"
-            if value and _SECRET_KEY.search(str(key))
-            else without_secrets(value, depth - 1)
+            key: "***" if value and _SECRET_KEY.search(str(key)) else redact(value, depth - 1)
             for key, value in data.items()
         }
-    return [without_secrets(value, depth - 1) for value in data]
+    return [redact(value, depth - 1) for value in data]
 
 
 def _plain(url: re.Match[str]) -> str:

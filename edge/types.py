@@ -152,15 +152,15 @@ class Detections:
             rival=None, context=None, mask=None,
         )  # fmt: skip
 
-    def unrivalled(self) -> np.ndarray:
+    def not_suppressed(self) -> np.ndarray:
         """Return (n,) bool: True for boxes whose competing class does not score higher."""
         if self.rival is None:
             return np.ones(len(self), np.bool_)
         return self.score >= self.rival
 
-    def without_rivals(self) -> Detections:
+    def without_suppressed(self) -> Detections:
         """Return only the boxes whose competing class does not score higher."""
-        return replace(self.only(self.unrivalled()), rival=None)
+        return replace(self.only(self.not_suppressed()), rival=None)
 
     def above(self, score: float) -> Detections:
         """Return only the boxes with at least this score."""
@@ -303,13 +303,13 @@ class MissionStatus:
         return self.phase in ("reached", "failed")
 
 
-StepKind = Literal[
+MissionEventKind = Literal[
     "start", "target", "seen", "reached", "failed", "nothing", "warning", "trajectory", "end"
 ]
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class MissionEvent:
     """One entry of the mission log.
 
     Attributes:
@@ -325,7 +325,7 @@ class Step:
     """
 
     stamp_ns: int
-    kind: StepKind
+    kind: MissionEventKind
     label: str
     state: int
     text: str

@@ -34,7 +34,7 @@ from edge.models.make import TRAINED
 from edge.perception.embedding.text import VOCABULARY_FILE
 from edge.perception.runtime.card_types import Card, ChoiceCard, DetectCard
 from edge.perception.runtime.cards import read_card
-from exporters.files import ExportError, tells_errors
+from exporters.files import ExportError, exit_on_user_error
 from exporters.fp16 import write_fp16
 from exporters.images import TextEmbeddings, digest_of, load_text_embeddings
 from exporters.parity import (
@@ -49,9 +49,9 @@ from exporters.parity import (
 from exporters.quantize import (
     calibration_feeds,
     input_hw,
-    need_pictures,
     pictures,
     quantize,
+    require_calibration,
     split_images,
 )
 from exporters.recipes import recipe_of
@@ -104,7 +104,7 @@ def _export(
     if card.derived_from is None:
         return _export_fp32(card, args, text)
     fp32 = load_card(card.derived_from, args.cards)
-    need_pictures(args.calibration, card.name)
+    require_calibration(args.calibration, card.name)
     if args.weights is not None:
         _export_fp32(fp32, args, text)
     elif not (args.cache / fp32.file).is_file():
@@ -231,15 +231,15 @@ def export_folder(args: argparse.Namespace) -> None:
     args.cache.mkdir(parents=True, exist_ok=True)
     module = importlib.import_module(FOLDERS[kind])
     reports = module.export(args)
-    told(reports)
+    print_reports(reports)
 
 
-def told(reports: dict[str, Any]) -> None:
+def print_reports(reports: dict[str, Any]) -> None:
     """Print reports as one JSON object, by card."""
     print(json.dumps({name: r.figures() if r else None for name, r in reports.items()}))
 
 
-@tells_errors
+@exit_on_user_error
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters", description="make a card's model file from its weights"
@@ -282,7 +282,7 @@ def main(argv: list[str] | None) -> None:
     if isinstance(named := named_card(args.card, args.cards), ChoiceCard):
         from exporters.vlm_quantize import quantize_card
 
-        told(quantize_card(named, args))
+        print_reports(quantize_card(named, args))
         return
     card = load_card(args.card, args.cards)
     report = export_card(card, args)

@@ -14,7 +14,7 @@ import numpy as np
 import onnx
 from onnxruntime import InferenceSession
 
-from edge.host.bars import counted
+from edge.host.progress import with_progress
 from exporters.onnx_format import cpu_session
 
 BINS = 2048
@@ -85,7 +85,7 @@ def collect_histograms(
     session = tensor_session(model, names)
 
     def passes(what: str) -> Iterator[tuple[str, np.ndarray]]:
-        for feed in counted(f"pictures: {what}", feeds):
+        for feed in with_progress(f"pictures: {what}", feeds):
             yield from feed.items()
             yield from zip(names, session.run(names, feed), strict=True)
 

@@ -32,7 +32,7 @@ from exporters.files import ExportError, sha256_of
 from exporters.fp16 import write_fp16
 from exporters.images import PROMPTS, digest_of, read_rgb
 from exporters.onnx_format import check_format, cpu_session, export_module
-from exporters.quantize import need_pictures, pictures, quantize
+from exporters.quantize import pictures, quantize, require_calibration
 from exporters.recipes import TRANSFORMER, Recipe
 from exporters.reports import check_limits
 from exporters.sidecar import write_sidecar
@@ -150,7 +150,7 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
         choices = ", ".join(TEXT_PRECISION)
         raise ExportError(f"--precision: {unknown[0]!r} is not for towers (choices: {choices})")
     if wanted != ["fp32"]:
-        need_pictures(args.calibration, args.card)
+        require_calibration(args.calibration, args.card)
     calibration, validation = pictures(args.calibration, args.validation)
     towers = load_towers(folder)
     write_atomically(

@@ -16,7 +16,7 @@ class ExportError(UserError):
     """An error that the user can fix; its text is one line: what, where, what to do."""
 
 
-def tells_errors(main: Callable[[list[str] | None], object]) -> Callable[..., int]:
+def exit_on_user_error(main: Callable[[list[str] | None], object]) -> Callable[..., int]:
     """Wrap a program: print a UserError as one line on stderr, and return exit code 1."""
 
     @wraps(main)

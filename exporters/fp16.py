@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import onnx
 
-from edge.host.bars import counted
 from edge.host.files import replace_atomically
+from edge.host.progress import with_progress
 from exporters.calibration import Feed, float_tensors, tensor_session
 from exporters.files import ExportError
 from exporters.onnx_format import check_format
@@ -66,7 +66,7 @@ def overflowing_nodes(
     names = float_tensors(model)
     session = tensor_session(model, names)
     large: set[str] = set()
-    for feed in counted("pictures: values", feeds):
+    for feed in with_progress("pictures: values", feeds):
         found = session.run(names, feed) if names else []  # an empty list means all outputs
         for name, value in (*feed.items(), *zip(names, found, strict=True)):
             if not np.abs(value).max(initial=0.0) <= limit:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.host.bars import counted
-from edge.lab.bench.boxes import Found, agree, overlaps
+from edge.host.progress import with_progress
+from edge.lab.bench.boxes import DetectedBoxes, match_to_reference, overlaps
 from exporters.files import ExportError
 from exporters.images import TextEmbeddings, load_input
 from exporters.onnx_format import check_format, cpu_session
@@ -55,7 +55,7 @@ class ParityReport(Report):
 
 def select_boxes(
     xyxy_px: np.ndarray, scores: np.ndarray, threshold: float = SCORE_THRESHOLD
-) -> Found:
+) -> DetectedBoxes:
     """Return boxes (A, 4) with scores (A, n) above a threshold, after class-wise NMS."""
     anchor, class_id = np.nonzero(scores > threshold)
     order = np.argsort(-scores[anchor, class_id], kind="stable")
@@ -66,7 +66,7 @@ def select_boxes(
     for row in range(len(boxes)):
         if kept[row]:
             kept[row + 1 :] &= ~rivals[row, row + 1 :]
-    return Found(boxes[kept], scores[anchor, class_id][kept], class_id[kept])
+    return DetectedBoxes(boxes[kept], scores[anchor, class_id][kept], class_id[kept])
 
 
 def compare(
@@ -85,7 +85,7 @@ def compare(
         ref_boxes, ref_scores = _finite("reference", reference(image, txt_feats), count)
         cand_boxes, cand_scores = _finite("candidate", candidate(image, txt_feats), count)
         ref, cand = select_boxes(ref_boxes, ref_scores), select_boxes(cand_boxes, cand_scores)
-        matched += agree(ref, cand).hits
+        matched += match_to_reference(ref, cand).hits
         wanted += len(ref.score)
         found += len(cand.score)
         band = (ref_scores >= SCORE_BAND[0]) & (ref_scores < SCORE_BAND[1])
@@ -158,5 +158,5 @@ def measure(
     run, hw = onnx_model(candidate)
     if isinstance(reference, Path):
         reference, _ = onnx_model(reference)
-    inputs = (load_input(path, hw) for path in counted("pictures: compared", images))
+    inputs = (load_input(path, hw) for path in with_progress("pictures: compared", images))
     return compare(reference, run, inputs, text.emb[None])

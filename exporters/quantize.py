@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 import onnx
 
-from edge.host.bars import counted
 from edge.host.files import replace_atomically
+from edge.host.progress import with_progress
 from exporters.calibration import (
     Feed,
     collect_histograms,
@@ -105,7 +105,7 @@ def calibration_feeds(
     """Return one feed per image, alternately with all prompts and with a random few."""
     rng = np.random.default_rng(seed)
     feeds = []
-    for index, path in enumerate(counted("pictures: read", images)):
+    for index, path in enumerate(with_progress("pictures: read", images)):
         rows = np.arange(len(text.names))
         if index % 2 and len(rows) > FEW_PROMPTS:
             rows = rng.choice(rows, FEW_PROMPTS, replace=False)
@@ -130,7 +130,7 @@ def activation_ranges(
         for name in node.input:
             consumers.setdefault(name, set()).add(node.op_type)
     ranges = {}
-    for name, histogram in counted("tensors: ranges", histograms.items()):
+    for name, histogram in with_progress("tensors: ranges", histograms.items()):
         if producer.get(name) in PASSES_RANGE_ON:
             continue
         if producer.get(name) == "Sigmoid":
@@ -225,7 +225,7 @@ def _write_qdq(
         root.setLevel(level)
 
 
-def need_pictures(calibration: Path | None, name: str) -> None:
+def require_calibration(calibration: Path | None, name: str) -> None:
     """Raise ExportError if no calibration folder was given."""
     if calibration is None:
         raise ExportError(

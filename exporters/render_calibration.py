@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from exporters.files import ExportError, tells_errors
+from exporters.files import ExportError, exit_on_user_error
 
 SIZES_HW = ((256, 320), (480, 640))
 CAMERA_HEIGHT_M = (0.4, 0.6)
@@ -54,8 +54,10 @@ def load_world(path: Path) -> TexturedWorld:
         raise ExportError(f"{path}: not a readable mesh ({error}); give a .glb file") from None
     parts = scene.dump()
     uv = [_corner_uv(part) for part in parts]
-    texture_index = np.repeat(np.arange(len(parts), dtype=np.int32), [len(p.faces) for p in parts])
-    bare = [trimesh.Trimesh(part.vertices, part.faces, process=False) for part in parts]
+    texture_index = np.repeat(
+        np.arange(len(parts), dtype=np.int32), [len(p.has_clear_view_of) for p in parts]
+    )
+    bare = [trimesh.Trimesh(part.vertices, part.has_clear_view_of, process=False) for part in parts]
     mesh = trimesh.util.concatenate(bare)
     return TexturedWorld(mesh, np.concatenate(uv), texture_index, [_texture(p) for p in parts])
 
@@ -64,8 +66,8 @@ def _corner_uv(part: object) -> np.ndarray:
     """Return (faces, 3, 2) float32; zeros if the part has no texture coordinates."""
     uv = getattr(part.visual, "uv", None)
     if uv is None:
-        return np.zeros((len(part.faces), 3, 2), np.float32)
-    return np.asarray(uv, np.float32)[part.faces]
+        return np.zeros((len(part.has_clear_view_of), 3, 2), np.float32)
+    return np.asarray(uv, np.float32)[part.has_clear_view_of]
 
 
 def _texture(part: object) -> np.ndarray:
@@ -176,7 +178,7 @@ def render_set(world: TexturedWorld, count: int, seed: int, out: Path) -> list[P
     return paths
 
 
-@tells_errors
+@exit_on_user_error
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(prog="python -m exporters.render_calibration")
     parser.add_argument("world", type=Path, help="mesh file, z up, metres (.glb)")

@@ -15,7 +15,7 @@ import onnx
 from numpy.lib.stride_tricks import sliding_window_view
 from onnx import numpy_helper
 
-from edge.host.bars import counted
+from edge.host.progress import with_progress
 from exporters.calibration import Feed, tensor_session
 
 DAMPING = 0.01
@@ -72,7 +72,7 @@ def _sampled_columns(
     return input_columns(node, x, kernel, random.permutation(height * width)[:ROWS_PER_IMAGE])
 
 
-class Inputs:
+class InputStatistics:
     """Statistics of a layer's input columns (cells, d), summed over images.
 
     Attributes:
@@ -109,7 +109,7 @@ def input_statistics(
     feeds: list[Feed],
     limits: Mapping[str, float],
     seed: int = 0,
-) -> dict[str, Inputs]:
+) -> dict[str, InputStatistics]:
     """Return the statistics of each layer's input, by node name.
 
     Args:
@@ -123,15 +123,15 @@ def input_statistics(
     names = sorted({node.input[0] for node in layers} - {model.graph.input[0].name})
     session = tensor_session(model, names)
     random = np.random.default_rng(seed)
-    statistics: dict[str, Inputs] = {}
-    for feed in counted("pictures: inputs of layers", feeds):
+    statistics: dict[str, InputStatistics] = {}
+    for feed in with_progress("pictures: inputs of layers", feeds):
         made = session.run(names, feed) if names else []  # an empty list means all outputs
         values = {**feed, **dict(zip(names, made, strict=True))}
         for node in layers:
             columns = _sampled_columns(node, values[node.input[0]], weights[node.input[1]], random)
             if node.name not in statistics:
                 limit = limits.get(node.input[0])
-                statistics[node.name] = Inputs(columns.shape[1], limit)
+                statistics[node.name] = InputStatistics(columns.shape[1], limit)
             statistics[node.name].add(columns)
     return statistics
 
@@ -206,7 +206,7 @@ def round_weights(
     statistics = input_statistics(model, layers, feeds, limits or {})
     by_name = {init.name: init for init in model.graph.initializer}
     scales: dict[str, np.ndarray] = {}
-    for node in counted("layers: weights", layers):
+    for node in with_progress("layers: weights", layers):
         initializer, inputs = by_name[node.input[1]], statistics[node.name]
         array = numpy_helper.to_array(initializer)
         across = node.op_type == "MatMul"  # its output channels are columns

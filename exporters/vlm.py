@@ -36,13 +36,13 @@ from exporters.vlm_files import (
     DECODER,
     EMBEDDING,
     VISION,
+    check_variant,
     files_of_card,
-    judge,
     save_network,
     write_card,
 )
 from exporters.vlm_networks import Decoder, Embedding, Idefics3Vision, Qwen2Vision
-from exporters.vlm_parity import Exam, LetterReport, Question, Shown, questions
+from exporters.vlm_parity import EncodedImage, LetterComparison, LetterReport, Question, questions
 
 OTHERS = (
     "config.json", "tokenizer.json", "tokenizer_config.json", "preprocessor_config.json",
@@ -97,7 +97,7 @@ FAMILIES = {
 """Architectures by `model_type`; SmolVLM 2 has `smolvlm`, SmolVLM has `idefics3`."""
 
 
-class TorchOriginal:
+class TorchReference:
     """The original model, run by `transformers` as a whole.
 
     Attributes:
@@ -110,15 +110,15 @@ class TorchOriginal:
         visual = getattr(model.model, "visual", None)
         self.merge = 1 if visual is None else visual.spatial_merge_size
 
-    def show(self, rgb: np.ndarray) -> Shown:
+    def show(self, rgb: np.ndarray) -> EncodedImage:
         """Preprocess and encode an image, (h, w, 3) uint8."""
         feeds = self.prepare(rgb)
         with torch.inference_mode():
             found = self._model.model.get_image_features(**_inputs(feeds)).pooler_output
         rows = found if torch.is_tensor(found) else torch.cat(tuple(found))
-        return Shown(feeds, rows.reshape(-1, rows.shape[-1]).numpy())
+        return EncodedImage(feeds, rows.reshape(-1, rows.shape[-1]).numpy())
 
-    def logits(self, question: Question, shown: Shown) -> np.ndarray:
+    def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
         """Return (v,) float32 of the token after the question."""
         ids = torch.from_numpy(question.ids(len(shown.features)))
         more = {}
@@ -214,9 +214,9 @@ def export(args: Any) -> dict[str, LetterReport]:
     for question in asked:
         used = (*question.ids(1)[0].tolist(), *question.letters)
         hugging_face.check_tokens(args.weights, used, networks.text.vocab_size)
-    original = TorchOriginal(model, networks.prepare)
+    original = TorchReference(model, networks.prepare)
     shown = [original.show(read_rgb(path)) for path in validation] or [original.show(_noise())]
-    exam = Exam(original, shown, asked)
+    exam = LetterComparison(original, shown, asked)
     folder = args.cache / args.card
     (folder / "onnx").mkdir(parents=True, exist_ok=True)
     digest = hugging_face.weights_sha256(args.weights)
@@ -225,7 +225,7 @@ def export(args: Any) -> dict[str, LetterReport]:
         files = [
             save_network(onnx.load(path), folder / "onnx" / path.name) for path in traces.values()
         ]
-    report = judge(files, "fp32", name, exam, "torch", not args.no_gate, (digest, None))
+    report = check_variant(files, "fp32", name, exam, "torch", not args.no_gate, (digest, None))
     card = {
         "name": name, "task": "choice", "family": args.family or args.card,
         "license": args.license or hugging_face.license_of(args.weights),

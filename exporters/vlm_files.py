@@ -14,7 +14,7 @@ from edge.host.files import replace_atomically, write_atomically
 from exporters.onnx_format import check_format
 from exporters.reports import check_limits
 from exporters.sidecar import write_sidecar
-from exporters.vlm_parity import Chain, Exam, LetterReport
+from exporters.vlm_parity import LetterComparison, LetterReport, OnnxPipeline
 
 VISION, EMBEDDING, DECODER = FILES = ("vision_encoder", "embed_tokens", "decoder_model_merged")
 CACHED = ("past_key_values.", "present.")
@@ -53,11 +53,11 @@ def save_network(model: onnx.ModelProto, out: Path) -> list[Path]:
     return [out, data]
 
 
-def judge(
+def check_variant(
     files: list[list[Path]],
     precision: str,
     name: str,
-    exam: Exam,
+    exam: LetterComparison,
     against: str,
     gate: bool,
     digests: tuple[str | None, str | None],
@@ -76,7 +76,7 @@ def judge(
     Raises:
         ExportError: the parity misses its limits, and `gate` is True.
     """
-    report = exam.sit(Chain([network for network, *_ in files]))
+    report = exam.compare(OnnxPipeline([network for network, *_ in files]))
     print(f"{name} against {against}:\n{report.table()}", file=sys.stderr)
     if gate:
         check_limits(report, LIMITS[precision], name)

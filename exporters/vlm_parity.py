@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from edge.host.bars import counted
+from edge.host.progress import with_progress
 from edge.perception.scoring.choice.question import LETTERS, SYSTEM, direction_question
 from exporters import hugging_face
 from exporters.encoder_parity import rank_agreement
@@ -68,7 +68,7 @@ def questions(folder: Path, image_token: int) -> list[Question]:
     ]
 
 
-def places_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge: int) -> np.ndarray:
+def position_ids_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge: int) -> np.ndarray:
     """Return position ids, (1, n) int64; with a grid (3, 1, n): time, row, column.
 
     Qwen2-VL section 2.1.
@@ -92,7 +92,7 @@ def places_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge: int) 
     return places[:, None]
 
 
-class Shown(NamedTuple):
+class EncodedImage(NamedTuple):
     """An image, encoded by the original.
 
     Attributes:
@@ -109,7 +109,7 @@ class Shown(NamedTuple):
         return self.feeds.get("grid_thw", self.feeds.get("image_grid_thw"))
 
 
-class Original(Protocol):
+class ReferenceModel(Protocol):
     """Reference of a comparison: a model of `transformers`, or its FP32 files.
 
     Attributes:
@@ -118,12 +118,12 @@ class Original(Protocol):
 
     merge: int
 
-    def logits(self, question: Question, shown: Shown) -> np.ndarray:
+    def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
         """Return (v,) float32 of the token after the question."""
         ...
 
 
-class Chain:
+class OnnxPipeline:
     """Pipeline of three ONNX files on the CPU.
 
     Args:
@@ -151,9 +151,9 @@ class Chain:
     def logits(
         self, question: Question, features: np.ndarray, grid: np.ndarray | None, merge: int
     ) -> np.ndarray:
-        """Return (v,) of the token after a question about an image; see `places_of`."""
+        """Return (v,) of the token after a question about an image; see `position_ids_of`."""
         ids = question.ids(len(features))
-        places = places_of(ids, question.image, grid, merge)
+        places = position_ids_of(ids, question.image, grid, merge)
         return self.read(self.rows(ids, question.image, features), places)[0]
 
     def read(
@@ -207,22 +207,24 @@ class LetterReport(Report):
     max_abs_diff: float
 
 
-class Exam:
+class LetterComparison:
     """Questions about images with the original's answers, to compare candidates with."""
 
-    def __init__(self, original: Original, pictures: list[Shown], asked: list[Question]) -> None:
+    def __init__(
+        self, original: ReferenceModel, pictures: list[EncodedImage], asked: list[Question]
+    ) -> None:
         self._pictures, self._asked, self._merge = pictures, asked, original.merge
         rows = [
             original.logits(question, shown)[list(question.letters)]
-            for shown in counted("pictures: original", pictures)
+            for shown in with_progress("pictures: original", pictures)
             for question in asked
         ]
         self._reference = np.array(rows).T
 
-    def sit(self, chain: Chain) -> LetterReport:
+    def compare(self, chain: OnnxPipeline) -> LetterReport:
         """Ask three files the same questions; raise ExportError if an answer is not finite."""
         found, cosines = [], []
-        for shown in counted("pictures: candidate", self._pictures):
+        for shown in with_progress("pictures: candidate", self._pictures):
             features = chain.features(shown.feeds)
             norms = np.linalg.norm(shown.features, axis=1) * np.linalg.norm(features, axis=1)
             cosines.append(float(((shown.features * features).sum(axis=1) / norms).min()))

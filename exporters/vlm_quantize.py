@@ -25,7 +25,7 @@ from exporters.files import ExportError
 from exporters.fp16 import kept_nodes, to_fp16
 from exporters.images import digest_of, read_rgb
 from exporters.onnx_format import check_format
-from exporters.quantize import need_pictures, pictures, quantize
+from exporters.quantize import pictures, quantize, require_calibration
 from exporters.recipes import TRANSFORMER, Recipe, nodes_like
 from exporters.vlm_files import (
     CACHED,
@@ -35,18 +35,18 @@ from exporters.vlm_files import (
     ONE_FILE_BYTES,
     VISION,
     bytes_of,
+    check_variant,
     files_of_card,
-    judge,
     save_network,
     write_card,
 )
 from exporters.vlm_parity import (
-    Chain,
-    Exam,
+    EncodedImage,
+    LetterComparison,
     LetterReport,
+    OnnxPipeline,
     Question,
-    Shown,
-    places_of,
+    position_ids_of,
     questions,
 )
 from exporters.weight_only import quantize_weights
@@ -98,20 +98,20 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
                 f"{name}: another card has this name and is not made from {card.name}: get it with "
                 f"`edge models pull {name}`, or copy {card.name}'s card under another name"
             )
-    need_pictures(args.calibration, card.name)
+    require_calibration(args.calibration, card.name)
     calibration, validation = pictures(args.calibration, args.validation)
     verify_parts(card)
-    original = FilesOriginal(card)
+    original = OnnxReference(card)
     asked = questions(card.path, original.image_token)
-    exam = Exam(original, [original.show(read_rgb(path)) for path in validation], asked)
+    exam = LetterComparison(original, [original.show(read_rgb(path)) for path in validation], asked)
     fp32 = dict(zip(FILES, map(card.path_of, card.networks), strict=True))
     (card.path / OUT).mkdir(exist_ok=True)
-    maker = Maker(fp32, original, asked[0], calibration, card.path / OUT)
+    maker = VariantBuilder(fp32, original, asked[0], calibration, card.path / OUT)
     others = [part.file for part in card.others if not part.file.startswith("onnx/")]
     reports = {}
     for precision, name in wanted.items():
         files = [maker.make(*part) for part in zip(FILES, PRECISIONS[precision], strict=True)]
-        reports[name] = judge(
+        reports[name] = check_variant(
             files, precision, name, exam, card.name, not args.no_gate,
             (None, digest_of(calibration)),
         )  # fmt: skip
@@ -126,7 +126,7 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     return reports
 
 
-class Maker:
+class VariantBuilder:
     """Makes variants of the FP32 files, each once: several precisions of a model share some.
 
     Args:
@@ -140,7 +140,7 @@ class Maker:
     def __init__(
         self,
         fp32: dict[str, Path],
-        original: FilesOriginal,
+        original: OnnxReference,
         asked: Question,
         calibration: list[Path],
         folder: Path,
@@ -186,8 +186,8 @@ def _kept(model: onnx.ModelProto, feeds: list[dict[str, np.ndarray]], name: str)
     return kept_nodes(model, feeds, recipe) if feeds else set(nodes_like(model, recipe.not_fp16))
 
 
-class FilesOriginal:
-    """The FP32 files of a card, as the reference of `exporters.vlm_parity.Exam`.
+class OnnxReference:
+    """The FP32 files of a card, as the reference of `exporters.vlm_parity.LetterComparison`.
 
     Attributes:
         image_token: placeholder token of the image.
@@ -196,7 +196,7 @@ class FilesOriginal:
 
     def __init__(self, card: ChoiceCard) -> None:
         files = read_files(card)
-        self._chain = Chain([card.path_of(part) for part in card.networks])
+        self._chain = OnnxPipeline([card.path_of(part) for part in card.networks])
         found = files.config.get("image_token_id", files.config.get("image_token_index"))
         text = hugging_face.open_tokenizer(card.path / TOKENIZER).id_to_token(found or 0)
         if not isinstance(found, int) or text is None:
@@ -210,18 +210,18 @@ class FilesOriginal:
         feeds = self._prepare(rgb).feeds
         return {name: feeds[name] for name in self._chain.vision_inputs}
 
-    def show(self, rgb: np.ndarray) -> Shown:
+    def show(self, rgb: np.ndarray) -> EncodedImage:
         """Preprocess and encode an image, (h, w, 3) uint8."""
         feeds = self.prepare(rgb)
-        return Shown(feeds, self._chain.features(feeds))
+        return EncodedImage(feeds, self._chain.features(feeds))
 
-    def logits(self, question: Question, shown: Shown) -> np.ndarray:
+    def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
         """Return (v,) float32 of the token after the question."""
         return self._chain.logits(question, shown.features, shown.grid, self.merge)
 
-    def decoder_feeds(self, question: Question, shown: Shown) -> dict[str, np.ndarray]:
+    def decoder_feeds(self, question: Question, shown: EncodedImage) -> dict[str, np.ndarray]:
         """Return the decoder's inputs for the whole question, with an empty cache."""
         ids = question.ids(len(shown.features))
-        places = places_of(ids, question.image, shown.grid, self.merge)
+        places = position_ids_of(ids, question.image, shown.grid, self.merge)
         rows = self._chain.rows(ids, question.image, shown.features)
         return self._chain.decoder_feeds(rows, places)

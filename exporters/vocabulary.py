@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.host.files import open_regular, read_regular, replace_atomically
-from exporters.files import ExportError, tells_errors
+from exporters.files import ExportError, exit_on_user_error
 
 DIM = 512
 _METADATA = Path("datasets/metadata")
@@ -81,7 +81,7 @@ def read_tables(detic: Path) -> dict[str, np.ndarray]:
     return found
 
 
-@tells_errors
+@exit_on_user_error
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters.vocabulary", description="make a vocabulary from Detic's tables"

@@ -16,7 +16,13 @@ import pytest
 
 from edge.host import resources
 from edge.perception.scoring.choice.onnx_scorer import asked_of
-from edge.perception.scoring.choice.question import SYSTEM, Mark, Sighting, View, describe
+from edge.perception.scoring.choice.question import (
+    SYSTEM,
+    DetectedObject,
+    Mark,
+    MarkedView,
+    describe,
+)
 from edge.perception.scoring.vlm.model import LanguageModel
 from edge.types import Observation
 from exporters.weight_only import quantize_weights
@@ -33,9 +39,9 @@ LLAMA = LlamaSize(*SIZE, inner=704, tokens=600)
 
 def view(k: int) -> str:
     """In words, another one each time."""
-    seen = tuple(Sighting(f"thing {k + i}", 0.1 * i, 1.0 + i) for i in range(8))
+    seen = tuple(DetectedObject(f"thing {k + i}", 0.1 * i, 1.0 + i) for i in range(8))
     marks = tuple(Mark(i, 0.0, 0.0, 0.3 * i, 2.0 + i) for i in range(4))
-    return describe(View(Observation(0, 0, np.eye(4)), "chair", marks, seen))
+    return describe(MarkedView(Observation(0, 0, np.eye(4)), "chair", marks, seen))
 
 
 def test_two_questions_against_two_prefills(benchmark, against, tmp_path, monkeypatch):

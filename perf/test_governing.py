@@ -8,13 +8,13 @@ from pathlib import Path
 sys.path += [str(Path(__file__).parents[1] / "tests" / folder) for folder in ("", "loop")]
 from test_governor import Bench
 
-from edge.loop import governor
+from edge.loop import load_shedder
 
 
 def test_governor_step(benchmark, monkeypatch):
     """A new image before each step; a tenth of the steps look back on a second."""
     benchmark.extra_info["budget"] = "governor_step"
-    monkeypatch.setattr(governor, "_check_here", lambda name: None)
+    monkeypatch.setattr(load_shedder, "_check_here", lambda name: None)
     bench = Bench()
 
     def see() -> tuple[tuple, dict]:

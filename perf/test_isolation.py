@@ -33,8 +33,8 @@ def model(request):
 @pytest.fixture
 def detector(model, isolation):
     warmup()
-    rules = config.ModelProcess(timeout_s=60.0)
-    perception = config.Perception(isolation=isolation, process=rules, detector=model)
+    rules = config.ModelProcessConfig(timeout_s=60.0)
+    perception = config.PerceptionConfig(isolation=isolation, process=rules, detector=model)
     try:
         detector = make_detector(perception, ["chair"])
     except (ModelError, PromptError) as error:

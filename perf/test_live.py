@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from edge.config import parse
-from edge.host.service_manager import ServiceManager
+from edge.host.service_manager import SystemdNotifier
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.live.pictures import JPEG_QUALITY, grid_of, shot_of
-from edge.live.sink import LiveSink, Shot
+from edge.live.pictures import JPEG_QUALITY, grid_json, shot_json
+from edge.live.sink import CameraShot, LiveSink
 from edge.live.view import LiveView
-from edge.loop.vitals import Vitals
+from edge.loop.service_health import ServiceHealth
 
 STEPS = 60
 
@@ -50,7 +50,7 @@ def test_a_tick_that_is_looked_at(benchmark, closed):
 
 
 def test_what_is_asked_five_times_a_second(benchmark, closed):
-    view = LiveView(closed.config, Vitals(ServiceManager({})))
+    view = LiveView(closed.config, ServiceHealth(SystemdNotifier({})))
     view.sink.look()
     view.sink.tick(closed.service.result(1, closed.observe()))
     benchmark.extra_info["budget"] = "live_now"
@@ -63,7 +63,7 @@ def test_a_map_of_a_house(benchmark, against, closed):
     options = [cv2.IMWRITE_PNG_COMPRESSION, 1]
     against(lambda: cv2.imencode(".png", grid.cells.view(np.uint8), options))
     benchmark.extra_info["budget"] = "live_map"
-    assert benchmark(grid_of, grid)["png"]
+    assert benchmark(grid_json, grid)["png"]
 
 
 def test_an_image(benchmark, against):
@@ -73,4 +73,4 @@ def test_an_image(benchmark, against):
     options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     against(lambda: base64.b64encode(cv2.imencode(".jpg", rgb, options)[1]))
     benchmark.extra_info["budget"] = "live_camera_640x480"
-    assert benchmark(shot_of, Shot(1, rgb, (), ()))["jpeg"]
+    assert benchmark(shot_json, CameraShot(1, rgb, (), ()))["jpeg"]

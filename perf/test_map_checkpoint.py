@@ -13,14 +13,14 @@ from edge.host.checkpoint import Checkpoint
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.goal import GoalTracker
-from edge.loop.map_checkpoint import MAP, Parts, Sighted, make_map, state_of
+from edge.loop.map_checkpoint import MAP, MapParts, StampedPose, make_map, state_of
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping import grid as mapping
-from edge.mapping.tiles import MOST_PER_STEP, Copier, PackedTiles
+from edge.mapping.tiles import MOST_PER_STEP, PackedTiles, TileCopier
 from edge.mapping.warmup import warmup
 from edge.policies import make_policy
 
-NOW = Sighted(SE2(0.0, 0.0, 0.0), 10**9, 10**9)
+NOW = StampedPose(SE2(0.0, 0.0, 0.0), 10**9, 10**9)
 SETTINGS = {"perception": {"detector": {"kind": "sim"}}, "policy": {"kind": "search"}}
 
 
@@ -33,17 +33,17 @@ def settings(cells: int) -> config.Config:
     return parse({**SETTINGS, "mapping": {"extent_m": cells * MAPPING.resolution_m}})
 
 
-def parts_of(grid: mapping.RollingMap, c: config.Config) -> Parts:
+def parts_of(grid: mapping.RollingMap, c: config.Config) -> MapParts:
     known = SemanticMap(c, ())
     known.grid = grid
     goals = GoalTracker(c, known.pool, known.tracker, lambda goal: None, lambda text, now_ns: None)
-    return Parts(known, goals, make_policy(c.policy))
+    return MapParts(known, goals, make_policy(c.policy))
 
 
 def file_of(cells: int) -> bytes:
     """All of a map that is explored all over."""
     grid, c = explored_map(cells), settings(cells)
-    copier, packed = Copier(), PackedTiles()
+    copier, packed = TileCopier(), PackedTiles()
     grid.window.written[:] = True
     copier.step(grid.window, grid.planes, grid.window.written.size)
     packed.update(copier.take()[1])
@@ -58,7 +58,7 @@ def test_copying_what_changed(benchmark, cells):
     """The tick that copies pays this, once in three seconds."""
     benchmark.extra_info["budget"] = f"places_copy_{cells}"
     grid, c = explored_map(cells), settings(cells)
-    parts, update, copier = parts_of(grid, c), update_all_round(grid), Copier()
+    parts, update, copier = parts_of(grid, c), update_all_round(grid), TileCopier()
     update()
     grid.window.written[:] = False
 

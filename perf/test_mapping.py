@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.geometry import SE2, CameraModel, optical, se3
+from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.mapping import grid, layers
 from edge.mapping.warmup import warmup
 from edge.types import Observation
 
 CAMERA = CameraModel.from_hfov(640, 480, math.radians(75))
-T_BASE_CAMERA = optical(se3(0.1, 0.0, 0.6, pitch_rad=math.radians(5)))
-MAPPING = config.Mapping()
+T_BASE_CAMERA = to_optical(se3(0.1, 0.0, 0.6, pitch_rad=math.radians(5)))
+MAPPING = config.MappingConfig()
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -28,7 +28,7 @@ def _compiled():
 def room_depth(T: np.ndarray, half_m: float = 4.0) -> np.ndarray:
     """What the camera sees in a square room with pillars (cylinders of 0.2 m) every 2 m."""
     u, v = np.meshgrid(np.arange(CAMERA.width_px), np.arange(CAMERA.height_px))
-    optical = np.stack(
+    to_optical = np.stack(
         [
             (u - CAMERA.cx_px) / CAMERA.fx_px,
             (v - CAMERA.cy_px) / CAMERA.fy_px,
@@ -36,7 +36,7 @@ def room_depth(T: np.ndarray, half_m: float = 4.0) -> np.ndarray:
         ],
         axis=-1,
     )
-    rays, origin = optical @ T[:3, :3].T, T[:3, 3]
+    rays, origin = to_optical @ T[:3, :3].T, T[:3, 3]
     depth = np.full(u.shape, np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
         for axis, at in ((0, half_m), (0, -half_m), (1, half_m), (1, -half_m), (2, 0.0), (2, 2.5)):

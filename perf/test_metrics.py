@@ -5,11 +5,11 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from edge.config import parse
-from edge.host.service_manager import ServiceManager
+from edge.host.service_manager import SystemdNotifier
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.metrics import Metrics
-from edge.loop.runner import Running
-from edge.loop.vitals import Vitals
+from edge.loop.runner import RunningService
+from edge.loop.service_health import ServiceHealth
 
 
 def test_metrics_scrape(benchmark):
@@ -20,7 +20,7 @@ def test_metrics_scrape(benchmark):
         closed.step()
     worker = closed.service._worker
     source = SimpleNamespace(counters={})
-    metrics = Metrics(Vitals(ServiceManager({})))
-    metrics.watch(Running(closed.config, closed.service, worker, source, {}), closed.sinks)
+    metrics = Metrics(ServiceHealth(SystemdNotifier({})))
+    metrics.watch(RunningService(closed.config, closed.service, worker, source, {}), closed.sinks)
     page = benchmark(metrics.pages()["/metrics"])
     assert b"edge_map_known_square_meters" in page.body

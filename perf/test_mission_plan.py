@@ -10,7 +10,7 @@ from edge.geometry import Grid
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import parse
 from edge.mission.planning.distances import distances
-from edge.mission.planning.planner import Knowledge, make_planner, warm_up
+from edge.mission.planning.planner import MissionKnowledge, make_planner, warm_up
 
 DISTANCE = PlannerVitl(weights="distance")
 
@@ -25,11 +25,11 @@ def unordered(k: int):
     return compile_formula(parse(" & ".join(f"F object{i}" for i in range(k))))
 
 
-def half_known(automaton) -> Knowledge:
+def half_known(automaton) -> MissionKnowledge:
     letters = automaton.letters
     k = len(letters)
     metres = np.random.default_rng(0).uniform(1.0, 20.0, (k + 1, k))
-    return Knowledge(frozenset(letters[::2]), frozenset(), frozenset(), metres)
+    return MissionKnowledge(frozenset(letters[::2]), frozenset(), frozenset(), metres)
 
 
 @pytest.mark.parametrize(

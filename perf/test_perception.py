@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.geometry import CameraModel, optical, se3
+from edge.geometry import CameraModel, se3, to_optical
 from edge.perception.detection import kernels
 from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import Masker, make_segmenter
 from edge.perception.runtime.cards import ModelError
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.lift import Lifter
-from edge.perception.tracking.sightings import SightingTracker
+from edge.perception.tracking.lift import BackProjector
+from edge.perception.tracking.sightings import ObjectTracker
 from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
 
@@ -45,7 +45,7 @@ def observe(seed=0, seq=0):
         rgb=random.integers(0, 256, (480, 640, 3), np.uint8),
         depth_m=depth,
         camera=CameraModel.from_hfov(640, 480, 1.3),
-        T_base_camera=optical(se3(0.1, 0.0, 0.6)),
+        T_base_camera=to_optical(se3(0.1, 0.0, 0.6)),
         cloud_m=random.uniform(-8, 8, (60000, 3)).astype(np.float32),
     )
 
@@ -67,7 +67,7 @@ def detector():
     vocabulary = str(SHARED_VOCABULARY) if SHARED_VOCABULARY.exists() else None
     chosen = config.DetectorOnnx(vocabulary=vocabulary, background=BACKGROUND)
     try:
-        return make_detector(config.Perception(detector=chosen), ["chair"])
+        return make_detector(config.PerceptionConfig(detector=chosen), ["chair"])
     except (ModelError, PromptError) as error:
         pytest.skip(str(error))
 
@@ -114,7 +114,7 @@ def test_suppress(benchmark, against):
     def decode():
         m, _ = kernels.candidates(boxes, scores, 1, tau, 1e4, anchor, label, score, top)
         n = kernels.suppress(boxes, anchor, label, score, m, 0, 1, False, 0.5, keep)
-        kernels.strongest_rivals(
+        kernels.competing_scores(
             boxes, scores, competes, tau, top, anchor, label, keep, n, cut, 0.5, rival
         )
         return n
@@ -141,7 +141,7 @@ def test_lift(benchmark, way):
     """Twenty boxes of a 640 × 480 image."""
     benchmark.extra_info["budget"] = f"lift_20_boxes_{way}"
     seen = observe()
-    lifter = Lifter(config.Perception(detector=config.DetectorSim(), lift=way))
+    lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), lift=way))
     out, _ = benchmark(lifter.lift, boxes_in(seen, 20))
     assert out.valid.any()
 
@@ -149,8 +149,8 @@ def test_lift(benchmark, way):
 def test_track(benchmark):
     """Eight boxes into a tracker that knows some thirty things, with a look at all of them."""
     benchmark.extra_info["budget"] = "instances_update_8"
-    perception = config.Perception(detector=config.DetectorSim())
-    tracker, lifter = InstanceTracker(perception), Lifter(perception)
+    perception = config.PerceptionConfig(detector=config.DetectorSim())
+    tracker, lifter = InstanceTracker(perception), BackProjector(perception)
     for seed in range(20):
         tracker.update(lifter.lift(boxes_in(observe(seed), 20, seed))[0], seed)
     seen = observe()
@@ -168,8 +168,8 @@ def test_sightings(benchmark):
     """Eight boxes of targets and twenty of context among some two hundred things, and a look at
     all of them."""
     benchmark.extra_info["budget"] = "sightings_look_28"
-    perception = config.Perception(detector=config.DetectorSim())
-    sightings, lifter = SightingTracker(perception), Lifter(perception)
+    perception = config.PerceptionConfig(detector=config.DetectorSim())
+    sightings, lifter = ObjectTracker(perception), BackProjector(perception)
     for seed in range(20):
         lifted, _ = lifter.lift(boxes_in(observe(seed), 20, seed))
         sightings.look(lifted, lifter.lift(boxes_in(observe(seed), 20, seed + 100, WORDS))[0])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from edge.lab.eval.planning.executor import Problem, Situation, draws_of, run_episode
-from edge.lab.eval.planning.lifted import compiled, lift
+from edge.lab.eval.planning.delexicalised import compiled, delexicalise
+from edge.lab.eval.planning.executor import PlannerInput, PlanningProblem, draws_of, run_episode
 from edge.lab.eval.planning.planners import PLANNERS
 from edge.lab.eval.planning.sweep import Settings, run_tasks
 from edge.lab.eval.planning.templates import generate
@@ -38,8 +38,8 @@ def test_tasks_sample(benchmark, tasks):
 def test_task_episode(benchmark):
     """One run of case study 2 with the plans already made."""
     benchmark.extra_info["budget"] = "eval_planning_episode"
-    lifted = lift(parse(CASE_2))
-    problem = Problem.of(lifted.automaton, lifted.others)
+    lifted = delexicalise(parse(CASE_2))
+    problem = PlanningProblem.of(lifted.automaton, lifted.others)
     choose = PLANNERS["vitl"].make(problem)(0.5)
     draws = [draws_of(0, task, 0.5, 0) for task in range(64)]
 
@@ -55,10 +55,10 @@ def test_task_episode(benchmark):
 def test_optimal_policy(benchmark):
     """The exact optimum of case study 2 at one p_obs: 32 states, 64 sets of known objects."""
     benchmark.extra_info["budget"] = "eval_planning_optimum"
-    problem = Problem.of(compiled(lift(parse(CASE_2)).formula), 0)
+    problem = PlanningProblem.of(compiled(delexicalise(parse(CASE_2)).formula), 0)
     optimum = PLANNERS["optimal"].make(problem)
-    optimum(0.5)(Situation(0))
-    assert benchmark(lambda: optimum(0.5)(Situation(0))) >= 0
+    optimum(0.5)(PlannerInput(0))
+    assert benchmark(lambda: optimum(0.5)(PlannerInput(0))) >= 0
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from edge.mapping.view import MapView
 from edge.mapping.warmup import warm_values, warmup
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies import make_policy
-from edge.policies.base import Answers, Context, scores_of
+from edge.policies.base import PolicyInput, ScorerOutputs, scores_of
 from edge.types import Detections, Observation
 
 POSE = SE2(0.02, 0.02, 0.3)
@@ -70,9 +70,9 @@ def test_score_by_values_30(benchmark, kind):
     pool.update(around(30), [], 1, 1)
     pool.measure(m)
     policy = make_policy({"vlfm": config.PolicyVlfm, "adaptive": config.PolicyAdaptive}[kind]())
-    context = Context(
+    context = PolicyInput(
         detections(stamp_ns=1).observation, POSE, MapView(m), (0, 0, 0, 0), pool.shown, None,
-        Answers(), ("chair",), "chair", 2,
+        ScorerOutputs(), ("chair",), "chair", 2,
     )  # fmt: skip
     score = benchmark.pedantic(policy.score, args=(context,), rounds=500, warmup_rounds=20)
     assert np.ptp(score[:30]) > 0
@@ -87,19 +87,19 @@ def test_score_and_select_200(benchmark):
         m.reach.step(POSE)
     pool = CandidatePool(CANDIDATES, 0.01)
     pool.update(around(CANDIDATES), [], 1, 1)
-    settings = config.Config(perception=config.Perception(detector=config.DetectorSim()))
+    settings = config.Config(perception=config.PerceptionConfig(detector=config.DetectorSim()))
     policy, seen = make_policy(settings.policy), detections(stamp_ns=1)
     goals = GoalTracker(
         settings, pool, InstanceTracker(settings.perception), lambda goal: None, lambda *_: None
     )
-    context = Context(
+    context = PolicyInput(
         seen.observation,
         POSE,
         MapView(m),
         (0, 0, 0, 0),
         pool.shown,
         seen,
-        Answers(),
+        ScorerOutputs(),
         ("chair",),
         "chair",
         2,

@@ -7,28 +7,28 @@ import pytest
 from test_mapping import explored_map
 
 from edge.config import DetectorSim
-from edge.loop.prior import Prior
+from edge.loop.prior import LocationPrior
 from edge.mapping.points import HEIGHT_CODES
 from edge.mapping.view import MapView
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
-from edge.perception.tracking.sightings import Sightings
+from edge.perception.tracking.sightings import TrackedObjects
 
 PLACES, THINGS = 100, 200
 
 
 @pytest.fixture(scope="module")
-def seen() -> tuple[Prior, MapView, Sightings, np.ndarray]:
+def seen() -> tuple[LocationPrior, MapView, TrackedObjects, np.ndarray]:
     """As after a house of 10 m × 10 m was seen whole."""
     rng, table = np.random.default_rng(0), load()
-    sightings = Sightings(512)
+    sightings = TrackedObjects(512)
     sightings.words[:] = table.things
     sightings.n, sightings.generation = THINGS, 1
     sightings.xyz_m[:THINGS, :2] = rng.uniform(-5, 5, (THINGS, 2))
     sightings.word[:THINGS] = rng.integers(0, len(table.things), THINGS)
     sightings.confidence[:THINGS] = rng.uniform(0.1, 0.8, THINGS)
     words = make_words(table, DetectorSim())
-    prior = Prior("both", table, words, int(0.85 * HEIGHT_CODES), inline=True)
+    prior = LocationPrior("both", table, words, int(0.85 * HEIGHT_CODES), inline=True)
     view = MapView(explored_map(1000))
     places = rng.uniform(-5, 5, (PLACES, 2)).astype(np.float32)
     return prior, view, sightings, places

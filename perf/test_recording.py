@@ -10,8 +10,8 @@ import pytest
 
 from edge.config import parse
 from edge.lab.eval.closed_loop import ClosedLoop
+from edge.sinks.encoder import ResultEncoder
 from edge.sinks.mcap import McapSink
-from edge.sinks.telling import Teller
 
 TICKS = 32
 
@@ -60,7 +60,7 @@ def results():
 def test_record_a_tick_in_the_loop(benchmark, results):
     """What the loop's own thread does: depth as millimetres, pictures now and then."""
     config, ticks = results
-    teller = Teller(config, rgb_hz=2.0)
+    teller = ResultEncoder(config, rgb_hz=2.0)
 
     def one_pass():
         for result in ticks:

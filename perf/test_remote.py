@@ -10,7 +10,7 @@ import numpy as np
 from edge import config
 from edge.perception.detection.onnx import OnnxDetector
 from edge.perception.detection.remote import RemoteDetector
-from edge.perception.runtime.card_types import DetectCard, Server
+from edge.perception.runtime.card_types import DetectCard, InferenceServer
 from edge.perception.runtime.cards import load_card_of
 from edge.types import Observation
 
@@ -35,7 +35,7 @@ def test_detect_on_a_server(benchmark, against, monkeypatch):
     settings = config.DetectorOnnx(model=CARD, threads=1)
     here = OnnxDetector(settings, ["bed"])
     with serving(KServe(nothing)) as server:
-        told = Server(url=server.url, model="m", time_limit_s=60)
+        told = InferenceServer(url=server.url, model="m", time_limit_s=60)
         card = load_card_of(DetectCard, CARD).model_copy(update={"server": told, "file": None})
         monkeypatch.setattr("edge.perception.detection.onnx.load_detector_card", lambda name: card)
         there = RemoteDetector(settings, card, ("bed",))

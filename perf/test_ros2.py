@@ -33,7 +33,7 @@ from edge.bus.wire import messages  # noqa: E402
 from edge.config import Config, parse  # noqa: E402
 from edge.geometry import SE2, CameraModel  # noqa: E402
 from edge.host.ports import free_port  # noqa: E402
-from edge.sinks.navigate import Navigator  # noqa: E402
+from edge.sinks.navigate import NavigateToPoseClient  # noqa: E402
 from edge.sinks.zenoh import ZenohSink  # noqa: E402
 from edge.sources.ros2 import Ros2Source  # noqa: E402
 from edge.sources.zenoh import ZenohSource  # noqa: E402
@@ -180,7 +180,8 @@ def test_odometry_to_goal_through_the_adapter(benchmark, tmp_path):
     ):
         assert robot.stdout.readline() == "ready\n"
         source = Ros2Source(config, session)
-        navigator = Navigator(open_node(config, session, "sink"), "/navigate_to_pose", "odom",
+        navigator = NavigateToPoseClient(open_node(config, session, "sink"), "/navigate_to_pose",
+        "odom",
                               told.append)  # fmt: skip
 
         def say(name: str, stamp_ns: int) -> None:

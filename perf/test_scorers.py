@@ -18,7 +18,7 @@ from edge.mapping import grid
 from edge.mapping.results import Frontiers
 from edge.perception.detection.onnx import OnnxDetector
 from edge.perception.scoring.choice.factory import ViewScorer, open_choice
-from edge.perception.scoring.choice.question import Mark, View, Ways
+from edge.perception.scoring.choice.question import Mark, MarkCosts, MarkedView
 from edge.perception.tracking.instances import InstanceTracker
 from edge.types import Observation
 
@@ -54,8 +54,8 @@ def test_ask_choice_200(benchmark):
         T_base_camera=T_BASE_CAMERA,
     )  # fmt: skip
     scorers = Scorers(None, Idle(), inline=True)
-    tracker = InstanceTracker(config.Perception(detector=config.DetectorSim()))
-    values = grid.RollingMap(config.Mapping()).values
+    tracker = InstanceTracker(config.PerceptionConfig(detector=config.DetectorSim()))
+    values = grid.RollingMap(config.MappingConfig()).values
     benchmark(scorers.ask, seen, ("chair",), "chair", pool.candidates, tracker, values)
     assert scorers.status()["choice"]["failed"] == 0
 
@@ -67,8 +67,8 @@ def test_choose_mini_house(benchmark, against):
     seen = Observation(0, 1, np.eye(4), rgb=rgb)
     scorer = open_choice(config.ChoiceOnnx(card="mini-house-choice", threads=1))
     marks = tuple(Mark(i, 60.0 * i, 150.0, 0.5 - 0.3 * i, 2.0) for i in range(4))
-    ways = Ways(np.full(4, 2.5, np.float32), np.ones(4, np.float32), np.zeros(3, np.float32))
-    view = View(seen, "bed", marks, ways=ways)
+    ways = MarkCosts(np.full(4, 2.5, np.float32), np.ones(4, np.float32), np.zeros(3, np.float32))
+    view = MarkedView(seen, "bed", marks, ways=ways)
     choice = benchmark(lambda: scorer.answer(scorer.look(view)))
     assert choice.ids == (0, 1, 2, 3)
     of_trunk = config.DetectorOnnx(model="mini-house-256x320-int8-cpu", threads=1)
@@ -83,7 +83,7 @@ class Busy:
         self.name, self._scorer, self._over = scorer.name, scorer, threading.Event()
         self.runs = 0
 
-    def look(self, view: View) -> object:
+    def look(self, view: MarkedView) -> object:
         return self._scorer.look(view)
 
     def answer(self, looked: object) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from edge.config import Lidar, parse
-from edge.geometry import CameraModel, optical, se3
-from edge.lab.sim.base import Fan, World, free_poses
+from edge.geometry import CameraModel, se3, to_optical
+from edge.lab.sim.base import LidarRays, World, free_poses
 from edge.lab.sim.worlds import load_world
 
 SIM = {"perception": {"detector": {"kind": "sim"}}}
@@ -23,14 +23,14 @@ class Views:
     """Renders and casts from one free pose after another."""
 
     def __init__(self, world: World, lidar: Lidar | None = None) -> None:
-        mount = optical(se3(0.1, 0.0, 0.6, pitch_rad=math.radians(5.0)))
+        mount = to_optical(se3(0.1, 0.0, 0.6, pitch_rad=math.radians(5.0)))
         mast = se3(z_m=0.5, pitch_rad=math.radians(23.0))
         poses = [pose.matrix() for pose in free_poses(world, 20, seed=1, radius_m=0.2)]
         self._world, self._turn = world, 0
         self._cameras, self._lidars = [T @ mount for T in poses], [T @ mast for T in poses]
         self._rgb, self._depth = np.empty((256, 320, 3), np.uint8), np.empty((256, 320), np.float32)
         self._ids = np.empty((256, 320), np.uint16)
-        self._fan = Fan.of(lidar or Lidar())
+        self._fan = LidarRays.of(lidar or Lidar())
         self._ranges = np.empty(self._fan.directions.shape[:2], np.float32)
 
     def render(self) -> None:

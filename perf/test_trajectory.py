@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 from edge.config import parse
 from edge.geometry import SE2, Grid
 from edge.lab.motion.controller import Controller
-from edge.tasks.value_map import Body, value_map
+from edge.tasks.value_map import PathMargins, value_map
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import from_occupancy, from_weights
 
@@ -123,7 +123,7 @@ def test_value_map(benchmark, against):
     free = (cells != 100).astype(np.uint8)
     against(lambda: cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
     benchmark.extra_info["budget"] = "value_map_1000"
-    arguments = (Grid(cells, *place), Grid(regions, *place), {1, 2}, coarse_m, Body(0.4))
+    arguments = (Grid(cells, *place), Grid(regions, *place), {1, 2}, coarse_m, PathMargins(0.4))
     benchmark.pedantic(value_map, arguments, rounds=30, warmup_rounds=3)
 
 

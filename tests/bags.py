@@ -17,9 +17,9 @@ from rosbags.rosbag2 import Writer as BagWriter
 
 from edge.bus.wire import messages
 from edge.bus.wire.cdr import U32
-from edge.bus.wire.cdr import Writer as CdrWriter
+from edge.bus.wire.cdr import CdrWriter as CdrWriter
 from edge.bus.wire.transforms import Transform, encode_transforms
-from edge.geometry import SE2, CameraModel, optical, se3
+from edge.geometry import SE2, CameraModel, se3, to_optical
 
 N = 12
 START_NS = 1_600_000_000_000_000_000
@@ -29,7 +29,7 @@ RGB, DEPTH, INFO = "/front/color/image_raw", "/front/depth/aligned", "/front/col
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 TF = "tf2_msgs/msg/TFMessage"
 OPTICAL = "front_color_optical"
-MOUNT = optical(se3(0.2, 0.0, 0.5))
+MOUNT = to_optical(se3(0.2, 0.0, 0.5))
 DEPTH_MM = np.full((12, 16), 2000, np.uint16)
 Sent = tuple[str, str, int, bytes]
 """Topic, type (`sensor_msgs/msg/Image`), the time at which it was heard, and CDR."""

@@ -19,20 +19,20 @@ from types import SimpleNamespace
 from edge.bus.presence import Presence
 from edge.bus.requests import RequestServer
 from edge.bus.session import zenoh_session
-from edge.config import Mission, Zenoh
+from edge.config import MissionConfig, ZenohConfig
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.loop import requests
-from edge.loop.journal import Journal
+from edge.loop.input_log import InputLog
 from edge.loop.service import Service
-from edge.mission.brief import Brief, prepare
 from edge.mission.run import MissionRun
+from edge.mission.spec import MissionSpec, prepare
 
-LIMITS = Mission(time_limit_s=1e6)
+LIMITS = MissionConfig(time_limit_s=1e6)
 
 
-def settings_of(port: int, name: str, **more: object) -> Zenoh:
-    return Zenoh(endpoint=f"tcp/127.0.0.1:{port}", mode="client", prefix=f"robots/{name}",
+def settings_of(port: int, name: str, **more: object) -> ZenohConfig:
+    return ZenohConfig(endpoint=f"tcp/127.0.0.1:{port}", mode="client", prefix=f"robots/{name}",
                  shared_memory=False, **more)  # fmt: skip
 
 
@@ -55,14 +55,14 @@ class FakeService:
         self.swapper = self.scorers = None
         self.behaviour = SimpleNamespace(facts=lambda: None)
         self.events: list[str] = []
-        self._journal = Journal()
+        self._journal = InputLog()
         self.begun = 0
 
     @property
     def status(self):  # type: ignore[no-untyped-def]
         return self.mission.status(self.goals.phase)
 
-    def begin(self, brief: Brief, now_ns: int, id: str = "") -> None:
+    def begin(self, brief: MissionSpec, now_ns: int, id: str = "") -> None:
         if blind := self.blind_to & set(brief.targets):
             raise UserError(f"the detector knows no {min(blind)}")
         Service._remember(self, self.mission)
@@ -101,7 +101,9 @@ class FakeRobot:
         session = self._open.enter_context(zenoh_session(settings, "listen"))
         self.presence = Presence(session, settings)
         self._open.callback(self.presence.close)
-        served = requests.served(self.service, partial(prepare, LIMITS), lambda: self.amiss)
+        served = requests.request_handlers(
+            self.service, partial(prepare, LIMITS), lambda: self.amiss
+        )
         verbs, handle = served["mission/request"]
         key = settings.key("mission/request")
         self._server = RequestServer(session, key, verbs, handle)
@@ -118,7 +120,7 @@ class FakeRobot:
 
     def reach(self) -> None:
         with self._lock:
-            self.mission.arrive("made up", time.monotonic_ns())
+            self.mission.on_reached("made up", time.monotonic_ns())
 
     def fail(self, reason: str) -> None:
         with self._lock:
@@ -141,7 +143,7 @@ class FakeRobot:
                 if self.reaches_in_s is None or self.mission.done or self.mission.paused:
                     continue
                 if time.monotonic() - since_s >= self.reaches_in_s:
-                    self.mission.arrive("made up", now_ns)
+                    self.mission.on_reached("made up", now_ns)
 
 
 def main(endpoint: str, name: str, seconds: str) -> None:

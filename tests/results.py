@@ -10,9 +10,9 @@ from simulated import simulated
 
 from edge.geometry import Grid
 from edge.loop.latency import LatencyRing
-from edge.loop.result import MissionFacts, TickResult, facts_of, scored
-from edge.mission.brief import prepare
+from edge.loop.result import MissionFacts, TickResult, mission_facts, scored
 from edge.mission.run import MissionRun
+from edge.mission.spec import prepare
 from edge.policies.base import Candidates
 from edge.types import MissionStatus, Observation
 
@@ -27,7 +27,7 @@ def observation(stamp_ns: int) -> Observation:
 def facts(target: str = "chair") -> MissionFacts:
     """A mission to reach one thing, at its beginning."""
     config = simulated({"mission": {"target": target}}).mission
-    return facts_of(MissionRun(prepare(config), config))
+    return mission_facts(MissionRun(prepare(config), config))
 
 
 def health() -> dict[str, Any]:

@@ -11,7 +11,7 @@ from zenoh import ext
 
 from edge.bus.ros2.names import Dialect
 from edge.bus.session import zenoh_session
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.host.ports import free_port
 
 
@@ -45,5 +45,5 @@ def kept(session: zenoh.Session, dialect: Dialect, topic: str) -> ext.AdvancedPu
     )  # fmt: skip
 
 
-def zenoh_settings(port: int) -> Zenoh:
-    return Zenoh(endpoint=f"tcp/127.0.0.1:{port}", mode="client")
+def zenoh_settings(port: int) -> ZenohConfig:
+    return ZenohConfig(endpoint=f"tcp/127.0.0.1:{port}", mode="client")

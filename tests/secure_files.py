@@ -12,7 +12,7 @@ import pytest
 from live_patience import eventually
 
 from edge.bus import client
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
@@ -58,12 +58,14 @@ def etc_edge(folder: Path) -> Path:
     return folder
 
 
-def settings_of(etc: Path, kind: str, port: int, prefix: str = "edge") -> Callable[[str], Zenoh]:
+def settings_of(
+    etc: Path, kind: str, port: int, prefix: str = "edge"
+) -> Callable[[str], ZenohConfig]:
     """The section `zenoh` of the service, and of each client."""
     protocol, start = ("tls", "") if kind == "certificates" else ("tcp", "password-")
 
-    def of(who: str) -> Zenoh:
-        return Zenoh(
+    def of(who: str) -> ZenohConfig:
+        return ZenohConfig(
             endpoint=f"{protocol}/127.0.0.1:{port}",
             file=str(etc / f"{start}service.json5"),
             client_file=str(etc / f"{start}{who}.json5"),
@@ -89,7 +91,7 @@ def out_of_date(etc: Path, file: str, whose: str, use: str) -> Path:
     return copy
 
 
-def refusal(settings: Zenoh, told: str) -> str:
+def refusal(settings: ZenohConfig, told: str) -> str:
     """What a command that asks the service says when it is refused, once it says `told`: who is
     busy may not tell why in time."""
 

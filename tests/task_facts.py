@@ -8,11 +8,11 @@ from typing import Any
 
 from task_scenes import STREET, street
 
-from edge.config import Tasks
-from edge.tasks.facts import StepFacts, StepState, TaskFacts
-from edge.tasks.refine import Refined, refine
-from edge.tasks.value_map import Body
-from edge.tasks.write import Round, Written, write
+from edge.config import TasksConfig
+from edge.tasks.facts import StepState, StepStatus, TaskStatus
+from edge.tasks.refine import RefinedTrajectory, refine
+from edge.tasks.value_map import PathMargins
+from edge.tasks.write import PlanAttempt, WrittenTrajectory, write_trajectory
 from edge.trajectory.pursuit import MotionLimits
 
 INSTRUCTION = "go past the left of the van, then stop at the gate"
@@ -22,21 +22,21 @@ HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(1)>\x1b[2J\u202e\ud
 
 
 @cache
-def written() -> tuple[Written, Refined]:
+def written() -> tuple[WrittenTrajectory, RefinedTrajectory]:
     scene = street(*STREET)
-    by_rules = write(INSTRUCTION, scene, Tasks())
+    by_rules = write_trajectory(INSTRUCTION, scene, TasksConfig())
     coarse = by_rules.coarse
-    body = Body(clearance_m=0.3, tube_m=1.0)
+    body = PathMargins(clearance_m=0.3, tube_m=1.0)
     return by_rules, refine(scene, coarse.segments, coarse.regions, body, LIMITS)
 
 
-def steps(*states: StepState) -> tuple[StepFacts, ...]:
-    return tuple(map(StepFacts, SAID, states))
+def steps(*states: StepState) -> tuple[StepStatus, ...]:
+    return tuple(map(StepStatus, SAID, states))
 
 
-def looking(**fields: Any) -> TaskFacts:
+def looking(**fields: Any) -> TaskStatus:
     return replace(
-        TaskFacts(
+        TaskStatus(
             INSTRUCTION, "looking", "rules", missing=("van", "gate"),
             steps=steps("looked for", "looked for"),
         ),
@@ -44,10 +44,10 @@ def looking(**fields: Any) -> TaskFacts:
     )  # fmt: skip
 
 
-def driving(index: int = 40, **fields: Any) -> TaskFacts:
+def driving(index: int = 40, **fields: Any) -> TaskStatus:
     """It was written by the rules and is driven."""
     by_rules, refined = written()
-    task = TaskFacts(
+    task = TaskStatus(
         INSTRUCTION, "driving", "rules", understood=by_rules.understood,
         coarse_m=by_rules.coarse.points_m, refined=refined, index=index, refinements=1,
         notes=refined.notes, steps=steps("under way", "under way"),
@@ -55,14 +55,14 @@ def driving(index: int = 40, **fields: Any) -> TaskFacts:
     return replace(task, **fields)
 
 
-def by_a_model(said: str = HOSTILE, **fields: Any) -> TaskFacts:
+def by_a_model(said: str = HOSTILE, **fields: Any) -> TaskStatus:
     """A model wrote it, at the second answer, and calls everything by hostile names."""
     rounds = (
-        Round(said, "", "", f"the answer has no ```python block: {said}"),
-        Round(said, f"# {said}\nprint(1)\ngive_trajectory([(1, 0)])", f"1\n{said}", ""),
+        PlanAttempt(said, "", "", f"the answer has no ```python block: {said}"),
+        PlanAttempt(said, f"# {said}\nprint(1)\ngive_trajectory([(1, 0)])", f"1\n{said}", ""),
     )
     more: dict[str, Any] = {
         "writer": f"model {said}", "understood": "", "prompt": f"You plan.\n{said}",
-        "rounds": rounds, "notes": (said,), "steps": (StepFacts(said, "under way"),),
+        "rounds": rounds, "notes": (said,), "steps": (StepStatus(said, "under way"),),
     }  # fmt: skip
     return driving(**{**more, **fields})

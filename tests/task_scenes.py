@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.geometry import SE2, CameraModel, Grid, optical, se3
+from edge.geometry import SE2, CameraModel, Grid, se3, to_optical
 from edge.tasks.scene import Region, Scene, SceneObject
 
 SIDE_M, RESOLUTION_M = 40.0, 0.2
@@ -65,7 +65,7 @@ def street(
     ids = np.where(np.abs(y) < 10.0, ROAD, LAWN).astype(np.uint8)
     regions = {ROAD: Region(ROAD, "road", 800.0), LAWN: Region(LAWN, "lawn", 800.0)}
     rgb = np.full((CAMERA.height_px, CAMERA.width_px, 3), 90, np.uint8) if picture else None
-    T_map_camera = optical(pose.matrix() @ se3(z_m=1.0))
+    T_map_camera = to_optical(pose.matrix() @ se3(z_m=1.0))
     return Scene(
         stamp_ns=0,
         pose=pose,

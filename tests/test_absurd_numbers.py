@@ -21,7 +21,7 @@ from edge.bus.wire import DecodeError, messages
 from edge.geometry import Grid, se2_of
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.lab.motion.controller import Controller
-from edge.loop.status import status_of
+from edge.loop.status import status_message
 from edge.sources.decoder import CdrDecoder
 from edge.sources.synchronizer import TimeSynchronizer
 
@@ -48,7 +48,7 @@ def test_no_number_breaks_decoding_or_a_tick(mode):
             service.tick(observation, observation.stamp_ns)
             observation.release()
             service.idle(observation.stamp_ns + 2 * 10**9, source.odometry.newest_pose)
-            assert status_of(service.result())["loop"]["failed"] == 0
+            assert status_message(service.result())["loop"]["failed"] == 0
     assert ticks > 100
 
 

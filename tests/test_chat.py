@@ -12,7 +12,7 @@ import pytest
 from chat_server import completion, likeliest, saying, send, serving
 from patience import PATIENCE_S, eventually
 
-from edge.chat import ChatClient, ChatError, client_of
+from edge.chat import ChatClient, ChatError, make_chat_client
 from edge.config import TranslatorLlm
 
 HELLO = [{"role": "user", "content": "hello"}]
@@ -215,7 +215,7 @@ def test_the_key_is_taken_from_the_environment_and_never_shown(monkeypatch, capl
     monkeypatch.setenv("MY_KEY", f"{KEY}\n")
     echo = f'{{"error": {{"message": "wrong key {KEY}"}}}}'.encode()
     with caplog.at_level(logging.DEBUG), serving(body(echo, 401)) as server:
-        client = client_of(TranslatorLlm(url=server.url, api_key_env="MY_KEY"))
+        client = make_chat_client(TranslatorLlm(url=server.url, api_key_env="MY_KEY"))
         with pytest.raises(ChatError, match=r"HTTP 401: wrong key \*\*\*") as raised:
             client.ask(HELLO)
     assert server.requests[0][1]["Authorization"] == f"Bearer {KEY}"

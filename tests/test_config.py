@@ -11,7 +11,7 @@ import yaml
 from simulated import simulated
 
 from edge import config
-from edge.config import Config, ConfigError, Mapping, Robot, load, parse
+from edge.config import Config, ConfigError, MappingConfig, RobotConfig, load, parse
 from edge.config.explain import models_in
 from edge.config.removed import REMOVED
 from edge.config.yaml_text import parse_yaml
@@ -513,7 +513,9 @@ def test_variables_that_nothing_reads_are_told_of_once(write, caplog):
 def test_objects_keep_as_far_away_as_what_is_read():
     """Whichever way the robot and the sections are given."""
     made = Config(
-        perception=SIM["perception"], robot=Robot(radius_m=0.5), mapping=Mapping(range_m=3.0)
+        perception=SIM["perception"],
+        robot=RobotConfig(radius_m=0.5),
+        mapping=MappingConfig(range_m=3.0),
     )
     assert (made.mapping.inflation_m, made.mapping.range_m) == (0.5, 3.0)
     assert made.tasks.trajectory.clearance_m == 0.6

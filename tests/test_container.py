@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from edge.host.pages import json_page, serve
+from edge.host.web_server import json_response, serve
 
 ROOT = Path(__file__).parents[1]
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
@@ -75,7 +75,7 @@ def test_the_default_is_the_image_for_any_computer():
 
 @pytest.mark.parametrize("status", [200, 503])
 def test_the_health_check_asks_healthz(status):
-    page = json_page({"ok": status == 200}, status)
+    page = json_response({"ok": status == 200}, status)
     with serve({"/healthz": lambda: page}, "127.0.0.1", 0) as port:
         done = healthy(port)
     assert done.returncode == (status != 200)

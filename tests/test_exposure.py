@@ -12,7 +12,7 @@ import pytest
 
 import edge
 from edge.bus.session import session_config
-from edge.bus.zenoh_file import open_to
+from edge.bus.zenoh_file import open_addresses
 from edge.config import Config, load
 from edge.host.resources import data_dir
 
@@ -88,4 +88,4 @@ def test_every_address_is_this_machines_own_by_default():
 
 @pytest.mark.parametrize("path", sorted(data_dir("config").glob("*.yaml")), ids=lambda p: p.stem)
 def test_no_ready_configuration_is_open(path):
-    assert open_to(session_config(load(str(path)).zenoh, "listen")) == []
+    assert open_addresses(session_config(load(str(path)).zenoh, "listen")) == []

@@ -180,7 +180,7 @@ def test_a_mount_is_the_pose_that_the_configuration_says(x, y, z, roll, pitch, y
 def test_a_pixel_lies_where_its_bearing_says(depth, u, pose):
     """Lifting a pixel and looking at it from the robot agree (VL-Nav eq. 2)."""
     camera = CameraModel.from_hfov(320, 256, 1.3)
-    T = pose.matrix() @ geometry.optical(geometry.se3(0.0, 0.0, 0.6))
+    T = pose.matrix() @ geometry.to_optical(geometry.se3(0.0, 0.0, 0.6))
     optical = np.array([(u - camera.cx_px) / camera.fx_px * depth, 0.0, depth, 1.0])
     x, y, z, _ = T @ optical
     assert z == pytest.approx(0.6)

@@ -90,6 +90,6 @@ def test_unknown_level():
 
 def test_once(monkeypatch):
     monkeypatch.setattr(logs, "_seen", {})
-    assert [logs.once(key) for key in ("a", "b", "a", ("a", 1), ("a", 1))] == [
+    assert [logs.first_time(key) for key in ("a", "b", "a", ("a", 1), ("a", 1))] == [
         True, True, False, True, False,
     ]  # fmt: skip

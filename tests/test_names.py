@@ -147,7 +147,7 @@ def test_head_nouns(phrase, expected):
     [("tv", "television set", True), ("bin", "Trash", True), ("sofa", "bed", False)],
 )
 def test_same(a, b, expected):
-    assert names.same(a, b) is expected
+    assert names.same_name(a, b) is expected
 
 
 def test_what_is_near_or_broader_stands_under_its_own_name():
@@ -156,7 +156,7 @@ def test_what_is_near_or_broader_stands_under_its_own_name():
             for word in (name, *others):
                 assert names.canonical(word) == word
     for name, others in names.NEAR.items():
-        assert not any(names.akin(name, other) for other in others)
+        assert not any(names.may_be_same_object(name, other) for other in others)
 
 
 @pytest.mark.parametrize(
@@ -170,12 +170,12 @@ def test_what_is_near_or_broader_stands_under_its_own_name():
     ],
 )
 def test_what_may_be_said_of_one_thing(a, b, akin, near):
-    assert names.akin(a, b) == names.akin(b, a) == akin
-    assert names.near(a, b) == names.near(b, a) == near
+    assert names.may_be_same_object(a, b) == names.may_be_same_object(b, a) == akin
+    assert names.look_alike(a, b) == names.look_alike(b, a) == near
 
 
 def test_what_is_outside_is_no_target_and_no_kind_of_one():
-    assert names.outside((), ("chair",)) == ()
+    assert names.non_targets((), ("chair",)) == ()
     words = ("couch", "sofa", "armchair", "lamp", "dining chairs")
-    assert names.outside(words, ("chair",)) == ("sofa", "table lamp")
-    assert names.outside(words, ("armchair",)) == ("sofa", "table lamp", "chair")
+    assert names.non_targets(words, ("chair",)) == ("sofa", "table lamp")
+    assert names.non_targets(words, ("armchair",)) == ("sofa", "table lamp", "chair")

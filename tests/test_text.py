@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.text import bounded_repr, one_line, read_json_object, without_secrets
+from edge.text import bounded_repr, one_line, read_json_object, redact
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_no_more_is_made_than_is_shown(value, begins):
 
 
 def test_secrets_are_looked_for_however_deep():
-    assert str(without_secrets(deep(100_000))).count("[") == 100
+    assert str(redact(deep(100_000))).count("[") == 100
 
 
 @pytest.mark.parametrize(
@@ -109,8 +109,8 @@ def test_secrets_are_looked_for_however_deep():
     ],
 )
 def test_what_a_url_hides_is_not_shown(said, shown):
-    assert without_secrets(said) == shown
-    assert without_secrets(shown) == shown
+    assert redact(said) == shown
+    assert redact(shown) == shown
 
 
 NO_OBJECTS = [b"", b"\xff\x00", b"[" * 100_000, b"3", b'"x"', b"[1]", b'{"a": 1}']

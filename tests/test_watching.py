@@ -22,7 +22,7 @@ from simulated import simulated
 from edge.cli.commands import run_service
 from edge.host.ports import free_port
 from edge.host.resources import data_dir
-from edge.loop.metrics import BOARD, LIFE, SERVICE
+from edge.loop.metrics import BOARD_METRICS, HEALTH_METRICS, SERVICE_METRICS
 from edge.loop.warmup import warm_up
 
 promql = pytest.importorskip("promql_parser", reason="no wheel of promql-parser for this machine")
@@ -31,7 +31,7 @@ CONFIG = data_dir("config")
 DASHBOARD = json.loads((CONFIG / "grafana/edge.json").read_text(encoding="utf-8"))
 ALERTS = yaml.safe_load((CONFIG / "prometheus/alerts.yaml").read_text(encoding="utf-8"))
 RULES = [rule for group in ALERTS["groups"] for rule in group["rules"]]
-METRICS = (*LIFE, *SERVICE, *BOARD)
+METRICS = (*HEALTH_METRICS, *SERVICE_METRICS, *BOARD_METRICS)
 INSTEAD = {"$__rate_interval": "1m"}
 TOLD_BY_PROMETHEUS = {"up": {"job", "instance", "robot"}}
 TARGET_LABELS = {"job", "instance", "robot"}

@@ -16,7 +16,7 @@ from edge.text import one_line, read_json_object
 if TYPE_CHECKING:
     import zenoh
 
-    from edge.config import Zenoh
+    from edge.config import ZenohConfig
 
 CONNECT_S = 5.0
 _REASON_CHARS = 1000  # the longest error of a server, see `edge.bus.requests`
@@ -34,7 +34,11 @@ class RefusedError(RequestError):
 
 
 def connect(
-    settings: Zenoh, patience_s: float, what: str, whom: str = "service", start: str = "edge run"
+    settings: ZenohConfig,
+    patience_s: float,
+    what: str,
+    whom: str = "service",
+    start: str = "edge run",
 ) -> zenoh.Session:
     """Open a session with the service. The caller closes it.
 
@@ -48,7 +52,7 @@ def connect(
     Raises:
         RequestError: nothing listens there, or the session is refused.
     """
-    from edge.bus.session import NotTakenIn, open_session
+    from edge.bus.session import ConnectInterrupted, open_session
 
     enough = threading.Event()
     timer = threading.Timer(min(CONNECT_S, patience_s), enough.set)
@@ -56,7 +60,7 @@ def connect(
     timer.start()
     try:
         return open_session(settings, "connect", enough)
-    except NotTakenIn as error:
+    except ConnectInterrupted as error:
         where = settings.address
         if error.unknown is not None:
             raise RequestError(f"{what}: {where}: {error.unknown}") from None
@@ -67,7 +71,9 @@ def connect(
         timer.cancel()
 
 
-def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what: str) -> dict:
+def send_request(
+    session: zenoh.Session, key: str, request: dict, timeout_s: float, what: str
+) -> dict:
     """Send a request to the service and return its answer.
 
     Args:

@@ -18,7 +18,7 @@ import zenoh
 
 from edge.bus import topics
 from edge.bus.session import BusError
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 
 log = logging.getLogger("edge.bus.presence")
 
@@ -30,7 +30,7 @@ _POLL_S = 0.1
 _SETTLE_S = 0.25  # until all sessions see a new token
 
 
-def prefixes(session: zenoh.Session, pattern: str) -> dict[str, set[str]]:
+def online_sessions(session: zenoh.Session, pattern: str) -> dict[str, set[str]]:
     """Return the sessions of the services that are online, by prefix.
 
     Args:
@@ -56,7 +56,7 @@ class Presence:
         BusError: another service with this prefix is online already.
     """
 
-    def __init__(self, session: zenoh.Session, settings: Zenoh) -> None:
+    def __init__(self, session: zenoh.Session, settings: ZenohConfig) -> None:
         self._session, self._settings = session, settings
         self._own = str(session.zid())
         self._key = f"{settings.prefix}/{topics.ALIVE}/{self._own}"
@@ -95,7 +95,7 @@ class Presence:
                 declared.undeclare()
 
     def _others(self) -> set[str]:
-        there = prefixes(self._session, self._settings.prefix)
+        there = online_sessions(self._session, self._settings.prefix)
         return there.get(self._settings.prefix, set()) - {self._own}
 
     def _refuse(self) -> NoReturn:

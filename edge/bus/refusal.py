@@ -12,8 +12,8 @@ import threading
 
 import zenoh
 
-from edge.bus.zenoh_file import TLS, get, host_and_port, parameters, protocol, unreadable
-from edge.host.interruptible import start_unjoined
+from edge.bus.zenoh_file import TLS, get, host_and_port, parameters, protocol, unreadable_file
+from edge.host.interruptible import start_detached_thread
 from edge.text import one_line
 
 PROBE_S = 0.5
@@ -54,7 +54,7 @@ class UnknownHostError(Exception):
     """The host name of an endpoint cannot be resolved; the message has the name and the reason."""
 
 
-def why_refused(endpoint: str, found: zenoh.Config, file: str) -> str | None:
+def diagnose_refusal(endpoint: str, found: zenoh.Config, file: str) -> str | None:
     """Return why the server at an endpoint refuses a session; None if no server is there.
 
     Waits for at most `_NAME_S` + 2 `PROBE_S`.
@@ -67,14 +67,16 @@ def why_refused(endpoint: str, found: zenoh.Config, file: str) -> str | None:
     Raises:
         UnknownHostError: the endpoint's host name cannot be resolved.
     """
-    if (lacks := unreadable(found, listens=False)) is not None:
+    if (lacks := unreadable_file(found, listens=False)) is not None:
         return lacks
     if protocol(endpoint) not in ("tcp", "tls") or not host_and_port(endpoint)[1]:
         return None
     said: list[str | UnknownHostError | None] = []
     # The resolver may search for an unknown name for half a minute.
     known = threading.Event()
-    probe = start_unjoined("probe", lambda: said.append(_probe(endpoint, found, file, known)))
+    probe = start_detached_thread(
+        "probe", lambda: said.append(_probe(endpoint, found, file, known))
+    )
     probe.join(_NAME_S + 2 * PROBE_S)
     answer = said[0] if said else None
     if not said and not known.is_set():

@@ -149,7 +149,7 @@ class RequestQueue:
                 overtaken, self._second = self._second, []
             if (request := self._place(do, fields)) is not None:
                 request.queries.append(query)
-                request.overtaken += len(overtaken)
+                request.cancelled += len(overtaken)
                 if request.ready:
                     query.until_s = time.monotonic() + self._patience_s
                 self._to_prepare.notify()

@@ -21,20 +21,20 @@ from typing import Literal
 import zenoh
 
 from edge import config
-from edge.bus.refusal import UnknownHostError, why_refused
+from edge.bus.refusal import UnknownHostError, diagnose_refusal
 from edge.bus.topics import Qos, Topic
 from edge.bus.zenoh_file import (
-    fault_of,
+    apply_settings,
+    denies_prefix,
+    endpoint_fault,
     get,
-    lay_over,
-    open_to,
+    open_addresses,
     read_zenoh_file,
-    shuts_all_out,
-    unreadable,
+    unreadable_file,
 )
 from edge.errors import ConfigError, Stopped, UnavailableError
-from edge.host.interruptible import start_unjoined
-from edge.text import one_line, without_secrets
+from edge.host.interruptible import start_detached_thread
+from edge.text import one_line, redact
 
 log = logging.getLogger("edge.bus.session")
 
@@ -77,7 +77,7 @@ class BusError(UnavailableError):
     """No session; the message is one line with the endpoint, the reason and what to do."""
 
 
-class NotTakenIn(Stopped):
+class ConnectInterrupted(Stopped):
     """`stop` was set before there was a session.
 
     Attributes:
@@ -92,7 +92,7 @@ class NotTakenIn(Stopped):
 
 
 def session_config(
-    settings: config.Zenoh, role: Role, exact: bool = False, most_bytes: int | None = None
+    settings: config.ZenohConfig, role: Role, exact: bool = False, most_bytes: int | None = None
 ) -> zenoh.Config:
     """Return the Zenoh configuration of a process: Zenoh's own file, then our settings over it.
 
@@ -107,20 +107,20 @@ def session_config(
         settings: `zenoh` of the configuration.
         role: `listen`, `connect` or `route`.
         exact: keep Zenoh's own limit of 5 s instead of one second.
-        most_bytes: see `edge.bus.zenoh_file.lay_over`.
+        most_bytes: see `edge.bus.zenoh_file.apply_settings`.
 
     Raises:
         ConfigError: the file cannot be read, or has another mode.
         BusError: the endpoint is invalid.
     """
-    if (fault := fault_of(settings.endpoint)) is not None:
+    if (fault := endpoint_fault(settings.endpoint)) is not None:
         raise BusError(_explain(settings.address, role, fault))
     key, name = zenoh_file_of(settings, role)
     listens = role == "route" or (role == "listen" and settings.mode == "peer")
     mode = "router" if role == "route" else "peer" if listens else "client"
     found = read_zenoh_file(key, name)
     try:
-        return lay_over(
+        return apply_settings(
             found, mode, settings.endpoint, listens, settings.shared_memory, exact, most_bytes
         )
     except ConfigError as error:
@@ -129,7 +129,7 @@ def session_config(
         raise BusError(_explain(settings.address, role, str(error))) from None
 
 
-def check_settings(settings: config.Zenoh, role: Role) -> None:
+def check_settings(settings: config.ZenohConfig, role: Role) -> None:
     """Raise an error for settings that can never open a session.
 
     Raises:
@@ -137,11 +137,11 @@ def check_settings(settings: config.Zenoh, role: Role) -> None:
         BusError: see `session_config`; or a file with a certificate or password cannot be read.
     """
     found = session_config(settings, role)
-    if (lacks := unreadable(found, listens=bool(get(found, "listen/endpoints")))) is not None:
+    if (lacks := unreadable_file(found, listens=bool(get(found, "listen/endpoints")))) is not None:
         raise BusError(_explain(settings.address, role, lacks))
 
 
-def zenoh_file_of(settings: config.Zenoh, role: Role) -> tuple[str, str | None]:
+def zenoh_file_of(settings: config.ZenohConfig, role: Role) -> tuple[str, str | None]:
     """Return the key that names a role's Zenoh configuration file, and the file or None."""
     if role != "connect" or settings.client_file is None:
         return "zenoh.file", settings.file
@@ -150,7 +150,7 @@ def zenoh_file_of(settings: config.Zenoh, role: Role) -> tuple[str, str | None]:
 
 @contextmanager
 def zenoh_session(
-    settings: config.Zenoh,
+    settings: config.ZenohConfig,
     role: Role,
     stop: threading.Event | None = None,
     exact: bool = False,
@@ -169,7 +169,7 @@ def zenoh_session(
         if sys.is_finalizing():  # the context was never left; no thread can start any more
             _close(opened)
         else:
-            closing = start_unjoined("zenoh-close", _close, opened)
+            closing = start_detached_thread("zenoh-close", _close, opened)
             closing.join(CLOSE_S)
             if closing.is_alive():
                 log.warning("zenoh: a peer at %s accepts no data: closing without it",
@@ -182,7 +182,7 @@ def _close(opened: zenoh.Session) -> None:
 
 
 def open_session(
-    settings: config.Zenoh,
+    settings: config.ZenohConfig,
     role: Role,
     stop: threading.Event | None = None,
     exact: bool = False,
@@ -212,9 +212,9 @@ def open_session(
     stop = stop or threading.Event()
     found = session_config(settings, role, exact, most_bytes)
     key, name = zenoh_file_of(settings, role)
-    for address in open_to(found):
+    for address in open_addresses(found):
         log.warning("zenoh.endpoint: %s", OPEN.format(address))
-    if role != "route" and shuts_all_out(found, settings.prefix):
+    if role != "route" and denies_prefix(found, settings.prefix):
         log.warning("%s: %s", key, SHUT.format(settings.prefix))
     logged: set[str | None] = set()
     before: str | None = None
@@ -224,12 +224,12 @@ def open_session(
             return zenoh.open(found)
         except zenoh.ZError as error:
             if _NOBODY not in str(error):
-                lacks = unreadable(found, listens=bool(get(found, "listen/endpoints")))
+                lacks = unreadable_file(found, listens=bool(get(found, "listen/endpoints")))
                 cause = str(error) if lacks is None else lacks
                 raise BusError(_explain(settings.address, role, cause)) from None
         refused = unknown = None
         try:
-            refused = why_refused(settings.endpoint, found, name or key)
+            refused = diagnose_refusal(settings.endpoint, found, name or key)
             known_s = time.monotonic()
         except UnknownHostError as error:
             unknown = str(error)
@@ -249,11 +249,11 @@ def open_session(
             log.log(level, what)
         before = why
         if stop.wait(_PAUSE_S):
-            raise NotTakenIn(settings.address, refused, unknown)
+            raise ConnectInterrupted(settings.address, refused, unknown)
 
 
 def declare_publisher(
-    session: zenoh.Session, topic: Topic, settings: config.Zenoh
+    session: zenoh.Session, topic: Topic, settings: config.ZenohConfig
 ) -> zenoh.Publisher:
     """Declare a publisher with the congestion control, reliability and priority of the topic."""
     return session.declare_publisher(settings.key(topic.key), **_QOS[topic.qos])
@@ -330,4 +330,4 @@ def _explain(address: str, role: Role, reason: str) -> str:
             "stop it, or set another port for this one"
         )
     cause = reason.split('msg: "')[-1].split(" at /")[0].strip("[ ")
-    return f"zenoh.endpoint: cannot {role} to {address}: {one_line(without_secrets(cause))}"
+    return f"zenoh.endpoint: cannot {role} to {address}: {one_line(redact(cause))}"

@@ -1,6 +1,7 @@
 """Table of all topics that the service, the simulator and the controller use over Zenoh.
 
-`edge.config.Zenoh.key` returns the full key of a topic: below the prefix, renamed as configured.
+`edge.config.ZenohConfig.key` returns the full key of a topic: below the prefix, renamed as
+configured.
 """
 
 from __future__ import annotations

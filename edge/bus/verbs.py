@@ -112,7 +112,7 @@ class Request:
     queries: list[Any] = field(default_factory=list)
     prepared: object | None = None
     ready: bool = True
-    overtaken: int = 0
+    cancelled: int = 0
 
     def answer(self, data: dict) -> None:
         """Send an answer of JSON types (finite numbers only).

@@ -25,7 +25,7 @@ import zenoh
 
 from edge.config.loop import KEY_IN_ENDPOINT
 from edge.errors import ConfigError
-from edge.host.credentials import handed_over, open_to_others
+from edge.host.credentials import credential_path, is_open_to_others
 from edge.host.ports import MOST_PORT, is_loopback
 from edge.text import one_line
 
@@ -83,7 +83,7 @@ def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
     """
     if name is None:
         return zenoh.Config()
-    path = handed_over(_own_name(key, name), name)
+    path = credential_path(_own_name(key, name), name)
     if not path.is_file():
         raise ConfigError(f"{key}: {name}: no such file")
     try:
@@ -92,7 +92,7 @@ def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
         raise ConfigError(f"{key}: {name}: {_fault(str(error))}") from None
     for secret in _SECRETS:
         if (file := get(found, secret)) is not None:
-            found.insert_json5(secret, json.dumps(str(handed_over(_last_word(secret), file))))
+            found.insert_json5(secret, json.dumps(str(credential_path(_last_word(secret), file))))
     return found
 
 
@@ -105,7 +105,7 @@ def _last_word(key: str) -> str:
     return key.rpartition("/")[2]
 
 
-def lay_over(
+def apply_settings(
     found: zenoh.Config,
     mode: str,
     endpoint: str,
@@ -164,7 +164,7 @@ def get(found: zenoh.Config, key: str) -> Any:
     return json.loads(found.get_json(key))
 
 
-def open_to(found: zenoh.Config) -> list[str]:
+def open_addresses(found: zenoh.Config) -> list[str]:
     """Return the listening addresses that are open to everybody.
 
     An address is open if other computers can reach it, and it requires neither a client's
@@ -191,7 +191,7 @@ def host_and_port(endpoint: str) -> tuple[str, int]:
     return host.strip("[]"), int(port) if port.isdecimal() else 0
 
 
-def fault_of(endpoint: str) -> str | None:
+def endpoint_fault(endpoint: str) -> str | None:
     """Return the fault in an endpoint's syntax, or None.
 
     Zenoh reports such faults only to a listener; a client would wait forever.
@@ -241,7 +241,7 @@ def _patient_for(endpoint: str) -> str:
     return f"{endpoint}{';' if '#' in endpoint else '#'}{_TLS_HANDSHAKE}={HANDSHAKE_MS}"
 
 
-def unreadable(found: zenoh.Config, listens: bool) -> str | None:
+def unreadable_file(found: zenoh.Config, listens: bool) -> str | None:
     """Return an error for the first TLS or user file that cannot be read, or None.
 
     Only files of the role are checked (listener or client). Zenoh's own error names no file.
@@ -276,16 +276,16 @@ def secrets(found: zenoh.Config, key: str, name: str | None) -> dict[str, str]:
     files = {_last_word(secret): get(found, secret) for secret in _SECRETS}
     if name is not None and any(get(found, word) is not None for word in _SECRET_WORDS):
         own = _own_name(key, name)
-        files[own] = str(handed_over(own, name))
+        files[own] = str(credential_path(own, name))
     return {name: path for name, path in files.items() if path is not None}
 
 
-def others_can_read(found: zenoh.Config, key: str, name: str | None) -> list[str]:
+def exposed_secrets(found: zenoh.Config, key: str, name: str | None) -> list[str]:
     """Return the files of `secrets` that other users of this computer can read or write."""
-    return [path for path in secrets(found, key, name).values() if open_to_others(path)]
+    return [path for path in secrets(found, key, name).values() if is_open_to_others(path)]
 
 
-def shuts_all_out(found: zenoh.Config, prefix: str) -> bool:
+def denies_prefix(found: zenoh.Config, prefix: str) -> bool:
     """Return True if the access rules deny every key below a prefix (they name another one)."""
     control = get(found, "access_control")
     if not control["enabled"] or control["default_permission"] == "allow":

@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING
 from edge.cli.console import ConsoleSink
 from edge.cli.options import require_lab
 from edge.cli.preflight import check
-from edge.config import Config, Http
+from edge.config import Config, HttpConfig
 from edge.errors import FAILED, Stopped
 from edge.host.credentials import read_token
-from edge.host.pages import Forms, Pages, serve
 from edge.host.ports import free_port, is_free
-from edge.host.service_manager import ServiceManager
-from edge.launch import children, on_a_free_port, open_service
+from edge.host.service_manager import SystemdNotifier
+from edge.host.web_server import GetRoutes, PostRoutes, serve
+from edge.launch import child_processes, open_service, with_free_port
 from edge.live.view import PUBLIC, LiveView
 from edge.loop.latency import LatencyReport
 from edge.loop.metrics import Metrics
 from edge.loop.reload import Reloader
 from edge.loop.runner import loop
-from edge.loop.vitals import PROBES, Vitals
+from edge.loop.service_health import PROBES, ServiceHealth
 from edge.recording.trace import TracePage
 from edge.sources.played import Playback
 from edge.text import one_line
@@ -34,21 +34,21 @@ from edge.types import Instance, MissionStatus
 
 if TYPE_CHECKING:
     from edge.lab.report.record import RunRecord
-    from edge.lab.report.recorder import Recorder
+    from edge.lab.report.recorder import ReportRecorder
 
 log = logging.getLogger("edge")
 
 _NEVER_S = 1e6
 _MOST_OBJECTS = 20
-What = tuple[str | None, str | None, str | None]
+MissionArguments = tuple[str | None, str | None, str | None]
 """A mission of the command line: (instruction, formula, task); see `edge.launch.open_service`."""
-NOTHING: What = (None, None, None)
+NO_MISSION: MissionArguments = (None, None, None)
 LIVE_PORT = 7480
 """Default port of the live view: fixed, so that an open browser tab works for the next run."""
 
 
 @dataclass(frozen=True, eq=False)
-class Ended:
+class RunResult:
     """Results of a run that has ended.
 
     Attributes:
@@ -67,7 +67,7 @@ class Ended:
 
 
 @dataclass(frozen=True)
-class Reload:
+class ReloadRequest:
     """A way to reload the service's configuration; see `edge.loop.reload.Reloader`.
 
     Attributes:
@@ -84,8 +84,8 @@ def run_service(
     stop: threading.Event,
     once: bool,
     report: str | None,
-    what: What = NOTHING,
-    reload: Reload | None = None,
+    what: MissionArguments = NO_MISSION,
+    reload: ReloadRequest | None = None,
 ) -> int:
     """Run the service until `stop` is set, and return the exit code (`edge.errors`).
 
@@ -126,19 +126,19 @@ def _serve(
     config: Config,
     stop: threading.Event,
     once: bool,
-    what: What,
-    reload: Reload | None = None,
+    what: MissionArguments,
+    reload: ReloadRequest | None = None,
     stay: bool = False,
     playback: Playback | None = None,
     recorded: bool = False,
-) -> Ended:
+) -> RunResult:
     """Run the service and return the results of the run.
 
     `stay` keeps the live view open after the end of the mission or recording, until `stop` is set.
     The results are then those at that end. `playback` is a recording to play instead of the
     configured source. `recorded` collects the data of a report.
     """
-    recorder, vitals = _recorder(config) if recorded else None, Vitals(ServiceManager())
+    recorder, vitals = _recorder(config) if recorded else None, ServiceHealth(SystemdNotifier())
     live, metrics, traced = LiveView(config, vitals), Metrics(vitals), TracePage()
     sinks = [ConsoleSink(), *([] if recorder is None else [recorder]), live.sink]
     pages = {**vitals.pages(), **metrics.pages(), **traced.pages(), **live.pages()}
@@ -163,16 +163,16 @@ def _serve(
         doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)
         log.info("ready: %s, on %s", doing, config.zenoh.address)
         vitals.ready()
-        ended: Ended | None = None
+        ended: RunResult | None = None
         if playback is not None:
             running.clock = playback.clock
 
         def over() -> bool:
             return running.service.status.done if playback is None else playback.over
 
-        def end() -> Ended:
+        def end() -> RunResult:
             result = running.service.result()
-            return Ended(
+            return RunResult(
                 result.status,
                 result.latency(),
                 result.snapshot().known_m2,
@@ -198,7 +198,7 @@ def _serve(
 
 
 @contextmanager
-def _served(pages: Pages, forms: Forms, http: Http) -> Iterator[str | None]:
+def _served(pages: GetRoutes, forms: PostRoutes, http: HttpConfig) -> Iterator[str | None]:
     """Serve the web pages as configured, in this block; yield their URL, or None without a port."""
     if http.port is None:
         yield None
@@ -211,13 +211,13 @@ def _served(pages: Pages, forms: Forms, http: Http) -> Iterator[str | None]:
         yield url
 
 
-def _recorder(config: Config) -> Recorder:
-    from edge.lab.report.recorder import Recorder
+def _recorder(config: Config) -> ReportRecorder:
+    from edge.lab.report.recorder import ReportRecorder
 
-    return Recorder(config)
+    return ReportRecorder(config)
 
 
-def _conclude(ended: Ended, report: str | None) -> int:
+def _conclude(ended: RunResult, report: str | None) -> int:
     """Print the results, write the report, and return the exit code."""
     print(ended.latency.table())
     print(summary(ended.mission))
@@ -243,7 +243,7 @@ def run_demo(
     config: Config,
     stop: threading.Event,
     report: str,
-    what: What = NOTHING,
+    what: MissionArguments = NO_MISSION,
     live: int | None = None,
 ) -> int:
     """Run simulated robot, reference controller and service on this machine.
@@ -258,13 +258,13 @@ def run_demo(
         live: port of the live view. 0: `http.port`, else `LIVE_PORT`, else a free port. None: only
             `http.port`.
     """
-    config = on_a_free_port(config)
+    config = with_free_port(config)
     if live is not None:
         config = _with_live_view(config, live)
     _prepare(config, report)
     ended = None
     try:
-        started = children(config, stop, ("sim", "--no-motion"), ("sim", "--motion-only"))
+        started = child_processes(config, stop, ("sim", "--no-motion"), ("sim", "--motion-only"))
         with started, suppress(Stopped):  # if a child ended, `started` raises the reason
             stay = live is not None
             ended = _serve(config, stop, True, what, stay=stay, recorded=True)
@@ -280,7 +280,7 @@ def run_play(
     rate: float | None,
     report: str | None,
     live: int | None = None,
-    what: What = NOTHING,
+    what: MissionArguments = NO_MISSION,
 ) -> int:
     """Play a recording of any robot into the service; print its content and the results.
 
@@ -298,7 +298,7 @@ def run_play(
     Raises:
         UserError: see `run_service`; or the recording cannot be read, or gives no observation.
     """
-    config = _undriven(on_a_free_port(config), lockstep=rate is None)
+    config = _undriven(with_free_port(config), lockstep=rate is None)
     if live is not None:
         config = _with_live_view(config, live)
     _prepare(config, report)
@@ -335,7 +335,7 @@ def _undriven(config: Config, lockstep: bool) -> Config:
     return config.model_copy(update=update)
 
 
-def _mapped(ended: Ended) -> Iterator[str]:
+def _mapped(ended: RunResult) -> Iterator[str]:
     """Yield lines about the map and the objects that were found."""
     yield f"map: {ended.map_m2:.0f} m2; driven: {ended.mission.path_m:.1f} m"
     for found in ended.instances[:_MOST_OBJECTS]:
@@ -366,5 +366,5 @@ def run_simulator(config: Config, stop: threading.Event, motion: bool) -> int:
     """Run the simulated robot in this process, and the reference controller in another."""
     from edge.lab.sim.process import main as run_sim
 
-    with children(config, stop, *([("sim", "--motion-only")] if motion else [])):
+    with child_processes(config, stop, *([("sim", "--motion-only")] if motion else [])):
         return run_sim(config, stop)

@@ -10,7 +10,7 @@ from typing import TextIO
 from edge import names
 from edge.logs import CLEAR_LINE
 from edge.loop.result import TickResult
-from edge.tasks.facts import TaskFacts, lengths_m
+from edge.tasks.facts import TaskStatus, lengths_m
 from edge.text import shorten
 
 TERMINAL_PERIOD_S = 0.2
@@ -40,7 +40,7 @@ class ConsoleSink:
         if self._last_ns is not None and wall_ns - self._last_ns < self._period_ns:
             return
         self._last_ns = wall_ns
-        line = line_of(result)
+        line = status_line(result)
         if self._terminal:
             self._stream.write(CLEAR_LINE + line[: self._columns() - 1])
         else:
@@ -61,7 +61,7 @@ class ConsoleSink:
             return 80
 
 
-def line_of(result: TickResult) -> str:
+def status_line(result: TickResult) -> str:
     """Return the status line, without control characters.
 
     In a search:
@@ -97,12 +97,12 @@ def line_of(result: TickResult) -> str:
 def _sought(result: TickResult) -> list[str]:
     """Return the present goal, and the number of objects that may be the target."""
     goal, pose, target = result.goal, result.pose, result.status.target
-    seen = sum(names.same(found.label, target) for found in result.instances())
+    seen = sum(names.same_name(found.label, target) for found in result.instances())
     away_m = 0.0 if goal is None or pose is None else pose.distance_to(*goal.candidate_xy_m)
     return ["no goal" if goal is None else f"{goal.kind} {away_m:.1f} m", f"{seen} seen"]
 
 
-def _of_task(task: TaskFacts, result: TickResult) -> list[str]:
+def _of_task(task: TaskStatus, result: TickResult) -> list[str]:
     asked = shorten(task.instruction, _THEN_CHARS)
     driven, all = sum(step.state == "driven" for step in task.steps), len(task.steps)
     step = [f"step {driven + 1} of {all}"] if driven < all > 1 else []

@@ -17,7 +17,7 @@ from importlib import metadata, util
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from edge.cli.live_checks import listen
+from edge.cli.live_checks import check_live_sensors
 from edge.cli.machine_checks import (
     Check,
     Finding,
@@ -40,7 +40,7 @@ from edge.host import resources
 from edge.perception.runtime import cuda, tensorrt
 from edge.perception.runtime.card_types import ChoiceCard, FileCard
 from edge.perception.runtime.sessions import TENSORRT
-from edge.text import one_line, without_secrets
+from edge.text import one_line, redact
 
 LOOPBACK_S = 5.0
 SERVER_S = 2.0
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: the configuration cannot be read.
     """
     config = load(args.config)
-    findings = listen(config, args.seconds) if args.live else examine(config)
+    findings = check_live_sensors(config, args.seconds) if args.live else examine(config)
     print(as_json(findings) if args.json else as_text(findings))
     bad = ("warn", "fail") if args.live else ("fail",)
     return 1 if any(finding.level in bad for finding in findings) else 0
@@ -112,11 +112,11 @@ def loopback_ms(limit_s: float) -> float | None:
     import zenoh
 
     from edge.bus.session import open_session
-    from edge.config import Zenoh
+    from edge.config import ZenohConfig
     from edge.host.ports import free_port
 
     before = time.perf_counter()
-    settings = Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}")
+    settings = ZenohConfig(endpoint=f"tcp/127.0.0.1:{free_port()}")
     key = f"edge-doctor/{os.getpid()}"
     with (
         open_session(settings, "listen") as receiver,
@@ -146,28 +146,28 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
         yield Finding("ok", f"the service can listen at {config.zenoh.address}")
 
 
-def check_strangers(config: Config) -> Iterator[Finding]:
+def check_access(config: Config) -> Iterator[Finding]:
     """Check who can connect to the service, and who can read the files with secrets."""
     from edge.bus.session import OPEN, SHUT, session_config, zenoh_file_of
-    from edge.bus.zenoh_file import open_to, others_can_read, shuts_all_out
-    from edge.host.credentials import open_to_others, read_token
+    from edge.bus.zenoh_file import denies_prefix, exposed_secrets, open_addresses
+    from edge.host.credentials import is_open_to_others, read_token
 
     settings, http = config.zenoh, config.http
     served = session_config(settings, "listen")
-    for address in open_to(served):
+    for address in open_addresses(served):
         todo = "listen on 127.0.0.1, or require certificates (docs/security.md)"
         yield Finding("warn", OPEN.format(address), todo)
-    if shuts_all_out(served, settings.prefix):
+    if denies_prefix(served, settings.prefix):
         todo = "correct the keys in its access rules (docs/security.md)"
         yield Finding("warn", SHUT.format(settings.prefix), todo)
     paths = [
         path
         for role in ("listen", "connect")
-        for path in others_can_read(session_config(settings, role), *zenoh_file_of(settings, role))
+        for path in exposed_secrets(session_config(settings, role), *zenoh_file_of(settings, role))
     ]
     if http.token_file is not None:
         read_token("http.token_file", http.token_file)
-        paths += [http.token_file] * open_to_others(resources.expand(http.token_file))
+        paths += [http.token_file] * is_open_to_others(resources.expand(http.token_file))
     for path in dict.fromkeys(paths):
         what = f"{path} holds a secret, but every user of this machine can read or write it"
         yield Finding("warn", what, f"chmod o= {path}")
@@ -257,7 +257,7 @@ def check_classes(config: Config) -> Iterator[Finding]:
 
 def check_models(config: Config) -> Iterator[Finding]:
     """Check the files of all models that are here or that the configuration names."""
-    from edge.perception.runtime.cards import ModelError, card_names, check_here, load_card
+    from edge.perception.runtime.cards import ModelError, card_names, check_installed, load_card
 
     needed = {model.name for model in named_models(config)}
     names = sorted({*card_names(), *needed})
@@ -269,7 +269,7 @@ def check_models(config: Config) -> Iterator[Finding]:
             card = load_card(name)
             served = [file.server for file in card.files if file.server is not None]
             try:
-                check_here(card)
+                check_installed(card)
             except ModelError:
                 if name in needed:
                     raise
@@ -296,7 +296,7 @@ def _verified(file: FileCard | ChoiceCard) -> Path:
 
 
 def _remote(name: str, url: str) -> Finding:
-    shown = without_secrets(url)
+    shown = redact(url)
     if _listens(url):
         return Finding("ok", f"model {name}: something listens at {shown}")
     todo = "start the server, or correct the URL in its card; the model needs it"
@@ -306,8 +306,8 @@ def _remote(name: str, url: str) -> Finding:
 def check_mission(config: Config) -> Iterator[Finding]:
     """Check that the mission is understood and possible, and the checkpoint can be written."""
     from edge.host.checkpoint import CheckpointWriter
-    from edge.mission.brief import prepare
     from edge.mission.checkpoint import MISSION
+    from edge.mission.spec import prepare
 
     try:
         brief = prepare(config.mission)
@@ -323,7 +323,7 @@ def check_mission(config: Config) -> Iterator[Finding]:
 
 def _targets(config: Config) -> tuple[str, ...]:
     """Return the targets of the mission; of a refused mission only `mission.target`."""
-    from edge.mission.brief import prepare
+    from edge.mission.spec import prepare
 
     try:
         return prepare(config.mission).prompts
@@ -382,7 +382,7 @@ def check_scorers(config: Config) -> Iterator[Finding]:
     choice = config.perception.choice
     if choice.kind in ("openai", "text") and not _listens(choice.url):
         todo = "start the server, or correct perception.choice.url; until then no model chooses"
-        yield Finding("warn", f"nothing listens at {without_secrets(choice.url)}", todo)
+        yield Finding("warn", f"nothing listens at {redact(choice.url)}", todo)
 
 
 def _listens(url: str) -> bool:
@@ -431,7 +431,7 @@ CHECKS: tuple[Check, ...] = (
     check_numba,
     check_zenoh,
     check_endpoint,
-    check_strangers,
+    check_access,
     check_onnxruntime,
     check_tensorrt,
     check_classes,

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from edge.cli.options import CONFIG, cores, count, lazy, seed, shares, switched
+from edge.cli.options import (
+    CONFIG,
+    cores,
+    count,
+    dispatch_on_option,
+    lazy_handler,
+    probabilities,
+    seed,
+)
 
 
 def add(commands) -> None:  # type: ignore[no-untyped-def]
@@ -95,10 +103,10 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "--baseline", metavar="NAME",
         help="variant that the others are compared with (default: the first)",
     )  # fmt: skip
-    compare = lazy("edge.lab.eval.comparison.run", "run", lab=True)
-    runs = lazy("edge.lab.eval.runs", "run", lab=True)
+    compare = lazy_handler("edge.lab.eval.comparison.run", "run", lab=True)
+    runs = lazy_handler("edge.lab.eval.runs", "run", lab=True)
     of_runs = ("--episodes", "--plan", "--worlds", "--column", "--columns", "--out", "--report")
-    switched(episodes, "--compare", compare, ("--baseline",), runs, of_runs)
+    dispatch_on_option(episodes, "--compare", compare, ("--baseline",), runs, of_runs)
 
 
 _P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
@@ -118,7 +126,7 @@ def _planning(kinds) -> None:  # type: ignore[no-untyped-def]
         "--seed", type=seed, default=0, help="seed of tasks and of chance (default: %(default)s)"
     )
     option(
-        "--p-obs", type=shares, default=_P_OBS, metavar="P,P,…",
+        "--p-obs", type=probabilities, default=_P_OBS, metavar="P,P,…",
         help="probabilities that an exploration finds its target (default: 0.1,0.2,…,1.0)",
     )  # fmt: skip
     option(
@@ -146,7 +154,7 @@ def _planning(kinds) -> None:  # type: ignore[no-untyped-def]
         "--llm-tasks", type=count, default=20, metavar="N",
         help="number of tasks for the language model (default: %(default)s)",
     )  # fmt: skip
-    planning.set_defaults(handler=lazy("edge.lab.eval.planning.run", "run", lab=True))
+    planning.set_defaults(handler=lazy_handler("edge.lab.eval.planning.run", "run", lab=True))
 
 
 def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -188,7 +196,7 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
         help="write the failures to this file, as JSON lines",
     )
     option("--out", type=Path, metavar="FILE", help="write the counts to this file, as JSON")
-    translate.set_defaults(handler=lazy("edge.lab.eval.translate", "run", lab=True))
+    translate.set_defaults(handler=lazy_handler("edge.lab.eval.translate", "run", lab=True))
 
 
 def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -229,4 +237,6 @@ def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
         help="folder for outcomes.jsonl, episodes.jsonl and pictures; results there are not run "
         "again (default: ./%(default)s)",
     )  # fmt: skip
-    trajectories.set_defaults(handler=lazy("edge.lab.eval.trajectories.run", "run", lab=True))
+    trajectories.set_defaults(
+        handler=lazy_handler("edge.lab.eval.trajectories.run", "run", lab=True)
+    )

@@ -26,10 +26,10 @@ def run(args: argparse.Namespace) -> int:
         UserError: the mission is refused, or the drawing cannot be written.
     """
     from edge.config import load
-    from edge.mission.brief import prepare
-    from edge.mission.planning.plan import Knowledge
+    from edge.mission.planning.plan import MissionKnowledge
     from edge.mission.planning.planner import make_planner
-    from edge.mission.readings import AmbiguousError
+    from edge.mission.readings import AmbiguousInstructionError
+    from edge.mission.spec import prepare
 
     drawing = resources.expand(args.draw) if args.draw else None
     if drawing is not None and drawing.suffix not in _DRAWINGS:
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     text, formula = (None, args.text) if args.formula else (args.text, None)
     try:
         brief = prepare(mission, text, formula, args.reading)
-    except AmbiguousError as error:
+    except AmbiguousInstructionError as error:
         several = len(error.readings) > 1
         ways = f"it can be read in {len(error.readings)} ways" if several else "it may mean this"
         print(f"{'ambiguous:' if several else 'not sure:':13}{ways}")
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     translation = brief.translation
     planner = make_planner(mission.planner, brief.automaton, translation.instruction)
-    plan = planner.plan(0, Knowledge())
+    plan = planner.plan(0, MissionKnowledge())
     print(f"understood:  {translation.understood}")
     if translation.readings:
         print(f"reading:     {translation.reading} of {len(translation.readings)}")
@@ -85,12 +85,12 @@ def _default_reading(implied: int | None) -> str:
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:
     from edge.host.files import save
     from edge.lab.report import canvas, dot
-    from edge.lab.report.drawing import draw
-    from edge.live.scene import make_scene
+    from edge.lab.report.automaton_graph import draw
+    from edge.live.automaton_graph import make_automaton_graph
 
     content = {
-        ".svg": lambda: canvas.svg(draw(make_scene(automaton, 0, steps))),
-        ".png": lambda: canvas.png(draw(make_scene(automaton, 0, steps))),
+        ".svg": lambda: canvas.svg(draw(make_automaton_graph(automaton, 0, steps))),
+        ".png": lambda: canvas.png(draw(make_automaton_graph(automaton, 0, steps))),
         ".dot": lambda: dot.to_dot(automaton, 0, steps).encode(),
     }[path.suffix]()
     save(path, content)

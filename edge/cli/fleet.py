@@ -14,15 +14,15 @@ from typing import Any
 from edge.bus.client import RequestError
 from edge.bus.session import zenoh_session
 from edge.bus.zenoh_file import protocol
-from edge.cli.requests import ANSWER_S, PATIENCE_S, as_text
-from edge.config import Mission, Zenoh, load
+from edge.cli.mission import ANSWER_S, PATIENCE_S, as_text
+from edge.config import MissionConfig, ZenohConfig, load
 from edge.errors import FAILED, UserError
-from edge.fleet.dispatch import LOOK_S, Dispatcher, Plan, plan
-from edge.fleet.orders import Outcome
+from edge.fleet.dispatch import LOOK_S, Dispatcher, FleetPlan, plan
+from edge.fleet.orders import PartOutcome
 from edge.fleet.roster import Robot, open_roster
 from edge.host.signals import stop_on_signals
-from edge.mission.brief import prepare
-from edge.text import aligned, one_line
+from edge.mission.spec import prepare
+from edge.text import format_table, one_line
 
 log = logging.getLogger("edge")
 
@@ -31,7 +31,7 @@ _PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")
 _CELL = 40
 
 
-def where(name: str) -> tuple[Zenoh, Mission]:
+def fleet_settings(name: str) -> tuple[ZenohConfig, MissionConfig]:
     """Return the sections zenoh and mission of a configuration, or defaults for an endpoint.
 
     Args:
@@ -41,7 +41,7 @@ def where(name: str) -> tuple[Zenoh, Mission]:
         ConfigError: the configuration cannot be read.
     """
     if protocol(name) in _PROTOCOLS and not os.path.exists(name):
-        return Zenoh(endpoint=name, mode="client", prefix="robots/any"), Mission()
+        return ZenohConfig(endpoint=name, mode="client", prefix="robots/any"), MissionConfig()
     config = load(name)
     return config.zenoh, config.mission
 
@@ -53,7 +53,7 @@ def show(args: argparse.Namespace) -> int:
     """Handle `edge fleet list`."""
     if args.watch:
         return _watch(args)
-    with open_roster(where(args.config)[0]) as roster:
+    with open_roster(fleet_settings(args.config)[0]) as roster:
         robots = roster.look()
     if args.json:
         print(json.dumps([_data(robot) for robot in robots.values()], indent=2))
@@ -66,7 +66,7 @@ def table(robots: Iterable[Robot]) -> str:
     """Return a table with a line for each robot."""
     rows = [["robot", "phase", "mission", "target", "pose", "health", "reason"]]
     rows += [_shortened(_cells(robot).values()) for robot in robots]
-    return aligned(rows)
+    return format_table(rows)
 
 
 def _shortened(cells: Iterable[str]) -> list[str]:
@@ -76,7 +76,7 @@ def _shortened(cells: Iterable[str]) -> list[str]:
 
 
 def _cells(robot: Robot) -> dict[str, str]:
-    account = robot.account
+    account = robot.status_reply
     if account is None:
         return {"robot": robot.name, **dict.fromkeys(("phase", "mission", "target", "pose"), "?"),
                 "health": robot.problem, "reason": "-"}  # fmt: skip
@@ -103,7 +103,7 @@ def _data(robot: Robot) -> dict[str, Any]:
 def _watch(args: argparse.Namespace) -> int:
     """Print a line for each change, until a signal comes."""
     stop = stop_on_signals()
-    with open_roster(where(args.config)[0]) as roster:
+    with open_roster(fleet_settings(args.config)[0]) as roster:
         before: dict[str, dict[str, str]] = {}
         online = True
         while not stop.is_set():
@@ -143,7 +143,7 @@ def ask(args: argparse.Namespace) -> int:
 
     If no robots were named, a robot that refuses because it has no mission is no error.
     """
-    with open_roster(where(args.config)[0]) as roster:
+    with open_roster(fleet_settings(args.config)[0]) as roster:
         there = roster.names()
         chosen = args.robots or there
         _check_names(chosen, there)
@@ -154,7 +154,7 @@ def ask(args: argparse.Namespace) -> int:
         for robot in answers.values():
             answer = robot.problem if robot.answer is None else as_text(dict(robot.answer))
             print(f"{one_line(robot.name)}:", answer.replace("\n", "\n  "), sep="\n  ")
-    silent = [robot for robot in answers.values() if robot.account is None]
+    silent = [robot for robot in answers.values() if robot.status_reply is None]
     if not args.robots:
         silent = [robot for robot in silent if not robot.problem.startswith("refused: ")]
     return os.EX_UNAVAILABLE if silent or not there else 0
@@ -174,7 +174,7 @@ def new(args: argparse.Namespace) -> int:
     Raises:
         UserError: the mission is not understood, or a named robot was not found.
     """
-    zenoh, limits = where(args.config)
+    zenoh, limits = fleet_settings(args.config)
     text = {"formula" if args.formula else "instruction": args.text}
     brief = prepare(limits, **text)
     named = [] if args.to in (None, [ANY]) else list(dict.fromkeys(args.to))
@@ -198,10 +198,13 @@ def new(args: argparse.Namespace) -> int:
 
 
 def _result_text(
-    mission: Plan, outcomes: Mapping[str, Outcome], ended_ns: Mapping[str, int], as_json: bool
+    mission: FleetPlan,
+    outcomes: Mapping[str, PartOutcome],
+    ended_ns: Mapping[str, int],
+    as_json: bool,
 ) -> str:
     """Return the result of the mission and of its parts, as text or JSON."""
-    none = Outcome("failed", "", "not begun")
+    none = PartOutcome("failed", "", "not begun")
     rows = [(part, outcomes.get(part.id, none), ended_ns.get(part.id)) for part in mission.parts]
     phase = "failed" if any(o.phase == "failed" for _, o, _ in rows) else "reached"
     if as_json:
@@ -217,7 +220,7 @@ def _result_text(
         for part, o, ns in rows
     ]
     cells = [[one_line(cell, 2 * _CELL) for cell in line] for line in lines]
-    return f"{phase}: mission {mission.id}\n{aligned(cells)}"
+    return f"{phase}: mission {mission.id}\n{format_table(cells)}"
 
 
 def _say(text: str) -> None:
@@ -234,7 +237,7 @@ def _clock(ns: int) -> str:
 def route(args: argparse.Namespace) -> int:
     """Handle `edge fleet router`; route messages until a signal comes."""
     stop = stop_on_signals()
-    settings = Zenoh(endpoint=args.endpoint, file=args.file)
+    settings = ZenohConfig(endpoint=args.endpoint, file=args.file)
     with zenoh_session(settings, "route", stop):
         log.info("router: ready on %s", settings.address)
         stop.wait()

@@ -21,10 +21,10 @@ from pathlib import Path
 
 from edge.bus.zenoh_file import certificates, read_zenoh_file, secrets
 from edge.config import Config, DetectorOnnx, load
-from edge.errors import WILL_NOT_MEND, UnavailableError, UserError
+from edge.errors import PERMANENT, UnavailableError, UserError
 from edge.host import resources
 from edge.host.files import save
-from edge.loop.vitals import HANGS_S
+from edge.loop.service_health import HANGS_S
 
 UNITS = Path("/etc/systemd/system")
 STATE = Path("/var/lib")
@@ -159,7 +159,7 @@ def unit(config: Config, name: str, user: str | None) -> str:
         homes="read-only" if any(_in_a_home(path) for path in needed) else "yes",
         # Twice HANGS_S, so that /healthz reports a hang before systemd kills the service.
         watchdog_s=2 * HANGS_S,
-        no_restart=" ".join(map(str, WILL_NOT_MEND)),
+        no_restart=" ".join(map(str, PERMANENT)),
         real_time=f"LimitRTPRIO={priority}" if priority else "RestrictRealtime=yes",
         devices="\n".join(f"DeviceAllow={device} rw" for device in _DEVICES),
     )

@@ -8,12 +8,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from edge.bus.session import BusError, NotTakenIn, zenoh_session
+from edge.bus.session import BusError, ConnectInterrupted, zenoh_session
 from edge.cli.machine_checks import Finding, Level
 from edge.config import Config
 from edge.geometry import FARTHEST_M
 from edge.loop.plausibility import FailedCheck, Plausibility
-from edge.loop.source import InputRow, Source, lacking
+from edge.loop.source import InputStatus, Source, missing_inputs
 from edge.sources import find_source
 from edge.types import Observation
 
@@ -28,7 +28,7 @@ _STRIDE = 8
 _LENS = {"none": "", "rectified": ", rectified", "ignored": ", distortion ignored"}
 
 
-def listen(config: Config, seconds: float) -> list[Finding]:
+def check_live_sensors(config: Config, seconds: float) -> list[Finding]:
     """Listen to the sensors for `seconds`, and return the findings."""
     over = threading.Event()
     timer = threading.Timer(seconds, over.set)
@@ -44,7 +44,7 @@ def listen(config: Config, seconds: float) -> list[Finding]:
                 return [*heard.findings(getattr(source, "input_table", tuple)())]
             finally:
                 source.close()
-    except NotTakenIn:
+    except ConnectInterrupted:
         what = f"no Zenoh router answers at {config.zenoh.address}"
         return [Finding("fail", what, "start the router, or correct zenoh.endpoint")]
     except BusError as error:
@@ -87,12 +87,12 @@ class _Heard:
         finally:
             seen.release()
 
-    def findings(self, rows: Sequence[InputRow]) -> Iterator[Finding]:
+    def findings(self, rows: Sequence[InputStatus]) -> Iterator[Finding]:
         """Yield a line for each input, then for stamps, mounts, depth, floor and failed checks."""
         for row in rows:
             yield from _input(row)
         if self._newest is None:
-            why = lacking(rows) or "no frame has all the inputs that it needs"
+            why = missing_inputs(rows) or "no frame has all the inputs that it needs"
             yield Finding("fail", f"no observation: {why}", "see docs/robot.md, step 5")
             return
         yield from _stamps(float(np.median(self._age_s)), float(np.median(self._lag_s)))
@@ -128,7 +128,7 @@ class _Heard:
             yield Finding("warn", what, f"{todo}; or point the sensor at open floor")
 
 
-def _input(row: InputRow) -> Iterator[Finding]:
+def _input(row: InputStatus) -> Iterator[Finding]:
     """Yield the findings on the rate of one input, and on its dropped messages."""
     if row.state == "unused":
         return

@@ -16,20 +16,20 @@ import sys
 from functools import partial
 
 from edge.cli.parsers import make_parser
-from edge.cli.renamed import renew
+from edge.cli.renamed import translate_renamed
 from edge.errors import Stopped, UserError
-from edge.host.interruptible import any_unjoined
+from edge.host.interruptible import any_detached_thread
 from edge.host.kernel_cache import kernel_cache
-from edge.host.open_files import claim
-from edge.host.outlet import unwaited_stderr
+from edge.host.nonblocking_stream import nonblocking_stderr
+from edge.host.open_files import raise_open_files_limit
 from edge.host.signals import (
-    break_off_on_signals,
-    reload_on_hang_up,
+    interrupt_on_signals,
+    reload_on_sighup,
     show_stacks_on_signals,
     stop_on_signals,
 )
 from edge.logs import setup
-from edge.text import printable_lines, without_secrets
+from edge.text import printable_lines, redact
 
 log = logging.getLogger("edge")
 
@@ -40,7 +40,7 @@ def main(argv: list[str] | None = None) -> int:
     Args:
         argv: arguments, such as `["config", "demo"]`; None: those of the process.
     """
-    argv, renamed = renew(sys.argv[1:] if argv is None else argv)
+    argv, renamed = translate_renamed(sys.argv[1:] if argv is None else argv)
     args = make_parser().parse_args(argv)
     setup(args.log_level, args.log_json)
     if renamed:
@@ -52,7 +52,7 @@ def main(argv: list[str] | None = None) -> int:
 
         os.environ[TRUST_CACHE] = "1"
     show_stacks_on_signals()
-    break_off_on_signals()
+    interrupt_on_signals()
     return _leave(_outcome(args))
 
 
@@ -83,7 +83,7 @@ def _leave(code: int) -> int:
 
     See `edge.host.interruptible`.
     """
-    if any_unjoined():
+    if any_detached_thread():
         try:
             logging.shutdown()
             sys.stdout.flush()
@@ -131,26 +131,26 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 
 def run(args: argparse.Namespace) -> int:
     """Handle `edge run`."""
-    claim()
+    raise_open_files_limit()
     # First of all, since the imports below take seconds.
     stop = stop_on_signals(args.with_parent)
-    hung_up = reload_on_hang_up()
-    from edge.cli.commands import Reload, run_service
+    hung_up = reload_on_sighup()
+    from edge.cli.commands import ReloadRequest, run_service
 
-    with unwaited_stderr():  # the loop writes to it and must not wait
+    with nonblocking_stderr():  # the loop writes to it and must not wait
         setup(args.log_level, args.log_json)
-        reload = Reload(partial(load_config, args), hung_up)
+        reload = ReloadRequest(partial(load_config, args), hung_up)
         return run_service(load_config(args), stop, args.once, args.report, _what(args), reload)
 
 
 def _what(args: argparse.Namespace) -> tuple[str | None, str | None, str | None]:
-    """Return the mission of the command line; see `edge.cli.commands.What`."""
+    """Return the mission of the command line; see `edge.cli.commands.MissionArguments`."""
     return args.target or args.mission, args.formula, args.task
 
 
 def demo(args: argparse.Namespace) -> int:
     """Handle `edge demo`."""
-    claim()
+    raise_open_files_limit()
     stop = stop_on_signals()
     from edge.cli.commands import run_demo
 
@@ -169,7 +169,7 @@ def play(args: argparse.Namespace) -> int:
 
 def sim(args: argparse.Namespace) -> int:
     """Handle `edge sim`."""
-    claim()
+    raise_open_files_limit()
     stop = stop_on_signals(args.with_parent)
     if args.motion_only:
         from edge.lab.motion.process import main as run_motion
@@ -188,7 +188,7 @@ def config(args: argparse.Namespace) -> int:
         print(json.dumps(Config.model_json_schema(), indent=2))
         return 0
     config = load_config(args)
-    shown = without_secrets(config.model_dump(mode="json"))
+    shown = redact(config.model_dump(mode="json"))
     print(json.dumps(shown, indent=2, ensure_ascii=False))
     from edge.cli.preflight import check, check_mission
 

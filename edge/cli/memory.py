@@ -9,7 +9,7 @@ import argparse
 import json
 from pathlib import Path
 
-from edge.cli.options import CONFIG, lazy
+from edge.cli.options import CONFIG, lazy_handler
 
 ANSWER_S = 5.0
 
@@ -29,7 +29,7 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
             action.add_argument("name" if do == "find" else "file")
         if do != "export":
             action.add_argument("--json", action="store_true", help="print JSON")
-        action.set_defaults(handler=lazy("edge.cli.memory", "run"))
+        action.set_defaults(handler=lazy_handler("edge.cli.memory", "run"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,13 +42,13 @@ def run(args: argparse.Namespace) -> int:
     from edge.bus import client, topics
     from edge.config import load
     from edge.host.files import write_atomically
-    from edge.text import aligned, one_line
+    from edge.text import format_table, one_line
 
     settings = load(args.config).zenoh
     request = {"do": "find", "name": args.name} if args.do == "find" else {"do": "list"}
     with client.connect(settings, ANSWER_S, "service") as session:
         key = settings.key(topics.MEMORY_REQUEST)
-        answer = client.ask(session, key, request, ANSWER_S, "service")
+        answer = client.send_request(session, key, request, ANSWER_S, "service")
     objects = answer["objects"]
     if args.do == "export":
         write_atomically(Path(args.file), (json.dumps(objects, indent=1) + "\n").encode())
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
             )
             for one in objects
         ]  # fmt: skip
-        print(aligned([("name", "x, y", "confidence", "age, s"), *rows], left=2))
+        print(format_table([("name", "x, y", "confidence", "age, s"), *rows], left=2))
     else:
         print("none")
     return 0 if objects or args.do != "find" else 1

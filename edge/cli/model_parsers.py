@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from edge.cli.options import CONFIG, lazy, positive, switched
+from edge.cli.options import CONFIG, dispatch_on_option, lazy_handler, positive
 
 _CARD = "name of a model card, as `edge models list` shows it"
 
@@ -32,8 +32,11 @@ def _list(action: argparse.ArgumentParser) -> None:
         "--timeout", type=positive, default=120.0, metavar="S",
         help="with --check: time for each model before it is killed (default: %(default)g)",
     )  # fmt: skip
-    check, show = lazy("edge.models.check", "run"), lazy("edge.models.listing", "run")
-    switched(action, "--check", check, ("--file",), show, ("--json",))
+    check, show = (
+        lazy_handler("edge.models.check", "run"),
+        lazy_handler("edge.models.listing", "run"),
+    )
+    dispatch_on_option(action, "--check", check, ("--file",), show, ("--json",))
 
 
 def _pull(action: argparse.ArgumentParser) -> None:
@@ -43,7 +46,7 @@ def _pull(action: argparse.ArgumentParser) -> None:
         help="file, folder or URL to try before the sources of the card; may be repeated",
     )  # fmt: skip
     action.add_argument("--offline", action="store_true", help="do not use the network")
-    action.set_defaults(handler=lazy("edge.models.pull", "run"))
+    action.set_defaults(handler=lazy_handler("edge.models.pull", "run"))
 
 
 def _export(action: argparse.ArgumentParser) -> None:
@@ -78,9 +81,12 @@ def _export(action: argparse.ArgumentParser) -> None:
         action="store_true",
         help="keep the model even if it differs too much from its reference",
     )
-    export, quantize = lazy("edge.models.make", "export"), lazy("edge.models.make", "quantize")
+    export, quantize = (
+        lazy_handler("edge.models.make", "export"),
+        lazy_handler("edge.models.make", "quantize"),
+    )
     of_weights = ("--weights", "--family", "--license")
-    switched(action, "--quantize", quantize, (), export, of_weights)
+    dispatch_on_option(action, "--quantize", quantize, (), export, of_weights)
 
 
 def _use(action: argparse.ArgumentParser) -> None:
@@ -95,7 +101,7 @@ def _use(action: argparse.ArgumentParser) -> None:
         "--timeout", type=positive, default=600.0, metavar="S",
         help="time to wait for the switch (default: %(default)g)",
     )  # fmt: skip
-    action.set_defaults(handler=lazy("edge.models.use", "run"))
+    action.set_defaults(handler=lazy_handler("edge.models.use", "run"))
 
 
 _ACTIONS = {

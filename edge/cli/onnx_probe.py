@@ -33,7 +33,7 @@ LIMIT_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
-class Probed:
+class ProbeResult:
     """Result of the test.
 
     Attributes:
@@ -51,7 +51,7 @@ class Probed:
 
 
 @functools.cache
-def probe() -> Probed | None:
+def probe() -> ProbeResult | None:
     """Return the result of the test, which runs once per process; None if it is not installed."""
     if util.find_spec("onnxruntime") is None:
         return None
@@ -65,7 +65,7 @@ def probe() -> Probed | None:
     return _result([json.loads(line) for line in output.splitlines()], code, last)
 
 
-def _result(steps: list[dict[str, Any]], code: int, last: str) -> Probed:
+def _result(steps: list[dict[str, Any]], code: int, last: str) -> ProbeResult:
     """Return the result from the process's output, exit code and last line on stderr."""
     imported = steps[0] if steps else {"version": "", "providers": ()}
     ran = tuple(step["ran"] for step in steps[1:])
@@ -77,7 +77,7 @@ def _result(steps: list[dict[str, Any]], code: int, last: str) -> Probed:
         fault = f"crashes ({signal.Signals(-code).name}) {when}"
     elif code:
         fault = f"fails {when}: {one_line(last)}"
-    return Probed(imported["version"], tuple(imported["providers"]), ran, fault)
+    return ProbeResult(imported["version"], tuple(imported["providers"]), ran, fault)
 
 
 def _steps() -> Iterator[dict[str, Any]]:

@@ -25,7 +25,7 @@ LAB_PACKAGES = ("matplotlib", "networkx", "scipy")
 """Packages that only `edge.lab` imports. The extra `lab` installs them."""
 
 
-def lazy(module: str, function: str, lab: bool = False) -> Handler:
+def lazy_handler(module: str, function: str, lab: bool = False) -> Handler:
     """Return a handler that imports its module when it is called.
 
     Args:
@@ -42,7 +42,7 @@ def lazy(module: str, function: str, lab: bool = False) -> Handler:
     return handler
 
 
-def switched(
+def dispatch_on_option(
     parser: argparse.ArgumentParser,
     option: str, on: Handler, on_only: tuple[str, ...], off: Handler, off_only: tuple[str, ...],
 ) -> Handler:  # fmt: skip
@@ -102,7 +102,7 @@ def port(text: str) -> int:
     return number
 
 
-def shares(text: str) -> tuple[float, ...]:
+def probabilities(text: str) -> tuple[float, ...]:
     """Parse probabilities in (0, 1], separated by commas; duplicates are dropped."""
     try:
         values = tuple(dict.fromkeys(round(float(part), 6) for part in text.split(",")))

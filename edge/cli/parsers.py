@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import NoReturn
 
 from edge import __version__
-from edge.cli import eval_parsers, memory, model_parsers, requests, site
+from edge.cli import eval_parsers, memory, mission, model_parsers, site
 from edge.cli.options import (
     CONFIG,
     WHERE,
     count,
-    lazy,
+    dispatch_on_option,
+    lazy_handler,
     port,
     positive,
     seed,
-    switched,
     unit_name,
 )
 from edge.errors import EXIT_CODES
@@ -105,8 +105,11 @@ def _run(commands) -> None:  # type: ignore[no-untyped-def]
         "/etc/systemd/system/NAME.service, which needs root)"
     )  # fmt: skip
     of_run = ("--target", "--mission", "--formula", "--task", "--once", "--report")
-    at_boot, now = lazy("edge.cli.install_service", "run"), lazy("edge.cli.main", "run")
-    switched(run, "--install", at_boot, ("--name", "--user", "--out"), now, of_run)
+    at_boot, now = (
+        lazy_handler("edge.cli.install_service", "run"),
+        lazy_handler("edge.cli.main", "run"),
+    )
+    dispatch_on_option(run, "--install", at_boot, ("--name", "--user", "--out"), now, of_run)
 
 
 def _demo(commands) -> None:  # type: ignore[no-untyped-def]
@@ -120,7 +123,7 @@ def _demo(commands) -> None:  # type: ignore[no-untyped-def]
         "--report", metavar="DIR", default="report", help="folder of the report (default: ./report)"
     )
     _live(demo)
-    demo.set_defaults(handler=lazy("edge.cli.main", "demo"))
+    demo.set_defaults(handler=lazy_handler("edge.cli.main", "demo"))
 
 
 def _what(command: argparse.ArgumentParser) -> None:
@@ -131,7 +134,7 @@ def _what(command: argparse.ArgumentParser) -> None:
     what.add_argument("--formula", metavar="LTL", help="mission: a formula (linear temporal logic)")
     text = "path in words, such as 'go around the left of the sofa, then stop at the desk'"
     what.add_argument("--task", metavar="TEXT", help=text)
-    requests.add_reading(command)
+    mission.add_reading(command)
 
 
 def _live(command: argparse.ArgumentParser) -> None:
@@ -161,7 +164,7 @@ def _sim(commands) -> None:  # type: ignore[no-untyped-def]
         "--motion-only", action="store_true", help="run only the reference controller"
     )
     _with_parent(sim)
-    sim.set_defaults(handler=lazy("edge.cli.main", "sim"))
+    sim.set_defaults(handler=lazy_handler("edge.cli.main", "sim"))
 
 
 def _with_parent(command: argparse.ArgumentParser) -> None:
@@ -175,24 +178,24 @@ def _config(commands) -> None:  # type: ignore[no-untyped-def]
     config.add_argument(
         "--schema", action="store_true", help="print the JSON Schema, which describes all keys"
     )
-    config.set_defaults(handler=lazy("edge.cli.main", "config"))
+    config.set_defaults(handler=lazy_handler("edge.cli.main", "config"))
 
 
 def _mission(commands) -> None:  # type: ignore[no-untyped-def]
     mission = commands.add_parser(
         "mission", help="control the mission of a running service, or explain one"
     )
-    actions = requests.add_arguments(mission)
+    actions = mission.add_arguments(mission)
     explain = actions.add_parser("explain", help="show how a mission is understood and planned")
     explain.add_argument("text", help="instruction in words")
     kind = explain.add_mutually_exclusive_group()
     kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
-    requests.add_reading(kind)
+    mission.add_reading(kind)
     explain.add_argument("--config", default="demo", help=f"{CONFIG} (default: demo)")
     explain.add_argument(
         "--draw", metavar="FILE", help="draw the automaton to this file (.svg, .png or .dot)"
     )
-    explain.set_defaults(handler=lazy("edge.cli.explain", "run"))
+    explain.set_defaults(handler=lazy_handler("edge.cli.explain", "run"))
 
 
 def _fleet(commands) -> None:  # type: ignore[no-untyped-def]
@@ -204,7 +207,7 @@ def _fleet(commands) -> None:  # type: ignore[no-untyped-def]
     show.add_argument(
         "--watch", action="store_true", help="keep running, and print a line for each change"
     )
-    show.set_defaults(handler=lazy("edge.cli.fleet", "show"))
+    show.set_defaults(handler=lazy_handler("edge.cli.fleet", "show"))
     router = actions.add_parser(
         "router", help="run a Zenoh router for the robots, if no zenohd runs"
     )
@@ -212,7 +215,7 @@ def _fleet(commands) -> None:  # type: ignore[no-untyped-def]
                         help="address to listen on (default: %(default)s)")  # fmt: skip
     router.add_argument("--file", metavar="FILE", help="Zenoh's own configuration (JSON5), such as "
                         "config/secure/fleet-router.json5")  # fmt: skip
-    router.set_defaults(handler=lazy("edge.cli.fleet", "route"))
+    router.set_defaults(handler=lazy_handler("edge.cli.fleet", "route"))
 
 
 def _record(commands) -> None:  # type: ignore[no-untyped-def]
@@ -226,7 +229,7 @@ def _record(commands) -> None:  # type: ignore[no-untyped-def]
         metavar="N",
         help="duration (default: %(default)g)",
     )
-    record.set_defaults(handler=lazy("edge.sources.recording", "run"))
+    record.set_defaults(handler=lazy_handler("edge.sources.recording", "run"))
 
 
 def _play(commands) -> None:  # type: ignore[no-untyped-def]
@@ -251,7 +254,7 @@ def _play(commands) -> None:  # type: ignore[no-untyped-def]
         help="write a report (page and picture) to this folder at the end",
     )
     _live(play)
-    play.set_defaults(handler=lazy("edge.cli.main", "play"))
+    play.set_defaults(handler=lazy_handler("edge.cli.main", "play"))
 
 
 def _replay(commands) -> None:  # type: ignore[no-untyped-def]
@@ -287,9 +290,12 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
         help="file to write; default: trace.json, or the recording's name without `.partial`",
     )  # fmt: skip
     mine = ("--config", "--detect", "--trust")
-    of = {name: lazy("edge.recording.commands", name) for name in ("replay", "recover", "trace")}
-    write = switched(replay, "--trace", of["trace"], (), of["recover"], ())
-    switched(replay, "--trace or --recover", write, ("--out",), of["replay"], mine)
+    of = {
+        name: lazy_handler("edge.recording.commands", name)
+        for name in ("replay", "recover", "trace")
+    }
+    write = dispatch_on_option(replay, "--trace", of["trace"], (), of["recover"], ())
+    dispatch_on_option(replay, "--trace or --recover", write, ("--out",), of["replay"], mine)
 
 
 def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
@@ -303,7 +309,7 @@ def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
         action="store_true",
         help="only print the path of the file for `ros2 launch`",
     )
-    adapter.set_defaults(handler=lazy("edge.ros2_adapter.process", "run"))
+    adapter.set_defaults(handler=lazy_handler("edge.ros2_adapter.process", "run"))
 
 
 def _trajectory(commands) -> None:  # type: ignore[no-untyped-def]
@@ -334,7 +340,7 @@ def _trajectory(commands) -> None:  # type: ignore[no-untyped-def]
         "--out", default="trajectory", metavar="DIR",
         help="folder for pictures, page and trajectory (default: ./%(default)s)",
     )  # fmt: skip
-    trajectory.set_defaults(handler=lazy("edge.lab.eval.trial.command", "run", lab=True))
+    trajectory.set_defaults(handler=lazy_handler("edge.lab.eval.trial.command", "run", lab=True))
 
 
 def _bench(commands) -> None:  # type: ignore[no-untyped-def]
@@ -397,8 +403,11 @@ def _bench(commands) -> None:  # type: ignore[no-untyped-def]
     models("--update-cards", action="store_true", help="write the numbers into the model cards")
     of_models = ("--images", "--providers", "--threads", "--update-cards")
     of_service = ("--enforce", "--calibrate", "--recording", "--swap", "--trust-cache")
-    compare, service_ = lazy("edge.lab.bench.compare", "run"), lazy("edge.lab.bench.service", "run")
-    switched(bench, "--models", compare, of_models, service_, of_service)
+    compare, service_ = (
+        lazy_handler("edge.lab.bench.compare", "run"),
+        lazy_handler("edge.lab.bench.service", "run"),
+    )
+    dispatch_on_option(bench, "--models", compare, of_models, service_, of_service)
 
 
 def _soak(commands) -> None:  # type: ignore[no-untyped-def]
@@ -422,7 +431,7 @@ def _soak(commands) -> None:  # type: ignore[no-untyped-def]
         "--out", type=Path, default=Path("soak"), metavar="FOLDER",
         help="folder for record, logs and page (default: ./%(default)s)",
     )  # fmt: skip
-    soak.set_defaults(handler=lazy("edge.lab.eval.soak.run", "run", lab=True))
+    soak.set_defaults(handler=lazy_handler("edge.lab.eval.soak.run", "run", lab=True))
 
 
 def _doctor(commands) -> None:  # type: ignore[no-untyped-def]
@@ -437,4 +446,4 @@ def _doctor(commands) -> None:  # type: ignore[no-untyped-def]
         "--seconds", type=positive, default=10.0, metavar="N",
         help="with --live: time to listen (default: %(default)g)",
     )  # fmt: skip
-    doctor.set_defaults(handler=lazy("edge.cli.doctor", "run"))
+    doctor.set_defaults(handler=lazy_handler("edge.cli.doctor", "run"))

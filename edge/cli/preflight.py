@@ -14,14 +14,14 @@ from importlib.util import find_spec
 from typing import NamedTuple
 
 from edge.bus.session import check_settings
-from edge.chat import ChatError, client_of
+from edge.chat import ChatError, make_chat_client
 from edge.config import (
     ChoiceOnnx,
     ChoiceOpenai,
     ChoiceText,
     Config,
     DetectorOnnx,
-    PlannerOwn,
+    PlannerPlugin,
     SegmenterOnnx,
     WriterModel,
 )
@@ -41,7 +41,7 @@ from edge.perception.runtime.card_types import (
     SimilarityCard,
     TranslateCard,
 )
-from edge.perception.runtime.cards import check_here, load_card, load_card_of
+from edge.perception.runtime.cards import check_installed, load_card, load_card_of
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.sessions import CPU_ALONE, check_providers
 from edge.perception.scoring.choice.mark_scorer import check_size
@@ -52,7 +52,7 @@ from edge.policies import find_policy
 from edge.sinks import find_sinks
 from edge.sources import find_source
 from edge.tasks import script
-from edge.tasks.brief import prepared
+from edge.tasks.mission_spec import prepare_mission
 
 
 def check(config: Config) -> None:
@@ -91,7 +91,7 @@ def check_mission(config: Config) -> None:
     by_server = translator.kind == "llm" or getattr(translator, "llm", None) is not None
     if mission.checkpoint is not None or (mission.instruction is not None and by_server):
         return
-    brief, detector = prepared(config), config.perception.detector
+    brief, detector = prepare_mission(config), config.perception.detector
     if isinstance(detector, DetectorOnnx):
         card = load_card_of(DetectCard, detector.model)
         make_text_encoder(card, detector.vocabulary).embed(brief.prompts)
@@ -102,7 +102,7 @@ def _policy(config: Config) -> None:
 
 
 def _planner(config: Config) -> None:
-    if isinstance(config.mission.planner, PlannerOwn):
+    if isinstance(config.mission.planner, PlannerPlugin):
         find_own_planner(config.mission.planner, config.at("mission.planner"))
 
 
@@ -133,7 +133,7 @@ def _choice(config: Config) -> None:
 def _tasks(config: Config) -> None:
     if isinstance(config.tasks.planner, WriterModel):
         with _about(config, "tasks.planner"):
-            client_of(config.tasks.planner).close()
+            make_chat_client(config.tasks.planner).close()
         script.version()
 
 
@@ -195,7 +195,7 @@ def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
     card = load_card(name)
     if kind is not ChoiceCard or not isinstance(card, MarksCard):
         card = load_card_of(kind, name)
-    check_here(card)
+    check_installed(card)
     yield card
     perception = config.perception
     detector = perception.detector

@@ -23,7 +23,7 @@ RENAMED = {
 """Old command words → new ones. The arguments after them stay."""
 
 
-def renew(argv: Sequence[str]) -> tuple[list[str], str | None]:
+def translate_renamed(argv: Sequence[str]) -> tuple[list[str], str | None]:
     """Return the arguments with the new command words, and a warning if the old ones were given."""
     at = 0  # index of the command, after the options of `edge` itself
     while at < len(argv) and argv[at].startswith("-"):

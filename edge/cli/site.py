@@ -10,7 +10,7 @@ import json
 import math
 from pathlib import Path
 
-from edge.cli.options import CONFIG, lazy
+from edge.cli.options import CONFIG, lazy_handler
 
 ANSWER_S = 5.0
 
@@ -50,7 +50,7 @@ def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
     action = actions.add_parser(name, help=text)
     action.add_argument("config", help=CONFIG)
     action.add_argument("--json", action="store_true", help="print the answer as GeoJSON")
-    action.set_defaults(handler=lazy("edge.cli.site", "run"))
+    action.set_defaults(handler=lazy_handler("edge.cli.site", "run"))
     return action
 
 
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         request["site"] = read_site(path).geojson()
     with client.connect(settings, ANSWER_S, "service") as session:
         key = settings.key(topics.SITE_REQUEST)
-        answer = client.ask(session, key, request, ANSWER_S, "service")
+        answer = client.send_request(session, key, request, ANSWER_S, "service")
     site = site_of(answer["site"], "the service's answer")
     if path is not None and args.do == "export":
         write_site(path, site)

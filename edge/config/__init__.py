@@ -10,12 +10,12 @@ Example:
     'nearest_frontier'
 """
 
-from edge.config.loop import Http, Loop, Report, Source, Zenoh
-from edge.config.mapping import Mapping
+from edge.config.loop import HttpConfig, LoopConfig, ReportConfig, SourceConfig, ZenohConfig
+from edge.config.mapping import MappingConfig
 from edge.config.mission import (
-    Mission,
+    MissionConfig,
     PlannerInOrder,
-    PlannerOwn,
+    PlannerPlugin,
     PlannerVitl,
     Translator,
     TranslatorAuto,
@@ -32,31 +32,38 @@ from edge.config.perception import (
     ChoiceText,
     DetectorOnnx,
     DetectorSim,
-    Governor,
-    ModelProcess,
-    Perception,
+    LoadSheddingConfig,
+    ModelProcessConfig,
+    PerceptionConfig,
     SegmenterGrabcut,
     SegmenterNone,
     SegmenterOnnx,
-    Swap,
+    SwapConfig,
 )
 from edge.config.policy import (
     PolicyAdaptive,
     PolicyDirectional,
     PolicyHvl,
     PolicyNearest,
-    PolicyOwn,
+    PolicyPlugin,
     PolicySearch,
     PolicyVlfm,
 )
-from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
+from edge.config.robot import Camera, Lidar, MotionConfig, RobotConfig, SensorsConfig
 from edge.config.root import Config, load, parse
-from edge.config.ros2 import Ros2
+from edge.config.ros2 import Ros2Config
 from edge.config.section import Section
-from edge.config.sim import Sim, WorldGenerated, WorldHouse, WorldMesh, WorldProcthor, WorldStreet
+from edge.config.sim import (
+    SimConfig,
+    WorldGenerated,
+    WorldHouse,
+    WorldMesh,
+    WorldProcthor,
+    WorldStreet,
+)
 from edge.config.tasks import (
-    ChainOwn,
-    Tasks,
+    PipelinePlugin,
+    TasksConfig,
     TrajectoryLimits,
     WriterModel,
     WriterRules,
@@ -65,7 +72,6 @@ from edge.errors import ConfigError
 
 __all__ = [
     "Camera",
-    "ChainOwn",
     "ChoiceCooccurrence",
     "ChoiceNone",
     "ChoiceOnnx",
@@ -75,37 +81,38 @@ __all__ = [
     "ConfigError",
     "DetectorOnnx",
     "DetectorSim",
-    "Governor",
-    "Http",
+    "HttpConfig",
     "Lidar",
-    "Loop",
-    "Mapping",
-    "Mission",
-    "ModelProcess",
-    "Motion",
-    "Perception",
+    "LoadSheddingConfig",
+    "LoopConfig",
+    "MappingConfig",
+    "MissionConfig",
+    "ModelProcessConfig",
+    "MotionConfig",
+    "PerceptionConfig",
+    "PipelinePlugin",
     "PlannerInOrder",
-    "PlannerOwn",
+    "PlannerPlugin",
     "PlannerVitl",
     "PolicyAdaptive",
     "PolicyDirectional",
     "PolicyHvl",
     "PolicyNearest",
-    "PolicyOwn",
+    "PolicyPlugin",
     "PolicySearch",
     "PolicyVlfm",
-    "Report",
-    "Robot",
-    "Ros2",
+    "ReportConfig",
+    "RobotConfig",
+    "Ros2Config",
     "Section",
     "SegmenterGrabcut",
     "SegmenterNone",
     "SegmenterOnnx",
-    "Sensors",
-    "Sim",
-    "Source",
-    "Swap",
-    "Tasks",
+    "SensorsConfig",
+    "SimConfig",
+    "SourceConfig",
+    "SwapConfig",
+    "TasksConfig",
     "TrajectoryLimits",
     "Translator",
     "TranslatorAuto",
@@ -120,7 +127,7 @@ __all__ = [
     "WorldStreet",
     "WriterModel",
     "WriterRules",
-    "Zenoh",
+    "ZenohConfig",
     "load",
     "parse",
 ]

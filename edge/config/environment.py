@@ -12,17 +12,17 @@ from pydantic import BaseModel
 from edge.config.explain import models_in
 from edge.config.yaml_text import parse_yaml
 from edge.errors import ConfigError
-from edge.logs import once
-from edge.text import bounded_repr, one_line, without_secrets
+from edge.logs import first_time
+from edge.text import bounded_repr, one_line, redact
 
 log = logging.getLogger("edge.config")
 
 PREFIX = "EDGE__"
-READ = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE")
+KNOWN_VARIABLES = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE")
 """Variables that `edge` reads in addition to those that set a key."""
 
 
-class Origins(dict[tuple[str, ...], str]):
+class KeyOrigins(dict[tuple[str, ...], str]):
     """The variable or option that set a key, by the parts of the key; only overridden keys.
 
     All instances compare equal, so configurations with the same values are equal.
@@ -36,7 +36,7 @@ class Origins(dict[tuple[str, ...], str]):
         self.made: set[tuple[str, ...]] = set()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Origins)
+        return isinstance(other, KeyOrigins)
 
     def of(self, path: str, *keys: tuple[str, ...]) -> str:
         """Return the sources to name in an error: the file, a variable, an option, or several.
@@ -57,9 +57,9 @@ class Origins(dict[tuple[str, ...], str]):
         return parts if key in self.made else [path, *parts]
 
 
-def override(
+def apply_overrides(
     data: dict[str, Any], environ: Mapping[str, str], options: Mapping[str, str]
-) -> Origins:
+) -> KeyOrigins:
     """Write each `EDGE__A__B=value` of the environment to `data["a"]["b"]`, in place.
 
     Args:
@@ -73,7 +73,7 @@ def override(
     Raises:
         ConfigError: a value is not YAML; one line.
     """
-    origins = Origins()
+    origins = KeyOrigins()
     for name in sorted(name for name in environ if name.startswith(PREFIX)):
         origin = options.get(name, f"environment {name}")
         key = tuple(name[len(PREFIX) :].lower().split("__"))
@@ -88,7 +88,7 @@ def override(
         try:
             node[leaf] = parse_yaml(environ[name])
         except ValueError:
-            shown = bounded_repr(without_secrets(environ[name]))
+            shown = bounded_repr(redact(environ[name]))
             raise ConfigError(f"{origin}: not a YAML value: {shown}") from None
         origins[key] = origin
     return origins
@@ -99,7 +99,7 @@ def is_ours(name: str) -> bool:
     return name.upper().startswith("EDGE_")
 
 
-def warn_of_unread(environ: Mapping[str, str], root: type[BaseModel]) -> None:
+def warn_of_unknown_variables(environ: Mapping[str, str], root: type[BaseModel]) -> None:
     """Log a warning for each `EDGE_` variable that nothing reads, once in each process.
 
     Args:
@@ -107,8 +107,13 @@ def warn_of_unread(environ: Mapping[str, str], root: type[BaseModel]) -> None:
         root: model of a whole configuration.
     """
     for name in sorted(environ):
-        if is_ours(name) and not name.startswith(PREFIX) and name not in READ and once(name):
-            known = [*READ, *_variables(root, PREFIX)]
+        if (
+            is_ours(name)
+            and not name.startswith(PREFIX)
+            and name not in KNOWN_VARIABLES
+            and first_time(name)
+        ):
+            known = [*KNOWN_VARIABLES, *_variables(root, PREFIX)]
             close = difflib.get_close_matches(name.upper(), known, n=1, cutoff=0.8)
             hint = f"did you mean {close[0]}?" if close else f"a key is set by {PREFIX}SECTION__KEY"
             log.warning("environment %s: nothing reads it (%s)", one_line(name), hint)

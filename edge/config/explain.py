@@ -8,12 +8,12 @@ from typing import Any, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from edge.text import bounded_repr, one_line, without_secrets
+from edge.text import bounded_repr, one_line, redact
 
 MOST_FAULTS = 20
 
 Origin = Callable[[str, tuple[str, ...]], str]
-"""Function that returns the file, variable or option that set a key (`Origins.of`).
+"""Function that returns the file, variable or option that set a key (`KeyOrigins.of`).
 
 Its arguments are the path of the file and the parts of the key.
 """
@@ -50,7 +50,7 @@ def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _the_
     kind, context = fault["type"], fault.get("ctx", {})
     tag = ("kind",) if kind == "union_tag_invalid" else ()
     path = origin(path, (*shown, str(leaf), *tag))
-    given = without_secrets(fault.get("input"))
+    given = redact(fault.get("input"))
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
         return f"{path}: {key}.kind: unknown {bounded_repr(context['tag'])} (choices: {choices})"

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from edge.config.section import Positive, Section
 from edge.host.ports import is_loopback
-from edge.text import one_line, without_secrets
+from edge.text import one_line, redact
 
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$")]
 KEY_IN_ENDPOINT = "private_key_base64"
@@ -22,7 +22,7 @@ TopicName = Literal[
 ]  # fmt: skip
 
 
-class Zenoh(Section):
+class ZenohConfig(Section):
     """The Zenoh connection between the service, the robot's sensors, its controller and `edge`.
 
     Attributes:
@@ -49,7 +49,7 @@ class Zenoh(Section):
     @property
     def address(self) -> str:
         """The endpoint for messages, without a configuration after it, which may hold secrets."""
-        return without_secrets(self.endpoint)
+        return redact(self.endpoint)
 
     @field_validator("endpoint")
     @classmethod
@@ -74,7 +74,7 @@ class Zenoh(Section):
         return f"{self.prefix}/{self.topics.get(name, name)}"
 
 
-class Source(Section):
+class SourceConfig(Section):
     """The source of observations, and limits for its messages.
 
     Messages outside the limits are dropped and counted.
@@ -122,7 +122,7 @@ class Source(Section):
     localised: bool = False
 
 
-class Loop(Section):
+class LoopConfig(Section):
     """The control loop.
 
     Attributes:
@@ -141,7 +141,7 @@ class Loop(Section):
     lockstep: bool = False
 
 
-class Report(Section):
+class ReportConfig(Section):
     """Publishing rates of the sink `zenoh`.
 
     Attributes:
@@ -153,7 +153,7 @@ class Report(Section):
     map_hz: Positive = 2.0
 
 
-class Http(Section):
+class HttpConfig(Section):
     """Web pages of the service, such as `/readyz` and `/metrics` (docs/service.md).
 
     Attributes:
@@ -168,7 +168,7 @@ class Http(Section):
     token_file: FilePath | None = None
 
     @model_validator(mode="after")
-    def _asks_who_is_there(self) -> Http:
+    def _asks_who_is_there(self) -> HttpConfig:
         if self.port is not None and self.token_file is None and not is_loopback(self.host):
             raise ValueError(
                 f"other machines can reach host {one_line(self.host)}: set token_file "
@@ -177,7 +177,7 @@ class Http(Section):
         return self
 
 
-class Sink(Section):
+class SinkConfig(Section):
     """A receiver of results. A sink without options may be written as its name alone.
 
     Attributes:
@@ -191,7 +191,8 @@ class Sink(Section):
 
 Sinks = tuple[
     Annotated[
-        Sink, BeforeValidator(lambda given: {"kind": given} if isinstance(given, str) else given)
+        SinkConfig,
+        BeforeValidator(lambda given: {"kind": given} if isinstance(given, str) else given),
     ],
     ...,
 ]

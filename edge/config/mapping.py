@@ -13,7 +13,7 @@ MAX_CELLS = 4096
 """Most cells on a side. The map allocates about 10 bytes for each cell at the start."""
 
 
-class Mapping(Section):
+class MappingConfig(Section):
     """The rolling occupancy map (VL-Nav III.A, III.B).
 
     Attributes:
@@ -42,7 +42,7 @@ class Mapping(Section):
     bump_memory_s: Positive = 600.0
 
     @model_validator(mode="after")
-    def _fits(self) -> Mapping:
+    def _fits(self) -> MappingConfig:
         if self.extent_m < 2 * (self.range_m + 2 * self.inflation_m) + 1.0:
             raise ValueError("extent_m: must be at least 2 * (range_m + 2 * inflation_m) + 1")
         if self.extent_m / self.resolution_m > MAX_CELLS:

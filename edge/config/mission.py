@@ -9,7 +9,7 @@ from pydantic import Discriminator, Field, Tag
 from edge.config.section import (
     MODULE_CLASS,
     Name,
-    OwnKind,
+    PluginKind,
     Positive,
     Section,
     kind_of,
@@ -103,7 +103,7 @@ class PlannerInOrder(Section):
     kind: Literal["in_order"] = "in_order"
 
 
-class PlannerOwn(Section):
+class PlannerPlugin(Section):
     """Your own planner class. The tick waits for it, so it must be fast.
 
     Attributes:
@@ -111,11 +111,11 @@ class PlannerOwn(Section):
         options: arguments of the class.
     """
 
-    kind: OwnKind = MODULE_CLASS
+    kind: PluginKind = MODULE_CLASS
     options: dict[str, Any] = Field(default_factory=dict)
 
 
-class Mission(Section):
+class MissionConfig(Section):
     """The mission, and its limits.
 
     Attributes:
@@ -155,7 +155,7 @@ class Mission(Section):
         Union[
             Annotated[PlannerVitl, Tag("vitl")],
             Annotated[PlannerInOrder, Tag("in_order")],
-            Annotated[PlannerOwn, Tag(MODULE_CLASS)],
+            Annotated[PlannerPlugin, Tag(MODULE_CLASS)],
         ],
         Discriminator(kind_of),
     ] = PlannerVitl()

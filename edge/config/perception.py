@@ -100,7 +100,7 @@ class SegmenterOnnx(Section):
     time_limit_s: Positive = 1.0
 
 
-class ModelProcess(Section):
+class ModelProcessConfig(Section):
     """Supervision of a model in a separate process (`isolation: process`, and before a swap).
 
     A process that ended is started again, after a pause.
@@ -115,7 +115,7 @@ class ModelProcess(Section):
     start_timeout_s: Positive = 60.0
 
 
-class Swap(Section):
+class SwapConfig(Section):
     """Conditions for a model that replaces another one in the running service.
 
     It is tried on the last images. Its output must be valid and its median time within the budget.
@@ -131,7 +131,7 @@ class Swap(Section):
     probation: Annotated[int, Field(ge=1)] = 60
 
 
-class Rung(Section):
+class DegradationLevel(Section):
     """One degradation level: a cheaper detector, or a scorer that pauses.
 
     Attributes:
@@ -143,24 +143,24 @@ class Rung(Section):
     rest: Literal["similarity", "choice"] | None = None
 
     @model_validator(mode="after")
-    def _one_thing(self) -> Rung:
+    def _one_thing(self) -> DegradationLevel:
         if (self.model is None) == (self.rest is None):
             raise ValueError("set either model, or rest to a scorer")
         return self
 
 
-class Governor(Section):
+class LoadSheddingConfig(Section):
     """Load shedding: under load, expensive models are replaced or paused, in the given order.
 
     The next level is taken if the median time of the detector exceeds `perception.swap.budget_ms`,
     if the detector returns nothing, or if the board throttles or is about to. The level before is
-    taken again when there is room (`edge.loop.ladder`).
+    taken again when there is room (`edge.loop.degradation`).
 
     Attributes:
         ladder: degradation levels, the first to be taken first; empty: no load shedding.
     """
 
-    ladder: tuple[Rung, ...] = ()
+    ladder: tuple[DegradationLevel, ...] = ()
 
 
 class ChoiceNone(Section):
@@ -244,7 +244,7 @@ class ChoiceCooccurrence(Section):
     kind: Literal["cooccurrence"] = "cooccurrence"
 
 
-class Perception(Section):
+class PerceptionConfig(Section):
     """Detection and tracking of objects, and the models that score frontiers.
 
     Attributes:
@@ -280,9 +280,9 @@ class Perception(Section):
     """
 
     isolation: Literal["thread", "process"] = "thread"
-    process: ModelProcess = ModelProcess()
-    swap: Swap = Swap()
-    governor: Governor = Governor()
+    process: ModelProcessConfig = ModelProcessConfig()
+    swap: SwapConfig = SwapConfig()
+    governor: LoadSheddingConfig = LoadSheddingConfig()
     similarity: str | None = None
     choice: Annotated[
         Union[ChoiceNone, ChoiceOpenai, ChoiceText, ChoiceOnnx, ChoiceCooccurrence],
@@ -314,7 +314,7 @@ class Perception(Section):
     refute_radius_m: NonNegative = 0.6
 
     @model_validator(mode="after")
-    def _isolable(self) -> Perception:
+    def _isolable(self) -> PerceptionConfig:
         if self.isolation == "process" and self.detector.kind != "onnx":
             raise ValueError(
                 f"isolation: process: only for perception.detector.kind: onnx; "
@@ -323,7 +323,7 @@ class Perception(Section):
         return self
 
     @model_validator(mode="after")
-    def _has_what_the_ladder_gives_up(self) -> Perception:
+    def _has_what_the_ladder_gives_up(self) -> PerceptionConfig:
         for i, rung in enumerate(self.governor.ladder):
             key = f"governor: ladder: {i}"
             if rung.model is not None and self.detector.kind != "onnx":

@@ -10,7 +10,7 @@ from edge.config.section import (
     MODULE_CLASS,
     Fraction,
     NonNegative,
-    OwnKind,
+    PluginKind,
     Positive,
     Section,
     kind_of,
@@ -127,7 +127,7 @@ class PolicyAdaptive(_Selection):
     keep: Fraction = 0.9
 
 
-class PolicyOwn(_Selection):
+class PolicyPlugin(_Selection):
     """Your own policy class (docs/policies.md).
 
     Attributes:
@@ -135,7 +135,7 @@ class PolicyOwn(_Selection):
         options: arguments of the class.
     """
 
-    kind: OwnKind = MODULE_CLASS
+    kind: PluginKind = MODULE_CLASS
     options: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -147,7 +147,7 @@ Policy = Annotated[
         Annotated[PolicyAdaptive, Tag("adaptive")],
         Annotated[PolicyNearest, Tag("nearest_frontier")],
         Annotated[PolicySearch, Tag("search")],
-        Annotated[PolicyOwn, Tag(MODULE_CLASS)],
+        Annotated[PolicyPlugin, Tag(MODULE_CLASS)],
     ],
     Discriminator(kind_of),
 ]

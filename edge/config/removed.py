@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from edge.config.environment import Origins
-from edge.logs import once
+from edge.config.environment import KeyOrigins
+from edge.logs import first_time
 
 log = logging.getLogger("edge.config")
 
@@ -23,8 +23,8 @@ REMOVED = {
 """For one release, a file with such a key is read with a warning."""
 
 
-def without_removed(
-    section: dict[str, Any], path: str, origins: Origins, above: tuple[str, ...] = ()
+def drop_removed_keys(
+    section: dict[str, Any], path: str, origins: KeyOrigins, above: tuple[str, ...] = ()
 ) -> dict[str, Any]:
     """Return a section without the keys that were removed; log a warning for each, once.
 
@@ -39,8 +39,8 @@ def without_removed(
         key = (*above, str(name))
         if ".".join(key) not in REMOVED:
             is_section = isinstance(value, dict)
-            kept[name] = without_removed(value, path, origins, key) if is_section else value
-        elif once((path, key)):
+            kept[name] = drop_removed_keys(value, path, origins, key) if is_section else value
+        elif first_time((path, key)):
             where = origins.of(path, key)
             log.warning(
                 "%s: %s: this key was removed, its value is ignored: delete it",

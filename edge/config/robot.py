@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from edge.config.section import NonNegative, Positive, Section
-from edge.geometry import CameraModel, optical, se3
+from edge.geometry import CameraModel, se3, to_optical
 
 
-class Robot(Section):
+class RobotConfig(Section):
     """The robot's size and limits.
 
     Attributes:
@@ -42,7 +42,7 @@ class Robot(Section):
         return info.data.get("radius_m") if value is None else value
 
 
-class Mount(Section):
+class SensorMount(Section):
     """Pose of a sensor in the robot's base frame.
 
     Attributes:
@@ -67,7 +67,7 @@ class Mount(Section):
         return se3(self.x_m, self.y_m, self.z_m, *map(math.radians, angles_deg))
 
 
-class Camera(Mount):
+class Camera(SensorMount):
     """A camera on the robot.
 
     The intrinsics are for the simulator; a real camera sends its own. The mount is as for a LiDAR:
@@ -110,10 +110,10 @@ class Camera(Mount):
 
     def T_base_camera(self) -> np.ndarray:
         """Return the pose of the optical frame in the base frame, (4, 4) float64."""
-        return optical(self.T_base_mount())
+        return to_optical(self.T_base_mount())
 
 
-class Lidar(Mount):
+class Lidar(SensorMount):
     """A 2-D or 3-D LiDAR on the robot.
 
     Attributes:
@@ -133,7 +133,7 @@ class Lidar(Mount):
     noise_m: NonNegative = 0.01
 
 
-class Sensors(Section):
+class SensorsConfig(Section):
     """The robot's sensors.
 
     Attributes:
@@ -147,7 +147,7 @@ class Sensors(Section):
     odometry_hz: Positive = 60.0
 
 
-class Motion(Section):
+class MotionConfig(Section):
     """The reference controller: A* on the published map, and pure pursuit.
 
     Attributes:

@@ -9,19 +9,27 @@ from typing import Any, Literal
 
 from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator
 
-from edge.config.environment import Origins, override, warn_of_unread
+from edge.config.environment import KeyOrigins, apply_overrides, warn_of_unknown_variables
 from edge.config.explain import explain_all
-from edge.config.loop import Http, Loop, Report, Sink, Sinks, Source, Zenoh
-from edge.config.mapping import Mapping
-from edge.config.mission import Mission
-from edge.config.perception import Perception
-from edge.config.policy import Policy, PolicyAdaptive, PolicyHvl, PolicyOwn
-from edge.config.removed import without_removed
-from edge.config.robot import Motion, Robot, Sensors
-from edge.config.ros2 import Ros2
+from edge.config.loop import (
+    HttpConfig,
+    LoopConfig,
+    ReportConfig,
+    SinkConfig,
+    Sinks,
+    SourceConfig,
+    ZenohConfig,
+)
+from edge.config.mapping import MappingConfig
+from edge.config.mission import MissionConfig
+from edge.config.perception import PerceptionConfig
+from edge.config.policy import Policy, PolicyAdaptive, PolicyHvl, PolicyPlugin
+from edge.config.removed import drop_removed_keys
+from edge.config.robot import MotionConfig, RobotConfig, SensorsConfig
+from edge.config.ros2 import Ros2Config
 from edge.config.section import Section
-from edge.config.sim import Sim
-from edge.config.tasks import Tasks, TrajectoryLimits
+from edge.config.sim import SimConfig
+from edge.config.tasks import TasksConfig, TrajectoryLimits
 from edge.config.yaml_text import read_yaml
 from edge.errors import ConfigError
 from edge.host import resources
@@ -64,23 +72,23 @@ class Config(Section):
     """
 
     path: str = "<defaults>"
-    robot: Robot = Robot()
-    sensors: Sensors = Sensors()
-    zenoh: Zenoh = Zenoh()
-    ros2: Ros2 = Ros2()
-    source: Source = Source()
-    loop: Loop = Loop()
-    mapping: Mapping = Field(default=Mapping(), validate_default=True)
-    perception: Perception
+    robot: RobotConfig = RobotConfig()
+    sensors: SensorsConfig = SensorsConfig()
+    zenoh: ZenohConfig = ZenohConfig()
+    ros2: Ros2Config = Ros2Config()
+    source: SourceConfig = SourceConfig()
+    loop: LoopConfig = LoopConfig()
+    mapping: MappingConfig = Field(default=MappingConfig(), validate_default=True)
+    perception: PerceptionConfig
     policy: Policy = PolicyHvl()
-    mission: Mission = Mission()
-    tasks: Tasks = Field(default=Tasks(), validate_default=True)
-    motion: Motion = Motion()
-    sim: Sim = Sim()
-    report: Report = Report()
-    http: Http = Http()
-    sinks: Sinks = (Sink(kind="zenoh"),)
-    _origins: Origins = PrivateAttr(default_factory=Origins)
+    mission: MissionConfig = MissionConfig()
+    tasks: TasksConfig = Field(default=TasksConfig(), validate_default=True)
+    motion: MotionConfig = MotionConfig()
+    sim: SimConfig = SimConfig()
+    report: ReportConfig = ReportConfig()
+    http: HttpConfig = HttpConfig()
+    sinks: Sinks = (SinkConfig(kind="zenoh"),)
+    _origins: KeyOrigins = PrivateAttr(default_factory=KeyOrigins)
 
     @field_validator("mapping", "tasks", mode="before")
     @classmethod
@@ -95,7 +103,7 @@ class Config(Section):
         if robot is None:  # it is wrong itself, which has its own message
             return section
         if info.field_name == "mapping":
-            inflation_m = max(Mapping().inflation_m, robot.radius_m)
+            inflation_m = max(MappingConfig().inflation_m, robot.radius_m)
             section = _with_default(section, ("inflation_m",), inflation_m)
             headroom_m = min(HEADROOM_M, HEADROOM_SHARE * robot.height_m)
             obstacle_max_m = round(robot.height_m + headroom_m, 3)
@@ -136,7 +144,7 @@ class Config(Section):
         return max(camera.depth_max_m, self.mapping.range_m, perception.lift_max_range_m)
 
     @property
-    def goals_unanswered(self) -> bool:
+    def goals_without_feedback(self) -> bool:
         """True if goals go to a ROS 2 topic, so that no controller reports a result."""
         return self.ros2.goals == "topic" and any(sink.kind == "ros2" for sink in self.sinks)
 
@@ -146,7 +154,7 @@ class Config(Section):
 
         A plugin gets the maps of the choice scorer if there is one, else those of similarity.
         """
-        if isinstance(self.policy, PolicyOwn):
+        if isinstance(self.policy, PolicyPlugin):
             there = self._scorers_there()
             return there[0] if there else None
         if isinstance(self.policy, PolicyAdaptive):
@@ -215,12 +223,14 @@ def load(
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: expected sections (robot:, sensors:, …) at the top level")
     environ = os.environ if environ is None else environ
-    origins = override(data, environ, options)
-    warn_of_unread(environ, Config)
+    origins = apply_overrides(data, environ, options)
+    warn_of_unknown_variables(environ, Config)
     return parse(data, str(path), origins)
 
 
-def parse(data: dict[str, Any], path: str = "<defaults>", origins: Origins | None = None) -> Config:
+def parse(
+    data: dict[str, Any], path: str = "<defaults>", origins: KeyOrigins | None = None
+) -> Config:
     """Validate the content of a configuration file; see `load`.
 
     Args:
@@ -232,8 +242,8 @@ def parse(data: dict[str, Any], path: str = "<defaults>", origins: Origins | Non
         >>> parse({"perception": {"detector": {"kind": "sim"}}}).robot.radius_m
         0.2
     """
-    origins = Origins() if origins is None else origins
-    data = without_removed(data, path, origins)
+    origins = KeyOrigins() if origins is None else origins
+    data = drop_removed_keys(data, path, origins)
     try:
         # An empty section, so that the error names the missing key, not the missing section.
         config = Config.model_validate({"perception": {}, **data, "path": path})

@@ -35,7 +35,7 @@ DEFAULT_TOPICS: dict[str, str] = {
 }
 
 
-class Adapter(Section):
+class Ros2AdapterConfig(Section):
     """The program `edge ros2-adapter`, for `via: adapter`.
 
     Attributes:
@@ -51,7 +51,7 @@ class Adapter(Section):
     reliable: tuple[RosTopic, ...] = ()
 
 
-class Ros2(Section):
+class Ros2Config(Section):
     """Settings of the source and the sink `ros2`.
 
     Attributes:
@@ -77,7 +77,7 @@ class Ros2(Section):
     mounts: Literal["tf", "config"] = "tf"
     goals: Literal["navigate_to_pose", "topic"] = "navigate_to_pose"
     topics: dict[RosTopic, RosName] = Field(default_factory=dict)
-    adapter: Adapter = Adapter()
+    adapter: Ros2AdapterConfig = Ros2AdapterConfig()
 
     def topic(self, name: RosTopic) -> str:
         """Return the ROS name of the topic or action `name`."""

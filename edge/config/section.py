@@ -31,7 +31,9 @@ def _names_a_class(kind: str) -> str:
     return kind
 
 
-OwnKind = Annotated[str, AfterValidator(_names_a_class), Field(json_schema_extra={"pattern": ":"})]
+PluginKind = Annotated[
+    str, AfterValidator(_names_a_class), Field(json_schema_extra={"pattern": ":"})
+]
 """Kind of a plugin: a class of the user, on PYTHONPATH."""
 
 
@@ -47,15 +49,15 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-def own_kinds(section: Section, prefix: str = "") -> Iterator[tuple[str, str]]:
+def plugin_kinds(section: Section, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield key and value of each `kind` in a section that names a plugin."""
     for name in type(section).model_fields:
         value = getattr(section, name)
         if name == "kind" and kind_of(section) == MODULE_CLASS:
             yield f"{prefix}{name}", value
         elif isinstance(value, Section):
-            yield from own_kinds(value, f"{prefix}{name}.")
+            yield from plugin_kinds(value, f"{prefix}{name}.")
         elif isinstance(value, tuple):
             for i, part in enumerate(value):
                 if isinstance(part, Section):
-                    yield from own_kinds(part, f"{prefix}{name}.{i}.")
+                    yield from plugin_kinds(part, f"{prefix}{name}.{i}.")

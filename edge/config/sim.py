@@ -68,7 +68,7 @@ class WorldStreet(Section):
     seed: Annotated[int, Field(ge=0)] = 0
 
 
-class Sim(Section):
+class SimConfig(Section):
     """The simulator.
 
     Attributes:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Union
 
 from pydantic import Field
 
-from edge.config.section import OwnKind, Positive, Section
+from edge.config.section import PluginKind, Positive, Section
 
 
 class TrajectoryLimits(Section):
@@ -55,8 +55,8 @@ class WriterModel(Section):
     time_limit_s: Positive = 120.0
 
 
-class ChainOwn(Section):
-    """Your own function or class that returns an `edge.tasks.chain.Chain`.
+class PipelinePlugin(Section):
+    """Your own function or class that returns an `edge.tasks.pipeline.PerceptionPipeline`.
 
     It gets the options. If it has parameters of these names, it also gets `perception` (that
     section) and `words` (names of the objects to find).
@@ -66,11 +66,11 @@ class ChainOwn(Section):
         options: arguments of the function or class.
     """
 
-    kind: OwnKind
+    kind: PluginKind
     options: dict[str, Any] = Field(default_factory=dict)
 
 
-class Tasks(Section):
+class TasksConfig(Section):
     """Tasks: instructions that describe a way to drive.
 
     Attributes:
@@ -81,6 +81,6 @@ class Tasks(Section):
         trajectory: limits of the trajectories.
     """
 
-    chain: ChainOwn | None = None
+    chain: PipelinePlugin | None = None
     planner: Annotated[Union[WriterRules, WriterModel], Field(discriminator="kind")] = WriterRules()
     trajectory: TrajectoryLimits = TrajectoryLimits()

@@ -12,13 +12,22 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from edge.bus.client import RefusedError, RequestError
-from edge.config import Mission
-from edge.fleet.orders import DOUBLED, Cancel, Give, Orders, Outcome, Part, decide, holds
+from edge.config import MissionConfig
+from edge.fleet.orders import (
+    DUPLICATE_REASON,
+    Assignment,
+    Cancellation,
+    MissionPart,
+    Orders,
+    PartOutcome,
+    decide,
+    has_part,
+)
 from edge.fleet.roster import OVER, Robot, Roster
-from edge.mission.brief import Brief
 from edge.mission.language.english import describe
 from edge.mission.logic.ltl import Formula
-from edge.mission.split import asked_for, split
+from edge.mission.spec import MissionSpec
+from edge.mission.split import required_propositions, split
 from edge.text import one_line
 
 LOOK_S = 1.0
@@ -27,7 +36,7 @@ _DIGITS = 8
 
 
 @dataclass(frozen=True)
-class Plan:
+class FleetPlan:
     """A mission and its parts.
 
     Attributes:
@@ -38,18 +47,18 @@ class Plan:
     """
 
     id: str
-    parts: tuple[Part, ...]
+    parts: tuple[MissionPart, ...]
     why_whole: str = ""
 
 
 def plan(
-    brief: Brief,
-    limits: Mission,
+    brief: MissionSpec,
+    limits: MissionConfig,
     robots: Mapping[str, Robot],
     to: Sequence[str] = (),
     share: bool = False,
     anew: bool = False,
-) -> Plan:
+) -> FleetPlan:
     """Return the parts of a mission.
 
     If robots already work on such a mission, the parts get the ids that the robots know.
@@ -72,16 +81,16 @@ def plan(
     make = partial(_parts, formulas, to, limits)
     run = None if anew else _unfinished(digest, robots, make)
     id = f"{digest}.{run or secrets.token_hex(4)}"
-    return Plan(id, make(id), cut.why_whole if cut is not None else "")
+    return FleetPlan(id, make(id), cut.why_whole if cut is not None else "")
 
 
 def _parts(
-    formulas: Sequence[Formula], to: Sequence[str], limits: Mission, id: str
-) -> tuple[Part, ...]:
+    formulas: Sequence[Formula], to: Sequence[str], limits: MissionConfig, id: str
+) -> tuple[MissionPart, ...]:
     return tuple(
-        Part(
+        MissionPart(
             f"{id}.{k + 1}", str(formula), one_line(describe(formula)),
-            asked_for(formula, limits), to[k] if to else None,
+            required_propositions(formula, limits), to[k] if to else None,
         )
         for k, formula in enumerate(formulas)
     )  # fmt: skip
@@ -92,10 +101,10 @@ def _digest(*of: object) -> str:
 
 
 def _unfinished(
-    digest: str, robots: Mapping[str, Robot], make: Callable[[str], tuple[Part, ...]]
+    digest: str, robots: Mapping[str, Robot], make: Callable[[str], tuple[MissionPart, ...]]
 ) -> str | None:
     """Return the run id of an unfinished mission with this digest that robots report, if any."""
-    accounts = [robot.account for robot in robots.values() if robot.account is not None]
+    accounts = [robot.status_reply for robot in robots.values() if robot.status_reply is not None]
     ids = [id for account in accounts for id in (account.id, *(p.id for p in account.past))]
     runs = {m[1] for id in ids if (m := re.match(rf"{digest}\.([0-9a-f]+)\.", id))}
     for run in sorted(runs):
@@ -106,7 +115,7 @@ def _unfinished(
     return None
 
 
-def _is_over(parts: Sequence[Part], orders: Orders) -> bool:
+def _is_over(parts: Sequence[MissionPart], orders: Orders) -> bool:
     return len(orders.outcomes) == len(parts) or (orders.failed and not orders.under_way)
 
 
@@ -129,7 +138,7 @@ class Dispatcher:
     def __init__(
         self,
         roster: Roster,
-        mission: Plan,
+        mission: FleetPlan,
         tell: Callable[[str], None],
         patience_s: float,
         clock: Callable[[], float] = time.monotonic,
@@ -142,12 +151,12 @@ class Dispatcher:
         self._refused: Counter[tuple[str, str]] = Counter()
         self._forgot: Counter[tuple[str, str]] = Counter()
         self._has: set[tuple[str, str]] = set()  # (part, robot) accepted or reported
-        self._settled: dict[str, Outcome] = {}
+        self._settled: dict[str, PartOutcome] = {}
         self._gave: set[tuple[str, str]] = set()
         self._printed: dict[str, object] = {}
         self.ended_ns: dict[str, int] = {}
 
-    def run(self) -> Mapping[str, Outcome]:
+    def run(self) -> Mapping[str, PartOutcome]:
         """Run until the mission is over; return the outcome of each finished part, by id."""
         while True:
             orders = self.step()
@@ -193,14 +202,14 @@ class Dispatcher:
         """
         for part in self._plan.parts:
             for name, robot in robots.items():
-                if holds(part, robot):
+                if has_part(part, robot):
                     self._has.add((part.id, name))
-                elif robot.account is not None and (part.id, name) in self._has:
+                elif robot.status_reply is not None and (part.id, name) in self._has:
                     self._has.remove((part.id, name))
                     self._forgot[part.id, name] += 1
                     self._print(f"{_safe(name)} no longer knows its part: {part.english}")
 
-    def _hoped(self, orders: Orders) -> dict[str, Outcome]:
+    def _hoped(self, orders: Orders) -> dict[str, PartOutcome]:
         """Return the outcomes of parts that have been lost for less than `patience_s`, by id."""
         now_s = self._clock()
         self._lost = {id: self._lost.get(id, now_s) for id in orders.lost}
@@ -213,13 +222,13 @@ class Dispatcher:
     def _away(self, robots: Mapping[str, Robot]) -> dict[str, str]:
         now_s, away = self._clock(), {}
         for name, robot in robots.items():
-            if (account := robot.account) is None:
+            if (account := robot.status_reply) is None:
                 continue
             self._offline_since.pop(name, None)
             if account.phase not in OVER:
                 self._assigned[account.id.partition("~")[0]] = name
         for id, name in self._assigned.items():
-            silent = name not in robots or robots[name].account is None
+            silent = name not in robots or robots[name].status_reply is None
             if silent and now_s - self._offline_since.setdefault(name, now_s) < self._patience_s:
                 away[id] = name
         return away
@@ -227,7 +236,7 @@ class Dispatcher:
     # -- progress lines ------------------------------------------------------------------------
 
     def _report(
-        self, orders: Orders, robots: Mapping[str, Robot], hoped: Mapping[str, Outcome]
+        self, orders: Orders, robots: Mapping[str, Robot], hoped: Mapping[str, PartOutcome]
     ) -> None:
         for k, part in enumerate(self._plan.parts, start=1):
             what = f"part {k} of {len(self._plan.parts)} ({part.english})"
@@ -242,7 +251,7 @@ class Dispatcher:
                 if name not in robots:
                     line = (f"{what}: {_safe(name)} is offline; another robot gets the part unless "
                             f"it is back within {self._patience_s:g} s")  # fmt: skip
-                elif robots[name].account is None:
+                elif robots[name].status_reply is None:
                     line = f"{what}: {_safe(name)} reports no status: {robots[name].problem}"
             elif (outcome := hoped.get(part.id)) is not None:
                 line = (f"{what}: {one_line(outcome.reason)}; the part fails unless another robot "
@@ -268,7 +277,7 @@ class Dispatcher:
 
     # -- requests to robots, each on its own thread ----------------------------------------------
 
-    def _give(self, give: Give) -> None:
+    def _give(self, give: Assignment) -> None:
         request = {"do": "new", "formula": give.part.formula, "id": give.id, "if_free": True}
         try:
             self._roster.tell(give.robot, request, GIVE_S)
@@ -283,14 +292,14 @@ class Dispatcher:
             self._assigned[give.part.id] = give.robot
             self._print(f"{_safe(give.robot)} gets: {give.part.english}: {give.why}")
 
-    def _cancel(self, cancel: Cancel) -> None:
-        request = {"do": "cancel", "id": cancel.id, "why": DOUBLED}
+    def _cancel(self, cancel: Cancellation) -> None:
+        request = {"do": "cancel", "id": cancel.id, "why": DUPLICATE_REASON}
         try:
             self._roster.tell(cancel.robot, request, GIVE_S)
         except RequestError as error:
             self._print(one_line(error))
         else:
-            self._print(f"{_safe(cancel.robot)} was cancelled: {DOUBLED}")
+            self._print(f"{_safe(cancel.robot)} was cancelled: {DUPLICATE_REASON}")
 
 
 def _safe(name: str) -> str:

@@ -14,18 +14,18 @@ from typing import Literal, NamedTuple
 
 from edge import names
 from edge.bus.verbs import CANCELLED
-from edge.fleet.roster import OVER, Account, Robot
+from edge.fleet.roster import OVER, Robot, StatusReply
 from edge.text import one_line
 
-DOUBLED = "another robot is at it"
+DUPLICATE_REASON = "another robot is at it"
 """Reason for the cancellation of a part that two robots had. It is not a failure: the robot may get
 the part again."""
-TRIES = 3
+MAX_TRIES = 3
 """A robot that refused or forgot a part this many times does not get it again."""
 
 
 @dataclass(frozen=True)
-class Part:
+class MissionPart:
     """A part of a mission, for one robot.
 
     Attributes:
@@ -44,7 +44,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PartOutcome:
     """Result of a part, with the robot that caused it."""
 
     phase: Literal["reached", "failed"]
@@ -52,16 +52,16 @@ class Outcome:
     reason: str
 
 
-class Give(NamedTuple):
+class Assignment(NamedTuple):
     """An order to give a part to a robot, as the mission `id`."""
 
-    part: Part
+    part: MissionPart
     robot: str
     id: str
     why: str
 
 
-class Cancel(NamedTuple):
+class Cancellation(NamedTuple):
     """An order to cancel the mission `id` of a robot."""
 
     robot: str
@@ -82,10 +82,10 @@ class Orders:
             part.
     """
 
-    outcomes: Mapping[str, Outcome]
+    outcomes: Mapping[str, PartOutcome]
     under_way: Mapping[str, str]
-    give: tuple[Give, ...]
-    cancel: tuple[Cancel, ...]
+    give: tuple[Assignment, ...]
+    cancel: tuple[Cancellation, ...]
     waits: Mapping[str, str]
     lost: frozenset[str] = frozenset()
 
@@ -106,11 +106,11 @@ class _Held(NamedTuple):
 
 
 def decide(
-    parts: Sequence[Part],
+    parts: Sequence[MissionPart],
     robots: Mapping[str, Robot],
     away: Mapping[str, str],
     refused: Mapping[tuple[str, str], int] = MappingProxyType({}),
-    settled: Mapping[str, Outcome] = MappingProxyType({}),
+    settled: Mapping[str, PartOutcome] = MappingProxyType({}),
     forgot: Mapping[tuple[str, str], int] = MappingProxyType({}),
 ) -> Orders:
     """Return the orders for a mission.
@@ -125,20 +125,22 @@ def decide(
     """
     tries = Counter(refused) + Counter(forgot)
     lost: set[str] = set()
-    outcomes: dict[str, Outcome] = {}
+    outcomes: dict[str, PartOutcome] = {}
     under_way: dict[str, str] = {}
-    cancel: list[Cancel] = []
+    cancel: list[Cancellation] = []
     waiting: dict[str, list[str]] = {}
     for part in parts:
         held = list(_held(part, robots))
         at_it = sorted((h for h in held if h.phase not in OVER), key=lambda h: -h.elapsed_s)
         done = [h for h in held if h.phase == "reached"]
-        failed = {h.robot: h.reason for h in held if h.phase == "failed" and h.reason != DOUBLED}
+        failed = {
+            h.robot: h.reason for h in held if h.phase == "failed" and h.reason != DUPLICATE_REASON
+        }
         outcome = settled.get(part.id)
         if outcome is None and done:
-            outcome = Outcome("reached", done[0].robot, done[0].reason)
+            outcome = PartOutcome("reached", done[0].robot, done[0].reason)
         reached = outcome is not None and outcome.phase == "reached"
-        cancel += [Cancel(h.robot, h.id) for h in (at_it if reached else at_it[1:])]
+        cancel += [Cancellation(h.robot, h.id) for h in (at_it if reached else at_it[1:])]
         if outcome is not None:
             outcomes[part.id] = outcome
         elif at_it:
@@ -162,14 +164,14 @@ def decide(
     return replace(orders, give=give, waits=still)
 
 
-def holds(part: Part, robot: Robot) -> bool:
+def has_part(part: MissionPart, robot: Robot) -> bool:
     """Return True if a robot reports this part, running or finished."""
     return any(True for _ in _held(part, {robot.name: robot}))
 
 
-def _held(part: Part, robots: Mapping[str, Robot]) -> Iterator[_Held]:
+def _held(part: MissionPart, robots: Mapping[str, Robot]) -> Iterator[_Held]:
     for name, robot in sorted(robots.items()):
-        if (account := robot.account) is None:
+        if (account := robot.status_reply) is None:
             continue
         for past in account.past:
             if past.id.partition("~")[0] == part.id:
@@ -179,51 +181,51 @@ def _held(part: Part, robots: Mapping[str, Robot]) -> Iterator[_Held]:
 
 
 def _may(
-    part: Part, robots: Mapping[str, Robot], tries: Mapping[tuple[str, str], int]
+    part: MissionPart, robots: Mapping[str, Robot], tries: Mapping[tuple[str, str], int]
 ) -> list[str]:
     may = [part.only] if part.only is not None else sorted(robots)
-    return [name for name in may if name in robots and tries.get((part.id, name), 0) < TRIES]
+    return [name for name in may if name in robots and tries.get((part.id, name), 0) < MAX_TRIES]
 
 
-def _stopped(part: Part, failed: Mapping[str, str]) -> Outcome | None:
+def _stopped(part: MissionPart, failed: Mapping[str, str]) -> PartOutcome | None:
     """Return a failure that no other robot can repair, or None."""
     for name, reason in failed.items():
         # A person cancelled the part, so no other robot starts it.
         if reason == CANCELLED or name == part.only:
-            return Outcome("failed", name, reason)
+            return PartOutcome("failed", name, reason)
     return None
 
 
 def _lost(
-    part: Part,
+    part: MissionPart,
     robots: Mapping[str, Robot],
     failed: Mapping[str, str],
     tries: Mapping[tuple[str, str], int],
     forgot: Mapping[tuple[str, str], int],
-) -> Outcome | None:
+) -> PartOutcome | None:
     """Return why no online robot can do a part, or None if one may."""
     if part.only is not None and part.only not in robots:
-        return Outcome("failed", part.only, "it is offline")
+        return PartOutcome("failed", part.only, "it is offline")
     tried = {name for id, name in tries if id == part.id}
     if not tried | failed.keys() or any(n not in failed for n in _may(part, robots, tries)):
         return None
     why = {n: "it lost the part" if (part.id, n) in forgot else "it refused" for n in tried}
     why = dict(sorted((why | failed).items()))
-    return Outcome("failed", ", ".join(why), "; ".join(f"{n}: {w}" for n, w in why.items()))
+    return PartOutcome("failed", ", ".join(why), "; ".join(f"{n}: {w}" for n, w in why.items()))
 
 
 def _given(
-    parts: Sequence[Part],
+    parts: Sequence[MissionPart],
     candidates: Mapping[str, Sequence[str]],
     robots: Mapping[str, Robot],
     tries: Mapping[tuple[str, str], int],
-) -> Iterator[Give]:
+) -> Iterator[Assignment]:
     """Assign at most one part to each free robot, the best pair first."""
     free = {name for name, robot in robots.items() if not robot.busy_with}
     left = list(parts)
     while True:
         pairs = [
-            (tries.get((part.id, name), 0), *_cost(part, robots[name].account), k, name, part)
+            (tries.get((part.id, name), 0), *_cost(part, robots[name].status_reply), k, name, part)
             for k, part in enumerate(left)
             for name in candidates[part.id]
             if name in free
@@ -231,20 +233,22 @@ def _given(
         if not pairs:
             return
         *_, name, part = min(pairs, key=lambda pair: pair[:-1])
-        account = robots[name].account
-        again = sum(1 for h in _held(part, {name: robots[name]}) if h.reason == DOUBLED)
-        yield Give(part, name, f"{part.id}~{again}" if again else part.id, _why(part, account))
+        account = robots[name].status_reply
+        again = sum(1 for h in _held(part, {name: robots[name]}) if h.reason == DUPLICATE_REASON)
+        yield Assignment(
+            part, name, f"{part.id}~{again}" if again else part.id, _why(part, account)
+        )
         left.remove(part)
         free.remove(name)
 
 
-def _cost(part: Part, account: Account) -> tuple[int, float]:
+def _cost(part: MissionPart, account: StatusReply) -> tuple[int, float]:
     """Return the number of words at unknown places, and the sum of metres to the known ones."""
     places = _places(part, account)
     return len(part.words) - len(places), round(sum(places.values()), 1)
 
 
-def _places(part: Part, account: Account) -> dict[str, float]:
+def _places(part: MissionPart, account: StatusReply) -> dict[str, float]:
     """Return the metres to each word of the part that the robot has in its map."""
     found: dict[str, float] = {}
     for label, away_m in account.robot.known.items():
@@ -254,7 +258,7 @@ def _places(part: Part, account: Account) -> dict[str, float]:
     return found
 
 
-def _why(part: Part, account: Account) -> str:
+def _why(part: MissionPart, account: StatusReply) -> str:
     places = _places(part, account)
     if not places:
         return "it is free"

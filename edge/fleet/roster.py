@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from edge.bus import client, presence, topics
 from edge.bus.session import BusError
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.errors import UserError
 from edge.text import one_line
 from edge.types import MissionPhase
@@ -32,7 +32,7 @@ _FINITE = ConfigDict(allow_inf_nan=False)
 
 
 @dataclass(frozen=True)
-class Past:
+class PastMission:
     """Result of a finished mission that had an id."""
 
     id: str
@@ -41,7 +41,7 @@ class Past:
 
 
 @dataclass(frozen=True)
-class Body:
+class RobotState:
     """State of a robot, apart from its mission.
 
     Attributes:
@@ -60,7 +60,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Account:
+class StatusReply:
     """The fields of a service's reply to `status` that a fleet uses.
 
     Attributes:
@@ -75,11 +75,11 @@ class Account:
     reason: str
     target: str | None
     elapsed_s: float
-    past: tuple[Past, ...]
-    robot: Body
+    past: tuple[PastMission, ...]
+    robot: RobotState
 
 
-_ACCOUNT = TypeAdapter(Account)
+_ACCOUNT = TypeAdapter(StatusReply)
 
 
 @dataclass(frozen=True)
@@ -94,14 +94,14 @@ class Robot:
     """
 
     name: str
-    account: Account | None = None
+    status_reply: StatusReply | None = None
     problem: str = ""
     answer: Mapping[str, Any] | None = None
 
     @property
     def busy_with(self) -> str:
         """Reason why the robot cannot take a mission now; "" if it can."""
-        if (account := self.account) is None:
+        if (account := self.status_reply) is None:
             return self.problem
         if account.phase not in OVER:
             return f"{account.phase}: {one_line(account.instruction, 80)}"
@@ -119,7 +119,7 @@ class Roster:
             `client_file` and `topics` are used, and the prefix without its last word.
     """
 
-    def __init__(self, session: zenoh.Session, settings: Zenoh) -> None:
+    def __init__(self, session: zenoh.Session, settings: ZenohConfig) -> None:
         parent = settings.prefix.rpartition("/")[0]
         self.pattern = f"{parent}/*" if parent else "*"
         self._session, self._settings = session, settings
@@ -152,7 +152,7 @@ class Roster:
         for name, sessions in there.items():
             if len(sessions) > 1:
                 problem = f"{len(sessions)} services use this name: stop all but one"
-                robots[name] = replace(robots[name], account=None, problem=problem)
+                robots[name] = replace(robots[name], status_reply=None, problem=problem)
         return robots
 
     def seen(self) -> dict[str, Robot] | None:
@@ -180,10 +180,10 @@ class Roster:
         """Send a request to one robot and return its reply.
 
         Raises:
-            RequestError: See `edge.bus.client.ask`.
+            RequestError: See `edge.bus.client.send_request`.
         """
-        key = replaced_last(self._settings, name).key(topics.MISSION_REQUEST)
-        return client.ask(self._session, key, dict(request), timeout_s, one_line(name))
+        key = settings_of_robot(self._settings, name).key(topics.MISSION_REQUEST)
+        return client.send_request(self._session, key, dict(request), timeout_s, one_line(name))
 
     def wait(self, seconds: float) -> None:
         """Wait for this time, or until a robot comes online or goes offline."""
@@ -195,11 +195,11 @@ class Roster:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _sessions(self) -> dict[str, set[str]]:
-        found = presence.prefixes(self._session, self.pattern)
+        found = presence.online_sessions(self._session, self.pattern)
         if self._before - found.keys():
             # The list sometimes lacks a robot that is online, while another one comes or goes.
             time.sleep(_AGAIN_S)
-            found = presence.prefixes(self._session, self.pattern) | found
+            found = presence.online_sessions(self._session, self.pattern) | found
         self._before = found.keys()
         return {prefix.rpartition("/")[2]: found[prefix] for prefix in sorted(found)}
 
@@ -216,14 +216,14 @@ class Roster:
             return Robot(name, problem=one_line(f"invalid status reply: {where}: {fault['msg']}"))
 
 
-def replaced_last(settings: Zenoh, name: str) -> Zenoh:
+def settings_of_robot(settings: ZenohConfig, name: str) -> ZenohConfig:
     """Return the settings for the robot with this name, the last word of a liveliness token."""
     parent = settings.prefix.rpartition("/")[0]
     return settings.model_copy(update={"prefix": f"{parent}/{name}" if parent else name})
 
 
 @contextmanager
-def open_roster(settings: Zenoh, patience_s: float = client.CONNECT_S) -> Iterator[Roster]:
+def open_roster(settings: ZenohConfig, patience_s: float = client.CONNECT_S) -> Iterator[Roster]:
     """Open a roster with its own session.
 
     Raises:

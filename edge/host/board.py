@@ -21,7 +21,7 @@ _LONGEST_NAME = 60
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class BoardReading:
     """All values that could be read.
 
     Attributes:
@@ -45,7 +45,7 @@ class Board:
     power_mode: str | None
 
 
-def read_board(root: Path = Path("/")) -> Board:
+def read_board(root: Path = Path("/")) -> BoardReading:
     """Read the present values of the board.
 
     Args:
@@ -57,7 +57,7 @@ def read_board(root: Path = Path("/")) -> Board:
         ['available', 'total']
     """
     thermal, hwmon = root / "sys/class/thermal", root / "sys/class/hwmon"
-    return Board(
+    return BoardReading(
         _most(_temperatures(thermal)),
         _trips(thermal),
         _most(_throttled(thermal)),
@@ -68,7 +68,9 @@ def read_board(root: Path = Path("/")) -> Board:
     )
 
 
-def distress(board: Board, before: Board | None = None, margin_c: float = 0.0) -> str:
+def throttling_reason(
+    board: BoardReading, before: BoardReading | None = None, margin_c: float = 0.0
+) -> str:
     """Return why the board throttles or soon will, in a few words; "" if it does not.
 
     Args:

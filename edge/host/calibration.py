@@ -37,7 +37,7 @@ class CalibrationError(FileError):
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class SpeedCalibration:
     """The speed of one computer.
 
     Attributes:
@@ -64,7 +64,7 @@ class Calibration:
 
 
 @njit(nogil=True, cache=True)
-def flood(free, seen, queue):
+def flood_fill(free, seen, queue):
     """Mark all cells that are 4-connected to the middle cell, and return their number.
 
     Args:
@@ -112,7 +112,7 @@ def workloads() -> dict[str, Callable[[], object]]:
         return sum(len(members) for members in found.values())
 
     return {
-        "kernels": lambda: flood(free, seen, queue),
+        "kernels": lambda: flood_fill(free, seen, queue),
         "arrays": arrays,
         "memory": lambda: np.copyto(target, source),
         "python": python,
@@ -130,11 +130,11 @@ def time_ms(work: Callable[[], object]) -> float:
     return best_ns * 1e-6
 
 
-def measure() -> Calibration:
+def measure() -> SpeedCalibration:
     """Measure this computer; takes about one second if the kernel is compiled."""
     parts = {name: time_ms(work) / REFERENCE_MS[name] for name, work in workloads().items()}
     slowdown = math.exp(sum(map(math.log, parts.values())) / len(parts))
-    return Calibration(machine.identity(), slowdown, parts)
+    return SpeedCalibration(machine.identity(), slowdown, parts)
 
 
 def path() -> Path:
@@ -146,7 +146,7 @@ def path() -> Path:
     return resources.cache_dir() / "calibration.json"
 
 
-def save(calibration: Calibration) -> Path:
+def save(calibration: SpeedCalibration) -> Path:
     """Save the calibration atomically, and return its path.
 
     Raises:
@@ -163,10 +163,10 @@ def save(calibration: Calibration) -> Path:
     return file
 
 
-def load() -> Calibration | None:
+def load() -> SpeedCalibration | None:
     """Return the calibration of this computer; None if there is no valid one."""
     try:
-        kept = Calibration(**json.loads(read_regular(path(), _MAX_BYTES)))
+        kept = SpeedCalibration(**json.loads(read_regular(path(), _MAX_BYTES)))
         sound = 1 / _MAX_SLOWDOWN < kept.slowdown < _MAX_SLOWDOWN
     except (OSError, ValueError, TypeError, RecursionError, UserError):
         return None

@@ -22,13 +22,13 @@ _OTHERS = stat.S_IROTH | stat.S_IWOTH
 _MAX_BYTES = 4096
 
 
-def handed_over(name: str, path: str) -> Path:
+def credential_path(name: str, path: str) -> Path:
     """Return systemd's copy of a secret if there is one of this name, else the file itself."""
     copy = Path(os.environ.get(COPIES, ""), name)
     return copy if COPIES in os.environ and copy.is_file() else expand(path)
 
 
-def open_to_others(path: str | Path) -> bool:
+def is_open_to_others(path: str | Path) -> bool:
     """Return True if other users can read or write the file; False if it does not exist."""
     try:
         return bool(os.stat(path).st_mode & _OTHERS)
@@ -36,13 +36,13 @@ def open_to_others(path: str | Path) -> bool:
         return False
 
 
-class Token:
+class BearerToken:
     """A bearer token, compared in constant time and never shown."""
 
     def __init__(self, secret: bytes) -> None:
         self._secret = secret
 
-    def is_borne_by(self, authorization: str) -> bool:
+    def matches(self, authorization: str) -> bool:
         """Return True if a header `Authorization` has this token (RFC 6750, section 2.1)."""
         scheme, _, given = authorization.partition(" ")
         return scheme.lower() == "bearer" and hmac.compare_digest(
@@ -54,7 +54,7 @@ class Token:
         return {"Authorization": f"Bearer {self._secret.decode()}"}
 
 
-def read_token(key: str, name: str) -> Token:
+def read_token(key: str, name: str) -> BearerToken:
     """Read a token from a file, or from systemd's copy of it.
 
     Args:
@@ -65,7 +65,7 @@ def read_token(key: str, name: str) -> Token:
         ConfigError: the file cannot be read or has no valid token. The message does not quote it.
     """
     try:
-        secret = read_regular(handed_over(key, name), _MAX_BYTES).strip()
+        secret = read_regular(credential_path(key, name), _MAX_BYTES).strip()
     except OSError as error:
         raise ConfigError(f"{key}: {name}: {error.strerror}") from None
     if len(secret) < SHORTEST or not all(33 <= byte < 127 for byte in secret):
@@ -73,4 +73,4 @@ def read_token(key: str, name: str) -> Token:
             f"{key}: {name}: expected one word of {SHORTEST} characters or more; "
             "make one with `openssl rand -hex 32`"
         )
-    return Token(secret)
+    return BearerToken(secret)

@@ -20,12 +20,12 @@ import httpx
 from edge.text import one_line
 
 
-class GivenUpError(Exception):
+class RequestCancelledError(Exception):
     """The request was cancelled by the caller."""
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class HttpReply:
     """Answer of a server. A body longer than the limit means that the server sent too much."""
 
     status: int
@@ -33,7 +33,7 @@ class Reply:
     body: bytes
 
 
-class Exchange:
+class CancellableRequest:
     """One request, on a thread of its own, since the lookup of a host name may take long.
 
     Args:
@@ -41,13 +41,13 @@ class Exchange:
             cannot be used again after a request was cancelled.
     """
 
-    def __init__(self, connection: Connection | None = None) -> None:
-        self.connection = Connection() if connection is None else connection
-        self._outcome: queue.SimpleQueue[Reply | Exception] = queue.SimpleQueue()
+    def __init__(self, connection: CuttableConnection | None = None) -> None:
+        self.connection = CuttableConnection() if connection is None else connection
+        self._outcome: queue.SimpleQueue[HttpReply | Exception] = queue.SimpleQueue()
 
-    def carry_out(
+    def send(
         self, client: httpx.Client, request: httpx.Request, max_bytes: int, limit_s: float
-    ) -> Reply:
+    ) -> HttpReply:
         """Send the request, and return the whole answer.
 
         Args:
@@ -59,7 +59,7 @@ class Exchange:
         Raises:
             TimeoutError: the answer was not complete in time; the connection is cut.
             GivenUpError: another thread cancelled the request.
-            httpx.HTTPError, UnicodeError: see `failure`.
+            httpx.HTTPError, UnicodeError: see `failure_reason`.
         """
         arguments = (client, request, max_bytes)
         threading.Thread(target=self._run, args=arguments, name="http", daemon=True).start()
@@ -68,7 +68,7 @@ class Exchange:
         except queue.Empty:
             outcome = TimeoutError()
             self.give_up(outcome)
-        if isinstance(outcome, Reply):
+        if isinstance(outcome, HttpReply):
             return outcome
         raise outcome
 
@@ -85,7 +85,7 @@ class Exchange:
             self._outcome.put(error)
 
 
-def _receive(response: httpx.Response, max_bytes: int) -> Reply:
+def _receive(response: httpx.Response, max_bytes: int) -> HttpReply:
     """Read the body to its end, or until it is longer than `max_bytes`."""
     body = bytearray()
     with closing(response):
@@ -93,10 +93,10 @@ def _receive(response: httpx.Response, max_bytes: int) -> Reply:
             body += chunk
             if len(body) > max_bytes:
                 break
-    return Reply(response.status_code, response.headers, bytes(body))
+    return HttpReply(response.status_code, response.headers, bytes(body))
 
 
-class Connection:
+class CuttableConnection:
     """Connection of one request, or of several in sequence, that any thread can cut.
 
     Pass `trace` to httpx as the request's extension `trace`.
@@ -133,7 +133,7 @@ def explanation(body: bytes) -> str | bytes:
     return text if isinstance(text, (str, bytes)) else json.dumps(text)
 
 
-def failure(error: Exception) -> str:
+def failure_reason(error: Exception) -> str:
     """Return why a request failed, and what to do, as the end of a message."""
     cause: BaseException = error
     while inner := cause.__cause__ or cause.__context__:  # httpx wraps what httpcore wraps

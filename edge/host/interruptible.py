@@ -19,7 +19,9 @@ _unjoined: WeakSet[threading.Thread] = WeakSet()
 T = TypeVar("T")
 
 
-def start_unjoined(name: str, work: Callable[..., object], *args: object) -> threading.Thread:
+def start_detached_thread(
+    name: str, work: Callable[..., object], *args: object
+) -> threading.Thread:
     """Start and return a thread that may still run when the process ends.
 
     The process must not wait for it, and must not shut the interpreter down while it runs, since
@@ -31,8 +33,8 @@ def start_unjoined(name: str, work: Callable[..., object], *args: object) -> thr
     return thread
 
 
-def any_unjoined() -> bool:
-    """Return True if a thread of `start_unjoined` is running."""
+def any_detached_thread() -> bool:
+    """Return True if a thread of `start_detached_thread` is running."""
     return any(thread.is_alive() for thread in tuple(_unjoined))
 
 
@@ -43,7 +45,7 @@ def raise_if_stopped(stop: threading.Event) -> None:
         raise Stopped
 
 
-def unless_stopped(work: Callable[[], T], stop: threading.Event) -> T:
+def run_unless_stopped(work: Callable[[], T], stop: threading.Event) -> T:
     """Run `work` on a separate thread, and stop waiting for it when `stop` is set.
 
     Returns:
@@ -61,7 +63,7 @@ def unless_stopped(work: Callable[[], T], stop: threading.Event) -> T:
         except BaseException as error:
             outcome.set_exception(error)
 
-    start_unjoined("step", run)
+    start_detached_thread("step", run)
     while not wait([outcome], _LOOK_S).done:
         raise_if_stopped(stop)
     return outcome.result()

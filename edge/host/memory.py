@@ -6,12 +6,12 @@ import ctypes
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 
-from edge.host.repeated import repeated
+from edge.host.periodic import run_periodically
 
 EVERY_S = 60.0
 
 
-def trimmed(every_s: float = EVERY_S) -> AbstractContextManager[None]:
+def trim_memory_periodically(every_s: float = EVERY_S) -> AbstractContextManager[None]:
     """Return freed memory to the system every `every_s` seconds, while the block runs.
 
     glibc keeps freed memory between blocks that are in use: after some reloads, a service held
@@ -19,4 +19,4 @@ def trimmed(every_s: float = EVERY_S) -> AbstractContextManager[None]:
     `malloc_trim` (another C library) nothing is done.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    return nullcontext() if trim is None else repeated("memory", every_s, partial(trim, 0))
+    return nullcontext() if trim is None else run_periodically("memory", every_s, partial(trim, 0))

@@ -14,7 +14,7 @@ _WANTED = 4096
 _SHORT = (errno.EMFILE, errno.ENFILE)
 
 
-def claim() -> None:
+def raise_open_files_limit() -> None:
     """Raise the limit of this process, if that is permitted.
 
     Raises:
@@ -33,7 +33,7 @@ def claim() -> None:
         )
 
 
-def shortage() -> str:
+def open_files_problem() -> str:
     """Return why no file can be opened now, in one line; "" if files can be opened."""
     try:
         os.close(os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 log = logging.getLogger("edge.host.priority")
 
-BESIDE = 10
+BACKGROUND_NICE = 10
 """Nice value of background processes: about a tenth of a core next to a normal process."""
 
 
@@ -49,14 +49,14 @@ def _schedule(policy: int, priority: int) -> bool:
     return True
 
 
-def give_way() -> None:
+def lower_priority() -> None:
     """Lower the priority of this process and of the threads that it will start.
 
     Do not use it in a process with urgent threads: they wait while a low-priority thread holds the
     interpreter's lock without getting a core.
     """
     with suppress(OSError):  # the nice value is already higher
-        os.setpriority(os.PRIO_PROCESS, 0, BESIDE)
+        os.setpriority(os.PRIO_PROCESS, 0, BACKGROUND_NICE)
     # Linux may schedule by session (autogroup), regardless of the threads' nice values.
     with suppress(OSError):
-        Path("/proc/self/autogroup").write_text(str(BESIDE), encoding="ascii")
+        Path("/proc/self/autogroup").write_text(str(BACKGROUND_NICE), encoding="ascii")

@@ -29,7 +29,7 @@ class Process:
     started: int
     command: str
 
-    def lives(self) -> bool:
+    def is_running(self) -> bool:
         """Return True if the process is running; a zombie is not."""
         now = _read(self.pid)
         return now is not None and now.started == self.started

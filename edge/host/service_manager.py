@@ -20,7 +20,7 @@ _SHARE = 4  # keep-alive pings per watchdog timeout
 _STATUS_CHARS = 400
 
 
-class ServiceManager:
+class SystemdNotifier:
     """Sender of notifications to `$NOTIFY_SOCKET`; without that variable it does nothing.
 
     Any thread may call any method. No method blocks: a notification is dropped if systemd's queue

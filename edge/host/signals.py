@@ -28,7 +28,7 @@ _actions: dict[int, Callable[[int], None]] = {}
 _written: socket.socket | None = None  # kept open, since the interpreter writes to its descriptor
 
 
-def break_off_on_signals() -> None:
+def interrupt_on_signals() -> None:
     """Make every signal of `STOP` raise KeyboardInterrupt, as Ctrl-C does."""
     _handle(_break_off)
 
@@ -69,7 +69,7 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
     return stop
 
 
-def reload_on_hang_up() -> threading.Event:
+def reload_on_sighup() -> threading.Event:
     """Return an event that SIGHUP sets, instead of stopping the process.
 
     If the process has a terminal, or `nohup` ignores SIGHUP, the meaning of SIGHUP is not changed

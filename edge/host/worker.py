@@ -24,7 +24,7 @@ Result = TypeVar("Result")
 
 
 @dataclass(slots=True)
-class Stats:
+class WorkerStats:
     """Counts since the start. Any thread may read them at any time.
 
     Attributes:
@@ -42,7 +42,7 @@ class Stats:
     submitted: int = 0
     replaced: int = 0
     done: int = 0
-    unread: int = 0
+    results_replaced: int = 0
     failed: int = 0
     last_latency_ns: int = 0
     last_error: str = ""
@@ -93,7 +93,7 @@ class Worker(Generic[Item, Result]):
         finishes: bool = False,
         beat: Callable[[], object] | None = None,
     ) -> None:
-        self.stats = Stats()
+        self.stats = WorkerStats()
         self._what, self._work = what, work
         self._rest_s, self._pause_s = rest_s, pause_s
         self._drop, self._drop_result = drop, drop_result
@@ -234,7 +234,7 @@ class Worker(Generic[Item, Result]):
             wanted = not self._closed and self._begun == self._round
             if result is not None and wanted:
                 unread, self._result = self._result, result
-                stats.unread += unread is not None
+                stats.results_replaced += unread is not None
         if unread is not None:
             self._drop_result(unread)
 

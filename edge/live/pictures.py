@@ -8,20 +8,20 @@ from typing import Any
 import cv2
 import numpy as np
 
-from edge.geometry import Grid, thin
-from edge.live.sink import Shot
+from edge.geometry import Grid, downsample
+from edge.live.sink import CameraShot
 
 MAX_SIDE = 1600
 JPEG_QUALITY = 75
 _FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
-def grid_of(grid: Grid) -> dict[str, Any]:
+def grid_json(grid: Grid) -> dict[str, Any]:
     """Return a grid of bytes: its pose, and its cells as a grey PNG with row 0 (lowest y) on top.
 
     Occupancy -1 becomes 255.
     """
-    grid = thin(grid, MAX_SIDE)
+    grid = downsample(grid, MAX_SIDE)
     height, width = grid.cells.shape
     return {
         "origin_xy_m": list(map(float, grid.origin_xy_m)),
@@ -31,7 +31,7 @@ def grid_of(grid: Grid) -> dict[str, Any]:
     }
 
 
-def shot_of(shot: Shot) -> dict[str, Any]:
+def shot_json(shot: CameraShot) -> dict[str, Any]:
     """Return a camera image as JPEG, with boxes and letters."""
     height, width = shot.rgb.shape[:2]
     bgr = cv2.cvtColor(shot.rgb, cv2.COLOR_RGB2BGR)

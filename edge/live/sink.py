@@ -12,12 +12,12 @@ import numpy as np
 
 from edge import names
 from edge.geometry import Grid
-from edge.live.trail import Trail
+from edge.live.trail import DrivenPath
 from edge.loop.result import Event, MissionFacts, ScoredCandidates, TickResult
 from edge.perception.scoring.choice.picture import visible_marks
-from edge.perception.scoring.choice.question import LETTERS, Choice
+from edge.perception.scoring.choice.question import LETTERS, FrontierChoice
 from edge.policies.base import FRONTIER
-from edge.tasks.facts import TaskFacts, same_words
+from edge.tasks.facts import TaskStatus, same_text
 from edge.types import Detections, Instance, Observation
 
 WATCHED_S = 10.0
@@ -32,7 +32,7 @@ _TRAIL = 2048
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moment:
+class LiveSnapshot:
     """State of the service in one tick.
 
     Attributes:
@@ -56,7 +56,7 @@ class Moment:
     at_s: float
     result: TickResult
     mission: MissionFacts
-    task: TaskFacts | None
+    task: TaskStatus | None
     n_tasks: int
     instances: Sequence[Instance]
     candidates: ScoredCandidates
@@ -80,7 +80,7 @@ class Box(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class CameraShot:
     """A camera image.
 
     Attributes:
@@ -111,15 +111,15 @@ class LiveSink:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self.moment: Moment | None = None
-        self.shot: Shot | None = None
+        self.moment: LiveSnapshot | None = None
+        self.shot: CameraShot | None = None
         self.ticked_s: float | None = None
         self._viewed_s = self._boxed_s = -math.inf
         self._due_s = self._shot_due_s = -math.inf
-        self._trail = Trail(_TRAIL)
+        self._trail = DrivenPath(_TRAIL)
         self._events: tuple[Event, ...] = ()
         self._n_events = self._n_shots = self._n_ticks = self._n_tasks = 0
-        self._task: TaskFacts | None = None
+        self._task: TaskStatus | None = None
         self._beat = (0.0, 0, 0.0)  # start of the window, ticks until then, previous rate
 
     # -- for any thread ------------------------------------------------------------------------
@@ -155,11 +155,11 @@ class LiveSink:
     def close(self) -> None:
         """Do nothing; see `edge.loop.result.Sink`."""
 
-    def _gather(self, result: TickResult, now_s: float) -> Moment:
+    def _gather(self, result: TickResult, now_s: float) -> LiveSnapshot:
         choice, task = result.choice, result.task()
-        self._n_tasks += not same_words(task, self._task)
+        self._n_tasks += not same_text(task, self._task)
         self._task = task
-        return Moment(
+        return LiveSnapshot(
             at_s=now_s,
             result=result,
             mission=result.mission(),
@@ -192,7 +192,7 @@ class LiveSink:
         self._shot_due_s = now_s + PERIOD_S
         stride = -(-max(observation.rgb.shape[:2]) // MAX_SHOT_PX)
         self._n_shots += 1
-        self.shot = Shot(
+        self.shot = CameraShot(
             self._n_shots,
             np.array(observation.rgb[::stride, ::stride]),
             boxes,
@@ -200,7 +200,7 @@ class LiveSink:
         )
 
 
-def _letters(choice: Choice) -> dict[int, tuple[str, float]]:
+def _letters(choice: FrontierChoice) -> dict[int, tuple[str, float]]:
     entries = zip(choice.ids, LETTERS, choice.p.tolist(), strict=False)
     return {candidate: (letter, p) for candidate, letter, p in entries}
 

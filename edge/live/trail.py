@@ -10,7 +10,7 @@ STEP_M = 0.05
 STEP_NS = 100_000_000
 
 
-class Trail:
+class DrivenPath:
     """A path in a fixed array: if full, every other pose is dropped and the spacing doubles."""
 
     def __init__(self, capacity: int = 16384) -> None:

@@ -17,11 +17,11 @@ from edge.bus.request_queue import RequestQueue
 from edge.bus.verbs import error_of
 from edge.config import Config
 from edge.geometry import Grid
-from edge.host.pages import Forms, Page, Pages
-from edge.live.pictures import grid_of, shot_of
-from edge.live.sink import LiveSink, Moment
-from edge.live.words import MAX_LAYERS, now_of, script_of, story_of
-from edge.loop.vitals import Vitals
+from edge.host.web_server import GetRoutes, HttpResponse, PostRoutes
+from edge.live.page_json import MAX_LAYERS, log_json, snapshot_json, task_json
+from edge.live.pictures import grid_json, shot_json
+from edge.live.sink import LiveSink, LiveSnapshot
+from edge.loop.service_health import ServiceHealth
 
 ANSWER_S = 120.0
 """Timeout of a request: a language model may have to process it."""
@@ -54,18 +54,18 @@ class LiveView:
         sink: receives the results.
     """
 
-    def __init__(self, config: Config, vitals: Vitals) -> None:
+    def __init__(self, config: Config, vitals: ServiceHealth) -> None:
         self.sink = LiveSink()
         self._config, self._vitals = config, vitals
         self._queues: Mapping[str, RequestQueue] = {}
         self._lock = threading.Lock()  # one thread encodes, for all viewers
-        self._kept: dict[str, tuple[object, Page]] = {}
+        self._kept: dict[str, tuple[object, HttpResponse]] = {}
 
     def open(self, queues: Mapping[str, RequestQueue]) -> None:
         """Accept requests from now on, with a queue for each key."""
         self._queues = queues
 
-    def pages(self) -> Pages:
+    def pages(self) -> GetRoutes:
         """Return the page and its data, by path."""
         layers = {f"/live/layers/{i}": partial(self._layer, i) for i in range(MAX_LAYERS)}
         return {
@@ -78,13 +78,13 @@ class LiveView:
             **layers,
         }
 
-    def forms(self) -> Forms:
+    def forms(self) -> PostRoutes:
         """Return the handlers of requests, the same as on the bus: see `edge.loop.requests`."""
         return {f"/{key}": partial(self._request, key) for key in topics.REQUESTS}
 
     # -- data ----------------------------------------------------------------------------------
 
-    def _now(self) -> Page:
+    def _now(self) -> HttpResponse:
         now_s = self.sink.look()
         moment, shot, ticked_s = self.sink.moment, self.sink.shot, self.sink.ticked_s
         why = self._vitals.amiss()
@@ -96,52 +96,52 @@ class LiveView:
                 "controls": self._config.http.token_file is not None,
                 "silent_s": None if ticked_s is None else round(now_s - ticked_s, 1),
                 "shot": None if shot is None else shot.seq,
-                "moment": None if moment is None else now_of(moment),
+                "moment": None if moment is None else snapshot_json(moment),
             }
         )
 
-    def _story(self) -> Page:
+    def _story(self) -> HttpResponse:
         moment = self._viewed_moment()
         if moment is None:
             return _json(None)
-        return _json(story_of(moment, moment.result.latency(last=_LATENCY_TICKS)))
+        return _json(log_json(moment, moment.result.latency(last=_LATENCY_TICKS)))
 
-    def _task(self) -> Page:
+    def _task(self) -> HttpResponse:
         moment = self._viewed_moment()
         if moment is None or moment.task is None:
             return _json(None)
         task = moment.task
-        return self._once("task", moment.n_tasks, lambda: _json(script_of(task, moment.n_tasks)))
+        return self._once("task", moment.n_tasks, lambda: _json(task_json(task, moment.n_tasks)))
 
-    def _map(self) -> Page:
+    def _map(self) -> HttpResponse:
         moment = self._viewed_moment()
         if moment is None:
             return _json(None)
         return self._grid("map", partial(moment.result.snapshot, inflated=_TOO_CLOSE))
 
-    def _layer(self, index: int) -> Page:
+    def _layer(self, index: int) -> HttpResponse:
         moment = self._viewed_moment()
         layers = [] if moment is None else list(moment.layers.items())
         return self._grid(*layers[index]) if index < len(layers) else _json(None)
 
-    def _camera(self) -> Page:
+    def _camera(self) -> HttpResponse:
         self._viewed_moment()
         if (shot := self.sink.shot) is None:
             return _json(None)
-        return self._once("camera", shot.seq, lambda: _json(shot_of(shot)))
+        return self._once("camera", shot.seq, lambda: _json(shot_json(shot)))
 
-    def _viewed_moment(self) -> Moment | None:
+    def _viewed_moment(self) -> LiveSnapshot | None:
         self.sink.look()
         return self.sink.moment
 
-    def _grid(self, name: str, take: Callable[[], Grid]) -> Page:
+    def _grid(self, name: str, take: Callable[[], Grid]) -> HttpResponse:
         grid = take()
         said = blake2b(grid.cells, digest_size=8)
         said.update(f"{grid.origin_xy_m} {grid.resolution_m} {grid.cells.shape}".encode())
         tag = said.hexdigest()
-        return self._once(name, tag, lambda: _json({"name": name, **grid_of(grid)}, tag))
+        return self._once(name, tag, lambda: _json({"name": name, **grid_json(grid)}, tag))
 
-    def _once(self, name: str, version: object, make: Callable[[], Page]) -> Page:
+    def _once(self, name: str, version: object, make: Callable[[], HttpResponse]) -> HttpResponse:
         """Return a page that is encoded once per version, for all viewers."""
         with self._lock:
             kept = self._kept.get(name)
@@ -153,26 +153,28 @@ class LiveView:
 
     # -- requests ------------------------------------------------------------------------------
 
-    def _request(self, key: str, body: bytes) -> Page:
+    def _request(self, key: str, body: bytes) -> HttpResponse:
         if key not in self._queues:
             state = self._vitals.state
-            return Page(error_of(f"the service is {state}"), _JSON, HTTPStatus.SERVICE_UNAVAILABLE)
+            return HttpResponse(
+                error_of(f"the service is {state}"), _JSON, HTTPStatus.SERVICE_UNAVAILABLE
+            )
         answers: queue.SimpleQueue[tuple[bytes, bool]] = queue.SimpleQueue()
         self._queues[key].take(body, lambda reply, is_error: answers.put((reply, is_error)))
         try:
             reply, is_error = answers.get(timeout=ANSWER_S)
         except queue.Empty:
             reply, is_error = error_of(f"no answer within {ANSWER_S:g} s"), True
-        return Page(reply, _JSON, HTTPStatus.CONFLICT if is_error else HTTPStatus.OK)
+        return HttpResponse(reply, _JSON, HTTPStatus.CONFLICT if is_error else HTTPStatus.OK)
 
 
 _JSON = "application/json"
 
 
-def _json(said: Any, etag: str = "") -> Page:
+def _json(said: Any, etag: str = "") -> HttpResponse:
     body = json.dumps(said, separators=(",", ":"), allow_nan=False).encode()
-    return Page(body, _JSON, etag=etag)
+    return HttpResponse(body, _JSON, etag=etag)
 
 
-def _file(path: Path) -> Page:
-    return Page(path.read_bytes(), f"{_KINDS[path.suffix]}; charset=utf-8")
+def _file(path: Path) -> HttpResponse:
+    return HttpResponse(path.read_bytes(), f"{_KINDS[path.suffix]}; charset=utf-8")

@@ -125,7 +125,7 @@ class CandidatePool:
     def measure(self, grid: RollingMap) -> None:
         """Compute the path lengths of the candidates and the gains of frontiers."""
         c = self.candidates
-        grid.reach.paths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)
+        grid.reach.path_lengths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)
         n = int(np.count_nonzero(c.kind[: c.n] == FRONTIER))
         if c.stamp_ns != self._measured_ns:  # the rotation advances once per observation
             self._measured_ns = c.stamp_ns
@@ -134,14 +134,14 @@ class CandidatePool:
         if k and grid.window.placed:
             grid.gain.around(c.xy_m, self._measured, k, c.gain_m2)
 
-    def add_look(self, grid: RollingMap, pose: SE2, fov_rad: float, now_ns: int) -> None:
+    def add_spin(self, grid: RollingMap, pose: SE2, fov_rad: float, now_ns: int) -> None:
         """Add the spin that would show the largest area, if it is large enough."""
         c = self.candidates
         if c.n == len(c.id):
             return
         yaw = grid.coverage.camera_yaw_rad
         grid.gain.look(pose, yaw, fov_rad)
-        heading, turn_rad, area_m2 = grid.gain.best_turn(pose, yaw, fov_rad)
+        heading, turn_rad, area_m2 = grid.gain.best_spin(pose, yaw, fov_rad)
         if area_m2 < LOOK_MIN_M2:
             self._look = None
             return

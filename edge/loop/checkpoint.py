@@ -15,13 +15,13 @@ from pathlib import Path
 from edge.config import Config
 from edge.errors import UserError
 from edge.host.checkpoint import Checkpoint, CheckpointWriter, load
-from edge.loop.map_checkpoint import SUFFIX, MapCheckpoint, Parts, Sighted
-from edge.mission.brief import Brief, MissionError, brief_of
+from edge.loop.map_checkpoint import SUFFIX, MapCheckpoint, MapParts, StampedPose
 from edge.mission.checkpoint import MISSION, OF_TRANSLATION, MissionState, state_of
 from edge.mission.logic import ltl
 from edge.mission.run import MissionRun
+from edge.mission.spec import MissionError, MissionSpec, spec_of
 from edge.mission.translate import Translation
-from edge.tasks.brief import prepare_task
+from edge.tasks.mission_spec import prepare_task
 from edge.text import one_line
 from edge.types import MissionStatus
 
@@ -59,7 +59,7 @@ class ServiceCheckpoint:
         self._resumed: MissionRun | None = None
         self._noted: tuple[MissionRun, int] | None = None
 
-    def brief(self) -> Brief | None:
+    def brief(self) -> MissionSpec | None:
         """Return the saved mission, or None.
 
         It is made from its formula, without another translation. A task is read again and continues
@@ -75,7 +75,7 @@ class ServiceCheckpoint:
                 return prepare_task(self._config, saved.instruction)
             known = {name: getattr(saved, name) for name in OF_TRANSLATION}
             translation = Translation(formula=ltl.parse(saved.formula), **known)
-            return brief_of(self._config.mission, translation)
+            return spec_of(self._config.mission, translation)
         except UserError as error:
             raise MissionError(
                 f"mission.checkpoint: {self._writer.path}: the saved mission cannot continue: "
@@ -95,7 +95,7 @@ class ServiceCheckpoint:
                      one_line(saved.instruction), mission.state,
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 
-    def goes_on(self, mission: MissionRun, targets: Sequence[str]) -> bool:
+    def is_resumed(self, mission: MissionRun, targets: Sequence[str]) -> bool:
         """Return True for the saved mission, if the map was saved with the same targets."""
         return mission is self._resumed and tuple(targets) == mission.brief.prompts
 
@@ -103,8 +103,8 @@ class ServiceCheckpoint:
         self,
         mission: MissionRun,
         status: MissionStatus,
-        parts: Parts,
-        sighted: Sighted | None,
+        parts: MapParts,
+        sighted: StampedPose | None,
         now_ns: int,
     ) -> None:
         """Pass the state to the writers if it is time. Never block.

@@ -12,7 +12,7 @@ import numpy as np
 
 from edge import names
 from edge.perception.prior import table
-from edge.perception.scoring.choice.question import Choice, View
+from edge.perception.scoring.choice.question import FrontierChoice, MarkedView
 from edge.types import Detections
 
 
@@ -35,7 +35,7 @@ class RelatedScores:
         words = () if around is None else around.words
         if (targets, words) != self._of:
             self._of = targets, words
-            self._p = given(self._table, targets, (*targets, *words))
+            self._p = p_given(self._table, targets, (*targets, *words))
         best = np.zeros(len(targets), np.float32)
         boxes = [(detections.class_id, detections.score)]
         if around is not None:
@@ -56,15 +56,15 @@ class PriorChoice:
 
     name = "cooccurrence, by the prior"
 
-    def look(self, view: View) -> View:
+    def look(self, view: MarkedView) -> MarkedView:
         return view
 
-    def answer(self, view: View) -> Choice | None:
+    def answer(self, view: MarkedView) -> FrontierChoice | None:
         """Return the choice, or None if the view has no likelihood ratios."""
         if view.lift is None:
             return None
         total, best = 1.0 + float(view.lift.sum()), float(view.lift.max())
-        return Choice(
+        return FrontierChoice(
             stamp_ns=view.observation.stamp_ns,
             target=view.target,
             ids=tuple(mark.id for mark in view.marks),
@@ -77,7 +77,7 @@ class PriorChoice:
         """Do nothing: there is no background work."""
 
 
-def given(known: table.Table, things: Sequence[str], words: Sequence[str]) -> np.ndarray:
+def p_given(known: table.ObjectPrior, things: Sequence[str], words: Sequence[str]) -> np.ndarray:
     """Return P(a room holds the object | it holds the word).
 
     This is the share of rooms that hold the object, times the likelihood ratio of the pair.
@@ -95,7 +95,7 @@ def given(known: table.Table, things: Sequence[str], words: Sequence[str]) -> np
         row = known.row(thing)
         p[i] *= 0.0 if row < 0 else known.rooms_with_both[row, row] / known.n_rooms
         for j, word in enumerate(words):
-            if names.same(thing, word):
+            if names.same_name(thing, word):
                 p[i, j] = 1.0
             elif known.row(word) < 0:
                 p[i, j] = 0.0

@@ -30,7 +30,7 @@ class _View(NamedTuple):
     sample_m: np.ndarray
 
 
-class DepthMotion:
+class DepthMotionCheck:
     """A comparison of each depth image with an earlier one from a nearby camera pose.
 
     The motion of the pose predicts the depth of each point of the earlier view. A point is

@@ -23,7 +23,7 @@ from prometheus_client.core import (
 from prometheus_client.core import Metric as Family
 from prometheus_client.registry import Collector
 
-from edge.host.pages import Page
+from edge.host.web_server import HttpResponse
 from edge.loop.histogram import Histogram
 from edge.text import one_line
 
@@ -44,7 +44,7 @@ _FAMILIES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Metric(Generic[Source]):
+class MetricSpec(Generic[Source]):
     """The definition of one metric.
 
     Attributes:
@@ -69,7 +69,7 @@ class Metric(Generic[Source]):
 Read = Callable[[], Iterable[Family]]
 
 
-def families(table: Iterable[Metric[Source]], source: Source) -> Iterator[Family]:
+def families(table: Iterable[MetricSpec[Source]], source: Source) -> Iterator[Family]:
     """Yield the metrics of a table with their current values in a source."""
     for metric in table:
         found = metric.read(source)
@@ -102,9 +102,9 @@ class Exposition(Collector):
     def collect(self) -> Iterable[Family]:
         return self._read()
 
-    def page(self) -> Page:
+    def page(self) -> HttpResponse:
         """Return the page in the text format of Prometheus."""
-        return Page(generate_latest(self._registry), CONTENT_TYPE_LATEST)
+        return HttpResponse(generate_latest(self._registry), CONTENT_TYPE_LATEST)
 
 
 def _fill(family: Any, samples: Mapping[Any, float]) -> None:

@@ -20,14 +20,14 @@ from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal_client import ARRIVED_M, GoalClient
-from edge.loop.search import LASTING_NS, LEFT, TURNS, NextBestView, Search
-from edge.loop.standstill import Standstill
+from edge.loop.search_state import LASTING_NS, LEFT, TURNS, NextBestView, SearchState
+from edge.loop.standstill import StandstillMonitor
 from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, Context
-from edge.policies.select import Held, choose, ranked
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, PolicyInput
+from edge.policies.select import CurrentGoal, choose, ranked
 from edge.text import one_line
 from edge.types import CandidateKind, Goal, GoalStatus, Instance, MissionPhase
 
@@ -97,13 +97,13 @@ class GoalTracker:
         self._config, self._pool, self._tracker = config, pool, tracker
         self._event = event
         self._present: _Present | None = None
-        self._search = Search()
+        self._search = SearchState()
         self._next_view = NextBestView(config.perception.confirm_hits)
-        self._standstill = Standstill(config, event)
+        self._standstill = StandstillMonitor(config, event)
         self._warned_of: set[int] = set()
         self._turns = -1
         self._place_failures = 0
-        self._restored: tuple[str, Search, _Present | None] | None = None  # first its target
+        self._restored: tuple[str, SearchState, _Present | None] | None = None  # first its target
         self._without_since_ns: int | None = None
         self._grace_ns = GRACE_NS
 
@@ -137,7 +137,7 @@ class GoalTracker:
         """Number of viewpoints that the robot has seen in this mission."""
         return self._next_view.views
 
-    def why_in_vain(self, mission: MissionRun, grid: RollingMap) -> str:
+    def failure_reason(self, mission: MissionRun, grid: RollingMap) -> str:
         """Return why the target was not reached, when all attempts are exhausted."""
         target, views = mission.target, self.views
         seen = target in mission.detected or target in mission.places
@@ -153,7 +153,7 @@ class GoalTracker:
     # -- choosing ---------------------------------------------------------------------------
 
     def choose(
-        self, context: Context, grid: RollingMap, score: np.ndarray, images: int
+        self, context: PolicyInput, grid: RollingMap, score: np.ndarray, images: int
     ) -> Goal | None:
         """Choose the goal of this tick from the scored candidates (VL-Nav algorithm 2).
 
@@ -181,7 +181,7 @@ class GoalTracker:
         return self.goal
 
     def go_to_place(
-        self, context: Context, grid: RollingMap, place: SE2, target: str, images: int
+        self, context: PolicyInput, grid: RollingMap, place: SE2, target: str, images: int
     ) -> Goal | None:
         """Return a goal at a place; a frontier on the way to it while no path to it is known.
 
@@ -205,7 +205,7 @@ class GoalTracker:
             self._present = _Present(goal)
         return self.goal
 
-    def lead(self, pose: SE2, mission: MissionRun, now_ns: int, apart_m: float) -> Goal:
+    def override(self, pose: SE2, mission: MissionRun, now_ns: int, apart_m: float) -> Goal:
         """Replace the current goal by a task's goal and return it.
 
         Args:
@@ -226,7 +226,7 @@ class GoalTracker:
             self._present = _Present(goal)
         return goal
 
-    def _towards_best(self, context: Context, score: np.ndarray) -> _Present | None:
+    def _towards_best(self, context: PolicyInput, score: np.ndarray) -> _Present | None:
         """Return a goal for the best candidate; the current goal if it still serves."""
         c, policy, search = context.candidates, self._config.policy, self._search
         present, held = self._present, None
@@ -236,7 +236,7 @@ class GoalTracker:
             order = order[lasting | (c.kind[order] == INSTANCE)]
         if present is not None:
             fickle = partial(search.fickle, present.goal.candidate_xy_m)
-            held = Held(present.goal, present.peak, fickle)
+            held = CurrentGoal(present.goal, present.peak, fickle)
         chosen = choose(context, score, order, held, policy.switch_margin, self._tracker.get)
         goal, peak, stays = chosen or (None, 0.0, False)
         if present is not None and present.goal.kind == "frontier" and not stays:
@@ -249,7 +249,7 @@ class GoalTracker:
         present.peak = peak
         return present
 
-    def _turn(self, context: Context) -> _Present | None:
+    def _turn(self, context: PolicyInput) -> _Present | None:
         """Return a goal that turns the robot on the spot, if it may turn."""
         turning = self.goal is not None and self.goal.kind == "look"
         if not self._search.may_turn(turning, context.now_ns):
@@ -260,7 +260,7 @@ class GoalTracker:
         yaw_rad = at.yaw_rad + 2.0 * math.pi / TURNS
         return _Present(_look(SE2(at.x_m, at.y_m, yaw_rad), context.now_ns, context.target))
 
-    def _look_again(self, context: Context, grid: RollingMap, images: int) -> _Present | None:
+    def _look_again(self, context: PolicyInput, grid: RollingMap, images: int) -> _Present | None:
         """Return a goal at the next viewpoint, if there is one."""
         view, present = self._next_view.choose(grid, images), self._present
         if view is None:
@@ -271,7 +271,7 @@ class GoalTracker:
         pose = SE2(view.x_m, view.y_m, yaw_rad)
         return _Present(_look(pose, context.now_ns, context.target), view=view)
 
-    def _leave_vanished(self, context: Context) -> None:
+    def _leave_vanished(self, context: PolicyInput) -> None:
         """Discard the goal's frontier if it vanished and is not reliable.
 
         A frontier that is visible only from afar would otherwise make the robot come and go
@@ -374,7 +374,7 @@ class GoalTracker:
             self._follow(present, pose, now_ns, images)
         # If no controller drives the robot, its standstill is not the candidate's fault.
         driven_to = self.goal if self.client.is_driven(pose) else None
-        stuck = self._standstill.noticed(grid, pose, driven_to, now_ns)
+        stuck = self._standstill.update(grid, pose, driven_to, now_ns)
         if stuck:
             self._event("stuck: goal discarded", now_ns)
             self._discard(now_ns)
@@ -419,13 +419,13 @@ class GoalTracker:
         if verdict == "reached":
             self._tracker.mark_reached(instance.id)
             label = mission.target
-            mission.arrive(f"confirmed, seen in {instance.hits} images", now_ns)
+            mission.on_reached(f"confirmed, seen in {instance.hits} images", now_ns)
             if mission.target == label and not mission.done:
                 # The mission visits this target again: use another object, or this one later.
                 self._discard(now_ns)
             return
         if verdict == "refuted":
-            self._tracker.refute(instance.id)
+            self._tracker.reject(instance.id)
             self.drop()
         else:
             at = present.goal.pose
@@ -470,7 +470,7 @@ class GoalTracker:
         away_m = pose.distance_to(*goal.candidate_xy_m)
         if state == "reached" and away_m <= _AT_PLACE_M + ARRIVED_M:
             self.drop()
-            mission.arrive(f"{away_m:.1f} m from the place", now_ns)
+            mission.on_reached(f"{away_m:.1f} m from the place", now_ns)
         elif answer is not None and state in ("reached", "failed"):
             reason = answer.reason or f"the controller stopped {away_m:.1f} m from it"
             self._event(f"goal failed: {reason}", now_ns)
@@ -494,11 +494,11 @@ class GoalTracker:
         """Return True if the tracker already works on the mission's active target."""
         return self._turns == mission.turns
 
-    def set_out(self, mission: MissionRun) -> None:
+    def retarget(self, mission: MissionRun) -> None:
         """Start on another target: forget goal and attempts of the last one."""
         self._turns = mission.turns
         self.drop()
-        self._search, self._place_failures = Search(), 0
+        self._search, self._place_failures = SearchState(), 0
         restored, self._restored = self._restored, None
         if restored is not None and restored[0] == mission.target:
             _, self._search, self._present = restored
@@ -534,7 +534,7 @@ class GoalTracker:
             pose = SE2(x_m, y_m, yaw_rad)
             goal = Goal(now_ns, pose, _KINDS[kind], int(i), (to_x_m, to_y_m), score, target)
             present = _Present(goal, peak)
-        self._restored = (target, Search.of_state_dict(state), present)
+        self._restored = (target, SearchState.of_state_dict(state), present)
 
     def forget_mission(self) -> None:
         """Forget everything about the last mission."""
@@ -549,11 +549,11 @@ class GoalTracker:
         self._config = config
         self._next_view.enough = config.perception.confirm_hits
 
-    def forget_places(self) -> None:
+    def on_pose_jump(self) -> None:
         """Handle a pose jump. The robot stands still unless the next tick finds a goal."""
         self.rest()
-        self.client.forget_places()
-        self._search, self._restored = Search(), None
+        self.client.on_pose_jump()
+        self._search, self._restored = SearchState(), None
         self._standstill.reset()
 
     def _discard(self, now_ns: int) -> None:

@@ -40,8 +40,8 @@ class GoalClient:
 
     def __init__(self, config: Config, transmit: Callable[[Goal], None]) -> None:
         self.driving = False
-        self.heard = config.goals_unanswered
-        self._expects_answers = not config.goals_unanswered
+        self.heard = config.goals_without_feedback
+        self._expects_answers = not config.goals_without_feedback
         arrived_s = max(ARRIVED_S, 3.0 / config.observed_hz)
         self._arrival = StuckDetector(arrived_s)
         self._unheard_at: SE2 | None = None  # pose at which the controller's silence began
@@ -153,7 +153,7 @@ class GoalClient:
         self._moved = self._moved or far or _turned_rad(pose, start) >= DRIVEN_RAD
         return self._moved
 
-    def forget_places(self) -> None:
+    def on_pose_jump(self) -> None:
         """Handle a pose jump: statuses of the last goal refer to the old frame."""
         self._sent_ns = self._blocked = self._unheard_at = None
         self._arrival.reset()

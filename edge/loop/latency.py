@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge.host.calibration import HINT, Calibration
+from edge.host.calibration import HINT, SpeedCalibration
 from edge.loop.histogram import INTERVALS_S, SPANS_S, Histogram, Histograms
 from edge.loop.stages import STAGES, TICK_BUDGET_MS, TICK_DEADLINE_MS, Stage
 
@@ -100,7 +100,7 @@ class LatencyReport:
     stages: tuple[StageLatency, ...]
     tick: StageLatency
     deadline_ms: float = TICK_DEADLINE_MS
-    calibration: Calibration | None = None
+    calibration: SpeedCalibration | None = None
 
     @property
     def computer(self) -> str:
@@ -231,7 +231,7 @@ class LatencyRing:
         self,
         capacity: int = 4096,
         stages: tuple[Stage, ...] = STAGES,
-        calibration: Calibration | None = None,
+        calibration: SpeedCalibration | None = None,
     ) -> None:
         if capacity < 1:
             raise ValueError(f"capacity: must be positive, got {capacity}")

@@ -35,10 +35,10 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import MAX_FRONTIERS, RollingMap
-from edge.mapping.tiles import MOST_PER_STEP, Batch, Copier, PackedTiles
+from edge.mapping.tiles import MOST_PER_STEP, PackedTiles, TileBatch, TileCopier
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.sightings import SightingTracker
-from edge.policies.base import Policy, Remembers
+from edge.perception.tracking.sightings import ObjectTracker
+from edge.policies.base import Policy, StatefulPolicy
 
 log = logging.getLogger("edge.loop.map_checkpoint")
 
@@ -93,7 +93,7 @@ class MapState:
 MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20)
 
 
-class Parts(NamedTuple):
+class MapParts(NamedTuple):
     """The parts of a service with data in the frame `map`."""
 
     map: SemanticMap
@@ -101,7 +101,7 @@ class Parts(NamedTuple):
     policy: Policy
 
 
-class Sighted(NamedTuple):
+class StampedPose(NamedTuple):
     """Pose and stamp of an observation (sensors' clock), with the loop time."""
 
     pose: SE2
@@ -110,7 +110,7 @@ class Sighted(NamedTuple):
 
 
 def state_of(
-    parts: Parts, sighted: Sighted, boot: str, targets: tuple[str, ...], target: str
+    parts: MapParts, sighted: StampedPose, boot: str, targets: tuple[str, ...], target: str
 ) -> Checkpoint[MapState]:
     """Return the current state without the tiles; see `MapState` for the arguments."""
     config, values, policy = parts.map.config, parts.map.grid.values, parts.policy
@@ -121,7 +121,7 @@ def state_of(
         config.mapping.resolution_m, config.mapping.obstacle_max_m,
         config.value_source or "", tuple(values.targets), values.side,
     )  # fmt: skip
-    remembered = policy.state_dict() if isinstance(policy, Remembers) else {}
+    remembered = policy.state_dict() if isinstance(policy, StatefulPolicy) else {}
     every = {**parts.map.state_dict(), "goals": parts.goals.state_dict(), "policy": remembered}
     arrays = {f"{part}/{name}": a for part, of in every.items() for name, a in of.items()}
     return Checkpoint(state, arrays)
@@ -147,7 +147,7 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     if same and state.value_targets:
         values.begin(state.value_targets)
     size = grid.tile_bytes + 4 * state.value_side**2 * len(state.value_targets)
-    sightings = SightingTracker(perception)
+    sightings = ObjectTracker(perception)
     tracker = InstanceTracker(perception, sightings)
     pool = CandidatePool(MAX_FRONTIERS, config.policy.r_assoc_m)
     goals = GoalTracker(config, pool, tracker, lambda goal: None, lambda text, now_ns: None)
@@ -164,10 +164,10 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
 
 
 def restore(
-    parts: Parts,
+    parts: MapParts,
     grid: RollingMap,
     checkpoint: Checkpoint[MapState],
-    sighted: Sighted,
+    sighted: StampedPose,
     goes_on: bool,
 ) -> None:
     """Restore the parts from a checkpoint.
@@ -192,7 +192,11 @@ def restore(
         return
     parts.goals.load_state_dict(part("goals"), state.target, sighted.now_ns)
     memory, policy = part("policy"), parts.policy
-    if memory and isinstance(policy, Remembers) and state.policy == parts.map.config.policy.kind:
+    if (
+        memory
+        and isinstance(policy, StatefulPolicy)
+        and state.policy == parts.map.config.policy.kind
+    ):
         try:
             policy.load_state_dict(memory)
         except (KeyError, TypeError) as error:
@@ -228,9 +232,9 @@ class MapCheckpoint:
         self.loaded, self.problem = load(path, MAP)
         self.waiting: RollingMap | None = None
         self.writer = CheckpointWriter(path, MAP, PERIOD_S)
-        self._copier, self._packed = Copier(), PackedTiles()
+        self._copier, self._packed = TileCopier(), PackedTiles()
         self._due = False
-        self._last: tuple[Parts, Sighted, tuple[str, ...], str] | None = None
+        self._last: tuple[MapParts, StampedPose, tuple[str, ...], str] | None = None
 
     def prepare(self) -> None:
         """Make the map, so that the first tick need not do it."""
@@ -241,7 +245,7 @@ class MapCheckpoint:
         except ValueError as error:
             self.loaded, self.problem = None, set_aside(self._path, str(error))
 
-    def why_elsewhere(self, sighted: Sighted) -> str:
+    def frame_mismatch(self, sighted: StampedPose) -> str:
         """Return why `map` is probably not the saved frame; "" if it is the same.
 
         With `source.localised`, the frame is always the same. Odometry has the same frame if the
@@ -288,7 +292,7 @@ class MapCheckpoint:
             log.info("mapping.extent_m has changed since the checkpoint: the map is cut to it")
         return grid, loaded
 
-    def jumped(self) -> None:
+    def on_pose_jump(self) -> None:
         """Handle a pose jump.
 
         With `source.localised`, only the data since the start is wrong, because the robot may have
@@ -299,7 +303,12 @@ class MapCheckpoint:
             self.prepare()
 
     def note(
-        self, parts: Parts, sighted: Sighted, targets: tuple[str, ...], target: str, changed: bool
+        self,
+        parts: MapParts,
+        sighted: StampedPose,
+        targets: tuple[str, ...],
+        target: str,
+        changed: bool,
     ) -> None:
         """Copy a part of the map if it is time, and pass a complete copy to the writer.
 
@@ -341,7 +350,7 @@ class MapCheckpoint:
         )
 
     def _pack(
-        self, checkpoint: Checkpoint[MapState], n: int, anew: bool, batches: list[Batch]
+        self, checkpoint: Checkpoint[MapState], n: int, anew: bool, batches: list[TileBatch]
     ) -> Checkpoint[MapState]:
         """Add the tiles; on the writer's thread."""
         if anew:

@@ -21,16 +21,16 @@ from typing import Any, get_args
 from prometheus_client.core import Metric as Family
 
 from edge import __version__
-from edge.host.board import Board, read_board
-from edge.host.pages import Pages
-from edge.loop.exposition import Exposition, Metric, families
+from edge.host.board import BoardReading, read_board
+from edge.host.web_server import GetRoutes
+from edge.loop.exposition import Exposition, MetricSpec, families
 from edge.loop.publish import statuses
 from edge.loop.reload import OUTCOMES
 from edge.loop.result import Sink
-from edge.loop.runner import Running
+from edge.loop.runner import RunningService
+from edge.loop.service_health import STATES, ServiceHealth
 from edge.loop.source import NO_DROPS
 from edge.loop.status import detector_health
-from edge.loop.vitals import STATES, Vitals
 from edge.perception.detection.process import ProcessDetector
 from edge.perception.runtime.health import HEALTH_STATES
 from edge.tasks.facts import StepState
@@ -41,10 +41,10 @@ _GOALS = ("none", "frontier", "instance", "look", "trajectory", "place")
 _MS = 1e-3
 
 
-class Look:
+class ScrapeSnapshot:
     """The state of a running service at one scrape."""
 
-    def __init__(self, running: Running, sinks: Sequence[Sink]) -> None:
+    def __init__(self, running: RunningService, sinks: Sequence[Sink]) -> None:
         service = running.service
         self.running, self.service, self.sinks = running, service, statuses(sinks)
         self.mission, self.goal = service.mission, service.goal
@@ -79,20 +79,20 @@ def _seconds(ms: float | None) -> float:
     return math.nan if ms is None else round(ms * _MS, 9)
 
 
-def _faults(look: Look) -> dict[tuple[str, str], int]:
+def _faults(look: ScrapeSnapshot) -> dict[tuple[str, str], int]:
     """Count the errors by (step, type of error)."""
     kinds = dict(look.service.faults.failures)
     return {(kind.partition(": ")[0], kind.partition(": ")[2]): n for kind, n in kinds.items()}
 
 
-def _task_steps(look: Look) -> dict[str, int]:
+def _task_steps(look: ScrapeSnapshot) -> dict[str, int]:
     """Count the steps of a task by state."""
     facts = look.service.behaviour.facts()
     counted = Counter(step.state for step in facts.steps) if facts else Counter()
     return {state: counted[state] for state in _STEP_STATES}
 
 
-def _answers(look: Look) -> dict[tuple[str, str], int]:
+def _answers(look: ScrapeSnapshot) -> dict[tuple[str, str], int]:
     """Count the questions by (scorer, outcome)."""
     return {
         (part, outcome): status[outcome]
@@ -102,178 +102,182 @@ def _answers(look: Look) -> dict[tuple[str, str], int]:
     }
 
 
-LIFE: tuple[Metric[Vitals], ...] = (
-    Metric("edge_build_info", "gauge", "The version of edge; always 1.",
+HEALTH_METRICS: tuple[MetricSpec[ServiceHealth], ...] = (
+    MetricSpec("edge_build_info", "gauge", "The version of edge; always 1.",
            lambda v: {__version__: 1}, ("version",)),
-    Metric("edge_service_state", "state", "State of the service.",
+    MetricSpec("edge_service_state", "state", "State of the service.",
            lambda v: v.state, states=STATES),
-    Metric("edge_service_ready", "gauge", "1 if the service is ready, as /readyz reports, else 0.",
+    MetricSpec("edge_service_ready", "gauge",
+    "1 if the service is ready, as /readyz reports, else 0.",
            lambda v: not v.amiss()),
-    Metric("edge_loop_beat_age_seconds", "gauge", "Time since the newest loop cycle.",
+    MetricSpec("edge_loop_beat_age_seconds", "gauge", "Time since the newest loop cycle.",
            lambda v: v.silent_s),
-    Metric("edge_observation_age_seconds", "gauge",
+    MetricSpec("edge_observation_age_seconds", "gauge",
            "Time since the newest usable observation; infinite before the first.",
            lambda v: v.unseen_s),
 )  # fmt: skip
 """Metrics of the service's health, available from its start on."""
 
-SERVICE: tuple[Metric[Look], ...] = (
+SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
     # The tick.
-    Metric("edge_tick_duration_seconds", "histogram", "Duration of a tick.",
+    MetricSpec("edge_tick_duration_seconds", "histogram", "Duration of a tick.",
            lambda s: s.histograms.tick),
-    Metric("edge_tick_budget_seconds", "gauge", "Budget of a tick for its 95th percentile.",
+    MetricSpec("edge_tick_budget_seconds", "gauge", "Budget of a tick for its 95th percentile.",
            lambda s: _seconds(s.rows.tick.budget_ms)),
-    Metric("edge_tick_deadline_seconds", "gauge", "Longest permitted duration of a tick.",
+    MetricSpec("edge_tick_deadline_seconds", "gauge", "Longest permitted duration of a tick.",
            lambda s: _seconds(s.rows.deadline_ms)),
-    Metric("edge_tick_deadline_missed_total", "counter", "Ticks over the deadline.",
+    MetricSpec("edge_tick_deadline_missed_total", "counter", "Ticks over the deadline.",
            lambda s: s.rows.tick.overruns),
-    Metric("edge_tick_interval_seconds", "histogram",
+    MetricSpec("edge_tick_interval_seconds", "histogram",
            "Time from the start of a tick to the start of the next.",
            lambda s: s.histograms.interval),
-    Metric("edge_tick_period_seconds", "gauge", "Configured period of ticks (1 / loop.hz).",
+    MetricSpec("edge_tick_period_seconds", "gauge", "Configured period of ticks (1 / loop.hz).",
            lambda s: 1.0 / s.running.config.loop.hz),
-    Metric("edge_stage_duration_seconds", "histogram",
+    MetricSpec("edge_stage_duration_seconds", "histogram",
            "Duration of a stage; detect runs in parallel to the tick.",
            lambda s: s.histograms.stages, ("stage",)),
-    Metric("edge_stage_budget_seconds", "gauge",
+    MetricSpec("edge_stage_budget_seconds", "gauge",
            "Budget of a stage for its 95th percentile; without a calibration only deadlines.",
            lambda s: s.held(lambda row: _seconds(row.budget_ms)), ("stage",)),
-    Metric("edge_stage_over_budget_total", "counter", "Runs of a stage over its budget.",
+    MetricSpec("edge_stage_over_budget_total", "counter", "Runs of a stage over its budget.",
            lambda s: s.held(lambda row: row.overruns), ("stage",)),
-    Metric("edge_stage_dropped_total", "counter",
+    MetricSpec("edge_stage_dropped_total", "counter",
            "Inputs dropped by a stage: messages (ingest), images (detect), failed ticks.",
            lambda s: s.stages(lambda row: row.drops), ("stage",)),
     # Inputs.
-    Metric("edge_source_received_total", "counter", "Messages received from sensors.",
+    MetricSpec("edge_source_received_total", "counter", "Messages received from sensors.",
            lambda s: s.source.get("received", 0)),
-    Metric("edge_source_observations_total", "counter", "Observations made from these messages.",
+    MetricSpec("edge_source_observations_total", "counter",
+    "Observations made from these messages.",
            lambda s: s.source.get("observations", 0)),
-    Metric("edge_source_old_pose_total", "counter",
+    MetricSpec("edge_source_old_pose_total", "counter",
            "Observations whose pose or mount transform is older than they are.",
            lambda s: s.source.get("old_pose", 0)),
-    Metric("edge_source_dropped_total", "counter",
+    MetricSpec("edge_source_dropped_total", "counter",
            "Messages that became part of no observation, by reason.",
            lambda s: {why: n for why, n in s.source.items() if why not in NO_DROPS}, ("reason",)),
-    Metric("edge_input_dropped_total", "counter",
+    MetricSpec("edge_input_dropped_total", "counter",
            "Messages that became part of no observation, by input and reason.",
            lambda s: {(row.name, why): n for row in s.inputs for why, n in row.dropped.items()},
            ("input", "reason")),
-    Metric("edge_input_rate_hertz", "gauge", "Message rate of an input.",
+    MetricSpec("edge_input_rate_hertz", "gauge", "Message rate of an input.",
            lambda s: {row.name: row.hz for row in s.inputs}, ("input",)),
-    Metric("edge_input_age_seconds", "gauge",
+    MetricSpec("edge_input_age_seconds", "gauge",
            "Time since an input's newest message; infinite before the first.",
            lambda s: {row.name: math.inf if row.age_s is None else row.age_s for row in s.inputs},
            ("input",)),
-    Metric("edge_input_lacking", "gauge",
+    MetricSpec("edge_input_lacking", "gauge",
            "1 if a needed input is missing, silent, or always dropped, else 0.",
            lambda s: {row.name: row.lacks for row in s.inputs}, ("input",)),
-    Metric("edge_check_failed", "gauge", "1 if a check of the sensor data fails now, else 0.",
+    MetricSpec("edge_check_failed", "gauge", "1 if a check of the sensor data fails now, else 0.",
            lambda s: {row.name: row.name in s.failed for row in s.service.plausibility.checks},
            ("check",)),
-    Metric("edge_observations_refused_total", "counter",
+    MetricSpec("edge_observations_refused_total", "counter",
            "Observations refused for driving, by the check that failed.",
            lambda s: dict(s.service.plausibility.refused), ("check",)),
-    Metric("edge_overruns_total", "counter",
+    MetricSpec("edge_overruns_total", "counter",
            "Reads that found a message ring full, by ring.",
            lambda s: s.service.overruns(), ("ring",)),
-    Metric("edge_pose_jumps_total", "counter", "Pose jumps. At each the map was lost.",
+    MetricSpec("edge_pose_jumps_total", "counter", "Pose jumps. At each the map was lost.",
            lambda s: s.service.map.epoch),
     # Errors.
-    Metric("edge_faults_total", "counter", "Errors that the loop caught.",
+    MetricSpec("edge_faults_total", "counter", "Errors that the loop caught.",
            lambda s: s.service.faults.failed),
-    Metric("edge_faults_by_step_total", "counter",
+    MetricSpec("edge_faults_by_step_total", "counter",
            "Errors that the loop caught, by step of the loop and type of error.",
            _faults, ("step", "error")),
-    Metric("edge_loop_degraded", "gauge", "1 if a step of the loop keeps failing, else 0.",
+    MetricSpec("edge_loop_degraded", "gauge", "1 if a step of the loop keeps failing, else 0.",
            lambda s: s.service.faults.state != "ok"),
-    Metric("edge_sink_failures_total", "counter", "Messages that a sink could not send or write.",
+    MetricSpec("edge_sink_failures_total", "counter",
+    "Messages that a sink could not send or write.",
            lambda s: s.of_sinks("failed"), ("sink",)),
-    Metric("edge_sink_dropped_total", "counter",
+    MetricSpec("edge_sink_dropped_total", "counter",
            "Messages that a sink dropped, replaced by newer ones or without room.",
            lambda s: s.of_sinks("dropped"), ("sink",)),
-    Metric("edge_checkpoint_written_total", "counter", "Checkpoints that reached the disk.",
+    MetricSpec("edge_checkpoint_written_total", "counter", "Checkpoints that reached the disk.",
            lambda s: s.checkpoint and s.checkpoint["written"]),
-    Metric("edge_checkpoint_failed_total", "counter", "Checkpoints that could not be written.",
+    MetricSpec("edge_checkpoint_failed_total", "counter", "Checkpoints that could not be written.",
            lambda s: s.checkpoint and s.checkpoint["failed"]),
     # Models.
-    Metric("edge_model_info", "gauge", "Every model in use; always 1.",
+    MetricSpec("edge_model_info", "gauge", "Every model in use; always 1.",
            lambda s: dict.fromkeys(s.models(), 1), ("part", "model")),
-    Metric("edge_detector_state", "state", "State of the detector.",
+    MetricSpec("edge_detector_state", "state", "State of the detector.",
            lambda s: detector_health(s.running.worker).state, states=HEALTH_STATES),
-    Metric("edge_detector_images_total", "counter",
+    MetricSpec("edge_detector_images_total", "counter",
            "Images by outcome: detected, failed, or replaced by a newer image.",
            lambda s: {"detected": s.images.done, "failed": s.images.failed,
                       "replaced": s.images.replaced}, ("outcome",)),
-    Metric("edge_detector_invalid_boxes_total", "counter",
+    MetricSpec("edge_detector_invalid_boxes_total", "counter",
            "Boxes dropped: not finite, far outside the image, or scored outside 0 to 1.",
            lambda s: {s.detector.name: s.detector.invalid_boxes}, ("model",)),
-    Metric("edge_model_process_restarts_total", "counter",
+    MetricSpec("edge_model_process_restarts_total", "counter",
            "Restarts of the detector's process; 0 if it has none.",
            lambda s: {s.detector.name: s.detector.restarts
                       if isinstance(s.detector, ProcessDetector) else 0}, ("model",)),
-    Metric("edge_model_swaps_total", "counter", "Swaps of the detector's model, by outcome.",
+    MetricSpec("edge_model_swaps_total", "counter", "Swaps of the detector's model, by outcome.",
            lambda s: dict(s.service.swapper.outcomes), ("outcome",)),
-    Metric("edge_governor_rung", "gauge",
+    MetricSpec("edge_governor_rung", "gauge",
            "Rung of perception.governor.ladder in use; 0: no load is shed.",
            lambda s: s.service.governor and s.service.governor.rung),
-    Metric("edge_governor_steps_total", "counter", "Steps on that ladder, by direction.",
+    MetricSpec("edge_governor_steps_total", "counter", "Steps on that ladder, by direction.",
            lambda s: s.service.governor and dict(s.service.governor.steps), ("direction",)),
-    Metric("edge_scorer_answers_total", "counter", "Questions to scorers, by outcome.",
+    MetricSpec("edge_scorer_answers_total", "counter", "Questions to scorers, by outcome.",
            _answers, ("scorer", "outcome")),
-    Metric("edge_reloads_total", "counter", "Reloads of the configuration, by outcome.",
+    MetricSpec("edge_reloads_total", "counter", "Reloads of the configuration, by outcome.",
            lambda s: dict.fromkeys(OUTCOMES, 0) if s.running.reloader is None
            else dict(s.running.reloader.outcomes), ("outcome",)),
-    Metric("edge_policy_info", "gauge", "Policy in use; always 1.",
+    MetricSpec("edge_policy_info", "gauge", "Policy in use; always 1.",
            lambda s: {s.service.config.policy.kind: 1}, ("policy",)),
     # The mission and its goal.
-    Metric("edge_mission_state", "state", "State of the mission.",
+    MetricSpec("edge_mission_state", "state", "State of the mission.",
            lambda s: s.mission.status(s.service.goals.phase).phase, states=get_args(MissionPhase)),
-    Metric("edge_mission_targets", "gauge", "Number of targets of the mission.",
+    MetricSpec("edge_mission_targets", "gauge", "Number of targets of the mission.",
            lambda s: len(s.mission.brief.targets)),
-    Metric("edge_mission_targets_reached", "gauge", "Number of targets that were reached.",
+    MetricSpec("edge_mission_targets_reached", "gauge", "Number of targets that were reached.",
            lambda s: len(s.mission.reached)),
-    Metric("edge_mission_plan_steps", "gauge", "Number of remaining steps of the plan.",
+    MetricSpec("edge_mission_plan_steps", "gauge", "Number of remaining steps of the plan.",
            lambda s: 0 if s.mission.done else len(s.mission.plan.steps)),
-    Metric("edge_mission_elapsed_seconds", "gauge", "Time that the mission has taken.",
+    MetricSpec("edge_mission_elapsed_seconds", "gauge", "Time that the mission has taken.",
            lambda s: s.mission.elapsed_s),
-    Metric("edge_mission_path_meters", "gauge", "Distance that the robot has driven for it.",
+    MetricSpec("edge_mission_path_meters", "gauge", "Distance that the robot has driven for it.",
            lambda s: s.mission.path_m),
-    Metric("edge_task_steps", "gauge", "Steps of the task, by state.",
+    MetricSpec("edge_task_steps", "gauge", "Steps of the task, by state.",
            _task_steps, ("state",)),
-    Metric("edge_goal_state", "state", "Kind of the current goal: a frontier, an instance of the "
+    MetricSpec("edge_goal_state", "state",
+    "Kind of the current goal: a frontier, an instance of the "
            "target, a look around, or a task's trajectory.",
            lambda s: "none" if s.goal is None else s.goal.kind, states=_GOALS),
-    Metric("edge_goal_age_seconds", "gauge", "Time since the current goal was chosen.",
+    MetricSpec("edge_goal_age_seconds", "gauge", "Time since the current goal was chosen.",
            lambda s: None if s.goal is None
            else max(s.running.now_ns - s.goal.stamp_ns, 0) * 1e-9),
-    Metric("edge_controller_answers", "gauge", "1 if a motion controller answers, else 0.",
+    MetricSpec("edge_controller_answers", "gauge", "1 if a motion controller answers, else 0.",
            lambda s: s.service.goals.client.heard),
     # The map.
-    Metric("edge_map_known_square_meters", "gauge", "Known area of the map.",
+    MetricSpec("edge_map_known_square_meters", "gauge", "Known area of the map.",
            lambda s: s.service.map.grid.known_m2),
-    Metric("edge_map_frontiers", "gauge", "Number of frontiers of the map.",
+    MetricSpec("edge_map_frontiers", "gauge", "Number of frontiers of the map.",
            lambda s: s.service.map.grid.frontiers.n),
 )  # fmt: skip
 """Metrics of the service, available once it is ready."""
 
-BOARD: tuple[Metric[Board], ...] = (
-    Metric("edge_board_temperature_celsius", "gauge", "Temperature of a thermal zone.",
+BOARD_METRICS: tuple[MetricSpec[BoardReading], ...] = (
+    MetricSpec("edge_board_temperature_celsius", "gauge", "Temperature of a thermal zone.",
            lambda b: b.temperature_c, ("zone",)),
-    Metric("edge_board_trip_celsius", "gauge",
+    MetricSpec("edge_board_trip_celsius", "gauge",
            "Temperature at which a zone is throttled (passive), too hot (hot) or shut down "
            "(critical).",
            lambda b: b.trip_c, ("zone", "trip")),
-    Metric("edge_board_throttled_ratio", "gauge",
+    MetricSpec("edge_board_throttled_ratio", "gauge",
            "How far the kernel throttles a part to cool it: 0 not at all, 1 as far as possible.",
            lambda b: b.throttled, ("device",)),
-    Metric("edge_board_over_current_total", "counter",
+    MetricSpec("edge_board_over_current_total", "counter",
            "Times that a Jetson throttled itself because of over-current or under-voltage.",
            lambda b: b.over_current, ("alarm",)),
-    Metric("edge_board_power_watts", "gauge", "Power of a rail of the board.",
+    MetricSpec("edge_board_power_watts", "gauge", "Power of a rail of the board.",
            lambda b: b.power_w, ("rail",)),
-    Metric("edge_board_power_mode_info", "gauge", "Power mode of a Jetson; always 1.",
+    MetricSpec("edge_board_power_mode_info", "gauge", "Power mode of a Jetson; always 1.",
            lambda b: {} if b.power_mode is None else {b.power_mode: 1}, ("mode",)),
-    Metric("edge_board_memory_bytes", "gauge", "Memory of the computer, total and available.",
+    MetricSpec("edge_board_memory_bytes", "gauge", "Memory of the computer, total and available.",
            lambda b: b.memory_bytes, ("kind",)),
 )  # fmt: skip
 """Metrics of the computer. A sensor that it does not have has no series."""
@@ -287,20 +291,22 @@ class Metrics:
         board: Reads the computer's sensors.
     """
 
-    def __init__(self, vitals: Vitals, board: Callable[[], Board] = read_board) -> None:
+    def __init__(
+        self, vitals: ServiceHealth, board: Callable[[], BoardReading] = read_board
+    ) -> None:
         self._vitals, self._board = vitals, board
-        self._watched: tuple[Running, Sequence[Sink]] | None = None
+        self._watched: tuple[RunningService, Sequence[Sink]] | None = None
         self._exposition = Exposition(self._families)
 
-    def watch(self, running: Running, sinks: Sequence[Sink]) -> None:
+    def watch(self, running: RunningService, sinks: Sequence[Sink]) -> None:
         """Add the metrics of a service that is ready. They can be read even after its end."""
         self._watched = running, sinks
 
-    def pages(self) -> Pages:
+    def pages(self) -> GetRoutes:
         return {"/metrics": self._exposition.page}
 
     def _families(self) -> Iterator[Family]:
-        yield from families(LIFE, self._vitals)
+        yield from families(HEALTH_METRICS, self._vitals)
         if self._watched is not None:
-            yield from families(SERVICE, Look(*self._watched))
-        yield from families(BOARD, self._board())
+            yield from families(SERVICE_METRICS, ScrapeSnapshot(*self._watched))
+        yield from families(BOARD_METRICS, self._board())

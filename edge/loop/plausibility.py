@@ -18,7 +18,7 @@ import numpy as np
 
 from edge.config import Config
 from edge.geometry import FARTHEST_M, SE2, CameraModel, wrap_angle
-from edge.loop.depth_motion import MISFIT, DepthMotion
+from edge.loop.depth_motion import MISFIT, DepthMotionCheck
 from edge.mapping.results import MapUpdate
 from edge.types import Observation
 
@@ -231,7 +231,7 @@ class Plausibility:
         self._levels = math.nan, math.nan
         self._depth, self._rgb, self._cloud = _Repeats(), _Repeats(), _Repeats()
         self._floor = _FloorLimit()
-        self._motion = DepthMotion(config.robot.max_speed_mps, config.robot.max_turn_radps)
+        self._motion = DepthMotionCheck(config.robot.max_speed_mps, config.robot.max_turn_radps)
 
     def on_mapped(self, update: MapUpdate) -> None:
         """Record whether the map found the floor. Some updates show neither a floor nor a gap."""

@@ -24,9 +24,9 @@ from edge.mapping.view import MapView
 from edge.perception.prior import cooccurrence, rooms
 from edge.perception.prior.cooccurrence import NEAR_M
 from edge.perception.prior.nearby import nearby
-from edge.perception.prior.table import Table, load
-from edge.perception.prior.words import Words, make_words
-from edge.perception.tracking.sightings import Sightings
+from edge.perception.prior.table import ObjectPrior, load
+from edge.perception.prior.words import PriorWordIndex, make_words
+from edge.perception.tracking.sightings import TrackedObjects
 
 PERIOD_NS = 1_000_000_000
 CELL_M = 0.1
@@ -36,7 +36,8 @@ SURE = 0.15
 """A sighting of this confidence has full weight, because the mean includes views from afar."""
 LEAST, MOST = 0.25, 4.0
 DRAWN_M, MOST_DRAWN = 0.3, 20_000
-"""Side of a cell of `Prior.layer`, and its largest number of cells. Cells of a large map grow."""
+"""Side of a cell of `LocationPrior.layer`, and its largest number of cells. Cells of a large map
+grow."""
 
 
 class Rooms(NamedTuple):
@@ -57,7 +58,7 @@ class Rooms(NamedTuple):
     border: np.ndarray
 
 
-class Things(NamedTuple):
+class SeenObjects(NamedTuple):
     """Objects that were seen, as parallel arrays.
 
     Attributes:
@@ -71,7 +72,7 @@ class Things(NamedTuple):
     weight: np.ndarray
 
 
-class Prior:
+class LocationPrior:
     """The likelihood ratio of targets near places, from all objects seen; see `lift`.
 
     Args:
@@ -82,13 +83,15 @@ class Prior:
         inline: Cut the map inside `step`, so that a run is reproducible.
     """
 
-    def __init__(self, by: str, table: Table, words: Words, tall_code: int, inline: bool) -> None:
+    def __init__(
+        self, by: str, table: ObjectPrior, words: PriorWordIndex, tall_code: int, inline: bool
+    ) -> None:
         self._by, self._table, self._words, self._tall_code = by, table, words, tall_code
-        self._chance, self._average = rooms.chances(table), rooms.average(table)
+        self._chance, self._average = rooms.object_given_room(table), rooms.room_prior(table)
         self._worker: Worker[Callable[[], Rooms], Rooms] = Worker(
             "prior", lambda survey: survey(), inline=inline
         )
-        self._sightings: Sightings | None = None
+        self._sightings: TrackedObjects | None = None
         self._row = np.zeros(0, np.int32)  # of the sightings' words
         self._seen = -1
         self._version = 0
@@ -106,7 +109,7 @@ class Prior:
         """Wrap the worker with `beside`, which logs its requests and results."""
         self._worker = beside("prior", self._worker)
 
-    def step(self, seen: MapView, sightings: Sightings, now_ns: int) -> None:
+    def step(self, seen: MapView, sightings: TrackedObjects, now_ns: int) -> None:
         """Collect new rooms, once a tick, and request new ones when they are due."""
         self._sightings = sightings
         rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
@@ -115,9 +118,9 @@ class Prior:
             layers, window, tall_code = seen.layers, seen.window, self._tall_code
 
             def survey() -> Rooms:
-                grid = regions.survey(layers, window, tall_code, CELL_M)
-                label, n = regions.cut(grid.cells, CELL_M)
-                wall, border = grid.cells == regions.WALL, regions.borders(label, n)
+                grid = regions.coarse_grid(layers, window, tall_code, CELL_M)
+                label, n = regions.segment_rooms(grid.cells, CELL_M)
+                wall, border = grid.cells == regions.WALL, regions.border_lengths(label, n)
                 return Rooms(grid, wall, label, n, border)
 
             self._worker.submit(survey)
@@ -162,7 +165,7 @@ class Prior:
             self._layers[target] = cache(lambda: self._draw(row, things, rooms))
         return self._layers[target]
 
-    def _draw(self, row: int, things: Things, rooms: Rooms) -> Grid:
+    def _draw(self, row: int, things: SeenObjects, rooms: Rooms) -> Grid:
         """Draw the layer, on any thread; see `layer`."""
         grid = rooms.grid
         step = max(
@@ -189,13 +192,13 @@ class Prior:
         """Return the likelihood ratio of places with these surroundings, (n,) float32."""
         lift = np.ones(len(near), np.float32)
         if self._by != "rooms":
-            cooccurrence.lift(self._table, row, near, lift)
+            cooccurrence.likelihood_ratio(self._table, row, near, lift)
         if self._by != "cooccurrence":
             power = self._table.room_power[self._by == "both"]
-            lift *= rooms.lift(self._chance, self._average, row, kind) ** power
+            lift *= rooms.likelihood_ratio(self._chance, self._average, row, kind) ** power
         return np.clip(lift, LEAST, MOST, out=lift)
 
-    def _update_places(self, s: Sightings, xy_m: np.ndarray) -> None:
+    def _update_places(self, s: TrackedObjects, xy_m: np.ndarray) -> None:
         """Compute the near objects and the rooms of these places, if something changed."""
         same = s.generation == self._seen and self._places == (self._version, len(xy_m))
         if same and np.array_equal(xy_m, self._xy_m):
@@ -205,14 +208,14 @@ class Prior:
         self._lifts.clear()
         self._near, self._kind = self._surroundings(self._things(s), self._rooms, self._xy_m)
 
-    def _things(self, s: Sightings) -> Things:
+    def _things(self, s: TrackedObjects) -> SeenObjects:
         if len(s.words) != len(self._row):
             self._row = np.array([self._words.row(word) for word in s.words], np.int32)
         weight = np.minimum(s.confidence[: s.n] / np.float32(SURE), np.float32(1.0))
-        return Things(s.xyz_m[: s.n], self._row[s.word[: s.n]], weight)
+        return SeenObjects(s.xyz_m[: s.n], self._row[s.word[: s.n]], weight)
 
     def _surroundings(
-        self, things: Things, known: Rooms, xy_m: np.ndarray
+        self, things: SeenObjects, known: Rooms, xy_m: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the surroundings of places.
 
@@ -232,7 +235,7 @@ class Prior:
             return near, np.zeros((n, len(self._table.kinds)))
         return near, self._kinds(things, known, xy_m)
 
-    def _kinds(self, things: Things, known: Rooms, xy_m: np.ndarray) -> np.ndarray:
+    def _kinds(self, things: SeenObjects, known: Rooms, xy_m: np.ndarray) -> np.ndarray:
         """Return P(kind of room) for each place, (n, kinds) float64."""
         held = np.zeros((known.n + 1, len(self._table.things)), np.float32)
         at = _regions(known, things.xyz_m)
@@ -240,7 +243,7 @@ class Prior:
         np.maximum.at(held, (at[counts], things.row[counts]), things.weight[counts])
         next_to = rooms.neighbours(known.border, held)
         here = _regions(known, xy_m)
-        return rooms.at_places(self._table, self._chance, held[here], held[next_to[here]])
+        return rooms.room_posterior_at(self._table, self._chance, held[here], held[next_to[here]])
 
 
 def _regions(known: Rooms, xy_m: np.ndarray) -> np.ndarray:
@@ -261,22 +264,22 @@ _NOWHERE = Rooms(
 )
 
 
-def make_prior(config: Config) -> Prior | None:
+def make_prior(config: Config) -> LocationPrior | None:
     """Return the configured prior, or None."""
     perception = config.perception
     if perception.prior == "none":
         return None
     table = load()
     words = make_words(table, perception.detector)
-    return Prior(perception.prior, table, words, TALL, config.loop.lockstep)
+    return LocationPrior(perception.prior, table, words, TALL, config.loop.lockstep)
 
 
 def warm_up(config: Config) -> None:
     """Compile the kernels of the prior, or read them from the cache."""
-    grid, sightings = RollingMap(config.mapping), Sightings(1)
+    grid, sightings = RollingMap(config.mapping), TrackedObjects(1)
     grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), np.eye(4))
     table = load()
-    prior = Prior("both", table, Words(table), TALL, inline=True)
+    prior = LocationPrior("both", table, PriorWordIndex(table), TALL, inline=True)
     sightings.words.append(table.things[0])
     sightings.n = 1
     prior.step(MapView(grid), sightings.read_only(), 0)

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from edge.geometry import SE2
-from edge.loop.faults import Faults
+from edge.loop.error_boundary import ErrorBoundary
 from edge.loop.goal import GoalTracker
-from edge.loop.journal import Journal
+from edge.loop.input_log import InputLog
 from edge.loop.latency import LatencyRing
-from edge.loop.result import Event, Sink, TickResult, facts_of, scored
+from edge.loop.result import Event, Sink, TickResult, mission_facts, scored
 from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
-from edge.tasks.facts import TaskFacts
+from edge.tasks.facts import TaskStatus
 from edge.text import one_line
 from edge.types import Detections, Goal, GoalStatus, Observation
 
@@ -47,7 +47,7 @@ def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
     return found
 
 
-class Publisher:
+class ResultPublisher:
     """The builder and publisher of results; for the loop's thread.
 
     Args:
@@ -72,7 +72,7 @@ class Publisher:
         map: SemanticMap,
         goals: GoalTracker,
         scorers: Scorers | None,
-        journal: Journal,
+        journal: InputLog,
         latency: LatencyRing,
         health: Callable[[], dict[str, Any]],
     ) -> None:
@@ -90,7 +90,7 @@ class Publisher:
         observation: Observation | None,
         pose: SE2 | None,
         mission: MissionRun,
-        task: Callable[[], TaskFacts | None],
+        task: Callable[[], TaskStatus | None],
         scores: np.ndarray,
     ) -> TickResult:
         """Return the current state, and all events since the last published result.
@@ -119,7 +119,7 @@ class Publisher:
             events=tuple(self.events),
             inputs=tuple(self._journal.pending),
             detections=self.detections,
-            mission=cache(partial(facts_of, mission)),
+            mission=cache(partial(mission_facts, mission)),
             task=cache(task),
             instances=cache(
                 lambda: [found.copied() for label in targets for found in map.tracker.of(label)]
@@ -136,13 +136,13 @@ class Publisher:
             health=self._health,
         )
 
-    def saw(self, detections: Detections) -> None:
+    def on_detections(self, detections: Detections) -> None:
         """Keep new detections and hold their frame for the next result."""
         self.let_go()
         detections.observation.hold()
         self.detections = detections
 
-    def publish(self, result: TickResult, faults: Faults) -> None:
+    def publish(self, result: TickResult, faults: ErrorBoundary) -> None:
         """Publish the result to every sink. An error of a sink does not affect the others.
 
         Such an error is an event of the next result.
@@ -150,7 +150,7 @@ class Publisher:
         for published in (self.goals, self.answers, self.events, self._journal.pending):
             published.clear()
         for sink in self._sinks:
-            with faults.outlived(f"{type(sink).__name__}.tick", result.now_ns):
+            with faults.contain(f"{type(sink).__name__}.tick", result.now_ns):
                 sink.tick(result)
 
     def let_go(self) -> None:
@@ -164,4 +164,4 @@ def _way_m(grid: RollingMap, goal: Goal | None) -> np.ndarray:
     """Return the shortest path to the goal; see `TickResult.way`."""
     if goal is None:
         return np.zeros((0, 2), np.float32)
-    return grid.reach.way_m(goal.pose.x_m, goal.pose.y_m)
+    return grid.reach.path_m(goal.pose.x_m, goal.pose.y_m)

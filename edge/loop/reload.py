@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 
-from edge.config import Config, DetectorOnnx, Perception, Section
+from edge.config import Config, DetectorOnnx, PerceptionConfig, Section
 from edge.errors import UserError
-from edge.host.interruptible import start_unjoined
+from edge.host.interruptible import start_detached_thread
 from edge.loop.service import Service
 from edge.loop.warmup import warm_policy
 from edge.perception.scoring.similarity import is_running_detector, similarity_card
-from edge.perception.swap.base import OVER
+from edge.perception.swap.base import FINAL_STATES
 from edge.perception.swap.detector import DetectorSwap
 from edge.policies import make_policy
 from edge.policies.base import Policy
@@ -146,7 +146,7 @@ class Reloader:
             ) as error:  # a plugin that raises SystemExit must not end the process
                 preparing.set_exception(ReloadError(f"it raised {type(error).__name__}"))
 
-        start_unjoined("reload", prepare)
+        start_detached_thread("reload", prepare)
 
     def _apply(self, preparing: Future[_Ready], now_ns: int) -> None:
         if not preparing.done():
@@ -165,7 +165,7 @@ class Reloader:
 
     def _wait_for_model(self, ready: _Ready, now_ns: int) -> None:
         swap = self._service.swapper.status()
-        if swap["state"] not in OVER:
+        if swap["state"] not in FINAL_STATES:
             return
         self._swapping = None
         if swap["state"] != "kept":
@@ -197,7 +197,7 @@ def _prepare(present: Config, new: Config, running: str) -> _Ready:
         ReloadError: A changed key needs a restart.
         UserError: The policy cannot be made.
     """
-    changed = tuple(key for key in differing(present, new) if key != "path")
+    changed = tuple(key for key in differing_keys(present, new) if key != "path")
     if stays := [key for key in changed if not _below(key, LIVE)]:
         raise ReloadError("; ".join(f"{key}: {_advice(key)}" for key in stays))
     policy = None
@@ -211,7 +211,7 @@ def _prepare(present: Config, new: Config, running: str) -> _Ready:
 def _check_at_rest(swapper: DetectorSwap, running: str) -> None:
     """Raise ReloadError if the model changed, or is changing, since the reload was prepared."""
     swap = swapper.status()
-    if swap["state"] not in ("idle", *OVER):
+    if swap["state"] not in ("idle", *FINAL_STATES):
         raise ReloadError(
             f"perception.detector: {swap['model']} is still {swap['state']}; "
             "reload again when that is over"
@@ -222,9 +222,9 @@ def _check_at_rest(swapper: DetectorSwap, running: str) -> None:
         )
 
 
-def _model(present: Perception, new: Perception, running: str) -> str | None:
+def _model(present: PerceptionConfig, new: PerceptionConfig, running: str) -> str | None:
     """Return the model to swap in, or None if the current detector fits the configuration."""
-    changed = [key for key in differing(present, new, "perception.") if _below(key, _DETECTOR)]
+    changed = [key for key in differing_keys(present, new, "perception.") if _below(key, _DETECTOR)]
     if not changed:
         return None
     if not isinstance(new.detector, DetectorOnnx):
@@ -239,7 +239,7 @@ def _model(present: Perception, new: Perception, running: str) -> str | None:
     return None if only_the_name and new.detector.model == running else new.detector.model
 
 
-def differing(one: Section, other: Section, prefix: str = "") -> Iterator[str]:
+def differing_keys(one: Section, other: Section, prefix: str = "") -> Iterator[str]:
     """Yield the dotted keys in which two sections of one class differ.
 
     A section of another kind, or a different list, is one key.
@@ -247,7 +247,7 @@ def differing(one: Section, other: Section, prefix: str = "") -> Iterator[str]:
     for name in type(one).model_fields:
         a, b = getattr(one, name), getattr(other, name)
         if isinstance(a, Section) and type(a) is type(b):
-            yield from differing(a, b, f"{prefix}{name}.")
+            yield from differing_keys(a, b, f"{prefix}{name}.")
         elif a != b:
             yield f"{prefix}{name}"
 

@@ -11,10 +11,10 @@ from edge.bus import topics
 from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_text, shown
 from edge.errors import UserError
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
-from edge.loop.result import facts_of
+from edge.loop.result import mission_facts
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.loop.status import answer_of
-from edge.mission.brief import Brief
+from edge.mission.spec import MissionSpec
 from edge.perception.runtime.card_types import DetectCard, DirectionsCard
 from edge.perception.runtime.cards import load_card, load_detector_card
 from edge.perception.swap.base import SwapError
@@ -29,9 +29,9 @@ MAX_NAME_CHARS = 200
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._~-]{0,63}")
 
 
-def served(
+def request_handlers(
     service: Service,
-    prepare: Callable[..., Brief],
+    prepare: Callable[..., MissionSpec],
     amiss: Callable[[], Sequence[str]] = tuple,
 ) -> dict[str, tuple[Mapping[str, Verb], Callable[[Request, int], dict]]]:
     """Return the verbs and the handler of each request key below the prefix; see `RequestServer`.
@@ -39,8 +39,8 @@ def served(
     Args:
         service: The running service.
         prepare: Makes a mission of an `instruction`, a `formula` or a `task`; see
-            `edge.tasks.brief`.
-        amiss: Returns the reasons why the service is not ready; see `edge.loop.vitals`.
+            `edge.tasks.mission_spec`.
+        amiss: Returns the reasons why the service is not ready; see `edge.loop.service_health`.
     """
     return {
         topics.MISSION_REQUEST: (
@@ -148,16 +148,16 @@ def handle_mission(
     if request.do == "new":
         _begin(service, request, now_ns)
     elif request.do != "status" and (mission.done or name not in ("", mission.id)):
-        if not request.overtaken:
+        if not request.cancelled:
             raise UserError(f"no {'such ' * bool(name)}mission is running: {_last(service)}")
     elif request.do == "cancel":
         service.fail(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
         service.pause(request.do == "pause", now_ns)
     task = service.behaviour.facts()
-    overtaken = {"overtaken": request.overtaken} if request.overtaken else {}
+    overtaken = {"overtaken": request.cancelled} if request.cancelled else {}
     return {
-        **answer_of(service.status, facts_of(service.mission), task),
+        **answer_of(service.status, mission_facts(service.mission), task),
         **overtaken,
         "past": list(service.past),
         "robot": _robot(service, amiss()),
@@ -166,7 +166,7 @@ def handle_mission(
 
 def _begin(service: Service, request: Request, now_ns: int) -> None:
     """Start the requested mission, unless its id was used before or the robot must be free."""
-    assert isinstance(request.prepared, Brief)
+    assert isinstance(request.prepared, MissionSpec)
     name, mission = request.fields.get("id", ""), service.mission
     if name and name == mission.id:
         return

@@ -9,15 +9,23 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from edge.geometry import SE2, Grid
-from edge.loop.journal import Input
+from edge.loop.input_log import LoopInput
 from edge.loop.latency import LatencyReport, Span
-from edge.mission.brief import Brief
-from edge.mission.planning.plan import Knowledge, Plan
+from edge.mission.planning.plan import MissionKnowledge, TargetPlan
 from edge.mission.run import MissionRun
-from edge.perception.scoring.choice.question import Choice
+from edge.mission.spec import MissionSpec
+from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies.base import Candidates
-from edge.tasks.facts import TaskFacts
-from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
+from edge.tasks.facts import TaskStatus
+from edge.types import (
+    Detections,
+    Goal,
+    GoalStatus,
+    Instance,
+    MissionEvent,
+    MissionStatus,
+    Observation,
+)
 
 VALUE_LAYER = "value of "
 """Prefix of the layer names of value maps. The target follows."""
@@ -47,19 +55,19 @@ class MissionFacts:
         id: Id that the client gave to the mission; "" if none.
     """
 
-    brief: Brief
+    brief: MissionSpec
     state: int
     word: tuple[str, ...]
-    plan: Plan
-    knowledge: Knowledge
+    plan: TargetPlan
+    knowledge: MissionKnowledge
     reached: tuple[str, ...]
     forbidden: tuple[str, ...]
     paused: bool
-    steps: tuple[Step, ...]
+    steps: tuple[MissionEvent, ...]
     id: str
 
 
-def facts_of(mission: MissionRun) -> MissionFacts:
+def mission_facts(mission: MissionRun) -> MissionFacts:
     """Return a snapshot of a mission."""
     return MissionFacts(
         mission.brief, mission.state, mission.word, mission.plan, mission.knowledge,
@@ -117,7 +125,7 @@ class TickResult:
         goals: Goals that were sent since the last result.
         answers: Goal statuses that were received since the last result.
         events: Events since the last result.
-        inputs: Entries of the input log since the last result (`edge.loop.journal`).
+        inputs: Entries of the input log since the last result (`edge.loop.input_log`).
         detections: New detections with their frame, valid until `Sink.tick` returns; None if there
             are none.
         mission: Returns state, plan and log of the mission.
@@ -151,15 +159,15 @@ class TickResult:
     goals: tuple[Goal, ...]
     answers: tuple[GoalStatus, ...]
     events: tuple[Event, ...]
-    inputs: tuple[Input, ...]
+    inputs: tuple[LoopInput, ...]
     detections: Detections | None
     mission: Callable[[], MissionFacts]
-    task: Callable[[], TaskFacts | None]
+    task: Callable[[], TaskStatus | None]
     instances: Callable[[], list[Instance]]
     frontiers: Callable[[], np.ndarray]
     candidates: Callable[[], ScoredCandidates]
     way: Callable[[], np.ndarray]
-    choice: Choice | None
+    choice: FrontierChoice | None
     known_m2: Callable[[], float]
     snapshot: Callable[..., Grid]
     layers: Callable[[], dict[str, Callable[[], Grid]]]

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from edge.config import Config
 from edge.host.priority import real_time
-from edge.loop.faults import IDLE, TICK
+from edge.loop.error_boundary import IDLE, TICK
 from edge.loop.reload import Reloader
 from edge.loop.service import DETECT, INGEST, Service
 from edge.loop.source import NO_DROPS, Source
@@ -26,7 +26,7 @@ _LEAP_NS = 60_000_000_000  # no two observations in lockstep are this far apart
 _PATIENCE_S = 0.05  # how long lockstep waits for an observation before it checks `stop`
 
 
-class Server(Protocol):
+class RequestHandler(Protocol):
     """A server of requests (see `edge.bus.requests`)."""
 
     def serve(self, now_ns: int) -> int:
@@ -34,7 +34,7 @@ class Server(Protocol):
 
 
 @dataclass
-class Running:
+class RunningService:
     """A service with its source and its request servers.
 
     Attributes:
@@ -54,7 +54,7 @@ class Running:
     service: Service
     worker: DetectorWorker
     source: Source
-    servers: Mapping[str, Server]
+    servers: Mapping[str, RequestHandler]
     now_ns: int = field(default=0, init=False)
     epoch: int = field(default=0, init=False)
     reloader: Reloader | None = field(default=None, init=False)
@@ -62,7 +62,7 @@ class Running:
 
 
 def loop(
-    running: Running,
+    running: RunningService,
     stop: threading.Event,
     once: bool = False,
     each: Callable[[], None] = lambda: None,
@@ -86,7 +86,7 @@ def loop(
     return service.status
 
 
-def _count_drops(running: Running) -> None:
+def _count_drops(running: RunningService) -> None:
     """Count the messages that became no observation, and the images that the detector skipped."""
     counters, latency = running.source.counters, running.service.latency
     dropped = sum(n for reason, n in counters.items() if reason not in NO_DROPS)
@@ -94,7 +94,7 @@ def _count_drops(running: Running) -> None:
     latency.set_drops(DETECT, running.worker.stats.replaced)
 
 
-def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:
+def _real_time(running: RunningService, stop: threading.Event) -> Iterator[None]:
     """Run cycles at a fixed period. A cycle that is a whole period late shifts the schedule.
 
     A cycle without an observation is followed by the next one after an eighth of the period. This
@@ -125,7 +125,7 @@ def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:
             deadline_ns = perf_counter_ns()
 
 
-def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
+def _lockstep(running: RunningService, stop: threading.Event) -> Iterator[None]:
     """Run one tick for each observation, on the clock of the observations.
 
     This clock stops while no observations come. The mission fails if they stop for longer than its
@@ -157,53 +157,53 @@ def _later(now_ns: int, passed_ns: int) -> int:
 
 
 # The functions below run in the loop and do not raise: an error of one message, request or frame
-# must not stop the next one (see `edge.loop.faults`).
+# must not stop the next one (see `edge.loop.error_boundary`).
 
 
-def _wait(running: Running, now_ns: int) -> bool:
+def _wait(running: RunningService, now_ns: int) -> bool:
     """Return True if the source has a new message, in lockstep."""
     wait = partial(running.source.wait, _PATIENCE_S)
-    came = running.service.faults.attempt("wait", now_ns, wait)
+    came = running.service.faults.call("wait", now_ns, wait)
     if came is None:
         time.sleep(_PATIENCE_S)  # a source that fails at once must not make the loop spin
     return bool(came)
 
 
-def _hear(running: Running, now_ns: int) -> Observation | None:
+def _hear(running: RunningService, now_ns: int) -> Observation | None:
     """Handle the controller's goal statuses; return the newest observation, if any."""
     service = running.service
     service.latency.begin_tick(perf_counter_ns())
-    for answer in service.faults.attempt("goal_status", now_ns, running.source.inbox.poll) or ():
-        with service.faults.outlived("goal answer", now_ns):
-            service.goal_answered(answer)
+    for answer in service.faults.call("goal_status", now_ns, running.source.inbox.poll) or ():
+        with service.faults.contain("goal answer", now_ns):
+            service.on_goal_status(answer)
     failed = service.faults.failed
-    observation = service.faults.attempt("source", now_ns, running.source.poll)
+    observation = service.faults.call("source", now_ns, running.source.poll)
     if service.faults.failed > failed:
         service.latency.abandon_tick(INGEST)
     return observation
 
 
-def _obey(running: Running, now_ns: int) -> None:
+def _obey(running: RunningService, now_ns: int) -> None:
     """Serve waiting requests, then step the model swap, the governor and the reload."""
     service = running.service
     for key, server in running.servers.items():
-        service.faults.attempt(key, now_ns, partial(server.serve, now_ns))
-    with service.faults.outlived("swap", now_ns):
+        service.faults.call(key, now_ns, partial(server.serve, now_ns))
+    with service.faults.contain("swap", now_ns):
         service.swapper.step(now_ns)
     if service.governor is not None:
-        with service.faults.outlived("governor", now_ns):
+        with service.faults.contain("governor", now_ns):
             service.governor.step(now_ns)
     if running.reloader is not None:
-        with service.faults.outlived("reload", now_ns):
+        with service.faults.contain("reload", now_ns):
             running.reloader.step(now_ns)
 
 
-def _idle(running: Running, now_ns: int, dropped: Observation | None = None) -> None:
-    with running.service.faults.outlived(IDLE, now_ns):
+def _idle(running: RunningService, now_ns: int, dropped: Observation | None = None) -> None:
+    with running.service.faults.contain(IDLE, now_ns):
         running.service.idle(now_ns, running.source.pose, dropped)
 
 
-def _tick(running: Running, observation: Observation, now_ns: int) -> None:
+def _tick(running: RunningService, observation: Observation, now_ns: int) -> None:
     """Run all stages on an observation. If a stage fails, the observation is dropped."""
     service = running.service
     service.latency.mark(INGEST, perf_counter_ns())
@@ -212,7 +212,7 @@ def _tick(running: Running, observation: Observation, now_ns: int) -> None:
         _see(running, observation, now_ns)
     except Exception as error:
         service.latency.abandon_tick(service.stage)
-        service.faults.caught(TICK, error, now_ns, where=STAGES[service.stage].name)
+        service.faults.on_error(TICK, error, now_ns, where=STAGES[service.stage].name)
         # The observation was not used. If this continues, the robot must stop.
         _idle(running, now_ns, observation)
     else:
@@ -226,9 +226,9 @@ def _tick(running: Running, observation: Observation, now_ns: int) -> None:
         observation.release()
 
 
-def _see(running: Running, observation: Observation, now_ns: int) -> None:
+def _see(running: RunningService, observation: Observation, now_ns: int) -> None:
     # Before the tick, so that the first observation of the new frame is not put into the old map.
     if running.source.epoch != running.epoch:
-        running.service.forget_places(now_ns)
+        running.service.on_pose_jump(now_ns)
         running.epoch = running.source.epoch
     running.service.tick(observation, now_ns)

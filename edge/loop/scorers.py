@@ -17,10 +17,16 @@ from edge.config import ChoiceCooccurrence, ChoiceNone, ChoiceOnnx, Config
 from edge.config.root import ValueSource
 from edge.geometry import SE2
 from edge.loop.cooccurrence import PriorChoice, RelatedScores
-from edge.mapping.values import Sight, ValueMap
+from edge.mapping.values import RangeProfile, ValueMap
 from edge.perception.scoring.choice.factory import ViewScorer, make_choice
 from edge.perception.scoring.choice.picture import visible_marks
-from edge.perception.scoring.choice.question import Choice, Mark, Sighting, View, Ways
+from edge.perception.scoring.choice.question import (
+    DetectedObject,
+    FrontierChoice,
+    Mark,
+    MarkCosts,
+    MarkedView,
+)
 from edge.perception.scoring.similarity import (
     SimilarityScorer,
     best_scores,
@@ -30,9 +36,9 @@ from edge.perception.scoring.similarity import (
 )
 from edge.perception.swap.choice import ChoiceSwap
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.sightings import Sightings
+from edge.perception.tracking.sightings import TrackedObjects
 from edge.perception.worker import ScorerWorker
-from edge.policies.base import FRONTIER, Answers, Candidates, Prior, Similarity
+from edge.policies.base import FRONTIER, Candidates, ImageSimilarity, ScorerOutputs, TargetPrior
 from edge.types import Detections, Observation
 
 SIGHTED_NS = 2_000_000_000  # objects seen longer ago do not count as in view
@@ -47,15 +53,15 @@ class _Question(NamedTuple):
 
     observation: Observation
     targets: tuple[str, ...]
-    sight: Sight | None
+    sight: RangeProfile | None
 
 
 class _Directions(NamedTuple):
     """A question to a choice scorer. `xy_m` are the places of the frontiers of the view's marks."""
 
-    view: View
+    view: MarkedView
     xy_m: np.ndarray
-    sight: Sight | None
+    sight: RangeProfile | None
 
     @property
     def observation(self) -> Observation:
@@ -74,11 +80,11 @@ class _SimilarityAnswers:
         assert question.observation.rgb is not None
         return question, question.observation.rgb.copy()
 
-    def answer(self, looked: tuple[_Question, np.ndarray]) -> tuple[_Question, Similarity]:
+    def answer(self, looked: tuple[_Question, np.ndarray]) -> tuple[_Question, ImageSimilarity]:
         question, rgb = looked
         seen, targets = question.observation, question.targets
         score = self._scorer.score(rgb, targets)
-        return question, Similarity(seen.stamp_ns, seen.pose, targets, score)
+        return question, ImageSimilarity(seen.stamp_ns, seen.pose, targets, score)
 
     def close(self) -> None:
         self._scorer.close()
@@ -94,7 +100,7 @@ class _ChoiceAnswers:
     def look(self, question: _Directions) -> tuple[_Directions, Any]:
         return question, self._scorer.look(question.view)
 
-    def answer(self, looked: tuple[_Directions, Any]) -> tuple[_Directions, Choice] | None:
+    def answer(self, looked: tuple[_Directions, Any]) -> tuple[_Directions, FrontierChoice] | None:
         question, shown = looked
         choice = self._scorer.answer(shown)
         return None if choice is None else (question, choice)
@@ -138,7 +144,7 @@ class Scorers:
             feeds: See the attribute.
             remake: Makes a choice scorer for another card; None if models cannot be swapped.
         """
-        self.answers = Answers()
+        self.answers = ScorerOutputs()
         self._from_detections, self._score_of = from_detections, score_of
         self._detector = ""
         self.feeds = feeds
@@ -178,8 +184,8 @@ class Scorers:
         candidates: Candidates,
         tracker: InstanceTracker,
         values: ValueMap,
-        prior: Prior | None = None,
-        around: Sightings | None = None,
+        prior: TargetPrior | None = None,
+        around: TrackedObjects | None = None,
     ) -> None:
         """Ask the idle scorers about this observation. Never block, unless `inline`.
 
@@ -212,21 +218,21 @@ class Scorers:
                     lift = np.ones(len(marks), np.float32)
                     prior.lift(about, xy_m.astype(np.float32), len(marks), lift)
                 seen = sightings(tracker, around, observation)
-                ways = ways_to(c, open_, marks)
-                view = View(observation, about, marks, seen, lift, ways)
+                ways = mark_costs(c, open_, marks)
+                view = MarkedView(observation, about, marks, seen, lift, ways)
                 choice.submit(_Directions(view, xy_m, sight))
 
-    def saw(self, detections: Detections, values: ValueMap) -> None:
+    def on_detections(self, detections: Detections, values: ValueMap) -> None:
         """Use the running detector's scores as similarity, if so configured."""
         if self._from_detections is not None:
             seen = detections.observation
             self._detector = detections.model
             score = self._score_of(detections)
-            answer = Similarity(seen.stamp_ns, seen.pose, detections.prompts, score)
+            answer = ImageSimilarity(seen.stamp_ns, seen.pose, detections.prompts, score)
             sight = values.sight(seen) if self.feeds == "similarity" else None
             self._take_similarity(answer, sight, values)
 
-    def take_up(self, values: ValueMap, idle: bool = False) -> None:
+    def collect_answers(self, values: ValueMap, idle: bool = False) -> None:
         """Collect the new answers and write them to the value maps.
 
         Directions are written at the frontiers of the question, even if these are gone.
@@ -250,7 +256,9 @@ class Scorers:
                 xy_m = asked.xy_m[[place[i] for i in chosen.ids]]
                 values.write_directions(asked.sight, chosen.target, xy_m, chosen.p, chosen.scene)
 
-    def _take_similarity(self, answer: Similarity, sight: Sight | None, values: ValueMap) -> None:
+    def _take_similarity(
+        self, answer: ImageSimilarity, sight: RangeProfile | None, values: ValueMap
+    ) -> None:
         self.answers = replace(self.answers, similarity=answer)
         if sight is not None:
             values.write_view(sight, answer.targets, answer.score)
@@ -272,7 +280,7 @@ class Scorers:
         """Drop all answers and open questions, for another map or mission."""
         for worker in self._workers:
             worker.forget()
-        self.answers = Answers()
+        self.answers = ScorerOutputs()
 
     def names(self) -> list[str]:
         """Return the names of the running models, for people."""
@@ -322,7 +330,7 @@ def _places_m(pose: SE2, marks: Sequence[Mark]) -> np.ndarray:
     )
 
 
-def ways_to(candidates: Candidates, open_: np.ndarray, marks: Sequence[Mark]) -> Ways:
+def mark_costs(candidates: Candidates, open_: np.ndarray, marks: Sequence[Mark]) -> MarkCosts:
     """Return path lengths and gains of the marks, and a summary of the other frontiers.
 
     Args:
@@ -337,12 +345,12 @@ def ways_to(candidates: Candidates, open_: np.ndarray, marks: Sequence[Mark]) ->
     rest = np.zeros(3, np.float32)
     if others.any():
         rest[:] = np.count_nonzero(others), path_m[others].min(), gain_m2[others].max()
-    return Ways(path_m[at], gain_m2[at], rest)
+    return MarkCosts(path_m[at], gain_m2[at], rest)
 
 
 def sightings(
-    tracker: InstanceTracker, around: Sightings | None, observation: Observation
-) -> tuple[Sighting, ...]:
+    tracker: InstanceTracker, around: TrackedObjects | None, observation: Observation
+) -> tuple[DetectedObject, ...]:
     """Return the objects detected in the last `SIGHTED_NS` and not rejected, nearest first."""
     pose, least = observation.pose, tracker.config.min_hits
     found = [
@@ -360,7 +368,7 @@ def sightings(
             if word not in targets:  # the tracker knows more about targets
                 found.append((word, around.xyz_m[i]))
     seen = [
-        Sighting(word, pose.bearing_to(*xy_m), pose.distance_to(*xy_m))
+        DetectedObject(word, pose.bearing_to(*xy_m), pose.distance_to(*xy_m))
         for word, xy_m in ((word, (float(at[0]), float(at[1]))) for word, at in found)
     ]
     return tuple(sorted(seen, key=lambda sighting: sighting.distance_m)[:MAX_SIGHTINGS])

@@ -22,8 +22,8 @@ from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
 from edge.memory import Site
 from edge.perception.tracking.instances import MAX_INSTANCES, InstanceTracker
-from edge.perception.tracking.lift import Lifter
-from edge.perception.tracking.sightings import SightingTracker
+from edge.perception.tracking.lift import BackProjector
+from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Detections, Instance, Observation
 
 
@@ -50,12 +50,12 @@ class SemanticMap:
     def __init__(self, config: Config, targets: Sequence[str]) -> None:
         perception = config.perception
         self.config, self._targets = config, targets
-        self.sightings = SightingTracker(perception)
+        self.sightings = ObjectTracker(perception)
         self.tracker = InstanceTracker(perception, self.sightings)
         self.pool = CandidatePool(MAX_FRONTIERS + MAX_INSTANCES, config.policy.r_assoc_m)
         self.prior = make_prior(config)
         self.epoch = 0
-        self._lifter = Lifter(perception)
+        self._lifter = BackProjector(perception)
         self._zones_m: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
         self._lay(RollingMap(config.mapping, config.robot))
 
@@ -106,7 +106,7 @@ class SemanticMap:
         pool.update(self.grid.frontiers, instances, observation.stamp_ns, now_ns)
         pool.measure(self.grid)
         if policy.look_round and camera is not None:
-            pool.add_look(self.grid, observation.pose, camera.hfov_rad, now_ns)
+            pool.add_spin(self.grid, observation.pose, camera.hfov_rad, now_ns)
 
     # -- from one mission, configuration or frame to another --------------------------------
 

@@ -17,33 +17,33 @@ import numpy as np
 
 from edge.config import Config
 from edge.geometry import SE2
-from edge.host.calibration import Calibration
+from edge.host.calibration import SpeedCalibration
 from edge.loop import stages
 from edge.loop.behaviours.base import Behaviour
 from edge.loop.behaviours.follow import FollowBehaviour
 from edge.loop.behaviours.search import SearchBehaviour
 from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.faults import Faults
+from edge.loop.error_boundary import ErrorBoundary
 from edge.loop.goal import GoalTracker
-from edge.loop.governor import Governor
-from edge.loop.journal import DETECTOR, ELSEWHERE, SIGHTED, USE, Journal
+from edge.loop.input_log import DETECTOR, FRAME_DECISION, SIGHTED, USE, InputLog
 from edge.loop.latency import LatencyRing
-from edge.loop.map_checkpoint import Parts, Sighted, restore
+from edge.loop.load_shedder import LoadShedder
+from edge.loop.map_checkpoint import MapParts, StampedPose, restore
 from edge.loop.plausibility import Plausibility
-from edge.loop.publish import Publisher
+from edge.loop.publish import ResultPublisher
 from edge.loop.result import Event, Sink, TickResult
 from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
-from edge.loop.source import InputRow
+from edge.loop.source import InputStatus
 from edge.loop.status import HealthWatch
 from edge.memory import START, Place, Site, SiteFile
-from edge.mission.brief import Brief, task_of
 from edge.mission.run import MissionRun
-from edge.mission.surveyor import make_surveyor
+from edge.mission.spec import MissionSpec, task_state
+from edge.mission.travel_cost import make_travel_cost_estimator
 from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
-from edge.policies.base import Answers, Context, Policy, scores_of
-from edge.types import Detections, Goal, GoalStatus, MissionStatus, Observation, Step
+from edge.policies.base import Policy, PolicyInput, ScorerOutputs, scores_of
+from edge.types import Detections, Goal, GoalStatus, MissionEvent, MissionStatus, Observation
 
 log = logging.getLogger("edge.loop.service")
 
@@ -101,21 +101,21 @@ class Service:
     def __init__(
         self,
         config: Config,
-        brief: Brief,
+        brief: MissionSpec,
         worker: DetectorWorker,
         policy: Policy,
         sinks: Sequence[Sink],
         checkpoint: ServiceCheckpoint | None = None,
         scorers: Scorers | None = None,
         overruns: Callable[[], dict[str, int]] = dict,
-        calibration: Calibration | None = None,
+        calibration: SpeedCalibration | None = None,
         idle: bool = False,
-        journal: Journal | None = None,
-        inputs: Callable[[], Sequence[InputRow]] = tuple,
+        journal: InputLog | None = None,
+        inputs: Callable[[], Sequence[InputStatus]] = tuple,
         site: SiteFile | None = None,
     ) -> None:
         self.config = config
-        self._journal = journal = journal or Journal()
+        self._journal = journal = journal or InputLog()
         self.checkpoint, self.overruns, self.inputs = checkpoint, overruns, inputs
         self.map = SemanticMap(config, brief.prompts)
         self.site = site or SiteFile()
@@ -131,19 +131,21 @@ class Service:
             self.event,
         )
         self.stamp_ns = 0
-        self._surveyor = make_surveyor(config.mission.planner, config.loop.lockstep)
+        self._surveyor = make_travel_cost_estimator(config.mission.planner, config.loop.lockstep)
         self.behaviour = self._behaviour_of(self.mission)
         for part in (self._surveyor, self.map.prior, scorers):
             if part is not None:
                 part.through(journal.beside)
-        self.faults = Faults(self.event)
+        self.faults = ErrorBoundary(self.event)
         self.stage = INGEST
         self._worker = journal.beside(DETECTOR, worker)
         self.scorers = scorers
         self.swapper = DetectorSwap(config.perception, worker, self.event)
-        self.governor: Governor | None = None
+        self.governor: LoadShedder | None = None
         if config.perception.governor.ladder and not config.loop.lockstep:
-            self.governor = Governor(config.perception, worker, self.swapper, scorers, self.event)
+            self.governor = LoadShedder(
+                config.perception, worker, self.swapper, scorers, self.event
+            )
         self.blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
         self.plausibility = Plausibility(config, self.blind_s, self.event)
         self._health = HealthWatch(
@@ -151,7 +153,7 @@ class Service:
             lambda: None if self.governor is None else self.governor.status(),
             self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
-        self._publisher = Publisher(
+        self._publisher = ResultPublisher(
             sinks, self.map, self.goals, scorers, journal, self.latency, self._health.status
         )
         self._changed = NOTHING_CHANGED
@@ -173,7 +175,8 @@ class Service:
         if checkpoint is not None:
             saved, known = checkpoint.saved, checkpoint.map.loaded
         journal.note(
-            "start", translation=brief.translation, task=task_of(brief), saved=saved, places=known,
+            "start", translation=brief.translation, task=task_state(brief), saved=saved,
+            places=known,
             idle=idle, site=self.site.site,
         )  # fmt: skip
 
@@ -219,7 +222,7 @@ class Service:
 
         self.stage = MAP
         if self.checkpoint is not None:
-            self._restore(self.checkpoint, Sighted(pose, observation.stamp_ns, now_ns))
+            self._restore(self.checkpoint, StampedPose(pose, observation.stamp_ns, now_ns))
         self._map(observation, now_ns)
         self._lap(MAP)
         self._lift(self._worker.poll(), now_ns)
@@ -248,21 +251,21 @@ class Service:
         self.latency.mark(stage, perf_counter_ns())
         self.stage = (stage + 1) % len(stages.STAGES)
 
-    def _restore(self, checkpoint: ServiceCheckpoint, sighted: Sighted) -> None:
+    def _restore(self, checkpoint: ServiceCheckpoint, sighted: StampedPose) -> None:
         """Restore map and objects of a checkpoint, with the first observation."""
         saved = checkpoint.map
         if saved.waiting is None:
             return
-        why = partial(saved.why_elsewhere, sighted)
-        found = saved.take(self._journal.decided(ELSEWHERE, why))
+        why = partial(saved.frame_mismatch, sighted)
+        found = saved.take(self._journal.decided(FRAME_DECISION, why))
         if found is None:
             return
         grid, loaded = found
-        goes_on = checkpoint.goes_on(self.mission, loaded.state.targets)
-        with self.faults.outlived("restore", sighted.now_ns):
-            restore(Parts(self.map, self.goals, self.policy), grid, loaded, sighted, goes_on)
+        goes_on = checkpoint.is_resumed(self.mission, loaded.state.targets)
+        with self.faults.contain("restore", sighted.now_ns):
+            restore(MapParts(self.map, self.goals, self.policy), grid, loaded, sighted, goes_on)
         if goes_on:
-            self.mission.overlook(self.map.tracker.newest_id)
+            self.mission.mark_stale_before(self.map.tracker.newest_id)
         else:
             self._forget_tried()
         known = f"map ({self.map.grid.known_m2:.0f} m²) and {len(self.map.tracker)} objects"
@@ -288,10 +291,10 @@ class Service:
             if not void and detections.prompts == self.mission.brief.prompts:
                 self.latency.span(DETECT, detections.latency_ns)
                 if self.scorers is not None:
-                    self.scorers.saw(detections, self.map.grid.values)
+                    self.scorers.on_detections(detections, self.map.grid.values)
                 self.map.look(detections)
-                self._detections = detections.without_rivals()
-                self._publisher.saw(self._detections)
+                self._detections = detections.without_suppressed()
+                self._publisher.on_detections(self._detections)
         finally:
             # Only this tick reads the arrays, so the frame can be reused.
             detections.observation.release()
@@ -306,20 +309,20 @@ class Service:
                 observation, targets, target, candidates, here.tracker, here.grid.values,
                 here.prior, here.sightings.shown,
             )  # fmt: skip
-        scorers.take_up(here.grid.values, idle=mission.done)
+        scorers.collect_answers(here.grid.values, idle=mission.done)
         if self.config.loop.lockstep:  # the models ran inside `ask`, which is no time of the tick
             self.latency.resume(perf_counter_ns())
 
-    def _score(self, observation: Observation, now_ns: int) -> Context:
+    def _score(self, observation: Observation, now_ns: int) -> PolicyInput:
         """Stage 6: build the policy's context and score the candidates."""
-        context = Context(
+        context = PolicyInput(
             observation,
             observation.pose,
             self.map.view,
             self._changed,
             self.map.pool.shown,
             self._detections,
-            Answers() if self.scorers is None else self.scorers.answers,
+            ScorerOutputs() if self.scorers is None else self.scorers.answers,
             self.mission.brief.prompts,
             self.mission.brief.prompt_for(self.mission.target),
             now_ns,
@@ -329,7 +332,7 @@ class Service:
         self.scores = scores_of(self.policy, context)
         return context
 
-    def _plan(self, context: Context) -> Context:
+    def _plan(self, context: PolicyInput) -> PolicyInput:
         """Stage 7: count time, let the behaviour advance the mission, and check its limits.
 
         If the plan changed the active target, the candidates of the new target are scored at once.
@@ -342,11 +345,11 @@ class Service:
         mission.check_limits(now_ns)
         if self.goals.follows(mission) or mission.done:
             return context
-        self.goals.set_out(mission)
+        self.goals.retarget(mission)
         self.map.gather(self.behaviour.gather(), context.observation, now_ns)
         return self._score(context.observation, now_ns)
 
-    def _select(self, context: Context) -> Goal | None:
+    def _select(self, context: PolicyInput) -> Goal | None:
         """Stage 8: return the behaviour's goal, or None if no mission is active."""
         if not self.mission.active:
             self.goals.rest()
@@ -355,7 +358,7 @@ class Service:
             return leaving
         return self.behaviour.select(context, self.scores, self._images)
 
-    def _leave_zone(self, context: Context) -> Goal | None:
+    def _leave_zone(self, context: PolicyInput) -> Goal | None:
         """Return a goal outside the zone that the robot is in, or None if it is in none."""
         grid, pose = self.map.grid, context.pose
         inside = grid.zones.any and grid.zones.holds(pose.x_m, pose.y_m)
@@ -370,7 +373,7 @@ class Service:
                 x_m, y_m, _ = cell
                 yaw_rad = math.atan2(y_m - pose.y_m, x_m - pose.x_m)
                 exit_pose = SE2(x_m, y_m, yaw_rad)
-                return self.goals.lead(exit_pose, self.mission, context.now_ns, _EXIT_M[0])
+                return self.goals.override(exit_pose, self.mission, context.now_ns, _EXIT_M[0])
         return None
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
@@ -378,9 +381,11 @@ class Service:
         try:
             self._health.look(now_ns)
             if self.checkpoint is not None:
-                sighted = None if self.pose is None else Sighted(self.pose, self.stamp_ns, now_ns)
-                with self.faults.outlived("checkpoint", now_ns):
-                    parts = Parts(self.map, self.goals, self.policy)
+                sighted = (
+                    None if self.pose is None else StampedPose(self.pose, self.stamp_ns, now_ns)
+                )
+                with self.faults.contain("checkpoint", now_ns):
+                    parts = MapParts(self.map, self.goals, self.policy)
                     self.checkpoint.note(self.mission, self.status, parts, sighted, now_ns)
             self._publisher.publish(self.result(now_ns, observation), self.faults)
         finally:
@@ -388,7 +393,7 @@ class Service:
 
     # -- requests and events from outside -----------------------------------------------------
 
-    def begin(self, brief: Brief, now_ns: int, id: str = "") -> None:
+    def begin(self, brief: MissionSpec, now_ns: int, id: str = "") -> None:
         """Replace the mission. Map and instances are kept.
 
         Args:
@@ -404,7 +409,7 @@ class Service:
         self._worker.set_prompts(brief.prompts)
         self._remember(self.mission)
         self._journal.note(
-            "mission", translation=brief.translation, task=task_of(brief), id=id, now_ns=now_ns
+            "mission", translation=brief.translation, task=task_state(brief), id=id, now_ns=now_ns
         )
         self.mission = mission
         self.behaviour.close()
@@ -476,7 +481,7 @@ class Service:
         self._journal.note("fail", reason=reason, now_ns=now_ns)
         self.mission.fail(reason, now_ns)
 
-    def goal_answered(self, answer: GoalStatus) -> None:
+    def on_goal_status(self, answer: GoalStatus) -> None:
         """Handle a goal status of the controller. A status for an old goal has no effect on it."""
         self._journal.note("answer", answer=answer)
         answer = self.goals.client.matched(answer)
@@ -517,7 +522,7 @@ class Service:
             self.goals.stand(self.mission, pose, now_ns)
         self.goals.drop()
 
-    def forget_places(self, now_ns: int) -> None:
+    def on_pose_jump(self, now_ns: int) -> None:
         """Handle a pose jump: drop map, instances and goals, which are in the old frame.
 
         Detections in older images are dropped too. The robot is sent a goal to stand still, unless
@@ -535,10 +540,10 @@ class Service:
         self.mission.forget_distances()
         self._forget_asked()
         self.behaviour.forget()
-        self.goals.forget_places()
+        self.goals.on_pose_jump()
         self._void_seq = self._newest_seq
         if self.checkpoint is not None:
-            self.checkpoint.map.jumped()
+            self.checkpoint.map.on_pose_jump()
 
     def event(self, text: str, now_ns: int, level: int = logging.INFO) -> None:
         """Report an event for people to the log and the sinks.
@@ -551,7 +556,7 @@ class Service:
         log.log(level, text)
         self._publisher.events.append(Event(now_ns, text))
 
-    def _step_taken(self, step: Step) -> None:
+    def _step_taken(self, step: MissionEvent) -> None:
         self.event(step.text, step.stamp_ns)
 
     def close(self) -> None:

@@ -20,7 +20,7 @@ usable; `unused`: another input of the group is used instead."""
 
 
 @dataclass(frozen=True, slots=True)
-class InputRow:
+class InputStatus:
     """State of one input of a source.
 
     Attributes:
@@ -60,7 +60,7 @@ class InputRow:
         return self.where if self.where.endswith(self.name) else f"{self.name} ({self.where})"
 
 
-def lacking(rows: Sequence[InputRow]) -> str:
+def missing_inputs(rows: Sequence[InputStatus]) -> str:
     """Return one line that lists the needed inputs that are missing, silent or dropped; "" if none.
 
     The line is logged whenever it changes, so it holds no number that changes all the time.
@@ -68,7 +68,7 @@ def lacking(rows: Sequence[InputRow]) -> str:
     return "; ".join(_lacking([row for row in rows if row.lacks]))
 
 
-def _lacking(rows: Sequence[InputRow]) -> Iterator[str]:
+def _lacking(rows: Sequence[InputStatus]) -> Iterator[str]:
     for state, text in (("missing", "no message yet on"), ("silent", "no more messages on")):
         groups: dict[str, list[str]] = {}
         for row in rows:
@@ -81,9 +81,9 @@ def _lacking(rows: Sequence[InputRow]) -> Iterator[str]:
             yield f"every message on {row} is dropped: {row.why}"
 
 
-def inputs_status(rows: Sequence[InputRow]) -> dict[str, Any]:
-    """Return the inputs for the status message: state `ok` or `lacking`, reason, and each input."""
-    why = lacking(rows)
+def inputs_status(rows: Sequence[InputStatus]) -> dict[str, Any]:
+    """Return the inputs for the status: `ok` or `lacking`, the reason, and each input."""
+    why = missing_inputs(rows)
     topics = {row.name: asdict(row) for row in rows}
     return {"state": "lacking" if why else "ok", "detail": why, "topics": topics}
 
@@ -91,8 +91,8 @@ def inputs_status(rows: Sequence[InputRow]) -> dict[str, Any]:
 class Source(Protocol):
     """The interface of a source of observations; for one thread.
 
-    A source may have a method `input_table()` that returns its inputs (`InputRow`) to any thread.
-    Readiness, status, console, live page and metrics then show which input is missing.
+    A source may have a method `input_table()` that returns its inputs (`InputStatus`) to any
+    thread. Readiness, status, console, live page and metrics then show which input is missing.
 
     Attributes:
         counters: Counts by name; may be empty. Each name that is not in `NO_DROPS` is a reason why
@@ -103,7 +103,7 @@ class Source(Protocol):
     """
 
     counters: dict[str, int]
-    inbox: GoalAnswers
+    inbox: GoalStatusReader
 
     @property
     def epoch(self) -> int: ...
@@ -124,7 +124,7 @@ class Source(Protocol):
     def close(self) -> None: ...
 
 
-class GoalAnswers(Protocol):
+class GoalStatusReader(Protocol):
     """The interface of a reader of the motion controller's goal statuses; for one thread.
 
     Attributes:

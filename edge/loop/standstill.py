@@ -21,7 +21,7 @@ _AGAIN_NS, _SAME_M = 2_000_000_000, 0.3
 _EXPLAINED, _REMEMBERED = 2, 64
 
 
-class Standstill:
+class StandstillMonitor:
     """A monitor for a robot that does not move although it should.
 
     It does not depend on single goals, because a blocked robot may get one goal after another.
@@ -42,7 +42,7 @@ class Standstill:
         self._far.reset()
         self._explained.clear()
 
-    def noticed(self, grid: RollingMap, pose: SE2, goal: Goal | None, now_ns: int) -> bool:
+    def update(self, grid: RollingMap, pose: SE2, goal: Goal | None, now_ns: int) -> bool:
         """Return True if the robot drives to this goal (None: no goal) and does not move.
 
         A robot that only turns on the spot is not blocked by an obstacle ahead.
@@ -65,7 +65,9 @@ class Standstill:
     ) -> None:
         """Close the map at the place, unless the map already shows an obstacle there."""
         where = f"blocked at ({place[0]:.2f}, {place[1]:.2f})"
-        if grid.bumps.explained(pose, place, self._radius_m) and self._waits(place, now_ns):
+        if grid.bumps.explained_by_obstacle(pose, place, self._radius_m) and self._waits(
+            place, now_ns
+        ):
             self._event(f"{where} by an obstacle in the map", now_ns)
             return
         closed = grid.bumps.close(pose, place, self._radius_m, now_ns)

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.faults import DEGRADED_AFTER, Faults
+from edge.loop.error_boundary import DEGRADED_AFTER, ErrorBoundary
 from edge.loop.publish import statuses
 from edge.loop.result import MissionFacts, Sink, TickResult
 from edge.loop.scorers import Scorers
-from edge.loop.source import InputRow, inputs_status
+from edge.loop.source import InputStatus, inputs_status
 from edge.perception.runtime.health import Health
 from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
-from edge.tasks.facts import TaskFacts, lengths_m, thinned
-from edge.text import one_line, some_lines
+from edge.tasks.facts import TaskStatus, lengths_m, thinned
+from edge.text import bounded_lines, one_line
 from edge.types import MissionStatus
 
 MOST_POSES = 200
@@ -28,7 +28,7 @@ _MOST_LINES = 20
 _CODE_CHARS, _PRINTED_CHARS, _STEP_CHARS = 2000, 500, 100
 
 
-def status_of(result: TickResult) -> dict[str, object]:
+def status_message(result: TickResult) -> dict[str, object]:
     """Return the status message, JSON-ready, with units in the field names."""
     pose, goal, s, health = result.pose, result.goal, result.status, result.health()
     return {
@@ -92,12 +92,12 @@ class HealthWatch:
         swapper: DetectorSwap,
         scorers: Scorers | None,
         checkpoint: ServiceCheckpoint | None,
-        faults: Faults,
+        faults: ErrorBoundary,
         overruns: Callable[[], dict[str, int]],
         governor: Callable[[], dict[str, object] | None],
         event: Callable[[str, int], None],
         sinks: Sequence[Sink] = (),
-        inputs: Callable[[], Sequence[InputRow]] = tuple,
+        inputs: Callable[[], Sequence[InputStatus]] = tuple,
         plausibility: Callable[[], dict[str, object]] = dict,
     ) -> None:
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
@@ -174,7 +174,7 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
     }
 
 
-def task_of(task: TaskFacts | None) -> dict[str, object] | None:
+def task_of(task: TaskStatus | None) -> dict[str, object] | None:
     """Return a task and its trajectory, JSON-ready and of bounded size; None if there is no task.
 
     `trajectory` has at most `MOST_POSES` rows [x, y, heading], and `index` refers to them. `rounds`
@@ -198,9 +198,9 @@ def task_of(task: TaskFacts | None) -> dict[str, object] | None:
         "understood": one_line(task.understood, _PRINTED_CHARS),
         "rounds": [
             {
-                "code": some_lines(round.code, _CODE_CHARS),
+                "code": bounded_lines(round.code, _CODE_CHARS),
                 "error": one_line(round.error),
-                "printed": some_lines(round.printed, _PRINTED_CHARS),
+                "printed": bounded_lines(round.printed, _PRINTED_CHARS),
             }
             for round in task.rounds[-MOST_ROUNDS:]
         ],
@@ -215,7 +215,7 @@ def task_of(task: TaskFacts | None) -> dict[str, object] | None:
 
 
 def answer_of(
-    s: MissionStatus, mission: MissionFacts, task: TaskFacts | None = None
+    s: MissionStatus, mission: MissionFacts, task: TaskStatus | None = None
 ) -> dict[str, object]:
     """Return the reply to a request: the status of the mission and of its task."""
     return {

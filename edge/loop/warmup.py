@@ -15,7 +15,7 @@ from time import perf_counter
 import numpy as np
 
 from edge.bus.wire.kernels import warmup as warm_messages
-from edge.config import Config, PolicyOwn
+from edge.config import Config, PolicyPlugin
 from edge.geometry import SE2, CameraModel
 from edge.host.children import python_module
 from edge.loop.candidates import CandidatePool
@@ -28,7 +28,7 @@ from edge.mission.planning.planner import warm_up as warm_planners
 from edge.perception.detection import kernels
 from edge.perception.warmup import warmup as warm_perception
 from edge.policies import make_policy
-from edge.policies.base import Answers, Context
+from edge.policies.base import PolicyInput, ScorerOutputs
 from edge.tasks.warmup import warm_up as warm_tasks
 from edge.types import Detections, Observation
 
@@ -112,7 +112,7 @@ def warm_policy(config: Config) -> None:
     """
     if config.value_source is not None:
         warm_values(config.mapping)
-    if isinstance(config.policy, PolicyOwn):
+    if isinstance(config.policy, PolicyPlugin):
         return
     grid = RollingMap(config.mapping)
     pool = CandidatePool(8, config.policy.r_assoc_m)
@@ -122,7 +122,7 @@ def warm_policy(config: Config) -> None:
     grid.reach.step(SE2(0.0, 0.0, 0.0))
     pool.update(grid.frontiers, [], 0, 0)
     pool.measure(grid)
-    pool.add_look(grid, SE2(0.0, 0.0, 0.0), 1.0, 0)
+    pool.add_spin(grid, SE2(0.0, 0.0, 0.0), 1.0, 0)
     observation = Observation(
         0, 0, np.eye(4), camera=CameraModel.from_hfov(320, 256, 1.2), rgb=None
     )
@@ -134,14 +134,14 @@ def warm_policy(config: Config) -> None:
         ("x",),
     )
     nowhere, target = (0, 0, 0, 0), seen.prompts[0]
-    context = Context(
+    context = PolicyInput(
         observation,
         observation.pose,
         MapView(grid),
         nowhere,
         pool.shown,
         seen,
-        Answers(),
+        ScorerOutputs(),
         seen.prompts,
         target,
         0,

@@ -75,7 +75,7 @@ class _Closed(NamedTuple):
     bumps: int
 
 
-class Bumps:
+class ContactObstacles:
     """World cells that are closed because something held the robot up there.
 
     A bump closes the cells that the robot's front touched, as wide as the robot. Two bumps along
@@ -97,7 +97,7 @@ class Bumps:
         self,
         layers: ly.Layers,
         window: Window,
-        config: config.Mapping,
+        config: config.MappingConfig,
         write: Callable[[int, int, int, int], None],
     ) -> None:
         self._layers, self._window, self._write = layers, window, write
@@ -169,7 +169,7 @@ class Bumps:
             self._reopen(self._bumps[0])
         return any_closed
 
-    def stand_on(self, cell: Cell) -> None:
+    def clear_under_robot(self, cell: Cell) -> None:
         """Open the bumps at the robot's world cell: nothing holds it up there."""
         if cell in self._closed:
             for bump in [b for b in self._bumps if cell in b.cells]:
@@ -240,7 +240,9 @@ class Bumps:
         self._closed = {c: _Closed(*was.get(c, (ly.FREE, 0)), n) for c, n in held.items()}
         self.follow_window()
 
-    def explained(self, pose: SE2, place_m: tuple[float, float], radius_m: float) -> bool:
+    def explained_by_obstacle(
+        self, pose: SE2, place_m: tuple[float, float], radius_m: float
+    ) -> bool:
         """Return True if a known obstacle explains why the robot at `pose` is held up at a place.
 
         The obstacle must be on the line from the robot through the place, from `radius_m` before
@@ -378,7 +380,7 @@ class Bumps:
 
 
 def _by_bump(cells: np.ndarray, n: int) -> list[tuple[frozenset[Cell], frozenset[Cell]]]:
-    """Return (felt, guessed) of each of `n` bumps, from rows of `Bumps.state_dict`."""
+    """Return (felt, guessed) of each of `n` bumps, from rows of `ContactObstacles.state_dict`."""
     sets: list[tuple[set[Cell], set[Cell]]] = [(set(), set()) for _ in range(n)]
     for i, x, y, guessed in cells.tolist():
         sets[i][guessed].add((x, y))

@@ -15,8 +15,8 @@ from numba import njit
 
 from edge.geometry import Grid, optical_yaw_rad
 from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, bit_get
-from edge.mapping.reach import ReachField
 from edge.mapping.reach_kernels import STRAIGHT
+from edge.mapping.travel_cost import TravelCostField
 from edge.mapping.window import Window
 from edge.types import Observation
 
@@ -142,7 +142,7 @@ class Coverage:
         self._next = 0
         self._best[:] = 0.0
 
-    def search(self, reach: ReachField) -> bool:
+    def search(self, reach: TravelCostField) -> bool:
         """Do one step of the search for the view that shows the most per length of path to it.
 
         A step tests some of the cells that the robot can reach. It takes at most a few

@@ -31,7 +31,7 @@ RAY_LEAST_M2 = 0.05
 """Smallest area of a ray that counts; less is only the edge of something."""
 
 
-class Gain:
+class InformationGain:
     """Ray casting over the current map, with a memory of the directions seen from each place.
 
     Args:
@@ -74,7 +74,7 @@ class Gain:
         ahead, k = pose.yaw_rad + camera_yaw_rad, self._place(pose)
         self._looked[k] |= sector_bits(ahead, SURE * fov_rad)
 
-    def best_turn(
+    def best_spin(
         self, pose: SE2, camera_yaw_rad: float, fov_rad: float
     ) -> tuple[float, float, float]:
         """Find the turn on the spot that shows unknown area the camera did not see from near here.
@@ -169,7 +169,7 @@ def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
 
 @njit(nogil=True, cache=True)
 def gains(layers, origin_x, origin_y, inv_res, xy, which, n, direction, area, decay, ray, out):
-    """Compute the area of each place for `Gain.around`; `ray` is scratch."""
+    """Compute the area of each place for `InformationGain.around`; `ray` is scratch."""
     for j in range(n):
         i = which[j]
         out[i] = cast(

@@ -15,12 +15,12 @@ from edge.host.checkpoint import Arrays, check_arrays
 from edge.mapping import clusters as cl
 from edge.mapping import layers as ly
 from edge.mapping import points, tiles, unknown, update
-from edge.mapping.bumps import ROUNDING_CELLS, Bumps
+from edge.mapping.bumps import ROUNDING_CELLS, ContactObstacles
 from edge.mapping.compose import FREE, OCCUPIED, UNKNOWN, compose
 from edge.mapping.coverage import MOST_LOOKS, Coverage
-from edge.mapping.gain import Gain
-from edge.mapping.reach import ReachField
+from edge.mapping.gain import InformationGain
 from edge.mapping.results import Frontiers, MapUpdate
+from edge.mapping.travel_cost import TravelCostField
 from edge.mapping.values import ValueMap
 from edge.mapping.window import Window
 from edge.mapping.zones import Zones
@@ -47,7 +47,7 @@ More cells make a tick slower; fewer make the field older.
 CLEAR_AFTER = 2
 """Number of updates in a row that must see through an obstacle to clear it."""
 GROUND_SLOPE = 0.3
-_ROBOT = config.Robot()
+_ROBOT = config.RobotConfig()
 _VALUE_CELL_M = 0.2  # cell of value maps, rounded to a power of two of the map's cells
 _VALUE_BETA = 0.5  # ViTL's edge attenuation factor (IV-B2)
 _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
@@ -85,7 +85,7 @@ class RollingMap:
         (100, 0, -1)
     """
 
-    def __init__(self, config: config.Mapping, robot: config.Robot = _ROBOT) -> None:
+    def __init__(self, config: config.MappingConfig, robot: config.RobotConfig = _ROBOT) -> None:
         c = self.config = config
         self._robot_shape = robot
         res = c.resolution_m
@@ -125,15 +125,15 @@ class RollingMap:
             np.zeros(MAX_FRONTIERS, np.int32),
             np.zeros(MAX_FRONTIERS, np.int32),
         )
-        self.reach = ReachField(
+        self.reach = TravelCostField(
             self._layers, self.window, self._inflation_cells, self._body, REACH_CELLS_PER_TICK
         )
         self.coverage = Coverage(self._layers, self.window)
-        self.gain = Gain(self._layers, self.window, c.range_m)
+        self.gain = InformationGain(self._layers, self.window, c.range_m)
         self.values = ValueMap(self._layers, self.window, _VALUE_CELL_M, c.range_m, _VALUE_BETA)
         # A weak reference, so that a dropped map is freed at once and not by the garbage collector.
         write = partial(RollingMap._write, proxy(self))
-        self.bumps = Bumps(self._layers, self.window, c, write)
+        self.bumps = ContactObstacles(self._layers, self.window, c, write)
         self.zones = Zones(self._layers, self.window, self._inflation_cells)
 
     def update_depth(
@@ -283,7 +283,7 @@ class RollingMap:
         if not self.window.placed:
             out[:n] = 1.0
             return
-        unknown.ratios(
+        unknown.unknown_ratios(
             self._layers.known, self._layers.blocked, *self.window.shift, *self.window.origin,
             1.0 / self.resolution_m, xy_m, n, self._flood_disc[1], *self._flood, out,
         )  # fmt: skip
@@ -291,14 +291,14 @@ class RollingMap:
     # -- checkpoint -------------------------------------------------------------------------
 
     @property
-    def planes(self) -> tiles.Planes:
+    def planes(self) -> tiles.LayerTiles:
         """Layers for the checkpoint, by tile; all other layers can be computed from them."""
         layers, m = self._layers, len(self.window.written)
         last = (
             layers.raw, layers.top, layers.trail, self.coverage.looks, self.values.value,
             self.values.weight,
         )  # fmt: skip
-        return tiles.Planes(*(tiles.tiled(layer, m) for layer in last))
+        return tiles.LayerTiles(*(tiles.tiled(layer, m) for layer in last))
 
     @property
     def tiles_of_update(self) -> int:
@@ -352,7 +352,7 @@ class RollingMap:
         window.origin = (x // ly.WORD * ly.WORD, y // ly.WORD * ly.WORD)
         window.placed = True
         planes = self.planes if values else self.planes[: -tiles.VALUE_PLANES]
-        tiles.write(planes, window, tiles.unpacked(packed, tile_bytes))
+        tiles.write(planes, window, tiles.unpack_tiles(packed, tile_bytes))
         np.minimum(self.coverage.looks, MOST_LOOKS, out=self.coverage.looks)
         seen = layers.raw != ly.UNSEEN
         layers.known[:] = ly.bits_of(seen)
@@ -433,7 +433,7 @@ class RollingMap:
         if robot.self_filter_m:
             axes = T_map_base[:3, :3].astype(np.float32, order="C")
             sensor_m = T_base_sensor[:3, 3].astype(np.float32)
-            n_points, hits = points.drop_own(
+            n_points, hits = points.drop_self_points(
                 n_points,
                 hits,
                 scan.xyz,
@@ -454,7 +454,7 @@ class RollingMap:
         coded_m = max(c.obstacle_max_m, points.CODED_M)
         points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m, coded_m)
         if coded_m > c.obstacle_max_m:
-            points.go_on(n, scan, polar, c.obstacle_max_m, coded_m)
+            points.extend_obstacles_up(n, scan, polar, c.obstacle_max_m, coded_m)
         shift, origin = self.window.shift, self.window.origin
         corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
         update.apply_scan(
@@ -468,7 +468,7 @@ class RollingMap:
             self._footprint, self._stood_on, self._disc, self._changed, self._explored,
         )  # fmt: skip
         self._extend_trail(robot_cell)
-        self.bumps.stand_on(robot_cell)
+        self.bumps.clear_under_robot(robot_cell)
         self.bumps.open_seen_free()
         self._note_written(cell, robot_cell)
         changed = self._refresh_frontiers(rolled)

@@ -59,7 +59,7 @@ _MIN_SECTOR_RAD = 0.0175
 _MAX_SPREAD = 16
 
 
-class Polar(NamedTuple):
+class PolarGrid(NamedTuple):
     """The polar bins of a square of (2 half + 1)^2 cells around the sensor's cell.
 
     Attributes:
@@ -85,7 +85,7 @@ class Polar(NamedTuple):
     ring_m: float
 
 
-class Scan(NamedTuple):
+class PolarScan(NamedTuple):
     """Scratch arrays of an update, reused by every update.
 
     Attributes:
@@ -114,7 +114,7 @@ class Scan(NamedTuple):
     box: np.ndarray
 
 
-def make_polar(range_m: float, resolution_m: float) -> Polar:
+def make_polar(range_m: float, resolution_m: float) -> PolarGrid:
     """Make sectors 1.5 cells wide at full range (but at least a degree), and rings of two cells."""
     half = math.ceil(range_m / resolution_m) + 1
     width_rad = max(1.5 * resolution_m / range_m, _MIN_SECTOR_RAD)
@@ -130,7 +130,7 @@ def make_polar(range_m: float, resolution_m: float) -> Polar:
     middle = (np.arange(sectors) + 0.5) * (2 * math.pi / sectors) - math.pi
     subtended = 0.5 * resolution_m / np.maximum(distance, 0.5 * resolution_m)
     spread = np.minimum(subtended * sectors / (2 * math.pi) + 0.5, _MAX_SPREAD)
-    return Polar(
+    return PolarGrid(
         (sector * rings + ring).astype(np.int32),
         sector.astype(np.int16),
         ring.astype(np.int16),
@@ -143,10 +143,10 @@ def make_polar(range_m: float, resolution_m: float) -> Polar:
     )
 
 
-def make_scan(polar: Polar, capacity: int) -> Scan:
+def make_scan(polar: PolarGrid, capacity: int) -> PolarScan:
     """Make scratch arrays for `capacity` points."""
     bins = (polar.sectors, polar.rings)
-    return Scan(
+    return PolarScan(
         xyz=np.zeros((3, capacity), np.float32),
         cell=np.zeros(capacity, np.int32),
         z_m=np.zeros(capacity, np.float32),
@@ -289,7 +289,7 @@ def from_cloud(cloud_m, T, min_range_m, xyz):
 
 
 @njit(nogil=True, cache=True)
-def drop_own(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m):
+def drop_self_points(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m):
     """Remove the points of the robot itself from `xyz`.
 
     The robot is a cylinder around the axis of its base. The cylinder has no top, because something
@@ -590,7 +590,7 @@ def classify(n, scan, polar, obstacle_min_m, obstacle_max_m, coded_m):
 
 
 @njit(nogil=True, cache=True)
-def go_on(n, scan, polar, obstacle_max_m, coded_m):
+def extend_obstacles_up(n, scan, polar, obstacle_max_m, coded_m):
     """Extend obstacles that reach `obstacle_max_m` by the points above them, up to `coded_m`."""
     per_m = np.float32(HEIGHT_CODES / coded_m)
     highest, coded = np.float32(obstacle_max_m), np.float32(coded_m)

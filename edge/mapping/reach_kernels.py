@@ -202,7 +202,7 @@ def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
 
 @njit(nogil=True, cache=True)
 def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out):
-    """Do the work of `ReachField.paths_m`."""
+    """Do the work of `TravelCostField.paths_m`."""
     for i in range(n):
         _, _, steps = nearest_reached(
             layers, distance, x0, y0, x1, y1, xy[i, 0] / res, xy[i, 1] / res, radius[kind[i]] / res
@@ -214,7 +214,7 @@ def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out
 def trace(distance, x0, y0, x1, y1, x, y, cells):
     """Trace the path back from a world cell to the start of a field.
 
-    - `x0`, `y0`, `x1`, `y1`: world cells where the field is valid, see `ReachField.field`.
+    - `x0`, `y0`, `x1`, `y1`: world cells where the field is valid, see `TravelCostField.field`.
     - `cells`: (cap, 2) int64 output, world cells, the given one first.
 
     Returns:
@@ -241,7 +241,7 @@ def trace(distance, x0, y0, x1, y1, x, y, cells):
 
 @njit(nogil=True, cache=True)
 def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, points):
-    """Do the work of `ReachField.approach`; the result is as in `nearest_reached`."""
+    """Do the work of `TravelCostField.approach`; the result is as in `nearest_reached`."""
     n, k, radius = layers.raw.shape[0], len(surface), within / res
     at = np.empty((k, 2))  # in cells, relative to cell centres
     first_x, first_y, last_x, last_y = x1, y1, x0, y0

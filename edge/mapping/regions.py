@@ -26,7 +26,7 @@ _LEAST_M2 = 1.0
 """A smaller basin is a corner of a larger one."""
 
 
-def survey(layers: Layers, window: Window, tall_code: int, cell_m: float) -> Grid:
+def coarse_grid(layers: Layers, window: Window, tall_code: int, cell_m: float) -> Grid:
     """Return the explored part of the map on coarse cells.
 
     Another thread may call it during an update; some cells are then from before the update. If the
@@ -63,11 +63,11 @@ def _span(stored: np.ndarray, origin: int, n: int, unit: int) -> tuple[int, int]
     return int(world.min()), int(world.max()) + unit
 
 
-def cut(cells: np.ndarray, cell_m: float) -> tuple[np.ndarray, int]:
+def segment_rooms(cells: np.ndarray, cell_m: float) -> tuple[np.ndarray, int]:
     """Return the region of each cell, and the number of regions.
 
     Args:
-        cells: (h, w) uint8, see `survey`.
+        cells: (h, w) uint8, see `coarse_grid`.
         cell_m: side of a cell.
 
     Returns:
@@ -82,11 +82,11 @@ def cut(cells: np.ndarray, cell_m: float) -> tuple[np.ndarray, int]:
     return label, n
 
 
-def borders(label: np.ndarray, n: int) -> np.ndarray:
+def border_lengths(label: np.ndarray, n: int) -> np.ndarray:
     """Return the length of the border between each two regions, in cells.
 
     The result is (n + 1, n + 1) int64, symmetric, 0 for region 0 and on the diagonal. `label` is
-    the result of `cut`.
+    the result of `segment_rooms`.
     """
     out = np.zeros((n + 1, n + 1), np.int64)
     for a, b in ((label[1:], label[:-1]), (label[:, 1:], label[:, :-1])):
@@ -199,7 +199,7 @@ def regions_at(label, x0_m, y0_m, cell_m, xy_m, n, radius_m, out):
     """Write the region of the labelled cell nearest to each place into out[:n]; 0 if none is near.
 
     Args:
-        label: (h, w) int16, see `cut`.
+        label: (h, w) int16, see `segment_rooms`.
         x0_m: x of its lower-left corner.
         y0_m: y of its lower-left corner.
         cell_m: side of a cell.

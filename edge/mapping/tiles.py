@@ -1,8 +1,8 @@
 """Tiles of 64 x 64 cells of the checkpoint's layers: copy, pack, unpack, restore.
 
 The map is copied while the loop continues, without a stall, but as of one moment. In each tick
-`Copier` copies some of the tiles written since the last time, and again those that were written in
-between. When none is left, its copy is the map of that tick.
+`TileCopier` copies some of the tiles written since the last time, and again those that were
+written in between. When none is left, its copy is the map of that tick.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _LEVEL = 1  # compression level of zlib
 Place = tuple[int, int]
 
 
-class Planes(NamedTuple):
+class LayerTiles(NamedTuple):
     """Views of a map's layers by storage tile: [row of tiles, row, column of tiles, column, …]."""
 
     raw: np.ndarray
@@ -43,7 +43,7 @@ def tiled(array: np.ndarray, m: int) -> np.ndarray:
     return array.reshape(m, rows // m, m, columns // m, *rest)
 
 
-class Batch(NamedTuple):
+class TileBatch(NamedTuple):
     """Copies of k tiles.
 
     Attributes:
@@ -57,15 +57,15 @@ class Batch(NamedTuple):
     planes: tuple[np.ndarray, ...]
 
 
-class Copier:
+class TileCopier:
     """Copies the written tiles of a map until it has all of one moment; for the loop's thread."""
 
     def __init__(self) -> None:
         self._window: Window | None = None
         self._anew = True
-        self._batches: list[Batch] = []
+        self._batches: list[TileBatch] = []
 
-    def step(self, window: Window, planes: Planes, most: int) -> bool:
+    def step(self, window: Window, planes: LayerTiles, most: int) -> bool:
         """Copy up to `most` tiles; return True if `take` now gives the complete current map."""
         if window is not self._window:  # another map: drop the tiles of the last one
             self._window, self._anew, self._batches = window, True, []
@@ -73,11 +73,11 @@ class Copier:
         row, column = row[:most], column[:most]
         if len(row):
             copies = tuple(plane[row, :, column] for plane in planes)
-            self._batches.append(Batch(row, column, copies))
+            self._batches.append(TileBatch(row, column, copies))
             window.written[row, column] = False
         return not window.written.any()
 
-    def take(self) -> tuple[bool, list[Batch]]:
+    def take(self) -> tuple[bool, list[TileBatch]]:
         """Return True if the map is a new one, and the copies since the last call, oldest first."""
         taken = self._anew, self._batches
         self._anew, self._batches = False, []
@@ -94,7 +94,7 @@ class PackedTiles:
     def __init__(self) -> None:
         self._packed: dict[Place, bytes] = {}
 
-    def update(self, batches: Iterable[Batch]) -> None:
+    def update(self, batches: Iterable[TileBatch]) -> None:
         """Pack copied tiles, oldest first."""
         for row, column, planes in batches:
             empty = ~np.any([plane.reshape(len(row), -1).any(axis=1) for plane in planes], axis=0)
@@ -125,7 +125,7 @@ class PackedTiles:
         }
 
 
-def unpacked(state: Arrays, size: int) -> Iterator[tuple[Place, bytes]]:
+def unpack_tiles(state: Arrays, size: int) -> Iterator[tuple[Place, bytes]]:
     """Yield world tiles (x, y) of a `state_dict`, each with its bytes.
 
     Raises:
@@ -167,7 +167,7 @@ def write(
 ) -> None:
     """Write unpacked world tiles into the layers; tiles outside the window are ignored.
 
-    `planes` are the first of `Planes`, or all.
+    `planes` are the first of `LayerTiles`, or all.
     """
     m = len(window.written)
     first = window.origin[0] // TILE, window.origin[1] // TILE

@@ -43,7 +43,7 @@ def _fill(x, p):
 
 
 @njit(nogil=True, cache=True)
-def ratios(
+def unknown_ratios(
     known, blocked, shift_x, shift_y, origin_x, origin_y, inv_res, xy, n_points, disc,
     passable, flooded, out,
 ):  # fmt: skip

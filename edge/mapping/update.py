@@ -132,8 +132,9 @@ def _update_obstacle(
 def free_footprint(layers, shift_x, shift_y, x, y, footprint, body, disc, changed, explored):
     """Free the cells under the robot: unknown cells of the footprint, and all cells of the body.
 
-    A bumped cell stays closed until the robot stands on its centre (see `Bumps`). `footprint` and
-    `body` are discs around the robot's cell; the footprint is larger. `disc` is the inflation's.
+    A bumped cell stays closed until the robot stands on its centre (see `ContactObstacles`).
+    `footprint` and `body` are discs around the robot's cell; the footprint is larger. `disc` is the
+    inflation's.
     """
     n = layers.raw.shape[0]
     clip = (0, 0, n, n)

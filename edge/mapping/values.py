@@ -26,7 +26,7 @@ UNIT = 65535
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class RangeProfile:
     """Range of one observation in each direction, kept so that a late score can still be written.
 
     Attributes:
@@ -121,7 +121,7 @@ class ValueMap:
         self.value[where] = 0
         self.weight[where] = 0
 
-    def sight(self, observation: Observation) -> Sight | None:
+    def sight(self, observation: Observation) -> RangeProfile | None:
         """Return how far an observation sees, by its depth image, else up to the map's obstacles.
 
         A direction without any return in the depth image has range 0.
@@ -146,9 +146,9 @@ class ValueMap:
                 self._layers.raw, *self._window.shift, x_m / res - ox, y_m / res - oy,
                 yaw_rad, camera.hfov_rad, self._range_m / res, res, range_m,
             )  # fmt: skip
-        return Sight(x_m, y_m, yaw_rad, camera.hfov_rad, range_m)
+        return RangeProfile(x_m, y_m, yaw_rad, camera.hfov_rad, range_m)
 
-    def write_view(self, sight: Sight, targets: Sequence[str], score: np.ndarray) -> None:
+    def write_view(self, sight: RangeProfile, targets: Sequence[str], score: np.ndarray) -> None:
         """Write one VLFM score per target for everything in view, with more weight in the middle.
 
         v = (c v + c' v') / (c + c'), c = (c^2 + c'^2) / (c + c'). The confidence c' falls as cos^2
@@ -169,7 +169,7 @@ class ValueMap:
             )  # fmt: skip
 
     def write_directions(
-        self, sight: Sight, target: str, xy_m: np.ndarray, p: np.ndarray, scene: float
+        self, sight: RangeProfile, target: str, xy_m: np.ndarray, p: np.ndarray, scene: float
     ) -> None:
         """Write ViTL's score of each direction, fused with the earlier values, over the view.
 
@@ -250,7 +250,7 @@ class ValueMap:
         at = (y >> self._bits) % m, (x >> self._bits) % m, channel
         return float(self.value[at]) / UNIT, float(self.weight[at]) / UNIT
 
-    def _look(self, sight: Sight) -> int:
+    def _look(self, sight: RangeProfile) -> int:
         """List the window's cells that a sight showed, into scratch; return their number."""
         if not self._window.placed:
             return 0

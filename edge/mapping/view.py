@@ -27,7 +27,7 @@ class MapView:
         layers: read-only, by storage cell (see `edge.mapping.layers`).
         window: part of the world that they hold; only the map moves it.
         state_at, unknown_ratio, snapshot: see `edge.mapping.grid.RollingMap`.
-        distance_m, nearest, approach: see `edge.mapping.reach.ReachField`.
+        distance_m, nearest, approach: see `edge.mapping.travel_cost.TravelCostField`.
         worth: see `edge.mapping.coverage.Coverage`.
         values: one channel per target of the mission, if the policy's scorer feeds them.
     """

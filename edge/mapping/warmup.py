@@ -12,7 +12,7 @@ from edge.mapping.layers import read_only
 from edge.types import Observation
 
 
-def warmup(mapping: config.Mapping) -> None:
+def warmup(mapping: config.MappingConfig) -> None:
     """Compile the kernels that every map needs, on a small map."""
     grid, camera, T = _small(mapping)
     holed = np.full((16, 16), 1.0, np.float32)
@@ -24,11 +24,11 @@ def warmup(mapping: config.Mapping) -> None:
     grid.reach.step(SE2(0.0, 0.0, 0.0))
     grid.reach.nearest(0.0, 0.0, 0.5)
     grid.reach.approach(np.zeros((1, 3), np.float32), 0.5)
-    grid.reach.way_m(0.0, 0.0)
+    grid.reach.path_m(0.0, 0.0)
     which = np.zeros(1, np.int32)
     grid.gain.around(grid.frontiers.xy_m, which, 1, np.zeros(1, np.float32))
     grid.gain.look(SE2(0.0, 0.0, 0.0), 0.0, 1.0)
-    grid.gain.best_turn(SE2(0.0, 0.0, 0.0), 0.0, 1.0)
+    grid.gain.best_spin(SE2(0.0, 0.0, 0.0), 0.0, 1.0)
     grid.coverage.look(Observation(0, 0, np.eye(4), camera=camera), 1.0, 1)
     grid.coverage.search(grid.reach)
     grid.coverage.worth(Viewpoint(0.0, 0.0, 0.0))
@@ -41,7 +41,7 @@ def warmup(mapping: config.Mapping) -> None:
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, SE2(far, 0.0, 0.0).matrix(), T)
 
 
-def warm_values(mapping: config.Mapping) -> None:
+def warm_values(mapping: config.MappingConfig) -> None:
     """Compile the kernels of value maps."""
     grid, camera, T = _small(mapping)
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, np.eye(4), T)
@@ -54,7 +54,7 @@ def warm_values(mapping: config.Mapping) -> None:
     grid.values.best(0, read_only(grid.frontiers.xy_m), 1, 0.5, np.zeros(8, np.float32))
 
 
-def _small(mapping: config.Mapping) -> tuple[RollingMap, CameraModel, np.ndarray]:
+def _small(mapping: config.MappingConfig) -> tuple[RollingMap, CameraModel, np.ndarray]:
     """Return a small map, a camera, and the camera's pose on the robot."""
     grid = RollingMap(mapping.model_copy(update={"extent_m": 1.0}))
     T = np.eye(4)

@@ -7,7 +7,7 @@ from typing import Any
 
 from edge import names
 from edge.geometry import SE2
-from edge.perception.tracking.sightings import Sightings
+from edge.perception.tracking.sightings import TrackedObjects
 from edge.text import one_line
 
 _MOST_TOLD = 5
@@ -19,7 +19,7 @@ class KnownObject:
 
     Attributes:
         xyz_m: centre in `map`.
-        confidence: in [0, 1], mean over all looks at the place; see `Sightings`.
+        confidence: in [0, 1], mean over all looks at the place; see `TrackedObjects`.
         hits: number of images that it was detected in.
         age_s: time since it was seen last.
     """
@@ -41,7 +41,7 @@ class KnownObject:
 
 
 def known_objects(
-    sightings: Sightings, stamp_ns: int, min_hits: int, name: str = ""
+    sightings: TrackedObjects, stamp_ns: int, min_hits: int, name: str = ""
 ) -> list[KnownObject]:
     """Return the objects of the map, the most confident first.
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from edge.mission.language.english import describe
-from edge.mission.language.words import TranslationError, UnclearError
+from edge.mission.language.tokens import TranslationError, UnclearError
 from edge.mission.logic.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.logic.diagnosis import diagnose
 from edge.mission.logic.ltl import Formula, postorder
@@ -24,7 +24,7 @@ class Reading:
     english: str
 
 
-class AmbiguousError(TranslationError):
+class AmbiguousInstructionError(TranslationError):
     """An instruction with several readings, or with one that may not be meant.
 
     Attributes:
@@ -87,7 +87,7 @@ def is_possible(formula: Formula) -> bool:
         return True  # compiling the mission reports it
 
 
-def same(a: Formula, b: Formula) -> bool:
+def same_language(a: Formula, b: Formula) -> bool:
     """Return True if two formulas describe the same language; False if one is too large."""
     return len(distinct((a, b))[0]) == 1
 
@@ -99,8 +99,8 @@ def distinct(formulas: Sequence[Formula]) -> tuple[tuple[Formula, ...], int | No
     nothing are left out if there are others.
 
     Returns:
-        The formulas in their order, and an index or None (see `AmbiguousError`). If a formula is
-        too large to compile: all formulas, and None.
+        The formulas in their order, and an index or None (see `AmbiguousInstructionError`). If a
+        formula is too large to compile: all formulas, and None.
     """
     formulas = tuple(dict.fromkeys(formulas))
     if len(formulas) == 1:

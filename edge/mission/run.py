@@ -8,15 +8,15 @@ from typing import Literal
 
 import numpy as np
 
-from edge.config import Mission
+from edge.config import MissionConfig
 from edge.geometry import SE2
-from edge.mission.brief import Brief
 from edge.mission.logic.automaton import NOTHING
-from edge.mission.planning.in_sight import InSightPlanner
-from edge.mission.planning.plan import Knowledge, Plan, Planner
+from edge.mission.planning.plan import MissionKnowledge, Planner, TargetPlan
 from edge.mission.planning.planner import make_planner
+from edge.mission.planning.task_planner import TaskPlanner
+from edge.mission.spec import MissionSpec
 from edge.text import one_line
-from edge.types import MissionPhase, MissionStatus, Step, StepKind
+from edge.types import MissionEvent, MissionEventKind, MissionPhase, MissionStatus
 
 MAX_STEPS = 1000
 
@@ -49,9 +49,9 @@ class MissionRun:
 
     def __init__(
         self,
-        brief: Brief,
-        config: Mission,
-        on_step: Callable[[Step], None] = lambda step: None,
+        brief: MissionSpec,
+        config: MissionConfig,
+        on_step: Callable[[MissionEvent], None] = lambda step: None,
         id: str = "",
     ) -> None:
         """Create the run; call `start` to begin it.
@@ -78,14 +78,14 @@ class MissionRun:
         self.elapsed_s = 0.0
         self.path_m = 0.0
         self.reason = ""
-        self.steps: tuple[Step, ...] = ()
+        self.steps: tuple[MissionEvent, ...] = ()
         self._instruction = one_line(brief.translation.instruction)
         self.config = config
         self._on_step = on_step
         self._planner: Planner = (
             make_planner(config.planner, brief.automaton, brief.translation.instruction)
             if brief.steps is None
-            else InSightPlanner(brief.targets, brief.steps)
+            else TaskPlanner(brief.targets, brief.steps)
         )
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
@@ -95,7 +95,7 @@ class MissionRun:
         self._pursued_s: dict[str, float] = {}
         self._last_ns: int | None = None
         self._last_pose: SE2 | None = None
-        self.plan: Plan = self._planner.plan(self.state, self.knowledge)
+        self.plan: TargetPlan = self._planner.plan(self.state, self.knowledge)
 
     # -- properties -------------------------------------------------------------------------
 
@@ -120,10 +120,10 @@ class MissionRun:
         return self._ended == "idle"
 
     @property
-    def knowledge(self) -> Knowledge:
+    def knowledge(self) -> MissionKnowledge:
         """The sets D, R and B (ViTL IV-A2), and the distances if the planner uses them."""
         reached = frozenset(self.reached)
-        return Knowledge(self.detected - reached, reached, self.failed, self._distance_m)
+        return MissionKnowledge(self.detected - reached, reached, self.failed, self._distance_m)
 
     @property
     def forbidden(self) -> tuple[str, ...]:
@@ -235,7 +235,7 @@ class MissionRun:
         self._replan(now_ns)
 
     def survey(self, distance_m: np.ndarray, now_ns: int) -> None:
-        """Use new driving distances between the targets; see `Knowledge.distance_m`."""
+        """Use new driving distances between the targets; see `MissionKnowledge.distance_m`."""
         if not self.done:
             self._distance_m = distance_m
             self._replan(now_ns)
@@ -244,7 +244,7 @@ class MissionRun:
         """Delete the distances because their map frame is gone; the next survey brings new ones."""
         self._distance_m = None
 
-    def arrive(self, evidence: str, now_ns: int) -> None:
+    def on_reached(self, evidence: str, now_ns: int) -> None:
         """Advance the automaton: the active target was reached.
 
         No other event of a mission with a formula advances it, except steps without an object.
@@ -257,7 +257,7 @@ class MissionRun:
         if not self._accept(evidence, now_ns):
             self._replan(now_ns, retarget=True)
 
-    def drove(self, steps: int, now_ns: int) -> None:
+    def on_task_steps_driven(self, steps: int, now_ns: int) -> None:
         """Record that the first `steps` steps of a task were driven; the last one ends the task."""
         task_steps = self.brief.steps
         assert task_steps is not None
@@ -320,7 +320,7 @@ class MissionRun:
         self._why_failed = {label: f"{label} failed before the restart" for label in self.failed}
         self.elapsed_s, self.path_m, self.paused = elapsed_s, path_m, paused
 
-    def overlook(self, newest: int) -> None:
+    def mark_stale_before(self, newest: int) -> None:
         """Mark the instances up to this id as known before a restart.
 
         A failed target counts as detected again only with a newer instance.
@@ -373,8 +373,8 @@ class MissionRun:
         self._ended, self.reason = ended, reason
         self._note(now_ns, "end", "", f"{ended}: {reason}")
 
-    def _note(self, now_ns: int, kind: StepKind, label: str, text: str) -> None:
+    def _note(self, now_ns: int, kind: MissionEventKind, label: str, text: str) -> None:
         self.changes += 1
-        step = Step(now_ns, kind, label, self.state, text)
+        step = MissionEvent(now_ns, kind, label, self.state, text)
         self.steps = (*self.steps, step)[-MAX_STEPS:]
         self._on_step(step)

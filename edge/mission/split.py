@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.config import Mission
+from edge.config import MissionConfig
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.ltl import Formula
@@ -15,7 +15,7 @@ from edge.text import one_line
 
 
 @dataclass(frozen=True)
-class Split:
+class MissionSplit:
     """The parts of a mission, one for each robot.
 
     If each robot's trace fulfils its part, any interleaving of the traces fulfils the whole.
@@ -30,7 +30,7 @@ class Split:
     why_whole: str = ""
 
 
-def split(formula: Formula, limits: Mission | None = None) -> Split:
+def split(formula: Formula, limits: MissionConfig | None = None) -> MissionSplit:
     """Split a conjunction between conjuncts that share no proposition.
 
     Every part gets all avoidances (`G !x`), because a robot respects only its own formula. A part
@@ -51,22 +51,24 @@ def split(formula: Formula, limits: Mission | None = None) -> Split:
         ['F bed & G !dog', 'F sofa & G !dog']
     """
     conjuncts = formula.args if formula.op == "&" else (formula,)
-    automata = [_compiled(part, limits or Mission()) for part in conjuncts]
+    automata = [_compiled(part, limits or MissionConfig()) for part in conjuncts]
     avoided = tuple(a.formula for a in automata if _avoids(a))
     parts, idle = [], []
     for group in _sharing(a.formula for a in automata if not _avoids(a)):
-        automaton = _compiled(ltl.conj(*group), limits or Mission())
+        automaton = _compiled(ltl.conj(*group), limits or MissionConfig())
         if not _heeds_own_steps_only(automaton):
-            return Split((formula,), f"{one_line(automaton.formula)} counts other robots' steps")
+            return MissionSplit(
+                (formula,), f"{one_line(automaton.formula)} counts other robots' steps"
+            )
         (idle if automaton.accepting[0] else parts).append(automaton.formula)
     if len(parts) < 2:
         together = "its parts depend on each other" if len(conjuncts) > 1 else "it has one part"
-        return Split((formula,), together)
+        return MissionSplit((formula,), together)
     parts[0] = ltl.conj(parts[0], *idle)
-    return Split(tuple(ltl.conj(part, *avoided) for part in parts))
+    return MissionSplit(tuple(ltl.conj(part, *avoided) for part in parts))
 
 
-def _compiled(formula: Formula, limits: Mission) -> Automaton:
+def _compiled(formula: Formula, limits: MissionConfig) -> Automaton:
     return compile_formula(formula, limits.max_states, limits.compile_limit_steps, limits.compiler)
 
 
@@ -103,9 +105,9 @@ def _sharing(formulas: Iterable[Formula]) -> list[list[Formula]]:
     return [[given[k] for k in members] for _, members in sorted(groups, key=lambda g: g[1])]
 
 
-def asked_for(formula: Formula, limits: Mission | None = None) -> tuple[str, ...]:
+def required_propositions(formula: Formula, limits: MissionConfig | None = None) -> tuple[str, ...]:
     """Return the propositions that may have to be reached: all except the forbidden ones."""
-    automaton = _compiled(formula, limits or Mission())
+    automaton = _compiled(formula, limits or MissionConfig())
     alive = [q for q in range(automaton.n_states) if not automaton.dead(q)]
     return tuple(
         letter

@@ -13,29 +13,29 @@ from edge.config import TranslatorLlm
 from edge.geometry import SE2
 from edge.mission.language import grammar
 from edge.mission.language.bans import bans_in, does_imply
-from edge.mission.language.beyond import refuse_beyond
 from edge.mission.language.english import describe
-from edge.mission.language.words import Reader, TranslationError, UnclearError
+from edge.mission.language.tokens import TokenReader, TranslationError, UnclearError
+from edge.mission.language.unsupported import refuse_unsupported
 from edge.mission.logic import ltl
 from edge.mission.logic.ltl import Formula
 from edge.mission.readings import (
-    AmbiguousError,
+    AmbiguousInstructionError,
     Reading,
     distinct,
     is_possible,
     refuse_contradiction,
-    same,
+    same_language,
 )
 from edge.text import one_line
 
 if TYPE_CHECKING:
-    from edge.mission.language.model import SmallModel
+    from edge.mission.language.model import NeuralTranslator
 
 _UNDERSTOOD_CHARS = 1000  # English needs about three times as many characters as a formula
 
 __all__ = [
-    "AmbiguousError", "Read", "Reading", "Translation", "TranslationError", "Translator",
-    "make_translator",
+    "AmbiguousInstructionError", "ParsedInstruction", "Reading", "Translation", "TranslationError",
+    "Translator", "make_translator",
 ]  # fmt: skip
 
 
@@ -73,7 +73,7 @@ class Translation:
 
 
 @dataclass(frozen=True)
-class Read:
+class ParsedInstruction:
     """The result of a translator back end.
 
     Attributes:
@@ -90,7 +90,7 @@ class Read:
     doubts: tuple[str, ...] = ()
 
 
-Backend = Callable[[str], Read]
+Backend = Callable[[str], ParsedInstruction]
 """Function that reads an instruction; raises TranslationError if it does not understand it."""
 
 
@@ -115,8 +115,8 @@ class Translator:
 
         Args:
             instruction: English text, or a formula for the kind `ltl`.
-            reading: number of the chosen reading, from 1, in the order of `AmbiguousError`. For an
-                unambiguous instruction only 1 is valid.
+            reading: number of the chosen reading, from 1, in the order of
+                `AmbiguousInstructionError`. For an unambiguous instruction only 1 is valid.
             ask: True if a person can choose. If False, the reading that implies all others is
                 taken, if there is one.
 
@@ -137,7 +137,7 @@ class Translator:
             )
         unclear = len(readings) > 1 and (ask or safer is None)
         if reading is None and (unclear or not read.sure):
-            raise AmbiguousError(readings, safer if read.sure else None, read.doubts)
+            raise AmbiguousInstructionError(readings, safer if read.sure else None, read.doubts)
         taken = readings[reading - 1 if reading is not None else safer or 0]
         seconds = time.monotonic() - began_s
         translation = Translation(instruction, taken.formula, taken.english, read.by, seconds)
@@ -176,51 +176,55 @@ def make_translator(config: TranslatorConfig) -> Translator:
     """
     readers: dict[str, Callable[[], Backend]] = {
         "grammar": lambda: _by_grammar,
-        "ltl": lambda: lambda text: Read((ltl.parse(text),), "ltl"),
+        "ltl": lambda: lambda text: ParsedInstruction((ltl.parse(text),), "ltl"),
         "llm": lambda: _by_llm(config),
-        "model": lambda: by_model(_small_model(config.card)),
+        "model": lambda: small_model_backend(_small_model(config.card)),
         # The model is loaded at the first refusal by the grammar: most instructions need none.
-        "auto": lambda: by_all(
-            lambda text: by_model(_small_model(config.card))(text),
+        "auto": lambda: combined_backend(
+            lambda text: small_model_backend(_small_model(config.card))(text),
             config.llm and _by_llm(config.llm),
         ),
     }
     return Translator(config.kind, readers[config.kind]())
 
 
-def _by_grammar(instruction: str) -> Read:
+def _by_grammar(instruction: str) -> ParsedInstruction:
     formulas = grammar.readings(instruction)
     refuse_contradiction(formulas)
-    return Read(formulas, "grammar")
+    return ParsedInstruction(formulas, "grammar")
 
 
 def _by_llm(config: TranslatorLlm) -> Backend:
-    from edge.mission.language.llm import Model  # needs the chat client; the others do not
+    from edge.mission.language.llm import LlmTranslator  # needs the chat client; the others do not
 
-    model = Model(config)
-    return lambda text: heeding(text, Read((model.read(text),), "llm"))
+    model = LlmTranslator(config)
+    return lambda text: with_bans(text, ParsedInstruction((model.read(text),), "llm"))
 
 
 @lru_cache(maxsize=1)
-def _small_model(card: str) -> SmallModel:
-    from edge.mission.language.model import SmallModel  # needs onnxruntime; the grammar does not
-    from edge.mission.language.network import Network
+def _small_model(card: str) -> NeuralTranslator:
+    from edge.mission.language.model import (
+        NeuralTranslator,  # needs onnxruntime; the grammar does not
+    )
+    from edge.mission.language.network import TranslationNetwork
 
-    return SmallModel(Network(card))
+    return NeuralTranslator(TranslationNetwork(card))
 
 
-def by_model(model: SmallModel) -> Backend:
+def small_model_backend(model: NeuralTranslator) -> Backend:
     """Return a back end that uses only the small model."""
 
-    def read(instruction: str) -> Read:
-        refuse_beyond(Reader(instruction))
+    def read(instruction: str) -> ParsedInstruction:
+        refuse_unsupported(TokenReader(instruction))
         found = model.read(instruction)
-        return heeding(instruction, Read(found.formulas, "model", found.sure, found.doubts))
+        return with_bans(
+            instruction, ParsedInstruction(found.formulas, "model", found.sure, found.doubts)
+        )
 
     return read
 
 
-def heeding(instruction: str, read: Read) -> Read:
+def with_bans(instruction: str, read: ParsedInstruction) -> ParsedInstruction:
     """Return a model's result, checked against the bans that the grammar rules find.
 
     If the result misses a ban, it becomes a question with two groups of formulas: with the bans,
@@ -248,13 +252,13 @@ def heeding(instruction: str, read: Read) -> Read:
     return replace(read, formulas=(*strict, *read.formulas), sure=False)
 
 
-def by_all(small: Backend, large: Backend | None) -> Backend:
+def combined_backend(small: Backend, large: Backend | None) -> Backend:
     """Return a back end: grammar, then small model, then language model (see `TranslatorAuto`).
 
     If the grammar is certain that a text is no order, or is unclear, no model is asked.
     """
 
-    def read(instruction: str) -> Read:
+    def read(instruction: str) -> ParsedInstruction:
         try:
             return _by_grammar(instruction)
         except UnclearError:
@@ -267,7 +271,7 @@ def by_all(small: Backend, large: Backend | None) -> Backend:
 
 def _unread(
     instruction: str, refusal: TranslationError, small: Backend, large: Backend | None
-) -> Read:
+) -> ParsedInstruction:
     """Ask the models about an instruction that the grammar refused.
 
     The language model's formula is trusted if the small model offers the same one, or none.
@@ -288,6 +292,6 @@ def _unread(
         answer = large(instruction)
     except TranslationError:
         return offered
-    if any(same(answer.formulas[0], formula) for formula in offered.formulas):
+    if any(same_language(answer.formulas[0], formula) for formula in offered.formulas):
         return answer
-    return Read((*answer.formulas, *offered.formulas), "llm", False, offered.doubts)
+    return ParsedInstruction((*answer.formulas, *offered.formulas), "llm", False, offered.doubts)

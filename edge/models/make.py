@@ -17,7 +17,7 @@ from edge.perception.runtime.cards import (
     FileCard,
     ModelError,
     card_path,
-    how_to_get,
+    install_hint,
     load_card,
     verify_model,
     verify_parts,
@@ -46,9 +46,9 @@ def export(args: argparse.Namespace) -> int:
             copied.
     """
     if args.weights is not None and args.weights.is_dir():
-        need_modules("transformers", _FOLDER_NEEDS)
+        require_modules("transformers", _FOLDER_NEEDS)
         return _run_exporters(args.name, args, weights=args.weights)
-    card = with_file(args.name)
+    card = load_single_file_card(args.name)
     if card.family in TRAINED:
         raise ModelError(
             f"models export: {card.name} is trained, not exported: {how_to_make(card)}"
@@ -59,12 +59,12 @@ def export(args: argparse.Namespace) -> int:
         raise ModelError(
             f"models export: no weights of {card.name} here; {pull}give them with --weights FILE.pt"
         )
-    need_modules("export", _EXPORT_NEEDS)
+    require_modules("export", _EXPORT_NEEDS)
     code = _run_exporters(
         card.name, args, weights=weights, vocabulary=args.vocabulary, cards=_folder_of(card)
     )
     if code == 0 and args.vocabulary is not None:
-        keep_vocabulary(args.vocabulary)
+        store_vocabulary(args.vocabulary)
     return code
 
 
@@ -81,15 +81,15 @@ def quantize(args: argparse.Namespace) -> int:
     """
     if isinstance(named := load_card(args.name), ChoiceCard):
         verify_parts(named)
-        need_modules("quantize", _QUANTIZE_NEEDS)
-        need_modules("choice", _CHOICE_NEEDS)
+        require_modules("quantize", _QUANTIZE_NEEDS)
+        require_modules("choice", _CHOICE_NEEDS)
         args.precision = args.precision or [_CHOICE_PRECISION]
         return _run_exporters(named.name, args, cards=_folder_of(named))
     if args.precision:
         raise ModelError(
             f"models export: {args.name}: its card sets the precision; leave out --precision"
         )
-    card = with_file(args.name)
+    card = load_single_file_card(args.name)
     if card.derived_from is None:
         raise ModelError(
             f"models export --quantize: {card.name} is not derived from another model; "
@@ -101,12 +101,12 @@ def quantize(args: argparse.Namespace) -> int:
             f"folder: `edge models export NAME --weights FOLDER --precision {card.precision}`"
         )
     verify_model(load_card(card.derived_from))
-    need_modules("quantize", _QUANTIZE_NEEDS)
+    require_modules("quantize", _QUANTIZE_NEEDS)
     vocabulary = args.vocabulary or find_vocabulary(None)
     return _run_exporters(card.name, args, vocabulary=vocabulary, cards=_folder_of(card))
 
 
-def with_file(name: str) -> FileCard:
+def load_single_file_card(name: str) -> FileCard:
     """Return the card of a model with one local file; raise ModelError for other models."""
     card = load_card(name)
     if isinstance(card, SimilarityCard):
@@ -120,7 +120,7 @@ def with_file(name: str) -> FileCard:
             f"model {name!r}: has two files, {' and '.join(parts)}, from another project"
         )
     if card.server is not None:
-        raise ModelError(f"model {name!r}: has no file here, {how_to_get(card)}")
+        raise ModelError(f"model {name!r}: has no file here, {install_hint(card)}")
     return card
 
 
@@ -131,7 +131,7 @@ def how_to_make(card: FileCard) -> str:
     return f"`{TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
 
 
-def need_modules(action: str, modules: tuple[str, ...]) -> None:
+def require_modules(action: str, modules: tuple[str, ...]) -> None:
     """Raise ModelError if the exporters or these modules cannot be imported.
 
     Args:
@@ -177,7 +177,7 @@ def _run_exporters(name: str, args: argparse.Namespace, **files: Path | None) ->
     return subprocess.run(command, check=False).returncode
 
 
-def keep_vocabulary(source: Path) -> Path:
+def store_vocabulary(source: Path) -> Path:
     """Copy a vocabulary file atomically to the folder of the models, and return its path.
 
     Raises:

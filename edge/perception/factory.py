@@ -10,7 +10,7 @@ from edge import config
 from edge.perception.detection.detector import Detector
 from edge.perception.detection.sim import SimDetector, TruthAt
 from edge.perception.runtime.cards import ModelError, load_detector_card
-from edge.perception.runtime.health import Tell, log_progress
+from edge.perception.runtime.health import ProgressCallback, log_progress
 
 if TYPE_CHECKING:  # load only the backend in use
     from edge.perception.detection.onnx import OnnxDetector
@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # load only the backend in use
 
 
 def open_detector(
-    detector: config.DetectorOnnx, prompts: Sequence[str], progress: Tell = log_progress
+    detector: config.DetectorOnnx, prompts: Sequence[str], progress: ProgressCallback = log_progress
 ) -> OnnxDetector | RemoteDetector:
     """Open the detector of a card, on this computer or on the card's server.
 
@@ -41,13 +41,19 @@ def open_detector(
 
 
 def _onnx(
-    detector: config.DetectorOnnx, prompts: Sequence[str], progress: Tell, truth: TruthAt | None
+    detector: config.DetectorOnnx,
+    prompts: Sequence[str],
+    progress: ProgressCallback,
+    truth: TruthAt | None,
 ) -> Detector:
     return open_detector(detector, prompts, progress)
 
 
 def _sim(
-    detector: config.DetectorSim, prompts: Sequence[str], progress: Tell, truth: TruthAt | None
+    detector: config.DetectorSim,
+    prompts: Sequence[str],
+    progress: ProgressCallback,
+    truth: TruthAt | None,
 ) -> Detector:
     return SimDetector(detector, prompts, truth)
 
@@ -64,9 +70,9 @@ def _on_a_server(detector: config.DetectorOnnx | config.DetectorSim) -> bool:
 
 
 def make_detector(
-    perception: config.Perception,
+    perception: config.PerceptionConfig,
     prompts: Sequence[str],
-    progress: Tell = log_progress,
+    progress: ProgressCallback = log_progress,
     *,
     cancelled: threading.Event | None = None,
     truth: TruthAt | None = None,

@@ -15,15 +15,15 @@ from edge import config
 from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
 from edge.perception.process import wire
-from edge.perception.process.child import begin, by_kind
+from edge.perception.process.child import as_memory_error, set_up_child
 from edge.perception.process.wire import FrameView
-from edge.perception.runtime.health import Health, Tell
+from edge.perception.runtime.health import Health, ProgressCallback
 from edge.text import read_json_object
 from edge.types import Observation
 
 log = logging.getLogger(__name__)
 
-Make = Callable[[config.Perception, Sequence[str], Tell], Detector]
+Make = Callable[[config.PerceptionConfig, Sequence[str], ProgressCallback], Detector]
 
 
 def main(make: Make = make_detector) -> int:
@@ -32,7 +32,7 @@ def main(make: Make = make_detector) -> int:
     Args:
         make: makes the detector.
     """
-    request, images, control, frames = begin()
+    request, images, control, frames = set_up_child()
     speaking = threading.Lock()
 
     def progress(health: Health) -> None:  # on any thread, but only until `make` returns
@@ -40,7 +40,7 @@ def main(make: Make = make_detector) -> int:
             control.send(wire.encode(health=health))
 
     try:
-        perception = config.Perception.model_validate(request["perception"])
+        perception = config.PerceptionConfig.model_validate(request["perception"])
         detector = make(perception, request["prompts"], progress)
         _run_empty(detector)
     except Exception as error:
@@ -86,7 +86,7 @@ def answer_images(images: socket.socket, detector: Detector, frames: FrameView) 
             if not frames.is_whole(seq):
                 raise ValueError(f"frame {seq}: torn, overwritten by a newer frame")
         except Exception as error:
-            images.send(wire.encode_error(by_kind(error), seq=seq))
+            images.send(wire.encode_error(as_memory_error(error), seq=seq))
         else:
             health, invalid = detector.health(), detector.invalid_boxes
             images.send(wire.encode_answer(seq, found, health, invalid))

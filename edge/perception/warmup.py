@@ -13,8 +13,8 @@ from edge.geometry import CameraModel
 from edge.perception.detection import kernels
 from edge.perception.tracking import instance_kernels, look_kernels
 from edge.perception.tracking.instances import MAX_POINTS, InstanceTracker
-from edge.perception.tracking.lift import Lifter
-from edge.perception.tracking.sightings import SightingTracker
+from edge.perception.tracking.lift import BackProjector
+from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Detections, Observation
 
 
@@ -31,11 +31,11 @@ def warmup(lifts: Sequence[str] = ("depth", "cloud")) -> None:
     anchor, label, keep = np.zeros(2, np.int32), np.zeros(2, np.int32), np.zeros(2, np.int32)
     score, top, tau = np.zeros(2, np.float32), np.zeros(2, np.float32), np.float32(0.05)
     found, _ = kernels.candidates(boxes, scores, 1, tau, 1e3, anchor, label, score, top)
-    kernels.fold(scores, np.arange(2, dtype=np.int32), np.zeros((2, 2), np.float32))
+    kernels.best_per_class(scores, np.arange(2, dtype=np.int32), np.zeros((2, 2), np.float32))
     n = kernels.suppress(boxes, anchor, label, score, found, 0, 1, False, 0.5, keep)
     xyxy, cut = np.zeros((2, 4), np.float32), np.zeros(2, np.bool_)
     n = kernels.to_image(boxes, anchor, keep, n, 1.0, 0, 0, 16, 16, xyxy, cut)
-    kernels.strongest_rivals(
+    kernels.competing_scores(
         boxes, scores, np.ones((2, 1, 2), np.bool_), tau, top, anchor, label, keep, n, cut, 0.5,
         np.zeros(2, np.float32),
     )  # fmt: skip
@@ -63,10 +63,10 @@ def _lift(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
         prompts=("chair",),
     )
     for way in lifts:
-        perception = config.Perception(lift=way, detector=config.DetectorSim())
-        lifted, _ = Lifter(perception).lift(detections)
+        perception = config.PerceptionConfig(lift=way, detector=config.DetectorSim())
+        lifted, _ = BackProjector(perception).lift(detections)
     clear = replace(lifted, valid=np.ones(1, np.bool_), n_points=np.ones(1, np.int32))
-    sightings = SightingTracker(perception)
+    sightings = ObjectTracker(perception)
     sightings.look(clear, clear)
     sightings.doubts("chair", np.ones((1, 3), np.float32), 0.1)
     tracker = InstanceTracker(perception)
@@ -79,4 +79,4 @@ def _lift(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
     instance_kernels.core_points(points_m, support)
     instance_kernels.nearest(points_m, 0.0, 0.0)
     view = look_kernels.view_of(seen.camera)
-    look_kernels.shown(0.0, 0.0, 1.0, points_m, 1, np.eye(4), view, seen.depth_m, 6.0)
+    look_kernels.visibility(0.0, 0.0, 1.0, points_m, 1, np.eye(4), view, seen.depth_m, 6.0)

@@ -109,7 +109,7 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
         masker: Masker | None = None,
     ) -> None:
         self.masker = masker
-        self.spare: Detector | None = None
+        self.previous: Detector | None = None
         super().__init__(
             "detector", self._detect, detector, inline=inline, drop=Observation.release,
             drop_result=lambda unread: unread.observation.release(),
@@ -142,7 +142,7 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
         Raises:
             PromptError, ModelError: the detector or the spare cannot use them; nothing has changed.
         """
-        spare = self.spare
+        spare = self.previous
         if spare is None:
             self.detector.set_prompts(prompts)
             return

@@ -12,17 +12,17 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from edge.config import PolicyOwn
-from edge.config.named import find_named
+from edge.config import PolicyPlugin
+from edge.config.components import component_factory
 from edge.policies.base import Policy
 
 REGISTRY = {
-    "hvl": "edge.policies.hvl:Hvl",
-    "vlfm": "edge.policies.by_value:ByValue",
-    "directional": "edge.policies.by_value:ByValue",
-    "adaptive": "edge.policies.adaptive:Adaptive",
-    "nearest_frontier": "edge.policies.nearest_frontier:NearestFrontier",
-    "search": "edge.policies.search:Search",
+    "hvl": "edge.policies.hvl:HvlPolicy",
+    "vlfm": "edge.policies.value_map:ValueMapPolicy",
+    "directional": "edge.policies.value_map:ValueMapPolicy",
+    "adaptive": "edge.policies.adaptive:AdaptivePolicy",
+    "nearest_frontier": "edge.policies.nearest_frontier:NearestFrontierPolicy",
+    "search": "edge.policies.search:SearchPolicy",
 }
 
 
@@ -39,13 +39,13 @@ def find_policy(
         given: arguments that a plugin may request in addition to its options, by parameter name.
 
     Raises:
-        ConfigError: see `edge.config.named.find_named`.
+        ConfigError: see `edge.config.components.component_factory`.
     """
     where, needs = f"{path}: policy", ("score()", "reset()")
-    if isinstance(config, PolicyOwn):
+    if isinstance(config, PolicyPlugin):
         own = config.kind, config.options, REGISTRY, where, needs, tuple(given)
-        return partial(find_named("policy", *own), **given)
-    make = find_named("policy", config.kind, {}, REGISTRY, where, needs, ("config",))
+        return partial(component_factory("policy", *own), **given)
+    make = component_factory("policy", config.kind, {}, REGISTRY, where, needs, ("config",))
     return partial(make, config=config)
 
 

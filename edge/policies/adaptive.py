@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 
 from edge.config import PolicyAdaptive
-from edge.policies.base import Context, Why
-from edge.policies.by_value import count_frontiers, values_near
+from edge.policies.base import PolicyInput, Why
+from edge.policies.value_map import count_frontiers, values_near
 
 LEAST_SPREAD, LEAST_RATIO = 0.030, 1.2
 """The values decide if their standard deviation and their ratio of maximum to mean exceed these."""
@@ -19,7 +19,7 @@ _FIRST, _STEP = 2.0, 0.05
 """Score of a tour's first stop, and the decrement for each later stop. Other scores are below 1."""
 
 
-class Adaptive:
+class AdaptivePolicy:
     """Policy that scores frontiers by nearness, or by their place in a tour of promising frontiers.
 
     Nearness is by path length. It decides if the values differ too little, or if fewer than two
@@ -31,7 +31,7 @@ class Adaptive:
         self._make_room(0)
         shortest_tour(np.ones(2), np.ones((2, 2), np.float32))  # compile the kernel now
 
-    def score(self, context: Context) -> np.ndarray:
+    def score(self, context: PolicyInput) -> np.ndarray:
         """See `Policy.score`."""
         candidates = context.candidates
         n = count_frontiers(candidates)
@@ -55,7 +55,7 @@ class Adaptive:
     def reset(self, why: Why) -> None:
         """Do nothing: this policy has no memory. The value maps belong to the map."""
 
-    def _judge(self, context: Context, n: int) -> None:
+    def _judge(self, context: PolicyInput, n: int) -> None:
         """Write the values of the first n candidates; NaN if there is no value.
 
         A likelihood ratio L becomes L / (1 + L), the posterior probability from even prior odds. It

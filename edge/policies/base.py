@@ -1,4 +1,4 @@
-"""The interface of a policy: its input (`Context`, `Candidates`) and its methods (`Policy`)."""
+"""The interface of a policy: its input (`PolicyInput`, `Candidates`) and its methods (`Policy`)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from edge.geometry import SE2
 from edge.mapping.layers import read_only
 from edge.mapping.view import MapView
-from edge.perception.scoring.choice.question import Choice
-from edge.perception.tracking.sightings import Sightings
+from edge.perception.scoring.choice.question import FrontierChoice
+from edge.perception.tracking.sightings import TrackedObjects
 from edge.types import Detections, Observation
 
 FRONTIER, INSTANCE, LOOK = 0, 1, 2
@@ -83,7 +83,7 @@ class Candidates:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Similarity:
+class ImageSimilarity:
     """Similarity of one image to each target of the mission.
 
     Attributes:
@@ -100,22 +100,22 @@ class Similarity:
 
 
 @dataclass(frozen=True, slots=True)
-class Answers:
+class ScorerOutputs:
     """The newest outputs of the scorers for this map and mission; None if there is none yet.
 
     An output may be seconds old, or never come.
 
     Attributes:
         similarity: over the whole field of view, used by VLFM.
-        choice: for each frontier, used by ViTL. `Choice.ids` are candidate ids; an id that is no
-            candidate any more is stale.
+        choice: for each frontier, used by ViTL. `FrontierChoice.ids` are candidate ids; an id that
+            is no candidate any more is stale.
     """
 
-    similarity: Similarity | None = None
-    choice: Choice | None = None
+    similarity: ImageSimilarity | None = None
+    choice: FrontierChoice | None = None
 
 
-class Prior(Protocol):
+class TargetPrior(Protocol):
     """An estimate of where a target may be, given the objects seen so far."""
 
     def lift(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
@@ -133,7 +133,7 @@ class Prior(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Context:
+class PolicyInput:
     """The input of a policy for one observation.
 
     Policies only read it. Arrays that outlive the call are read-only.
@@ -165,12 +165,12 @@ class Context:
     changed: tuple[int, int, int, int]
     candidates: Candidates
     detections: Detections | None
-    answers: Answers
+    answers: ScorerOutputs
     targets: tuple[str, ...]
     target: str
     now_ns: int
-    sightings: Sightings | None = None
-    prior: Prior | None = None
+    sightings: TrackedObjects | None = None
+    prior: TargetPrior | None = None
 
     @property
     def active(self) -> int:
@@ -178,7 +178,7 @@ class Context:
         return self.targets.index(self.target)
 
 
-def distances_m(context: Context, how: Literal["path", "straight"]) -> np.ndarray:
+def distances_m(context: PolicyInput, how: Literal["path", "straight"]) -> np.ndarray:
     """Return the distance in metres from the robot to each candidate.
 
     Args:
@@ -209,7 +209,7 @@ class Policy(Protocol):
         ...         pass
     """
 
-    def score(self, context: Context) -> np.ndarray:
+    def score(self, context: PolicyInput) -> np.ndarray:
         """Return a score for each candidate; higher is better.
 
         Called for every observation, and again for the same one if the plan has changed the target.
@@ -233,7 +233,7 @@ class Policy(Protocol):
 
 
 @runtime_checkable
-class Remembers(Protocol):
+class StatefulPolicy(Protocol):
     """A policy whose state is saved in the checkpoint: any policy with these two methods."""
 
     def state_dict(self) -> dict[str, np.ndarray]:
@@ -251,7 +251,7 @@ class Remembers(Protocol):
         ...
 
 
-def scores_of(policy: Policy, context: Context) -> np.ndarray:
+def scores_of(policy: Policy, context: PolicyInput) -> np.ndarray:
     """Return a policy's scores for the current candidates, checked.
 
     Returns:

@@ -10,7 +10,7 @@ from numba import njit
 from edge.config import PolicyHvl
 from edge.geometry import optical_yaw_rad
 from edge.perception.prior import table
-from edge.policies.base import FRONTIER, Context, Why, distances_m
+from edge.policies.base import FRONTIER, PolicyInput, Why, distances_m
 from edge.types import Detections
 
 SIGMA_RAD = 0.1
@@ -19,7 +19,7 @@ UNKNOWN_K, UNKNOWN_RADIUS_M = 2.0, 1.0
 """Constant k of eq. 6, and radius of the circle in which the unknown ratio is measured."""
 
 
-class Hvl:
+class HvlPolicy:
     """Policy that scores by eq. 8: detections in a frontier's direction, distance and unknown area.
 
     Eq. 3 uses every detection. A box of a target counts by its score. A box of another object
@@ -38,7 +38,7 @@ class Hvl:
         self._n, self._id, self._vl = 0, np.zeros(0, np.int64), np.zeros((0, 0), np.float32)
         self._remember(0, 0)
 
-    def score(self, context: Context) -> np.ndarray:
+    def score(self, context: PolicyInput) -> np.ndarray:
         """Return S_HVL of each candidate; see `Policy.score`.
 
         A VL score keeps its first value. The other terms are current.
@@ -97,11 +97,11 @@ class Hvl:
             self._n = 0
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Return the first VL score of each frontier; see `edge.policies.base.Remembers`."""
+        """Return the first VL score of each frontier; see `edge.policies.base.StatefulPolicy`."""
         return {"id": self._id[: self._n].copy(), "vl": self._vl[:, : self._n].copy()}
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
-        """Restore the first VL scores; see `edge.policies.base.Remembers`."""
+        """Restore the first VL scores; see `edge.policies.base.StatefulPolicy`."""
         ids, vl = state["id"], state["vl"]
         if ids.ndim != 1 or vl.ndim != 2 or vl.shape[1] != len(ids) or np.isinf(vl).any():
             raise ValueError("no first VL scores of frontiers")

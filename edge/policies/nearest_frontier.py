@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from edge.config import PolicyNearest
-from edge.policies.base import INSTANCE, Context, Why, distances_m
+from edge.policies.base import INSTANCE, PolicyInput, Why, distances_m
 
 
-class NearestFrontier:
+class NearestFrontierPolicy:
     """Policy that scores a frontier by eq. 5 of VL-Nav only."""
 
     def __init__(self, config: PolicyNearest) -> None:
         self.config = config
 
-    def score(self, context: Context) -> np.ndarray:
+    def score(self, context: PolicyInput) -> np.ndarray:
         """See `Policy.score`."""
         candidates, n = context.candidates, context.candidates.n
         near = 1.0 / (1.0 + distances_m(context, self.config.distance))

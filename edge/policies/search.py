@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from edge.config import PolicySearch
-from edge.policies.base import FRONTIER, INSTANCE, Context, Why
+from edge.policies.base import FRONTIER, INSTANCE, PolicyInput, Why
 
 START_M = 1.0
 """Added to every path length, so that the score of a near candidate stays finite."""
 
 
-class Search:
+class SearchPolicy:
     """Policy that scores frontiers and looks by sqrt(gain) / (path length + `START_M`).
 
     The square root gives diminishing returns: each additional square metre is worth less. A
@@ -23,7 +23,7 @@ class Search:
         self.config = config
         self._lift = np.ones(0, np.float32)
 
-    def score(self, context: Context) -> np.ndarray:
+    def score(self, context: PolicyInput) -> np.ndarray:
         """See `Policy.score`."""
         candidates = context.candidates
         n = candidates.n
@@ -37,7 +37,7 @@ class Search:
             score[:frontiers] *= self._lift[:frontiers]
         return np.where(kind == INSTANCE, self._of_instances(context), score)
 
-    def _of_instances(self, context: Context) -> np.ndarray:
+    def _of_instances(self, context: PolicyInput) -> np.ndarray:
         """Return (n,) scores: the square root of the confidence over the path length.
 
         A nearer instance wins unless its confidence is much lower.

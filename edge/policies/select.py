@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.geometry import SE2
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates, Context
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates, PolicyInput
 from edge.types import CandidateKind, Goal, Instance
 
 # A frontier within this distance of a vanished one replaces it.
@@ -34,7 +34,7 @@ Cell = tuple[float, float]
 InstanceOf = Callable[[int], Instance | None]
 
 
-class Held(NamedTuple):
+class CurrentGoal(NamedTuple):
     """The goal that the robot is driving to.
 
     Attributes:
@@ -71,10 +71,10 @@ def ranked(
 
 
 def choose(
-    context: Context,
+    context: PolicyInput,
     score: np.ndarray,
     order: np.ndarray,
-    held: Held | None,
+    held: CurrentGoal | None,
     margin: float,
     instance_of: InstanceOf,
 ) -> tuple[Goal, float, bool] | None:
@@ -118,7 +118,12 @@ def choose(
 
 
 def _beats(
-    index: int, present: int, context: Context, score: np.ndarray, held: Held, margin: float
+    index: int,
+    present: int,
+    context: PolicyInput,
+    score: np.ndarray,
+    held: CurrentGoal,
+    margin: float,
 ) -> bool:
     """Return True if a better-ranked candidate is worth a change of goal.
 
@@ -148,7 +153,7 @@ def _index_of(goal: Goal, candidates: Candidates) -> int:
     return same if same >= 0 else candidates.nearest(FRONTIER, goal.candidate_xy_m, _HEIR_M)
 
 
-def _serves(goal: Goal, cell: Cell, context: Context) -> bool:
+def _serves(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
     """Return True if a goal is still valid for its candidate, whose best cell is now `cell`.
 
     The tolerance grows with the distance, so a far goal is not resent for small changes.
@@ -160,7 +165,7 @@ def _serves(goal: Goal, cell: Cell, context: Context) -> bool:
     return free and goal.pose.distance_to(*cell) < allowed_m
 
 
-def _cell(context: Context, index: int, instance_of: InstanceOf) -> Cell | None:
+def _cell(context: PolicyInput, index: int, instance_of: InstanceOf) -> Cell | None:
     """Return the reachable free cell for a candidate; None if there is none."""
     candidates, pose = context.candidates, context.pose
     kind, xy_m = int(candidates.kind[index]), candidates.xy_m[index]
@@ -196,7 +201,7 @@ def _way_through(candidates: Candidates, xy_m: np.ndarray) -> int:
     return best if best >= 0 and np.isfinite(way[best]) else -1
 
 
-def _goal(context: Context, index: int, cell: Cell, score: float) -> Goal:
+def _goal(context: PolicyInput, index: int, cell: Cell, score: float) -> Goal:
     candidates = context.candidates
     x, y = map(float, candidates.xy_m[index])
     pose = SE2(cell[0], cell[1], math.atan2(y - cell[1], x - cell[0]))

@@ -23,7 +23,7 @@ import zstandard
 from edge.config.yaml_text import read_yaml
 from edge.errors import ConfigError
 from edge.host.files import open_regular
-from edge.recording.file import McapReading, Recorded, RecordingError
+from edge.recording.file import McapReader, RecordedMessage, RecordingError
 from edge.recording.reader import MAGIC, MAX_KEPT, MAX_RECORD_BYTES
 from edge.text import one_line
 
@@ -41,15 +41,15 @@ _STORED = (".mcap", ".mcap.zstd", ".db3", ".db3.zstd")
 
 
 def in_order(
-    messages: Iterable[Recorded], most_bytes: int = _MOST_WAITING_BYTES
-) -> Iterator[Recorded]:
+    messages: Iterable[RecordedMessage], most_bytes: int = _MOST_WAITING_BYTES
+) -> Iterator[RecordedMessage]:
     """Yield nearly sorted messages in the order of their log times.
 
     Args:
         messages: nearly sorted.
         most_bytes: limit of messages in the sorting buffer.
     """
-    waiting: list[tuple[int, int, Recorded]] = []
+    waiting: list[tuple[int, int, RecordedMessage]] = []
     size = 0
     for n, message in enumerate(messages):
         heapq.heappush(waiting, (message.log_ns, n, message))
@@ -62,7 +62,7 @@ def in_order(
         yield heapq.heappop(waiting)[2]
 
 
-class Db3Reading:
+class Db3Reader:
     """The messages of a rosbag2 SQLite file in the order in which they were written.
 
     Attributes:
@@ -72,7 +72,7 @@ class Db3Reading:
     def __init__(self, path: Path) -> None:
         self.path, self.cut = path, ""
 
-    def __iter__(self) -> Iterator[Recorded]:
+    def __iter__(self) -> Iterator[RecordedMessage]:
         """Yield the messages.
 
         Raises:
@@ -103,7 +103,7 @@ class Db3Reading:
 
     def _messages(
         self, db: sqlite3.Connection, topics: dict[Any, tuple[str, str, str]]
-    ) -> Iterator[Recorded]:
+    ) -> Iterator[RecordedMessage]:
         rows = db.execute(
             "SELECT topic_id, timestamp, CASE WHEN length(data) <= ? THEN data END "
             "FROM messages ORDER BY rowid",
@@ -114,7 +114,7 @@ class Db3Reading:
                 self.cut = f"damaged: row {n} of its messages is no message of a topic"
                 return
             topic, kind, encoding = topics[number]
-            yield Recorded(topic, kind, encoding, time_ns, time_ns, n, data)
+            yield RecordedMessage(topic, kind, encoding, time_ns, time_ns, n, data)
 
 
 def _check_tables(db: sqlite3.Connection) -> None:
@@ -162,14 +162,14 @@ class Bag:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def __iter__(self) -> Iterator[Recorded]:
+    def __iter__(self) -> Iterator[RecordedMessage]:
         """Yield every message, file by file. A damaged file ends early, with a note."""
         for path in self._files:
             with self._noted(alone=len(self._files) == 1):
                 yield from self._messages(path)
 
-    def _messages(self, path: Path) -> Iterator[Recorded]:
-        reading = Db3Reading(path) if _begins(path, _SQLITE) else McapReading(path)
+    def _messages(self, path: Path) -> Iterator[RecordedMessage]:
+        reading = Db3Reader(path) if _begins(path, _SQLITE) else McapReader(path)
         for message in reading:
             payload = _payload(message.payload)
             if payload is None:
@@ -193,7 +193,7 @@ class Bag:
         if note not in self.notes:
             self.notes.append(note)
 
-    def by_time(self, topics: Collection[str], sorted_nearly: bool) -> Iterator[Recorded]:
+    def by_time(self, topics: Collection[str], sorted_nearly: bool) -> Iterator[RecordedMessage]:
         """Yield the messages of some topics in the order of their log times.
 
         Args:
@@ -207,7 +207,7 @@ class Bag:
         each = (in_order(self._of(topic), most_bytes) for topic in sorted(topics))
         return heapq.merge(*each, key=lambda m: m.log_ns)
 
-    def _of(self, topic: str) -> Iterator[Recorded]:
+    def _of(self, topic: str) -> Iterator[RecordedMessage]:
         return (m for m in self if m.topic == topic)
 
 

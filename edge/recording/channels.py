@@ -99,7 +99,7 @@ GOAL, MAP, STATUS, LATENCY, MISSION, TRAJECTORY, GOAL_STATUS = map(
 PATH = of_ros("/path", "nav_msgs/Path")
 MARKERS = of_ros("/markers", "visualization_msgs/MarkerArray")
 SPANS = of_json("/spans", "edge.Spans")
-TOLD = (
+VISUAL = (
     PICTURE, DEPTH, CAMERA_INFO, CLOUD, ODOMETRY, TF, BOXES, EVENTS, GOAL, MAP, STATUS, LATENCY,
     MISSION, TRAJECTORY, GOAL_STATUS, PATH, MARKERS, SPANS,
 )  # fmt: skip

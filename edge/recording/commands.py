@@ -19,11 +19,11 @@ from edge.loop.warmup import warm_up
 from edge.recording import channels, file
 from edge.recording.file import PARTIAL, RecordingError
 from edge.recording.journal import MAX_VALUES
-from edge.recording.replay import Outcome
+from edge.recording.replay import ReplayResult
 from edge.recording.replay import replay as replay_session
-from edge.recording.session import Session
+from edge.recording.session import RecordedRun
 from edge.recording.trace import PAGE, trace_bytes
-from edge.text import aligned, one_line, read_json
+from edge.text import format_table, one_line, read_json
 
 _PATIENCE_S = 10.0
 MAX_SPANS = 2_000_000
@@ -36,15 +36,15 @@ def replay(args: argparse.Namespace) -> int:
     Raises:
         UserError: see `edge.recording.replay.replay`.
     """
-    session = Session(Path(args.file), getattr(args, "trust", False))
+    session = RecordedRun(Path(args.file), getattr(args, "trust", False))
     config = None if args.config is None else load(args.config)
     warm_up(config or session.config())
     outcome = replay_session(session, config, args.detect)
-    print(told(session, outcome))
+    print(format_result(session, outcome))
     return FAILED if outcome.differing or session.gap or not outcome.ticks else os.EX_OK
 
 
-def told(session: Session, o: Outcome) -> str:
+def format_result(session: RecordedRun, o: ReplayResult) -> str:
     """Format the outcome of a replay."""
     files = f" and {len(session.files) - 1} more" if len(session.files) > 1 else ""
     lines = [
@@ -65,7 +65,7 @@ def told(session: Session, o: Outcome) -> str:
             f"differs in {o.differing} of {o.ticks} ticks, first in tick {at.tick} (stamp "
             f"{at.stamp_ns}):"
         )
-        lines.append(aligned([("", "recorded", "replayed"), *_differing(at.then, at.now)]))
+        lines.append(format_table([("", "recorded", "replayed"), *_differing(at.then, at.now)]))
     if o.latency_then is not None and o.latency_now is not None:
         lines += ["", latencies(o.latency_then, o.latency_now)]
     return "\n".join(lines)
@@ -103,7 +103,7 @@ def latencies(then: dict[str, Any], now: LatencyReport) -> str:
         ratio = f"{row.p50_ms / before['p50_ms']:.2f}" if before["p50_ms"] else "-"
         cells = (before["p50_ms"], row.p50_ms, before["p95_ms"], row.p95_ms)
         rows.append((row.name, *(f"{value:.3f}" for value in cells), ratio))
-    return aligned(rows, left=1)
+    return format_table(rows, left=1)
 
 
 def recover(args: argparse.Namespace) -> int:
@@ -141,10 +141,10 @@ def spans_of(path: Path) -> list[Span]:
     """Return the first `MAX_SPANS` spans of a recorded run, from this file on.
 
     Raises:
-        RecordingError: see `edge.recording.session.head_of`; or there are no spans.
+        RecordingError: see `edge.recording.session.read_header`; or there are no spans.
     """
     spans: list[Span] = []
-    session = Session(path)
+    session = RecordedRun(path)
     for m in session.messages():
         if m.topic == channels.SPANS.topic:
             spans += _spans(path, m.payload)

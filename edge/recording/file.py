@@ -39,7 +39,7 @@ class _Whole:
 
     def __init__(self, path: Path) -> None:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
-        fcntl.flock(self._fd, fcntl.LOCK_SH)  # see `is_written`
+        fcntl.flock(self._fd, fcntl.LOCK_SH)  # see `is_being_written`
         self._at = 0
 
     def write(self, data: bytes) -> None:
@@ -61,7 +61,7 @@ class _Whole:
         os.close(self._fd)
 
 
-class McapFile:
+class McapWriter:
     """Writes one recording; a context manager. The file is complete if the block has no error.
 
     Args:
@@ -88,7 +88,7 @@ class McapFile:
         self._partial = self.path.with_name(self.path.name + suffix)
         self._channels: dict[Channel, int] = {}
 
-    def __enter__(self) -> McapFile:
+    def __enter__(self) -> McapWriter:
         try:
             self.open()
         except OSError as error:
@@ -161,7 +161,7 @@ class McapFile:
         return self._writer.register_channel(channel.topic, channel.encoding, schema)
 
 
-class Recorded(NamedTuple):
+class RecordedMessage(NamedTuple):
     """One message of a file; `schema` is the name of its schema."""
 
     topic: str
@@ -173,7 +173,7 @@ class Recorded(NamedTuple):
     payload: bytes
 
 
-class McapReading:
+class McapReader:
     """The messages of a file in the order in which they were written.
 
     Attributes:
@@ -191,7 +191,7 @@ class McapReading:
         self.channels: dict[int, ChannelRecord] = {}
         self.whole, self.cut = False, ""
 
-    def __iter__(self) -> Iterator[Recorded]:
+    def __iter__(self) -> Iterator[RecordedMessage]:
         """Yield the messages.
 
         Raises:
@@ -227,10 +227,10 @@ class McapReading:
             raise RecordingError(f"{self.path}: not an MCAP file")
         self.cut = why
 
-    def _message(self, m: Message) -> Recorded:
+    def _message(self, m: Message) -> RecordedMessage:
         channel = self.channels[m.channel_id]
         schema = self.schemas.get(channel.schema_id)
-        return Recorded(
+        return RecordedMessage(
             channel.topic, "" if schema is None else schema.name, channel.message_encoding,
             m.log_time, m.publish_time, m.sequence, m.data,
         )  # fmt: skip
@@ -249,7 +249,7 @@ def is_complete(path: str | os.PathLike[str]) -> bool:
         return _has_end(file)
 
 
-def is_written(path: Path) -> bool:
+def is_being_written(path: Path) -> bool:
     """Return True if a process is writing this file now."""
     with _opened(path) as file:
         try:
@@ -285,10 +285,10 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
     for there in (out, out.with_name(out.name + _RECOVERING)):
         if there.exists():
             raise RecordingError(f"{there}: exists already; name another file with --out")
-    reading = McapReading(path)
+    reading = McapReader(path)
     messages = iter(reading)
     first = next(messages, None)  # before creating a file: it may be no recording
-    copy = McapFile(out, "zstd", reading.metadata, _RECOVERING)
+    copy = McapWriter(out, "zstd", reading.metadata, _RECOVERING)
     try:
         with copy:
             known: dict[str, Channel] = {}
@@ -302,7 +302,7 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
     return copy.messages, reading.cut
 
 
-def _channel_of(reading: McapReading, message: Recorded) -> Channel:
+def _channel_of(reading: McapReader, message: RecordedMessage) -> Channel:
     of_name = (s for s in reading.schemas.values() if s.name == message.schema)
     schema = next(of_name, Schema(0, b"", "", message.schema))  # a channel may have no schema
     text = schema.data.decode(errors="replace")

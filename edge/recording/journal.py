@@ -18,8 +18,8 @@ from edge.config import Config
 from edge.config.root import parse
 from edge.geometry import SE2, CameraModel, Grid
 from edge.host.checkpoint import Checkpoint
-from edge.loop.behaviours.draft import Draft
-from edge.loop.journal import Input
+from edge.loop.behaviours.plan_worker import PlanResult
+from edge.loop.input_log import LoopInput
 from edge.loop.map_checkpoint import MAP
 from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
@@ -27,12 +27,12 @@ from edge.memory import Site, site_of
 from edge.mission.checkpoint import MISSION
 from edge.mission.logic import ltl
 from edge.mission.translate import Translation
-from edge.perception.scoring.choice.question import Choice
-from edge.policies.base import Similarity
+from edge.perception.scoring.choice.question import FrontierChoice
+from edge.policies.base import ImageSimilarity
 from edge.tasks.legs import Leg
-from edge.tasks.refine import Refined
-from edge.tasks.write import Round
-from edge.text import bounded_repr, read_json, without_secrets
+from edge.tasks.refine import RefinedTrajectory
+from edge.tasks.write import PlanAttempt
+from edge.text import bounded_repr, read_json, redact
 from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
 
 FORMAT, VERSION = "edge-recording", 1
@@ -41,7 +41,7 @@ MAX_VALUES = 1 << 20
 
 
 @dataclass(frozen=True)
-class Page:
+class JournalPage:
     """One message of the journal.
 
     Attributes:
@@ -50,13 +50,13 @@ class Page:
         said: decisions, which a replay compares; None: there were none.
     """
 
-    entries: list[Input]
+    entries: list[LoopInput]
     observation: dict[str, Any] | None
     said: dict[str, Any] | None
 
 
 def encode_page(
-    inputs: Iterable[Input], result: TickResult, seen: Observation | None, rig: dict[str, Any]
+    inputs: Iterable[LoopInput], result: TickResult, seen: Observation | None, rig: dict[str, Any]
 ) -> bytes:
     """Encode one page.
 
@@ -71,7 +71,7 @@ def encode_page(
             {"n": i.n, "kind": i.kind, **_ENCODE[i.kind](i.fields)} for i in inputs
         ],
         "observation": None if seen is None else _observation(seen, result.observation, rig),
-        "said": said_of(result),
+        "said": decisions_of(result),
     }  # fmt: skip
     return _JSON(page).encode()
 
@@ -79,7 +79,7 @@ def encode_page(
 _JSON = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
-def decode_page(payload: bytes) -> Page:
+def decode_page(payload: bytes) -> JournalPage:
     """Decode a page of `encode_page`.
 
     Raises:
@@ -89,15 +89,15 @@ def decode_page(payload: bytes) -> Page:
     entries = []
     for entry in page["entries"]:
         n, kind = entry.pop("n"), entry.pop("kind")
-        entries.append(Input(n, kind, _DECODE[kind](entry)))
-    return Page(entries, page["observation"], _said(page["said"]))
+        entries.append(LoopInput(n, kind, _DECODE[kind](entry)))
+    return JournalPage(entries, page["observation"], _said(page["said"]))
 
 
 _NOWHERE = {"pose": (0.0, 0.0, 0.0), "score": 0.0, "kind": "", "id": 0, "target": ""}
 
 
 def _said(said: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Check decisions of `said_of`, which will be compared and printed."""
+    """Check decisions of `decisions_of`, which will be compared and printed."""
     if said is None:
         return None
     if not {"target", "phase", "goal", "sent"} <= said.keys():
@@ -110,7 +110,7 @@ def _said(said: dict[str, Any] | None) -> dict[str, Any] | None:
     return said
 
 
-def said_of(result: TickResult) -> dict[str, Any] | None:
+def decisions_of(result: TickResult) -> dict[str, Any] | None:
     """Return the decisions in a result, for comparison; None if there are none."""
     if result.observation is None and not result.goals:
         return None
@@ -304,7 +304,7 @@ def rooms_of(said: dict[str, Any]) -> Rooms:
     return Rooms(grid, wall, label, said["n"], _array_of(said["border"]))
 
 
-def _similarity(found: tuple[Any, Similarity]) -> dict[str, Any]:
+def _similarity(found: tuple[Any, ImageSimilarity]) -> dict[str, Any]:
     said = found[1]
     return {
         "stamp_ns": said.stamp_ns, "pose": _pose(said.pose), "targets": list(said.targets),
@@ -312,13 +312,13 @@ def _similarity(found: tuple[Any, Similarity]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def similarity_of(said: dict[str, Any]) -> Similarity:
+def similarity_of(said: dict[str, Any]) -> ImageSimilarity:
     """Decode the answer of a similarity scorer."""
     targets, score = tuple(said["targets"]), _array_of(said["score"])
-    return Similarity(said["stamp_ns"], SE2(*said["pose"]), targets, score)
+    return ImageSimilarity(said["stamp_ns"], SE2(*said["pose"]), targets, score)
 
 
-def _choice(found: tuple[Any, Choice]) -> dict[str, Any]:
+def _choice(found: tuple[Any, FrontierChoice]) -> dict[str, Any]:
     said = found[1]
     return {
         "stamp_ns": said.stamp_ns, "target": said.target, "ids": [int(i) for i in said.ids],
@@ -326,15 +326,15 @@ def _choice(found: tuple[Any, Choice]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def choice_of(said: dict[str, Any]) -> Choice:
+def choice_of(said: dict[str, Any]) -> FrontierChoice:
     """Decode the answer of a choice scorer."""
-    return Choice(
+    return FrontierChoice(
         said["stamp_ns"], said["target"], tuple(said["ids"]), _array_of(said["p"]),
         said["elsewhere"], said["scene"],
     )  # fmt: skip
 
 
-def _refined(r: Refined) -> dict[str, Any]:
+def _refined(r: RefinedTrajectory) -> dict[str, Any]:
     return {
         "poses": _array(r.poses), "speeds_mps": _array(r.speeds_mps), "times_s": _array(r.times_s),
         "leg": _array(r.leg),
@@ -347,15 +347,15 @@ def _refined(r: Refined) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _refined_of(said: dict[str, Any]) -> Refined:
+def _refined_of(said: dict[str, Any]) -> RefinedTrajectory:
     arrays = {name: _array_of(said[name]) for name in ("poses", "speeds_mps", "times_s", "leg")}
     legs = tuple(Leg(_array_of(leg["points_m"]), leg["ends_segment"]) for leg in said["legs"])
     numbers = {name: said[name] for name in ("heading_rad", "cost_m", "control_m", "off_region_m")}
     drivable, notes = frozenset(said["drivable"]), tuple(said["notes"])
-    return Refined(**arrays, legs=legs, drivable=drivable, **numbers, notes=notes)
+    return RefinedTrajectory(**arrays, legs=legs, drivable=drivable, **numbers, notes=notes)
 
 
-def _draft(d: Draft) -> dict[str, Any]:
+def _draft(d: PlanResult) -> dict[str, Any]:
     return {
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
         "hopeless": d.hopeless, "mistakable": d.mistakable, "speed_mps": d.speed_mps,
@@ -366,11 +366,11 @@ def _draft(d: Draft) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def draft_of(said: dict[str, Any]) -> Draft:
-    """Decode a `Draft`; older recordings have no `mistakable`, or no `stops`."""
+def draft_of(said: dict[str, Any]) -> PlanResult:
+    """Decode a `PlanResult`; older recordings have no `mistakable`, or no `stops`."""
     refined, coarse_m, stops_at = said["refined"], said["coarse_m"], said["stops_at"]
     same = {name: said[name] for name in ("error", "hopeless", "upto", "understood", "prompt")}
-    return Draft(
+    return PlanResult(
         refined=None if refined is None else _refined_of(refined),
         mistakable=tuple(said.get("mistakable", ())),
         coarse_m=None if coarse_m is None else _array_of(coarse_m),
@@ -380,7 +380,7 @@ def draft_of(said: dict[str, Any]) -> Draft:
             tuple((number, label) for number, label in step)
             for step in said.get("stops", () if stops_at is None else ((stops_at,),))
         ),
-        rounds=tuple(Round(**r) for r in said["rounds"]),
+        rounds=tuple(PlanAttempt(**r) for r in said["rounds"]),
         **same,
     )
 
@@ -407,7 +407,7 @@ def _answer_of(said: dict[str, Any]) -> dict[str, Any]:
 
 def config_text(config: Config) -> dict[str, Any]:
     """Return a configuration as JSON without secrets."""
-    return without_secrets(config.model_dump(mode="json"))
+    return redact(config.model_dump(mode="json"))
 
 
 def config_of(said: dict[str, Any]) -> Config:

@@ -60,7 +60,7 @@ Record = Header | Schema | Channel | Metadata | DataEnd | Message
 
 
 def records(file: BinaryIO) -> Iterator[Record]:
-    """Yield the records of a file in their order; `Header` is first, `DataEnd` last.
+    """Yield the records of a file in their order; `ZmqHeader` is first, `DataEnd` last.
 
     Attachments, indices and unknown records are skipped.
 

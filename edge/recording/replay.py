@@ -15,11 +15,11 @@ from pathlib import Path
 from time import perf_counter_ns
 from typing import Any
 
-from edge.config import ChoiceCooccurrence, Config, DetectorOnnx, Mission
+from edge.config import ChoiceCooccurrence, Config, DetectorOnnx, MissionConfig
 from edge.errors import UserError
 from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.faults import TICK
-from edge.loop.journal import TASK, Input
+from edge.loop.error_boundary import TICK
+from edge.loop.input_log import TASK, LoopInput
 from edge.loop.latency import LatencyReport
 from edge.loop.map_checkpoint import SUFFIX
 from edge.loop.result import TickResult
@@ -27,16 +27,16 @@ from edge.loop.scorers import Scorers, make_scorers
 from edge.loop.service import INGEST, Service
 from edge.loop.stages import STAGES
 from edge.memory import Site, SiteFile
-from edge.mission.brief import brief_again
+from edge.mission.spec import restore_spec
 from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
-from edge.recording.beside import Now, Replayed, Silent
 from edge.recording.file import RecordingError
-from edge.recording.journal import said_of
-from edge.recording.session import Moment, Session
+from edge.recording.journal import decisions_of
+from edge.recording.replay_source import NullModel, ReplaySource, ReplayTick
+from edge.recording.session import RecordedRun, RecordedStep
 from edge.text import one_line
 from edge.types import Detections, Observation
 
@@ -54,7 +54,7 @@ class Difference:
     Attributes:
         tick: counts from 1; 0: before the first.
         stamp_ns: stamp of the observation; 0: there was none.
-        then: recorded decisions, see `edge.recording.journal.said_of`; None: none.
+        then: recorded decisions, see `edge.recording.journal.decisions_of`; None: none.
         now: replayed decisions; None: none.
     """
 
@@ -65,7 +65,7 @@ class Difference:
 
 
 @dataclass
-class Outcome:
+class ReplayResult:
     """Result of a replay.
 
     Attributes:
@@ -97,7 +97,7 @@ class Outcome:
     latency_now: LatencyReport | None = None
 
 
-class Said:
+class DecisionSink:
     """The sink of a replay: collects the decisions of results."""
 
     def __init__(self) -> None:
@@ -105,7 +105,7 @@ class Said:
 
     def tick(self, result: TickResult) -> None:
         """Collect decisions; see `edge.loop.result.Sink`."""
-        if (said := said_of(result)) is not None:
+        if (said := decisions_of(result)) is not None:
             self.said.append(said)
 
     def close(self) -> None:
@@ -123,13 +123,13 @@ class _Run:
     """
 
     def __init__(
-        self, session: Session, config: Config | None, detect: bool, stack: ExitStack
+        self, session: RecordedRun, config: Config | None, detect: bool, stack: ExitStack
     ) -> None:
         self._other = config is not None
         self._session, self._detect, self._stack = session, detect, stack
         self.config = self._recorded(session.config()) if config is None else _alone(config)
-        self._now, self.sink = Now(), Said()
-        self._journal: Replayed | None = None
+        self._now, self.sink = ReplayTick(), DecisionSink()
+        self._journal: ReplaySource | None = None
         self._failed: Observation | None = None  # observation of a failed or refused tick
         self.service: Service | None = None
         self._worker: DetectorWorker | None = None
@@ -138,7 +138,7 @@ class _Run:
         """Return the recorded configuration without file names and with limits on computation."""
         if self._session.trust:
             return _alone(config)
-        mission, usual = config.mission, Mission()
+        mission, usual = config.mission, MissionConfig()
         limits = {
             name: min(getattr(mission, name), getattr(usual, name))
             for name in ("compile_limit_steps", "max_states")
@@ -160,7 +160,7 @@ class _Run:
     def unseen(self) -> int:
         return 0 if self._journal is None else self._journal.unseen
 
-    def do(self, moment: Moment) -> None:
+    def do(self, moment: RecordedStep) -> None:
         """Give the inputs of a page to the service."""
         if moment.observation is not None:
             self._now.see(moment.observation, moment.picture)
@@ -185,9 +185,9 @@ class _Run:
         task: Any = None,
     ) -> None:
         config = self.config
-        brief = brief_again(config.mission, translation, task)
+        brief = restore_spec(config.mission, translation, task)
         checkpoint = self._checkpoint(saved, places)
-        detector: Detector = Silent("replay")
+        detector: Detector = NullModel("replay")
         anew: Callable[[Observation], Detections] | None = None
         if self._detect:
             if config.perception.detector.kind == "sim":
@@ -206,7 +206,7 @@ class _Run:
             by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
             by_rules = config.tasks.planner.kind == "rules"
             own = (*_BY_THE_MAP, *["choice"] * by_prior, *[TASK] * by_rules)
-        self._journal = Replayed(self._now, anew, own)
+        self._journal = ReplaySource(self._now, anew, own)
         policy = make_policy(config.policy, config.path)
         self.service = Service(
             config, brief, worker, policy, [self.sink], checkpoint, scorers,
@@ -229,7 +229,7 @@ class _Run:
             raise ReplayError(f"the checkpoint in the recording: {problem}")
         return checkpoint
 
-    def _count_images(self, entries: Sequence[Input]) -> None:
+    def _count_images(self, entries: Sequence[LoopInput]) -> None:
         """Set the number of images that the detector had processed when the loop asked."""
         for entry in entries:
             if entry.kind == "images":
@@ -238,8 +238,8 @@ class _Run:
     def _scorers(self, targets: Sequence[str]) -> Scorers | None:
         scorers = make_scorers(
             self.config, targets,
-            make_similarity=lambda card, *_: Silent(card.name),
-            make_choice=lambda choice, perception: Silent(choice.kind),
+            make_similarity=lambda card, *_: NullModel(card.name),
+            make_choice=lambda choice, perception: NullModel(choice.kind),
         )  # fmt: skip
         if scorers is not None:
             self._stack.callback(scorers.close)
@@ -258,7 +258,7 @@ class _Run:
         except Exception as error:
             self._failed = observation
             service.latency.abandon_tick(service.stage)
-            service.faults.caught(TICK, error, now_ns, where=STAGES[service.stage].name)
+            service.faults.on_error(TICK, error, now_ns, where=STAGES[service.stage].name)
         else:
             self._failed = observation if service.refused else None
             service.latency.end_tick(perf_counter_ns())
@@ -275,7 +275,7 @@ class _Run:
         now_ns: int,
         task: Any = None,
     ) -> None:
-        self.service.begin(brief_again(self.config.mission, translation, task), now_ns, id)
+        self.service.begin(restore_spec(self.config.mission, translation, task), now_ns, id)
 
     def _reconfigure(self, observation: Observation | None, config: Config) -> None:
         """Apply a recorded reload, unless another configuration is used for the whole run."""
@@ -297,17 +297,17 @@ def _alone(config: Config) -> Config:
 _DO: dict[str, Callable[..., None]] = {
     "tick": _Run._tick,
     "idle": _Run._idle,
-    "answer": lambda run, _, answer: run.service.goal_answered(answer),
+    "answer": lambda run, _, answer: run.service.on_goal_status(answer),
     "mission": _Run._begin,
     "site": lambda run, _, site, now_ns: run.service.change_site(site, now_ns),
     "pause": lambda run, _, paused, now_ns: run.service.pause(paused, now_ns),
     "fail": lambda run, _, reason, now_ns: run.service.fail(reason, now_ns),
     "config": _Run._reconfigure,
-    "jump": lambda run, _, now_ns: run.service.forget_places(now_ns),
+    "jump": lambda run, _, now_ns: run.service.on_pose_jump(now_ns),
 }
 
 
-def _actions(entries: Sequence[Input]) -> Iterator[tuple[Input, list[Input]]]:
+def _actions(entries: Sequence[LoopInput]) -> Iterator[tuple[LoopInput, list[LoopInput]]]:
     """Yield each input with the worker events and decisions that happened while it was handled."""
     action, events = None, []
     for entry in entries:
@@ -322,11 +322,11 @@ def _actions(entries: Sequence[Input]) -> Iterator[tuple[Input, list[Input]]]:
 
 
 def replay(
-    session: Session,
+    session: RecordedRun,
     config: Config | None = None,
     detect: bool = False,
-    each: Callable[[Outcome], None] = lambda outcome: None,
-) -> Outcome:
+    each: Callable[[ReplayResult], None] = lambda outcome: None,
+) -> ReplayResult:
     """Replay a recorded run through a service and compare the decisions.
 
     Args:
@@ -345,7 +345,7 @@ def replay(
             f"{session.head.path}: begins in the middle of a run (it is file "
             f"{session.head.part + 1}): replay its first file; the others of its folder follow"
         )
-    outcome, first_ns = Outcome(), None
+    outcome, first_ns = ReplayResult(), None
     with ExitStack() as stack:
         run = _Run(session, config, detect, stack)
         for moment in session.moments():
@@ -371,7 +371,7 @@ def replay(
     return outcome
 
 
-def _compare(outcome: Outcome, moment: Moment, now: list[dict[str, Any]]) -> None:
+def _compare(outcome: ReplayResult, moment: RecordedStep, now: list[dict[str, Any]]) -> None:
     then = [] if moment.page.said is None else [moment.page.said]
     outcome.ticks += sum(entry.kind == "tick" for entry in moment.page.entries)
     outcome.goals_then += sum(len(said["sent"]) for said in then)

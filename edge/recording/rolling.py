@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.recording.channels import Channel
-from edge.recording.file import PARTIAL, McapFile, RecordingError, is_written
+from edge.recording.file import PARTIAL, McapWriter, RecordingError, is_being_written
 
 log = logging.getLogger("edge.recording")
 
@@ -27,7 +27,7 @@ _NAME = re.compile(rf"{PREFIX}\d{{8}}T\d{{6}}\.\d{{3}}Z\.mcap({re.escape(PARTIAL
 
 
 @dataclass(frozen=True)
-class Limits:
+class RecordingLimits:
     """Limits of files and folder.
 
     Attributes:
@@ -43,7 +43,7 @@ class Limits:
     sync_s: float = 2.0
 
 
-class Rolling:
+class RollingRecorder:
     """Writes the files.
 
     Args:
@@ -63,7 +63,7 @@ class Rolling:
     def __init__(
         self,
         folder: Path,
-        limits: Limits,
+        limits: RecordingLimits,
         compression: str,
         metadata: Callable[[int], dict[str, dict[str, str]]],
         clock: Callable[[], float] = time.monotonic,
@@ -72,7 +72,7 @@ class Rolling:
         self.problem = ""
         self._folder, self._limits, self._compression = folder, limits, compression
         self._metadata, self._clock = metadata, clock
-        self._file: McapFile | None = None
+        self._file: McapWriter | None = None
         self._parts = self._fresh = 0  # files; messages that may not be on the disk yet
         self._began_s = self._synced_s = 0.0
         self._again_s = -float("inf")
@@ -96,7 +96,7 @@ class Rolling:
     def add(
         self, channel: Channel, log_ns: int, stamp_ns: int, *payload: Any, sequence: int = 0
     ) -> None:
-        """Add one message; see `McapFile.add`."""
+        """Add one message; see `McapWriter.add`."""
         if self._file is None:
             self.lost += 1
             return
@@ -127,7 +127,7 @@ class Rolling:
 
     def _begin(self, now_s: float) -> None:
         path = _free_name(self._folder)
-        file = McapFile(path, self._compression, self._metadata(self._parts))
+        file = McapWriter(path, self._compression, self._metadata(self._parts))
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             make_room(self._folder, int((self._limits.keep_mb - self._limits.max_mb) * _MB))
@@ -197,7 +197,7 @@ def make_room(folder: Path, most_bytes: int) -> None:
         if total <= most_bytes:
             return
         try:
-            if is_written(path):
+            if is_being_written(path):
                 continue
         except RecordingError:  # deleted by another process, or no file
             continue

@@ -11,18 +11,18 @@ import numpy as np
 
 from edge.bus.wire import compressed, messages
 from edge.config import Config
-from edge.config.section import own_kinds
+from edge.config.section import plugin_kinds
 from edge.errors import ConfigError
 from edge.recording import channels, journal
-from edge.recording.file import McapReading, Recorded, RecordingError
-from edge.recording.journal import FORMAT, VERSION, Page
+from edge.recording.file import McapReader, RecordedMessage, RecordingError
+from edge.recording.journal import FORMAT, VERSION, JournalPage
 from edge.recording.rolling import files_of
 from edge.text import one_line, read_json
 from edge.types import Observation
 
 
 @dataclass(frozen=True)
-class Head:
+class RecordingHeader:
     """Metadata of a file; `part` is its number within its session."""
 
     path: Path
@@ -32,7 +32,7 @@ class Head:
     config: dict
 
 
-class Moment(NamedTuple):
+class RecordedStep(NamedTuple):
     """One page of the journal with its observation.
 
     Attributes:
@@ -42,19 +42,19 @@ class Moment(NamedTuple):
         lacks: arrays of the observation that were not recorded.
     """
 
-    page: Page
+    page: JournalPage
     observation: Observation | None
     picture: bool
     lacks: tuple[str, ...]
 
 
-def head_of(path: Path) -> Head:
+def read_header(path: Path) -> RecordingHeader:
     """Read the metadata of a file.
 
     Raises:
         RecordingError: no file, no MCAP file, no recording of a run, or one of another version.
     """
-    reading = McapReading(path)
+    reading = McapReader(path)
     next(iter(reading), None)
     said = reading.metadata.get(FORMAT)
     if said is None:
@@ -70,12 +70,12 @@ def head_of(path: Path) -> Head:
     try:
         config = dict(read_json(said["config"], journal.MAX_VALUES).items())
         edge = one_line(said["edge"], 40)
-        return Head(path, said["session"], int(said["part"]), edge, config)
+        return RecordingHeader(path, said["session"], int(said["part"]), edge, config)
     except (KeyError, ValueError, AttributeError):
         raise RecordingError(f"{path}: damaged: its metadata cannot be read") from None
 
 
-class Session:
+class RecordedRun:
     """The files of one run from `path` on.
 
     Args:
@@ -91,12 +91,12 @@ class Session:
         latency: the last recorded latency report; None before the first.
 
     Raises:
-        RecordingError: see `head_of`.
+        RecordingError: see `read_header`.
     """
 
     def __init__(self, path: Path, trust: bool = False) -> None:
         self.trust = trust
-        self.head = head_of(path)
+        self.head = read_header(path)
         self.files = _from(self.head)
         self.cut = self.gap = ""
         self.latency: dict[str, Any] | None = None
@@ -124,28 +124,28 @@ class Session:
         Raises:
             RecordingError: it names a class; nothing was imported.
         """
-        for key, kind in () if self.trust else own_kinds(config):
+        for key, kind in () if self.trust else plugin_kinds(config):
             raise RecordingError(
                 f"{self.head.path}: {key}: {one_line(kind, 80)} is no built-in kind, and a "
                 "recording may name any program: give your own configuration with --config, or "
                 "--trust if you know who made the recording"
             )
 
-    def messages(self) -> Iterator[Recorded]:
+    def messages(self) -> Iterator[RecordedMessage]:
         """Yield the messages of all files in the order in which they were written."""
         for path in self.files:
-            reading = McapReading(path)
+            reading = McapReader(path)
             yield from reading
             if reading.cut:
                 self.cut = f"{path}: {reading.cut}"
 
-    def moments(self) -> Iterator[Moment]:
+    def moments(self) -> Iterator[RecordedStep]:
         """Yield every page of the journal, up to the first gap.
 
         Raises:
             RecordingError: the journal is damaged.
         """
-        array_messages: dict[str, Recorded] = {}
+        array_messages: dict[str, RecordedMessage] = {}
         rig: dict[str, Any] = {}
         n = 0
         for m in self.messages():
@@ -178,12 +178,12 @@ class Session:
             yield moment
 
 
-def _from(head: Head) -> list[Path]:
+def _from(head: RecordingHeader) -> list[Path]:
     files, part = [head.path], head.part
     there = {}
     for path in files_of(head.path.resolve().parent):
         try:
-            other = head_of(path)
+            other = read_header(path)
         except RecordingError:
             continue
         if other.session == head.session:
@@ -197,10 +197,12 @@ _MOST_PIXELS = 1 << 26
 _ARRAY_TOPICS = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
 
 
-def _moment(page: Page, array_messages: dict[str, Recorded], rig: dict[str, Any]) -> Moment:
+def _moment(
+    page: JournalPage, array_messages: dict[str, RecordedMessage], rig: dict[str, Any]
+) -> RecordedStep:
     said = page.observation
     if said is None:
-        return Moment(page, None, False, ())
+        return RecordedStep(page, None, False, ())
     depth_m, cloud_m, rgb = _depth(array_messages), _cloud(array_messages), _picture(array_messages)
     picture = rgb is not None
     if rgb is None and said["rgb_hw"] is not None:
@@ -210,7 +212,7 @@ def _moment(page: Page, array_messages: dict[str, Recorded], rig: dict[str, Any]
     arrays = {"depth": depth_m, "cloud": cloud_m}
     lacks = tuple(name for name, array in arrays.items() if said[name] and array is None)
     observation = journal.observation_of(said, rig, rgb, depth_m, cloud_m)
-    return Moment(page, observation, picture, lacks)
+    return RecordedStep(page, observation, picture, lacks)
 
 
 def _check_pixels(height: int, width: int) -> None:
@@ -226,7 +228,7 @@ def _latency(payload: bytes) -> dict[str, Any]:
     return said
 
 
-def _depth(array_messages: dict[str, Recorded]) -> np.ndarray | None:
+def _depth(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
     if (m := array_messages.get(channels.DEPTH.topic)) is None:
         return None
     header = messages.decode_image_header(m.payload)
@@ -237,14 +239,14 @@ def _depth(array_messages: dict[str, Recorded]) -> np.ndarray | None:
     return out * np.float32(0.001) if exact else out
 
 
-def _cloud(array_messages: dict[str, Recorded]) -> np.ndarray | None:
+def _cloud(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
     if (m := array_messages.get(channels.CLOUD.topic)) is None:
         return None
     out = np.empty((len(m.payload) // 12, 3), np.float32)
     return out[: messages.decode_point_cloud_into(m.payload, out, whole=True)].copy()
 
 
-def _picture(array_messages: dict[str, Recorded]) -> np.ndarray | None:
+def _picture(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
     if (m := array_messages.get(channels.PICTURE.topic)) is None:
         return None
     header = compressed.decode_compressed_header(m.payload)

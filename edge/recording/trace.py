@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from http import HTTPStatus
 from typing import Any
 
-from edge.host.pages import Page, Pages, json_page
+from edge.host.web_server import GetRoutes, HttpResponse, json_response
 from edge.loop.latency import Span
 
 PAGE = "/trace"
@@ -67,10 +67,10 @@ class TracePage:
     def __init__(self) -> None:
         self.spans: Callable[[], list[Span]] | None = None
 
-    def pages(self) -> Pages:
+    def pages(self) -> GetRoutes:
         return {PAGE: self._page}
 
-    def _page(self) -> Page:
+    def _page(self) -> HttpResponse:
         if self.spans is None:
-            return json_page({"error": "starting"}, HTTPStatus.SERVICE_UNAVAILABLE)
-        return Page(trace_bytes(self.spans()), "application/json")
+            return json_response({"error": "starting"}, HTTPStatus.SERVICE_UNAVAILABLE)
+        return HttpResponse(trace_bytes(self.spans()), "application/json")

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.bus.ros2.names import NO_HASH, dialect_of
-from edge.bus.ros2.topics import HEARD, LATCHED, NAVIGATE_TO_POSE, SAID, heard_types
+from edge.bus.ros2.topics import LATCHED, NAVIGATE_TO_POSE, PUBLISHED, SUBSCRIBED, accepted_types
 from edge.bus.session import session_config
 from edge.config import Config, ConfigError, load
 from edge.errors import UnavailableError
@@ -72,17 +72,17 @@ def make_plan(config: Config) -> dict[str, Any]:
         return {**place(name), "type": kind, **quality, "depth": _DEPTHS.get(name, _DEPTH)}
 
     wanted = settings.adapter.reliable
-    heard = [passed(name, heard_types(name, settings.topic(name))[0], name in wanted)
-             for name in HEARD]  # fmt: skip
+    heard = [passed(name, accepted_types(name, settings.topic(name))[0], name in wanted)
+             for name in SUBSCRIBED]  # fmt: skip
     by_action = settings.goals == "navigate_to_pose"
-    said = [name for name in SAID if not (name == "goal" and by_action)]
+    said = [name for name in PUBLISHED if not (name == "goal" and by_action)]
     return {
         "version": version("eclipse-zenoh"),
         "zenoh": str(session_config(config.zenoh, "connect")),
         "node": f"{settings.node}_adapter",
         "max_bytes": int(config.source.max_message_mb * 1e6),
         "heard": heard,
-        "said": [passed(name, SAID[name], reliable=True) for name in said],
+        "said": [passed(name, PUBLISHED[name], reliable=True) for name in said],
         "action": {**place("navigate_to_pose"), "type": NAVIGATE_TO_POSE} if by_action else None,
     }
 

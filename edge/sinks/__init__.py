@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from edge.config import Config
-from edge.config.named import find_named
+from edge.config.components import component_factory
 from edge.loop.result import Sink
 
 REGISTRY = {
@@ -25,11 +25,13 @@ def find_sinks(config: Config) -> list[Callable[..., Sink]]:
     """Return a factory of each configured sink: `make(config=, session=)`.
 
     Raises:
-        ConfigError: see `edge.config.named.find_named`.
+        ConfigError: see `edge.config.components.component_factory`.
     """
     needs, given, known = ("tick()", "close()"), ("config", "session"), {"config": config}
     wheres = (config.at(f"sinks.{i}") for i in range(len(config.sinks)))
     return [
-        find_named("sink", sink.kind, sink.options, REGISTRY, where, needs, given, known=known)
+        component_factory(
+            "sink", sink.kind, sink.options, REGISTRY, where, needs, given, known=known
+        )
         for sink, where in zip(config.sinks, wheres, strict=True)
     ]

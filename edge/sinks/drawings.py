@@ -18,7 +18,7 @@ _GOAL: markers.RGBA = (0.2, 0.9, 0.3, 0.9)
 _WORDS: markers.RGBA = (1.0, 1.0, 1.0, 1.0)
 
 
-class Way:
+class PathRing:
     """The driven path: the last poses, `apart_m` apart, in a preallocated ring."""
 
     def __init__(self, capacity: int = 2000, apart_m: float = 0.1) -> None:

@@ -16,7 +16,7 @@ from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.recording import channels
 from edge.recording.channels import Channel
-from edge.sinks.telling import Moment, Teller
+from edge.sinks.encoder import ResultEncoder, ResultSnapshot
 from edge.text import one_line
 
 log = logging.getLogger("edge.sinks.foxglove")
@@ -57,7 +57,7 @@ class FoxgloveSink:
                 message_encoding=channel.encoding,
                 context=context,
             )
-            for channel in channels.TOLD
+            for channel in channels.VISUAL
         }  # fmt: skip
         try:
             self._server = foxglove.start_server(
@@ -72,12 +72,12 @@ class FoxgloveSink:
         if not is_loopback(host):
             log.warning("foxglove: anyone who reaches %s port %d sees what the robot sees", host,
                         self.port)  # fmt: skip
-        self._encoder = Teller(config, rgb_hz, self._wanted)
-        self._worker: Worker[Moment, None] = Worker("foxglove-sink", self._send)
+        self._encoder = ResultEncoder(config, rgb_hz, self._wanted)
+        self._worker: Worker[ResultSnapshot, None] = Worker("foxglove-sink", self._send)
 
     @staticmethod
     def check_options(host: str = "127.0.0.1", port: int = 8765, rgb_hz: float = 10.0) -> None:
-        """Raise an error for an invalid port or a missing SDK; see `edge.config.named`."""
+        """Raise an error for an invalid port or a missing SDK; see `edge.config.components`."""
         if type(port) is not int or not 0 <= port <= MOST_PORT:
             raise ConfigError(
                 f"sinks: foxglove: port: expected a number from 0 to {MOST_PORT}, got {port!r:.40}"
@@ -102,7 +102,7 @@ class FoxgloveSink:
     def _wanted(self, channel: Channel) -> bool:
         return bool(self._channels[channel].has_sinks())
 
-    def _send(self, moment: Moment) -> None:
+    def _send(self, moment: ResultSnapshot) -> None:
         for message in self._encoder.tell(moment):
             payload = b"".join(message.payload)
             self._channels[message.channel].log(payload, log_time=max(0, moment.now_ns))

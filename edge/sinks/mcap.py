@@ -21,12 +21,12 @@ from edge.errors import ConfigError
 from edge.host import resources
 from edge.host.files import make_writable
 from edge.host.worker import Worker
-from edge.loop.journal import Input
+from edge.loop.input_log import LoopInput
 from edge.loop.result import TickResult
 from edge.recording import channels, journal
 from edge.recording.file import COMPRESSIONS
-from edge.recording.rolling import Limits, Rolling
-from edge.sinks.telling import Moment, Teller, Told
+from edge.recording.rolling import RecordingLimits, RollingRecorder
+from edge.sinks.encoder import EncodedMessage, ResultEncoder, ResultSnapshot
 from edge.text import one_line
 
 PAGE_NS = 500_000_000  # longest delay of a journal page
@@ -39,8 +39,8 @@ _CLOSE_S = 5.0
 class _Item(NamedTuple):
     """One entry of the queue; `bytes` is the size of its arrays."""
 
-    moment: Moment
-    inputs: tuple[Input, ...]
+    moment: ResultSnapshot
+    inputs: tuple[LoopInput, ...]
     result: TickResult
     bytes: int
 
@@ -51,10 +51,10 @@ class McapSink:
     Args:
         config: the configuration.
         folder: created if missing; `~` is the home directory.
-        max_mb: see `edge.recording.rolling.Limits`.
-        max_s: see `Limits`.
-        keep_mb: see `Limits`.
-        sync_s: see `Limits`.
+        max_mb: see `edge.recording.rolling.RecordingLimits`.
+        max_s: see `RecordingLimits`.
+        keep_mb: see `RecordingLimits`.
+        sync_s: see `RecordingLimits`.
         rgb_hz: rate of images, stored as JPEG; 0: none.
         compression: `none`, `lz4` or `zstd`.
         pending_mb: limit of arrays that wait to be written.
@@ -85,12 +85,12 @@ class McapSink:
                 raise ConfigError(f"sinks: mcap: folder: {why}") from None
         self._config = config
         self._session = uuid.uuid4().hex
-        self._files = Rolling(
-            where, Limits(max_mb, max_s, keep_mb, sync_s), compression,
+        self._files = RollingRecorder(
+            where, RecordingLimits(max_mb, max_s, keep_mb, sync_s), compression,
             self._metadata,
         )  # fmt: skip
-        self._encoder = Teller(config, rgb_hz)
-        self._inputs: list[Input] = []
+        self._encoder = ResultEncoder(config, rgb_hz)
+        self._inputs: list[LoopInput] = []
         self._page_ns: int | None = None  # start of the current page
         self._held_back: TickResult | None = None  # its last result
         self._rig: dict[str, Any] = {}  # as last written
@@ -110,7 +110,7 @@ class McapSink:
 
     @classmethod
     def check_options(cls, **options: Any) -> None:
-        """Raise an error for invalid numbers or names; see `edge.config.named`."""
+        """Raise an error for invalid numbers or names; see `edge.config.components`."""
         bound = inspect.signature(cls).bind(config=None, **options)
         bound.apply_defaults()
         _check(**{k: v for k, v in bound.arguments.items() if k not in ("config", "folder")})
@@ -194,14 +194,14 @@ class McapSink:
             self._release(item.bytes)
         self._files.sync()
 
-    def _made(self, item: _Item) -> Iterator[Told]:
+    def _made(self, item: _Item) -> Iterator[EncodedMessage]:
         """Yield the messages of a tick, the journal's page last, since its arrays come first."""
         moment = item.moment
         with self._contained():  # an error of the display must not lose data for the replay
             yield from self._encoder.tell(moment)
         with self._contained():
             page = journal.encode_page(item.inputs, item.result, moment.seen, self._rig)
-            yield Told(channels.JOURNAL, moment.now_ns, (page,))
+            yield EncodedMessage(channels.JOURNAL, moment.now_ns, (page,))
 
     @contextmanager
     def _contained(self) -> Iterator[None]:

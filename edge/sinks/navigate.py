@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from edge.bus.ros2.node import Answer, Node
+from edge.bus.ros2.node import PendingReply, Ros2Node
 from edge.bus.ros2.topics import NAVIGATE_TO_POSE
 from edge.bus.wire import DecodeError, navigation
 from edge.bus.wire.navigation import SETTLED, SUCCEEDED
@@ -54,7 +54,7 @@ class _Driven:
     goal: Goal
     stage: Literal["waiting", "sent", "driving"] = "waiting"
     goal_id: bytes = b""
-    answer: Answer = field(default_factory=lambda: Answer(None))
+    answer: PendingReply = field(default_factory=lambda: PendingReply(None))
     due_s: float = 0.0
     since_s: float = field(default_factory=time.monotonic)
     lost_s: float = 0.0
@@ -64,7 +64,7 @@ class _Driven:
     recoveries: int = 0
 
 
-class Navigator:
+class NavigateToPoseClient:
     """Sends goals as the module's docstring says; for one thread, which calls `beat` repeatedly.
 
     Args:
@@ -75,7 +75,7 @@ class Navigator:
     """
 
     def __init__(
-        self, node: Node, action: str, frame_id: str, tell: Callable[[GoalStatus], None]
+        self, node: Ros2Node, action: str, frame_id: str, tell: Callable[[GoalStatus], None]
     ) -> None:
         self._action, self._frame_id, self._report = action, frame_id, tell
         below = f"{action}/_action"
@@ -171,7 +171,7 @@ class Navigator:
             self._settle(driven, "failed", "refused by navigate_to_pose")
             return
         driven.stage, driven.due_s = "driving", 0.0
-        driven.answer = Answer(None)
+        driven.answer = PendingReply(None)
         if driven.unwanted:
             self._take_back(driven)
             return
@@ -248,8 +248,8 @@ class Navigator:
         self._cancel.ask(navigation.encode_cancel(goal_id))
 
 
-_STEPS: dict[str, Callable[[Navigator, _Driven], None]] = {
-    "waiting": Navigator._step_waiting,
-    "sent": Navigator._step_sent,
-    "driving": Navigator._step_driving,
+_STEPS: dict[str, Callable[[NavigateToPoseClient, _Driven], None]] = {
+    "waiting": NavigateToPoseClient._step_waiting,
+    "sent": NavigateToPoseClient._step_sent,
+    "driving": NavigateToPoseClient._step_driving,
 }

@@ -13,19 +13,19 @@ from typing import Any
 import zenoh
 
 from edge.bus import topics
-from edge.bus.ros2.node import Publisher, open_node
-from edge.bus.ros2.topics import LATCHED, SAID
+from edge.bus.ros2.node import Ros2Publisher, open_node
+from edge.bus.ros2.topics import LATCHED, PUBLISHED
 from edge.bus.session import declare_publisher
 from edge.bus.wire import markers, messages, transforms
 from edge.config import Config
 from edge.geometry import Grid
 from edge.host.worker import Worker
 from edge.loop.result import TickResult
-from edge.sinks.drawings import Way, markers_of
-from edge.sinks.navigate import Navigator
-from edge.sinks.pace import Pace
+from edge.sinks.drawings import PathRing, markers_of
+from edge.sinks.navigate import NavigateToPoseClient
+from edge.sinks.rate_limiter import RateLimiter
 from edge.tasks.follow import path_message
-from edge.tasks.refine import Refined
+from edge.tasks.refine import RefinedTrajectory
 from edge.types import Goal, GoalStatus
 
 DRAWN_HZ = 1.0
@@ -50,16 +50,18 @@ class Ros2Sink:
         else:
             self._answers = declare_publisher(session, topics.GOAL_STATUS, config.zenoh)
             action = settings.topic("navigate_to_pose")
-            self._navigator = Navigator(self._node, action, self._frame, self._send_status)
+            self._navigator = NavigateToPoseClient(
+                self._node, action, self._frame, self._send_status
+            )
         self._pending_goal: Goal | None = None
-        self._way = Way()
+        self._way = PathRing()
         self._driving = False
-        self._trajectory: Refined | None = None
-        self._pace = Pace(map=config.report.map_hz, drawings=DRAWN_HZ)
+        self._trajectory: RefinedTrajectory | None = None
+        self._pace = RateLimiter(map=config.report.map_hz, drawings=DRAWN_HZ)
         self._worker = Worker("ros2-sink", self._deliver, finishes=True, beat=self._beat)
 
-    def _publisher(self, name: str) -> Publisher:
-        return self._node.publisher(self._settings.topic(name), SAID[name], name in LATCHED)
+    def _publisher(self, name: str) -> Ros2Publisher:
+        return self._node.publisher(self._settings.topic(name), PUBLISHED[name], name in LATCHED)
 
     # -- on the loop's thread -------------------------------------------------------------------
 

@@ -24,10 +24,10 @@ from edge.config import Config
 from edge.geometry import Grid
 from edge.host.worker import Worker
 from edge.loop.result import TickResult
-from edge.loop.status import status_of
-from edge.sinks.pace import Pace
+from edge.loop.status import status_message
+from edge.sinks.rate_limiter import RateLimiter
 from edge.tasks.follow import path_message
-from edge.tasks.refine import Refined
+from edge.tasks.refine import RefinedTrajectory
 
 UNANSWERED_S = 0.5
 UNSETTLED_S = 1.0
@@ -74,11 +74,11 @@ class ZenohSink:
             # and, before it, the map.
             self._repeat_s["tick"] = UNANSWERED_S
         self._last_map = b""
-        self._pace = Pace(
+        self._pace = RateLimiter(
             map=config.report.map_hz, status=config.report.status_hz, latency=LATENCY_HZ
         )
         self._mission: tuple[str, str, str] | None = None
-        self._trajectory: Refined | None = None
+        self._trajectory: RefinedTrajectory | None = None
         self._worker = Worker("zenoh-sink", self._deliver, finishes=True, beat=self._repeat)
 
     # -- on the loop's thread -------------------------------------------------------------------
@@ -93,7 +93,7 @@ class ZenohSink:
         if self._pace.is_due("map", now_ns):
             self._put("map", (now_ns, self._map_of(result)))
         if self._pace.is_due("status", now_ns):
-            self._put("status", status_of(result))
+            self._put("status", status_message(result))
         if self._pace.is_due("latency", now_ns):
             self._put("latency", result.latency)
         if (status.target, status.phase, status.reason) != self._mission:

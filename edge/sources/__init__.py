@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from edge.config import Config
-from edge.config.named import find_named
+from edge.config.components import component_factory
 
 if TYPE_CHECKING:
     from edge.loop.source import Source
@@ -35,9 +35,9 @@ def find_source(config: Config) -> Callable[..., Source]:
     """Return a factory of the configured source: `make(config=, session=)`.
 
     Raises:
-        ConfigError: see `edge.config.named.find_named`.
+        ConfigError: see `edge.config.components.component_factory`.
     """
     kind, options, where = config.source.kind, config.source.options, config.at("source")
     given = ("config", "session")
     known = {"config": config}
-    return find_named("source", kind, options, REGISTRY, where, NEEDS, given, known=known)
+    return component_factory("source", kind, options, REGISTRY, where, NEEDS, given, known=known)

@@ -12,17 +12,17 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
 from edge.bus import topics
-from edge.bus.ros2.topics import COMPRESSED, COMPRESSED_ENDINGS, HEARD, heard_types
+from edge.bus.ros2.topics import COMPRESSED, COMPRESSED_ENDINGS, SUBSCRIBED, accepted_types
 from edge.bus.wire import DecodeError, compressed, messages
 from edge.bus.wire.transforms import decode_transforms
 from edge.config import Config
 from edge.config.ros2 import DEFAULT_TOPICS
 from edge.host.interruptible import raise_if_stopped
 from edge.recording.bag import WINDOW_NS, Bag
-from edge.recording.file import Recorded
+from edge.recording.file import RecordedMessage
 from edge.sources.decoder import KINDS
 from edge.sources.synchronizer import streams_of
-from edge.text import aligned, one_line
+from edge.text import format_table, one_line
 
 RGB, DEPTH, INFO, CLOUD, SCAN, ODOMETRY = (
     topic.key
@@ -39,7 +39,7 @@ _MOST_STATIC_BYTES = 1 << 23
 _MOST_FRAMES = 4096
 _SHOWN = 12
 
-_TYPES = {kind for name in HEARD for kind in heard_types(name, "")}
+_TYPES = {kind for name in SUBSCRIBED for kind in accepted_types(name, "")}
 """Message types that can be read."""
 _WORST = -5.0
 """A topic with this score or less is not guessed."""
@@ -93,7 +93,7 @@ class TopicFacts:
 
 
 @dataclass
-class Contents:
+class RecordingContents:
     """The contents of a recording, from one pass over all its messages.
 
     Attributes:
@@ -158,14 +158,14 @@ def _of_type(facts: TopicFacts) -> str:
     return one_line(f"{facts.type}{as_what}", 60)
 
 
-def read_contents(bag: Bag, stop: threading.Event) -> Contents:
+def read_contents(bag: Bag, stop: threading.Event) -> RecordingContents:
     """Read a recording once.
 
     Raises:
         RecordingError: see `Bag`.
         Stopped: `stop` was set.
     """
-    found = Contents()
+    found = RecordingContents()
     latest_ns = 0
     for message in bag:
         raise_if_stopped(stop)
@@ -182,7 +182,7 @@ def read_contents(bag: Bag, stop: threading.Event) -> Contents:
         found.first_ns = min(found.first_ns, message.log_ns)
         latest_ns = max(latest_ns, message.log_ns)
         found.sorted_nearly &= latest_ns - message.log_ns <= WINDOW_NS
-        if facts.type == HEARD[TF] and facts.encoding == "cdr":
+        if facts.type == SUBSCRIBED[TF] and facts.encoding == "cdr":
             _take_frames(found, message)
     found.last_ns = max(latest_ns, found.first_ns)
     return found
@@ -193,16 +193,16 @@ def _type_name(schema: str) -> str:
     return re.sub(r"^(\w+)/(\w+)$", r"\1/msg/\2", schema)
 
 
-def _describe(facts: TopicFacts, message: Recorded) -> None:
+def _describe(facts: TopicFacts, message: RecordedMessage) -> None:
     """Set facts from the first message. If that is damaged, it is counted during playback."""
-    if facts.encoding != "cdr" or facts.type not in _TYPES or facts.type == HEARD[TF]:
+    if facts.encoding != "cdr" or facts.type not in _TYPES or facts.type == SUBSCRIBED[TF]:
         return
     facts.is_depth = "depth" in message.topic.lower()
     try:
         _, facts.frame_id = messages.peek_header(message.payload)
-        if facts.type == HEARD[ODOMETRY]:
+        if facts.type == SUBSCRIBED[ODOMETRY]:
             facts.child = messages.decode_odometry(message.payload).child_frame_id
-        elif facts.type == HEARD[RGB]:
+        elif facts.type == SUBSCRIBED[RGB]:
             encoding = messages.decode_image_header(message.payload).encoding
             facts.is_depth = encoding in _DEPTH_ENCODINGS
         elif facts.type == COMPRESSED:
@@ -214,7 +214,7 @@ def _describe(facts: TopicFacts, message: Recorded) -> None:
         facts.frame_id, facts.child = facts.frame_id.lstrip("/"), facts.child.lstrip("/")
 
 
-def _take_frames(found: Contents, message: Recorded) -> None:
+def _take_frames(found: RecordingContents, message: RecordedMessage) -> None:
     static = _is_static(message.topic)
     if static:
         found.static_bytes += len(message.payload)
@@ -235,7 +235,7 @@ def _is_static(topic: str) -> bool:
     return topic.endswith("tf_static")
 
 
-def lacking_inputs(config: Config, there: Collection[str]) -> Iterator[str]:
+def missing_inputs(config: Config, there: Collection[str]) -> Iterator[str]:
     """Yield the inputs that an observation needs and that are not in `there`."""
     required = {field for field, stream in streams_of(config).items() if stream.required}
     groups = [
@@ -252,7 +252,7 @@ def lacking_inputs(config: Config, there: Collection[str]) -> Iterator[str]:
 
 
 @dataclass(frozen=True)
-class Matched:
+class TopicMatching:
     """The topics of a recording and the sensors they are played as.
 
     Attributes:
@@ -270,7 +270,9 @@ class Matched:
     lines: tuple[str, ...]
 
 
-def match(config: Config, contents: Contents, wanted: Collection[str]) -> Matched:
+def match_topics(
+    config: Config, contents: RecordingContents, wanted: Collection[str]
+) -> TopicMatching:
     """Find the topics of a recording that a configuration needs.
 
     Args:
@@ -290,14 +292,17 @@ def match(config: Config, contents: Contents, wanted: Collection[str]) -> Matche
         choose.how[ODOMETRY] = f"tf, of {frames.mover}"
     rows = [(name, found.get(name, "-"), choose.how[name]) for name in choose.how]
     rows = [(name, one_line(topic, 80), one_line(how, 200)) for name, topic, how in rows]
-    lines = (*aligned(rows, left=3).splitlines(), *(one_line(line, 300) for line in frames.lines))
-    return Matched(found, frames.config, frames.by_tf, frames.mover, lines)
+    lines = (
+        *format_table(rows, left=3).splitlines(),
+        *(one_line(line, 300) for line in frames.lines),
+    )
+    return TopicMatching(found, frames.config, frames.by_tf, frames.mover, lines)
 
 
 class _Choice:
     """Chooses a topic for each name; `how` describes each choice in a few words."""
 
-    def __init__(self, config: Config, contents: Contents) -> None:
+    def __init__(self, config: Config, contents: RecordingContents) -> None:
         self._config, self._contents = config, contents
         self.found: dict[str, str] = {}
         self.how: dict[str, str] = {}
@@ -306,7 +311,7 @@ class _Choice:
         there = {
             topic: facts
             for topic, facts in self._contents.topics.items()
-            if facts.encoding == "cdr" and facts.type in heard_types(name, topic)
+            if facts.encoding == "cdr" and facts.type in accepted_types(name, topic)
         }
         topic, how = self._by_name(name, there)
         if not topic:
@@ -391,7 +396,7 @@ def _shared(topic: str, other: str) -> int:
 class _Frames:
     """Finds the frames of a recording for `ros2.map_frame` and `ros2.base_frame`."""
 
-    def __init__(self, config: Config, contents: Contents, found: dict[str, str]) -> None:
+    def __init__(self, config: Config, contents: RecordingContents, found: dict[str, str]) -> None:
         self._contents = contents
         self.lines: list[str] = []
         self.by_tf, self.mover = bool(contents.parents), ""

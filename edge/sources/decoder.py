@@ -13,19 +13,19 @@ import numpy as np
 from edge.bus import topics
 from edge.bus.topics import Topic
 from edge.bus.wire import DecodeError, compressed, messages
-from edge.config import Source
+from edge.config import SourceConfig
 from edge.sources.messages import (
     CameraInfo,
     Cloud,
     DepthImage,
-    Frame,
     Image,
+    LaserScanFrame,
     Odometry,
-    Scan,
+    SensorFrame,
     WrongSizeError,
 )
 from edge.sources.synchronizer import TimeSynchronizer
-from edge.sources.tf import Frames
+from edge.sources.tf import RobotFrames
 
 _SHARE = 0.8  # part of a frame's waiting time in which its pose may wait for transforms
 _INFO_BODY = 12  # offset behind CDR header and stamp: the rest is the same in most messages
@@ -42,37 +42,37 @@ def _check_size(header: messages.ImageHeader | compressed.CompressedHeader, out:
     return header.height
 
 
-def _image_into(settings: Source, payload: bytes, out: np.ndarray) -> int:
+def _image_into(settings: SourceConfig, payload: bytes, out: np.ndarray) -> int:
     header = messages.decode_image_header(payload)
     if (height := _check_size(header, out)) > 0:
         messages.decode_image_into(payload, header, out, settings.depth_unit_m)
     return height
 
 
-def _compressed_into(settings: Source, payload: bytes, out: np.ndarray) -> int:
+def _compressed_into(settings: SourceConfig, payload: bytes, out: np.ndarray) -> int:
     header = compressed.decode_compressed_header(payload)
     if (height := _check_size(header, out)) > 0:
         compressed.decode_compressed_into(payload, header, out, settings.depth_unit_m)
     return height
 
 
-def _cloud_into(settings: Source, payload: bytes, out: np.ndarray) -> int:
+def _cloud_into(settings: SourceConfig, payload: bytes, out: np.ndarray) -> int:
     return messages.decode_point_cloud_into(payload, out)
 
 
-def _scan_into(settings: Source, payload: bytes, out: np.ndarray) -> int:
+def _scan_into(settings: SourceConfig, payload: bytes, out: np.ndarray) -> int:
     return messages.decode_scan_points_into(payload, out, settings.scan_inf == "free")
 
 
-KINDS: dict[Topic, type[Frame]] = {
+KINDS: dict[Topic, type[SensorFrame]] = {
     topics.CLOUD: Cloud,
-    topics.SCAN: Scan,
+    topics.SCAN: LaserScanFrame,
     topics.DEPTH: DepthImage,
     topics.RGB: Image,
 }
 """Message class of each topic."""
 
-_INTO: dict[str, Callable[[Source, bytes, np.ndarray], int]] = {
+_INTO: dict[str, Callable[[SourceConfig, bytes, np.ndarray], int]] = {
     "sensor_msgs/PointCloud2": _cloud_into,
     "sensor_msgs/LaserScan": _scan_into,
     "sensor_msgs/Image": _image_into,
@@ -94,7 +94,7 @@ class CdrDecoder:
         self,
         synchronizer: TimeSynchronizer,
         clock: Callable[[], int] = time.monotonic_ns,
-        frames: Frames | None = None,
+        frames: RobotFrames | None = None,
     ) -> None:
         self._synchronizer = synchronizer
         self._settings = synchronizer.config.source
@@ -105,7 +105,9 @@ class CdrDecoder:
         wait_ns = _SHARE * 1e9 * config.source.wait_s
         self._wait_ns = math.inf if config.loop.lockstep else wait_ns
         self._most_waiting = config.source.odometry_ring
-        self._waiting: deque[tuple[int, messages.Odometry]] = deque()  # (arrival, pose without tf)
+        self._waiting: deque[tuple[int, messages.OdometryMessage]] = (
+            deque()
+        )  # (arrival, pose without tf)
 
     def offer(self, topic: Topic, payload: bytes, type_name: str = "") -> None:
         """Decode one message of a sensor topic in `edge.bus.topics`.
@@ -129,7 +131,7 @@ class CdrDecoder:
         except DecodeError as error:
             self._synchronizer.count(topic.key, "malformed", str(error))
 
-    def move(self, sample: messages.Odometry) -> None:
+    def move(self, sample: messages.OdometryMessage) -> None:
         """Process a pose from an odometry message or from tf."""
         if self._frames is None:
             self._synchronizer.offer(Odometry(sample.stamp_ns, sample.T_map_base))

@@ -8,7 +8,7 @@ import zenoh
 
 from edge.bus import topics
 from edge.bus.session import Ring
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.geometry import FARTHEST_M
 from edge.text import bounded_repr, one_line, read_json_object
 from edge.types import GoalStatus
@@ -58,7 +58,7 @@ class GoalStatusInbox:
         malformed: number of malformed messages.
     """
 
-    def __init__(self, session: zenoh.Session, settings: Zenoh) -> None:
+    def __init__(self, session: zenoh.Session, settings: ZenohConfig) -> None:
         self.malformed = 0
         self._ring = Ring(session, settings.key(topics.GOAL_STATUS.key), _KEPT)
 

@@ -9,8 +9,8 @@ import math
 from collections.abc import Callable
 
 from edge.config import Config
-from edge.loop.source import InputRow, InputState
-from edge.sources.messages import CameraInfo, Cloud, DepthImage, Image, Odometry, Scan
+from edge.loop.source import InputState, InputStatus
+from edge.sources.messages import CameraInfo, Cloud, DepthImage, Image, LaserScanFrame, Odometry
 from edge.sources.streams import Stream
 
 SILENT_S = 1.0
@@ -100,7 +100,7 @@ class InputTable:
         needed = {field for field, stream in streams.items() if stream.required} | {"rgb"}
         for kind, hz in (
             (Image, sensors.camera.rate_hz), (DepthImage, sensors.camera.rate_hz),
-            (Cloud, lidar_hz), (Scan, lidar_hz),
+            (Cloud, lidar_hz), (LaserScanFrame, lidar_hz),
         ):  # fmt: skip
             if kind.field in streams:
                 self.add(kind.topic, kind.field, kind.field in needed, hz)
@@ -163,7 +163,7 @@ class InputTable:
 
     # -- for any thread ---------------------------------------------------------------------------
 
-    def rows(self) -> tuple[InputRow, ...]:
+    def rows(self) -> tuple[InputStatus, ...]:
         """Return the current table."""
         now_ns = self._clock()
         states = [row.state(now_ns) for row in self._inputs]
@@ -176,7 +176,7 @@ class InputTable:
         )
 
 
-def _row(row: _Input, state: InputState, now_ns: int) -> InputRow:
+def _row(row: _Input, state: InputState, now_ns: int) -> InputStatus:
     came_ns, hz = row.came_ns, row.hz
     if not hz and came_ns is not None and came_ns > row.since_ns:  # still in the first window
         hz = (row.in_window - 1) * 1e9 / (came_ns - row.since_ns)
@@ -185,7 +185,7 @@ def _row(row: _Input, state: InputState, now_ns: int) -> InputRow:
         why = f"{row.reason}{row.detail and f' ({row.detail})'}"
     if hz and now_ns - came_ns > max(SILENT_S, 3.0 / hz) * 1e9:
         hz = 0.0
-    return InputRow(
+    return InputStatus(
         name=row.name,
         where=row.where,
         group=row.group,

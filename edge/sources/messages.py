@@ -41,7 +41,7 @@ class CameraInfo:
     Attributes:
         camera: of the rectified images.
         lens: distortion of the raw images; None: no distortion.
-        cut: see `edge.bus.wire.messages.Calibration`.
+        cut: see `edge.bus.wire.messages.CameraCalibration`.
     """
 
     camera: CameraModel
@@ -51,7 +51,7 @@ class CameraInfo:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class SensorFrame:
     """One image or sweep, not yet decoded.
 
     Attributes:
@@ -74,13 +74,13 @@ class Frame:
     field: ClassVar[str]
 
 
-class Image(Frame):
+class Image(SensorFrame):
     """A colour image; decodes into (h, w, 3) uint8 RGB."""
 
     topic, field = "camera/rgb", "rgb"
 
 
-class DepthImage(Frame):
+class DepthImage(SensorFrame):
     """A depth image registered to the colour image; decodes into (h, w) float32 metres.
 
     NaN or 0 = no return. The synchronizer drops returns beyond the camera's range.
@@ -89,13 +89,13 @@ class DepthImage(Frame):
     topic, field = "camera/depth", "depth_m"
 
 
-class Cloud(Frame):
+class Cloud(SensorFrame):
     """A point cloud; decodes into (cap, 3) float32 metres in the LiDAR's frame."""
 
     topic, field = "lidar/points", "cloud_m"
 
 
-class Scan(Cloud):
+class LaserScanFrame(Cloud):
     """A 2D LiDAR scan; decodes its hits as a cloud in the scan plane.
 
     A row (x, y, inf) is a beam that hit nothing up to (x, y, 0).
@@ -104,7 +104,7 @@ class Scan(Cloud):
     topic = "lidar/scan"
 
 
-class Placed(NamedTuple):
+class TransformLookup(NamedTuple):
     """The result of a tf lookup at an instant.
 
     Attributes:
@@ -118,8 +118,8 @@ class Placed(NamedTuple):
     why: str = ""
 
 
-MountAt = Callable[[str, int], Placed]
+MountAt = Callable[[str, int], TransformLookup]
 """Returns `T_base_sensor` for a frame id and a stamp in ns. A camera's frame is its optical frame.
 """
 
-Message = Union[Odometry, CameraInfo, Frame]
+Message = Union[Odometry, CameraInfo, SensorFrame]

@@ -22,23 +22,23 @@ from edge.bus.wire import DecodeError, messages
 from edge.bus.wire.schemas import full_name
 from edge.bus.wire.transforms import decode_transforms
 from edge.config import Config
-from edge.loop.source import InputRow
+from edge.loop.source import InputStatus
 from edge.recording.bag import Bag
-from edge.recording.file import Recorded, RecordingError
+from edge.recording.file import RecordedMessage, RecordingError
 from edge.sources.contents import (
     ODOMETRY,
     TF,
     TF_STATIC,
-    Contents,
-    lacking_inputs,
-    match,
+    RecordingContents,
+    match_topics,
+    missing_inputs,
     read_contents,
 )
 from edge.sources.decoder import KINDS
 from edge.sources.polled import PolledSource
 from edge.sources.synchronizer import streams_of
-from edge.sources.tf import Frames
-from edge.text import aligned, one_line
+from edge.sources.tf import RobotFrames
+from edge.text import format_table, one_line
 from edge.types import Observation
 
 log = logging.getLogger("edge.sources.played")
@@ -71,7 +71,7 @@ class PlayedSource(PolledSource):
         contents, matched = playback.contents, playback.matched
         self._matched, self._rate, self.over = matched, rate, False
         self._now_ns = self._last_ns = self._first_ns = contents.first_ns
-        self._played_frames = Frames(_timed(matched.config)) if matched.by_tf else None
+        self._played_frames = RobotFrames(_timed(matched.config)) if matched.by_tf else None
         super().__init__(_timed(config), session, self._played_frames, lambda: self._now_ns)
         inputs = self._synchronizer.inputs
         if matched.by_tf:
@@ -91,7 +91,7 @@ class PlayedSource(PolledSource):
         self._began_ns: int | None = None
         self._skipped_ns = 0
 
-    def _take_static(self, contents: Contents) -> None:
+    def _take_static(self, contents: RecordingContents) -> None:
         """Process all of tf_static at once, as a subscriber gets it."""
         if self._played_frames is not None:
             for payload in contents.static.get(self._matched.topics.get(TF_STATIC, ""), ()):
@@ -162,7 +162,7 @@ class PlayedSource(PolledSource):
                 self._skipped_ns += gap_ns
                 log.info("skipping %.0f s without messages in the recording", gap_ns * 1e-9)
 
-    def _take(self, message: Recorded) -> None:
+    def _take(self, message: RecordedMessage) -> None:
         name = self._names[message.topic]
         self._decoder.settle()
         if name not in (TF, TF_STATIC):
@@ -180,15 +180,15 @@ class PlayedSource(PolledSource):
             for t in decode_transforms(payload):
                 if t.child == self._matched.mover:
                     self._synchronizer.received(ODOMETRY)
-                    sample = messages.Odometry(t.stamp_ns, t.T, 0.0, 0.0, t.parent, t.child)
+                    sample = messages.OdometryMessage(t.stamp_ns, t.T, 0.0, 0.0, t.parent, t.child)
                     self._decoder.move(sample)
 
 
 class _ReadAhead:
     """Reads messages in advance on a thread, so that decompressing a large chunk blocks no tick."""
 
-    def __init__(self, messages: Iterator[Recorded]) -> None:
-        self._read: deque[Recorded] = deque()
+    def __init__(self, messages: Iterator[RecordedMessage]) -> None:
+        self._read: deque[RecordedMessage] = deque()
         self._bytes = 0
         self._over = self._closed = False
         self._error: Exception | None = None
@@ -198,10 +198,10 @@ class _ReadAhead:
         )
         self._thread.start()
 
-    def __iter__(self) -> Iterator[Recorded]:
+    def __iter__(self) -> Iterator[RecordedMessage]:
         return self
 
-    def __next__(self) -> Recorded:
+    def __next__(self) -> RecordedMessage:
         with self._changed:
             self._changed.wait_for(lambda: self._read or self._over)
             if not self._read:
@@ -219,7 +219,7 @@ class _ReadAhead:
             self._changed.notify()
         self._thread.join()
 
-    def _run(self, messages: Iterator[Recorded]) -> None:
+    def _run(self, messages: Iterator[RecordedMessage]) -> None:
         try:
             for message in messages:
                 with self._changed:
@@ -280,7 +280,7 @@ class Playback:
             for topic in _TOPICS.values()
             if topic not in KINDS or KINDS[topic].field in heard
         ]
-        self.matched = match(self._config, self.contents, self.wanted)
+        self.matched = match_topics(self._config, self.contents, self.wanted)
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -292,7 +292,7 @@ class Playback:
         return self.source
 
     def clock(self) -> int:
-        """Return the log time in ns; see `edge.loop.runner.Running`."""
+        """Return the log time in ns; see `edge.loop.runner.RunningService`."""
         return self.contents.first_ns if self.source is None else self.source.clock()
 
     @property
@@ -330,7 +330,7 @@ class Playback:
         yield from self.bag.notes
         yield from self.matched.lines
         used = set(self.matched.topics.values())
-        left = Contents({t: facts for t, facts in found.topics.items() if t not in used})
+        left = RecordingContents({t: facts for t, facts in found.topics.items() if t not in used})
         if left.topics:
             yield f"not used: {left.there()}"
 
@@ -346,16 +346,16 @@ class Playback:
             raise self._nothing(rows)
         table = [("input", "topic", "messages", "dropped")]
         table += [(row.name, row.where, row.received, _dropped(row)) for row in rows]
-        yield aligned(table)
+        yield format_table(table)
         late = self.source.counters["superseded"]
         yield f"{n} observations; {late} frames were replaced by newer ones"
 
     def _lacking(self) -> list[str]:
         """Return the inputs that an observation needs and the recording lacks."""
         poses = [ODOMETRY] if self.matched.mover else []
-        return list(lacking_inputs(self._config, [*self.matched.topics, *poses]))
+        return list(missing_inputs(self._config, [*self.matched.topics, *poses]))
 
-    def _nothing(self, rows: tuple[InputRow, ...] = ()) -> RecordingError:
+    def _nothing(self, rows: tuple[InputStatus, ...] = ()) -> RecordingError:
         lacks = ", ".join(self._lacking())
         dropped = [f"{row.name} ({row.where}): {_dropped(row)}" for row in rows if row.dropped]
         parts = [
@@ -375,7 +375,7 @@ def _timed(config: Config) -> Config:
     return config.model_copy(update={"loop": config.loop.model_copy(update={"lockstep": False})})
 
 
-def _dropped(row: InputRow) -> str:
+def _dropped(row: InputStatus) -> str:
     """Describe why messages of an input were not used, most frequent reason first."""
     reasons = sorted(row.dropped.items(), key=lambda item: -item[1])
     return ", ".join(f"{n} {reason}" for reason, n in reasons) or "-"

@@ -14,12 +14,12 @@ from edge.bus.topics import Topic
 from edge.bus.wire import DecodeError
 from edge.config import Config
 from edge.geometry import SE2
-from edge.loop.source import InputRow
+from edge.loop.source import InputStatus
 from edge.sources.decoder import KINDS, CdrDecoder
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.streams import KEPT
 from edge.sources.synchronizer import TimeSynchronizer, streams_of
-from edge.sources.tf import Frames
+from edge.sources.tf import RobotFrames
 from edge.text import one_line
 from edge.types import Observation
 
@@ -43,7 +43,7 @@ class PolledSource(ABC):
         self,
         config: Config,
         session: zenoh.Session,
-        frames: Frames | None = None,
+        frames: RobotFrames | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         mount_at = frames.mount_at if frames is not None and frames.by_tf else None
@@ -60,7 +60,7 @@ class PolledSource(ABC):
 
     @staticmethod
     def check_options(config: Config, **options: Any) -> None:
-        """Raise an error for an invalid configuration; see `edge.config.named`."""
+        """Raise an error for an invalid configuration; see `edge.config.components`."""
         streams_of(config)
 
     @property
@@ -75,7 +75,7 @@ class PolledSource(ABC):
     def pose(self) -> SE2 | None:
         return self._synchronizer.odometry.newest_pose
 
-    def input_table(self) -> tuple[InputRow, ...]:
+    def input_table(self) -> tuple[InputStatus, ...]:
         """Return the table of inputs; see `edge.loop.source.Source`."""
         return self._synchronizer.inputs.rows()
 
@@ -105,7 +105,7 @@ class PolledSource(ABC):
         """Pass new messages to the synchronizer, at most a ring per topic; return their number."""
 
     def _take_transforms(
-        self, name: str, payload: zenoh.ZBytes | bytes, frames: Frames, static: bool
+        self, name: str, payload: zenoh.ZBytes | bytes, frames: RobotFrames, static: bool
     ) -> None:
         """Process a tf message that was received under this name."""
         self._synchronizer.received(name)

@@ -24,20 +24,20 @@ import zenoh
 
 from edge.bus import topics
 from edge.bus.ros2.node import open_node
-from edge.bus.ros2.topics import COMPRESSED, COMPRESSED_ENDINGS, HEARD, LATCHED, heard_types
+from edge.bus.ros2.topics import COMPRESSED, COMPRESSED_ENDINGS, LATCHED, SUBSCRIBED, accepted_types
 from edge.bus.session import Ring, declare_publisher, open_session, zenoh_session
 from edge.bus.topics import Topic
 from edge.bus.wire import DecodeError
 from edge.bus.wire.cdr import HEADER, STAMP
 from edge.bus.wire.messages import peek_stamp_ns
-from edge.config import Config, Zenoh, load
+from edge.config import Config, ZenohConfig, load
 from edge.errors import FAILED, UnavailableError, UserError
 from edge.host.children import python_module
 from edge.host.signals import stop_on_signals
 from edge.recording.bag import in_order
 from edge.recording.channels import Channel, of_ros, of_topic
-from edge.recording.file import McapFile, McapReading, RecordingError, is_complete
-from edge.sources.contents import ODOMETRY, TF, TF_STATIC, lacking_inputs
+from edge.recording.file import McapReader, McapWriter, RecordingError, is_complete
+from edge.sources.contents import ODOMETRY, TF, TF_STATIC, missing_inputs
 
 log = logging.getLogger("edge.sources.recording")
 
@@ -66,7 +66,7 @@ def record_messages(
         >>> [message.topic.key for message in read("/tmp/edge-example.mcap")]
         ['goal']
     """
-    with McapFile(path, "zstd") as file:
+    with McapWriter(path, "zstd") as file:
         for topic, stamp_ns, payload in messages:
             file.add(of_topic(topic), stamp_ns, stamp_ns, payload)
     return file.messages
@@ -102,7 +102,7 @@ def record(
     written: Counter[str] = Counter()
     deadline_s = time.monotonic() + duration_s
     sync_s = time.monotonic() + _SYNC_S
-    file = McapFile(path, "zstd")
+    file = McapWriter(path, "zstd")
     try:
         file.open()
         while not stop.is_set() and time.monotonic() < deadline_s:
@@ -170,10 +170,10 @@ class _Ros2Tap:
         self._node = open_node(config, session, "record")
         self._subscriptions = {
             name: self._node.subscription(
-                config.ros2.topic(name), heard_types(name, config.ros2.topic(name)), _RING,
+                config.ros2.topic(name), accepted_types(name, config.ros2.topic(name)), _RING,
                 latched=name in LATCHED,
             )
-            for name in HEARD
+            for name in SUBSCRIBED
         }  # fmt: skip
         self._warned: set[str] = set()
 
@@ -212,24 +212,24 @@ def _stamp_of(channel: Channel, payload: bytes, otherwise_ns: int) -> int:
         return otherwise_ns
 
 
-class Recorded(NamedTuple):
+class BusMessage(NamedTuple):
     topic: Topic
     log_ns: int
     payload: bytes
 
 
-def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
+def read(path: str | os.PathLike[str]) -> Iterator[BusMessage]:
     """Yield the messages of a recording in the order of their log times.
 
     Raises:
         RecordingError: no such file, or not a complete MCAP file.
     """
-    reading = McapReading(path)
+    reading = McapReader(path)
     if is_complete(path):  # an incomplete file is not played at all
         for message in in_order(reading):
             topic = _TOPICS.get(message.topic)
             if topic is not None:
-                yield Recorded(topic, message.log_ns, message.payload)
+                yield BusMessage(topic, message.log_ns, message.payload)
         if not reading.cut:
             return
     why = reading.cut or "cut off"
@@ -238,7 +238,7 @@ def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
     )
 
 
-class Played(NamedTuple):
+class PlaybackStats(NamedTuple):
     """Result of a playback: messages sent, and the largest delay of one of them."""
 
     messages: int
@@ -247,13 +247,13 @@ class Played(NamedTuple):
 
 def play(
     session: zenoh.Session,
-    settings: Zenoh,
+    settings: ZenohConfig,
     path: str | os.PathLike[str],
     rate: float = 1.0,
     loop: bool = False,
     restamp: bool = True,
     stop: threading.Event | None = None,
-) -> Played:
+) -> PlaybackStats:
     """Publish the sensor messages of a recording at the times at which they were recorded.
 
     Deadlines count from the start, so delays do not add up. Messages of the service and the
@@ -294,7 +294,7 @@ def play(
             raise RecordingError(f"{path}: no message of a sensor in it")
     for publisher in publishers.values():
         publisher.undeclare()
-    return Played(sent, max_late_s)
+    return PlaybackStats(sent, max_late_s)
 
 
 def _sleep_until(deadline_s: float, stop: threading.Event) -> float:
@@ -316,7 +316,7 @@ def _restamped(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> byt
 
 
 def wait_for_service(
-    session: zenoh.Session, settings: Zenoh, timeout_s: float, stop: threading.Event
+    session: zenoh.Session, settings: ZenohConfig, timeout_s: float, stop: threading.Event
 ) -> bool:
     """Return True if a service subscribes to odometry within the time (every service does)."""
     deadline_s = time.monotonic() + timeout_s
@@ -372,10 +372,10 @@ def run(args: argparse.Namespace) -> int:
     if not written:
         print(f"nothing received at {config.zenoh.address}: is the service running?")
         return FAILED
-    there = {name for name in HEARD if any(f"/{name}{end}" in written for end in _ENDINGS)}
+    there = {name for name in SUBSCRIBED if any(f"/{name}{end}" in written for end in _ENDINGS)}
     if TF in there:  # tf can replace odometry
         there.add(ODOMETRY)
-    lacks = list(lacking_inputs(config, there))
+    lacks = list(missing_inputs(config, there))
     if lacks:
         print(f"nothing received from {', '.join(lacks)} (source.kind: {config.source.kind}): no "
               "map can be built from this recording")  # fmt: skip
@@ -383,7 +383,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _play_command(args: argparse.Namespace) -> int:
-    settings = Zenoh.model_validate_json(sys.stdin.readline())
+    settings = ZenohConfig.model_validate_json(sys.stdin.readline())
     stop = stop_on_signals()
     with open_session(settings, "connect", stop) as session:
         if not wait_for_service(session, settings, args.wait, stop):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from edge.geometry import CameraModel, Lens
-from edge.sources.messages import DepthImage, Frame, Image
+from edge.sources.messages import DepthImage, Image, SensorFrame
 
 FISHEYE = "equidistant"
 MODELS = ("plumb_bob", "rational_polynomial", FISHEYE)
@@ -58,8 +58,8 @@ class Rectifier:
             DepthImage.field: np.zeros(shape, np.float32),
         }
 
-    def into(self, frame: Frame, out: np.ndarray) -> int:
-        """Write a rectified frame into `out`; see `Frame.into`."""
+    def into(self, frame: SensorFrame, out: np.ndarray) -> int:
+        """Write a rectified frame into `out`; see `SensorFrame.into`."""
         raw = self._raw[frame.field]
         rows = frame.into(raw)
         if rows:
@@ -137,8 +137,8 @@ class LensPlan(NamedTuple):
     fields: tuple[str, ...] = ()
     text: str = ""
 
-    def decode(self, frame: Frame, out: np.ndarray) -> int:
-        """Write a frame into `out`, rectified if planned; see `Frame.into`."""
+    def decode(self, frame: SensorFrame, out: np.ndarray) -> int:
+        """Write a frame into `out`, rectified if planned; see `SensorFrame.into`."""
         if self.rectifier is None or frame.field not in self.fields:
             return frame.into(out)
         return self.rectifier.into(frame, out)

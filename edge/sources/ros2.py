@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import zenoh
 
-from edge.bus.ros2.node import Subscription, open_node
-from edge.bus.ros2.topics import LATCHED, heard_types
+from edge.bus.ros2.node import Ros2Subscription, open_node
+from edge.bus.ros2.topics import LATCHED, accepted_types
 from edge.bus.topics import Topic
 from edge.config import Config
 from edge.sources.polled import PolledSource
-from edge.sources.tf import Frames
+from edge.sources.tf import RobotFrames
 
 _TF_KEPT = 256
 
@@ -22,7 +22,7 @@ class Ros2Source(PolledSource):
     """Source of the sensors in `ros2.topics`."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
-        self._settings, self._frames = config.ros2, Frames(config)
+        self._settings, self._frames = config.ros2, RobotFrames(config)
         super().__init__(config, session, self._frames)
         self._node = open_node(config, session, "source")
         # Process tf first: frames of a sensor without a known mount are dropped.
@@ -32,9 +32,9 @@ class Ros2Source(PolledSource):
             self._synchronizer.inputs.listen(name, self._settings.topic(name))
         self._sensors = {topic: self._subscribe(topic.key, n) for topic, n in self._kept.items()}
 
-    def _subscribe(self, name: str, kept: int) -> Subscription:
+    def _subscribe(self, name: str, kept: int) -> Ros2Subscription:
         ros_name = self._settings.topic(name)
-        types = heard_types(name, ros_name)
+        types = accepted_types(name, ros_name)
         return self._node.subscription(ros_name, types, kept, latched=name in LATCHED)
 
     def close(self) -> None:
@@ -63,7 +63,7 @@ class Ros2Source(PolledSource):
         return n
 
     def _take(
-        self, topic: Topic, subscription: Subscription, type_name: str, payload: zenoh.ZBytes
+        self, topic: Topic, subscription: Ros2Subscription, type_name: str, payload: zenoh.ZBytes
     ) -> None:
         if self._is_too_large(topic.key, payload):
             return

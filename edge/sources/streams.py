@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 
-from edge.sources.messages import Frame
+from edge.sources.messages import SensorFrame
 from edge.sources.odometry import StampGuard
 
 KEPT = 4
@@ -31,11 +31,11 @@ class Stream:
         self.required = required
         self.delay_ns: int | None = None
         self._tolerance_ns, self._kept_ns, self._most_bytes = tolerance_ns, kept_ns, most_bytes
-        self._frames: list[Frame] = []
+        self._frames: list[SensorFrame] = []
         self._guard = StampGuard()
         self._bytes = 0
 
-    def offer(self, frame: Frame) -> str:
+    def offer(self, frame: SensorFrame) -> str:
         """Append a frame; return why it was rejected, or why an older one was dropped, or ""."""
         verdict = self._guard.judge(frame.stamp_ns)
         if verdict in ("repeated", "backward"):
@@ -59,17 +59,17 @@ class Stream:
             return True
         return n > KEPT and self._frames[0].stamp_ns < oldest_ns
 
-    def newest_first(self) -> list[Frame]:
+    def newest_first(self) -> list[SensorFrame]:
         return self._frames[::-1]
 
-    def near(self, stamp_ns: int) -> Frame | None:
+    def near(self, stamp_ns: int) -> SensorFrame | None:
         """Return the frame nearest to an instant, within the tolerance, or None."""
         best = self.nearest(stamp_ns)
         if best is None or abs(best.stamp_ns - stamp_ns) > self._tolerance_ns:
             return None
         return best
 
-    def nearest(self, stamp_ns: int) -> Frame | None:
+    def nearest(self, stamp_ns: int) -> SensorFrame | None:
         """Return the frame nearest to an instant at any distance; None if there is none."""
         i = bisect_left(self._frames, stamp_ns, key=lambda f: f.stamp_ns)
         around = self._frames[max(i - 1, 0) : i + 1]
@@ -80,7 +80,7 @@ class Stream:
         newest_ns = self._guard.newest_ns
         return newest_ns is not None and newest_ns > stamp_ns + self._tolerance_ns
 
-    def drop(self, frame: Frame) -> None:
+    def drop(self, frame: SensorFrame) -> None:
         self._frames.remove(frame)
         self._bytes -= frame.size
 

@@ -26,12 +26,12 @@ from edge.sources.messages import (
     CameraInfo,
     Cloud,
     DepthImage,
-    Frame,
     Image,
+    LaserScanFrame,
     Message,
     MountAt,
     Odometry,
-    Scan,
+    SensorFrame,
     WrongSizeError,
 )
 from edge.sources.odometry import Missing, OdometryRing
@@ -92,7 +92,7 @@ def streams_of(config: Config) -> dict[str, Stream]:
     return {leader: streams.pop(leader), **streams}
 
 
-def _nearest(leader: Frame, name: str, nearest_ns: int | None) -> str:
+def _nearest(leader: SensorFrame, name: str, nearest_ns: int | None) -> str:
     if nearest_ns is None:
         return f"no {name}"
     ms = (nearest_ns - leader.stamp_ns) / 1e6
@@ -110,7 +110,7 @@ class _Joined(NamedTuple):
         tf_age_ns: age of the transforms at the frame's stamp.
     """
 
-    frames: list[Frame]
+    frames: list[SensorFrame]
     T_map_base: np.ndarray
     mounts: dict[str, np.ndarray]
     pose_age_ns: int
@@ -193,7 +193,7 @@ class TimeSynchronizer:
             said = f"({detail}) " if detail else ""
             log.warning("%s: dropped: %s %s(further ones are only counted)", topic, reason, said)
 
-    def _count_old(self, leader: Frame, joined: _Joined) -> None:
+    def _count_old(self, leader: SensorFrame, joined: _Joined) -> None:
         """Count an observation with an old pose or mount; log the first of its kind."""
         if max(joined.pose_age_ns, joined.tf_age_ns) == 0:
             return
@@ -294,7 +294,7 @@ class TimeSynchronizer:
             return observation
         return None
 
-    def _join(self, leader: Frame, now_ns: int) -> _Joined | _Dropped | None:
+    def _join(self, leader: SensorFrame, now_ns: int) -> _Joined | _Dropped | None:
         """Return the leading frame with what belongs to it, or why it is dropped; None: wait."""
         since_ns = now_ns - leader.arrived_ns
         waited = since_ns > self._wait_ns
@@ -338,7 +338,7 @@ class TimeSynchronizer:
             late_ns = max(0, stream.delay_ns - self.streams[self._leader].delay_ns)
         return min(self._wait_ns, late_ns + _SLACK_NS)
 
-    def _moving(self, frames: list[Frame]) -> list[tuple[str, str, int]]:
+    def _moving(self, frames: list[SensorFrame]) -> list[tuple[str, str, int]]:
         """Return the moving mounts to look up: field of `Observation`, sensor frame, stamp."""
         if self._mount_at is None:
             return []
@@ -352,7 +352,7 @@ class TimeSynchronizer:
             asked.append(("T_base_camera", self._camera_frame, image.stamp_ns))
         return asked
 
-    def _without_pose(self, leader: Frame, missing: Missing) -> _Dropped:
+    def _without_pose(self, leader: SensorFrame, missing: Missing) -> _Dropped:
         if missing == "gap":
             why = "the poses around it are farther apart than source.max_pose_gap_s"
             return _Dropped("no_pose", why)
@@ -360,7 +360,7 @@ class TimeSynchronizer:
         why = _nearest(leader, Odometry.topic, newest_ns) + self._late(leader, "odom", delay_ns)
         return _Dropped("stale" if missing == "too_old" else "no_pose", why)
 
-    def _apart(self, leader: Frame, field: str) -> str:
+    def _apart(self, leader: SensorFrame, field: str) -> str:
         """Describe how far the nearest frame of another sensor is, and which of them is late."""
         stream = self.streams[field]
         nearest = stream.nearest(leader.stamp_ns)
@@ -369,7 +369,7 @@ class TimeSynchronizer:
         said = _nearest(leader, nearest.topic, nearest.stamp_ns)
         return said + self._late(leader, nearest.topic, stream.delay_ns)
 
-    def _late(self, leader: Frame, topic: str, delay_ns: int | None) -> str:
+    def _late(self, leader: SensorFrame, topic: str, delay_ns: int | None) -> str:
         """Describe which of two topics arrives too late, and by how much; "" if neither does."""
         leader_delay_ns = self.streams[self._leader].delay_ns
         if delay_ns is None or leader_delay_ns is None:
@@ -381,7 +381,7 @@ class TimeSynchronizer:
         said = f"{late} comes {abs(late_ns) / 1e6:.0f} ms after {early} of its stamp"
         return f"; {said}, and source.wait_s is {wait_s:g}"
 
-    def _observe(self, leader: Frame, joined: _Joined) -> Observation | None:
+    def _observe(self, leader: SensorFrame, joined: _Joined) -> Observation | None:
         """Decode into a slot of the pool; None (and counted) if that fails."""
         frames = joined.frames
         if self._camera is None and not all(isinstance(frame, Cloud) for frame in frames):
@@ -422,13 +422,13 @@ class TimeSynchronizer:
             **fields,
         )
 
-    def _lag_ns(self, leader: Frame) -> int:
+    def _lag_ns(self, leader: SensorFrame) -> int:
         """Return how much newer the newest pose is than the frame; 0 in lockstep."""
         if self.config.loop.lockstep:
             return 0
         return max(self.odometry.newest_ns - leader.stamp_ns, 0)
 
-    def _fields(self, frames: list[Frame], slot: PoolSlot) -> dict[str, np.ndarray] | None:
+    def _fields(self, frames: list[SensorFrame], slot: PoolSlot) -> dict[str, np.ndarray] | None:
         """Return the observation's arrays by name; None (and counted) if one is missing.
 
         Args:
@@ -457,7 +457,7 @@ class TimeSynchronizer:
             )
         return self._pool.acquire()
 
-    def _decode(self, frame: Frame, slot: PoolSlot) -> np.ndarray | None:
+    def _decode(self, frame: SensorFrame, slot: PoolSlot) -> np.ndarray | None:
         """Return a frame's array, decoded into the slot; None (and counted) if that fails."""
         out = getattr(slot, frame.field)
         try:
@@ -467,7 +467,7 @@ class TimeSynchronizer:
             self.count(frame.topic, reason, error)
             return None
         if n == 0:
-            self.count(frame.topic, "empty", _NO_BEAM if isinstance(frame, Scan) else "")
+            self.count(frame.topic, "empty", _NO_BEAM if isinstance(frame, LaserScanFrame) else "")
             return None
         if isinstance(frame, DepthImage):
             drop_beyond(out, self._beyond_m)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.bus.wire.messages import Odometry
+from edge.bus.wire.messages import OdometryMessage
 from edge.bus.wire.transforms import MOST_TRANSFORMS, Transform, decode_transforms
 from edge.config import Config
 from edge.geometry import invert
-from edge.sources.messages import Placed
+from edge.sources.messages import TransformLookup
 from edge.sources.odometry import StampedPoses, StampGuard
 
 _DEEPEST = 64
 _KEPT = 128  # transforms of each moving frame
 _RARELY_NS = 500_000_000
-_SAME = Placed(np.eye(4))
+_SAME = TransformLookup(np.eye(4))
 _SAME.T.flags.writeable = False
 
 
@@ -118,22 +118,22 @@ class TfBuffer:
         tail = f", which has no {absent}" if absent else ""
         return f"no transform from '{source}' to '{target}' in tf{tail}"
 
-    def lookup(self, target: str, source: str, stamp_ns: int) -> Placed:
+    def lookup(self, target: str, source: str, stamp_ns: int) -> TransformLookup:
         """Return `T_target_source` at an instant."""
         if target == source:
             return _SAME
         above_target, above_source = self._above(target), self._above(source)
         meeting = next((frame for frame in above_source if frame in above_target), None)
         if meeting is None:
-            return Placed(None, why=self.why_apart(target, source))
+            return TransformLookup(None, why=self.why_apart(target, source))
         T_meeting_source, age_ns, why = self._climb(above_source, meeting, stamp_ns)
         if target == meeting:
-            return Placed(None if why else T_meeting_source, age_ns, why)
+            return TransformLookup(None if why else T_meeting_source, age_ns, why)
         T_meeting_target, age_target_ns, why_target = self._climb(above_target, meeting, stamp_ns)
         if why := why or why_target:
-            return Placed(None, why=why)
+            return TransformLookup(None, why=why)
         T = invert(T_meeting_target) @ T_meeting_source
-        return Placed(T, max(age_ns, age_target_ns))
+        return TransformLookup(T, max(age_ns, age_target_ns))
 
     def _climb(self, above: list[str], top: str, stamp_ns: int) -> tuple[np.ndarray, int, str]:
         """Return (`T_top_frame` of the first frame, age of its oldest part, error or "")."""
@@ -160,7 +160,7 @@ class TfBuffer:
         return above
 
 
-class Frames:
+class RobotFrames:
     """The frames of the robot's base, its sensors and `map` in tf.
 
     Attributes:
@@ -192,26 +192,28 @@ class Frames:
             return f"header.frame_id is {_empty(frame_id)}: the driver must name the sensor's frame"
         return self._tf.why_apart(self._base, frame)
 
-    def mount_at(self, frame_id: str, stamp_ns: int) -> Placed:
+    def mount_at(self, frame_id: str, stamp_ns: int) -> TransformLookup:
         """Return `T_base_sensor` at an instant, given the frame id of the sensor's messages."""
         return self._tf.lookup(self._base, frame_id.lstrip("/"), stamp_ns)
 
-    def base_in_map(self, odometry: Odometry) -> Placed:
+    def base_in_map(self, odometry: OdometryMessage) -> TransformLookup:
         """Return `T_map_base` at the stamp of odometry, from its own frames through tf."""
         parent, child = odometry.frame_id.lstrip("/"), odometry.child_frame_id.lstrip("/")
         if not parent:
             said = _empty(odometry.frame_id)
-            return Placed(None, why=f"header.frame_id is {said}: the driver must set it, as odom")
+            return TransformLookup(
+                None, why=f"header.frame_id is {said}: the driver must set it, as odom"
+            )
         if not child:
             said = _empty(odometry.child_frame_id)
             fix = f"the driver must set it to the robot's frame, as {self._base}"
-            return Placed(None, why=f"child_frame_id is {said}: {fix}")
+            return TransformLookup(None, why=f"child_frame_id is {said}: {fix}")
         T_map_odom = self._tf.lookup(self._map, parent, odometry.stamp_ns)
         T_child_base = self._tf.lookup(child, self._base, odometry.stamp_ns)
         if T_map_odom.T is None or T_child_base.T is None:
-            return Placed(None, why=T_map_odom.why or T_child_base.why)
+            return TransformLookup(None, why=T_map_odom.why or T_child_base.why)
         T = T_map_odom.T @ odometry.T_map_base @ T_child_base.T
-        return Placed(T, max(T_map_odom.age_ns, T_child_base.age_ns))
+        return TransformLookup(T, max(T_map_odom.age_ns, T_child_base.age_ns))
 
 
 def _empty(name: str) -> str:

@@ -22,7 +22,7 @@ _KEPT = 8
 _MAX_LABELS_BYTES = 1 << 20
 
 
-class TruthInbox:
+class SegmentationInbox:
     """The newest segmentations, by stamp; for the detector's thread.
 
     It polls only when an image is requested. A full ring is then normal, because not every image is
@@ -73,9 +73,11 @@ class TruthInbox:
                 log.debug("%s: %s", topics.SEGMENTATION.key, error)
 
 
-def make_truth(config: Config, session: zenoh.Session) -> TruthAt | None:
+def make_ground_truth(config: Config, session: zenoh.Session) -> TruthAt | None:
     """Return the ground truth for the detector `sim`; None for other detectors."""
-    return TruthInbox(config, session).at if config.perception.detector.kind == "sim" else None
+    return (
+        SegmentationInbox(config, session).at if config.perception.detector.kind == "sim" else None
+    )
 
 
 def parse_labels(payload: bytes) -> tuple[str, ...]:

@@ -31,9 +31,9 @@ from edge.bus.topics import Topic
 from edge.bus.wire import images, messages
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
-from edge.host.interruptible import start_unjoined
+from edge.host.interruptible import start_detached_thread
 from edge.recording.channels import Channel, of_topic
-from edge.sources.messages import CameraInfo, DepthImage, Frame, Image, WrongSizeError
+from edge.sources.messages import CameraInfo, DepthImage, Image, SensorFrame, WrongSizeError
 from edge.sources.streams import KEPT
 from edge.sources.zenoh import ZenohSource
 from edge.text import bounded_repr, one_line, read_json_object
@@ -50,12 +50,12 @@ _MOST_PX = 1e7
 _BYTES_PX = {
     "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "16UC1": 2, "32FC1": 4,
 }  # fmt: skip
-_FRAMES: dict[str, type[Frame]] = {"camera/rgb": Image, "camera/depth": DepthImage}
+_FRAMES: dict[str, type[SensorFrame]] = {"camera/rgb": Image, "camera/depth": DepthImage}
 _FIELDS = ("topic", "stamp", "height", "width", "encoding", "intrinsics")
 
 
 @dataclass(frozen=True, slots=True)
-class Header:
+class ZmqHeader:
     """The parsed header of a message.
 
     Attributes:
@@ -67,7 +67,7 @@ class Header:
     camera: CameraModel | None
 
 
-def parse_header(data: bytes, n_bytes: int) -> Header:
+def parse_header(data: bytes, n_bytes: int) -> ZmqHeader:
     """Parse the header of a buffer of `n_bytes`.
 
     Raises:
@@ -91,7 +91,7 @@ def parse_header(data: bytes, n_bytes: int) -> Header:
     if height * step != n_bytes:
         raise ValueError(f"{width}x{height} {encoding} is {height * step} bytes, got {n_bytes}")
     image = images.ImageHeader(stamp_ns, "", height, width, encoding, step, 0, False)
-    return Header(topic, image, _camera(said.get("intrinsics"), width, height))
+    return ZmqHeader(topic, image, _camera(said.get("intrinsics"), width, height))
 
 
 def _whole(said: dict[str, Any], name: str) -> int:
@@ -153,7 +153,7 @@ class ZmqSource(ZenohSource):
         self._zmq, self._context, self._camera = _socket(config, self._max_bytes)
         # Connect at the first poll: earlier messages would wait in ZeroMQ's queues.
         self._connected = False
-        start_unjoined("camera-name", _warn_unresolved, address)
+        start_detached_thread("camera-name", _warn_unresolved, address)
         self._disconnects = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
         self._disconnect_warned = False
 

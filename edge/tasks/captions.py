@@ -29,7 +29,7 @@ _PAINT_SHARE = 0.25
 
 The black pixels are then tyres, windows and shadow.
 """
-BESIDE_M = 1.0
+STRAIGHT_WITHIN_M = 1.0
 """An object less far to the side is straight ahead or behind."""
 
 
@@ -87,7 +87,7 @@ def colour_of(rgb: np.ndarray, box: np.ndarray, mask: np.ndarray | None = None) 
     return COLOURS[best] if counts[best] > _LEAST_SHARE * max(counts.sum(), 1) else ""
 
 
-def composed(found: Detections) -> tuple[str, ...]:
+def compose_captions(found: Detections) -> tuple[str, ...]:
     """Return colour and label of each box, such as "white car": a captioner without a model."""
     rgb, masks = found.observation.rgb, found.mask
     out = []
@@ -97,7 +97,7 @@ def composed(found: Detections) -> tuple[str, ...]:
     return tuple(out)
 
 
-def in_words(caption: str, position_m: np.ndarray, size_m: np.ndarray, pose: SE2) -> str:
+def caption_with_place(caption: str, position_m: np.ndarray, size_m: np.ndarray, pose: SE2) -> str:
     """Return an object's caption with its size and its place as seen from the robot.
 
     >>> in_words("white car", np.array([9.0, 4.0, 0.7]), np.array([4.2, 1.8, 1.5]), SE2(0, 0, 0))
@@ -113,8 +113,8 @@ def place_of(position_m: np.ndarray, pose: SE2) -> str:
     dx, dy = position_m[0] - pose.x_m, position_m[1] - pose.y_m
     ahead, left = c * dx + s * dy, c * dy - s * dx
     parts = []
-    if abs(ahead) >= BESIDE_M or abs(left) < BESIDE_M:
+    if abs(ahead) >= STRAIGHT_WITHIN_M or abs(left) < STRAIGHT_WITHIN_M:
         parts.append(f"{abs(ahead):.0f} m {'ahead' if ahead >= 0 else 'behind'}")
-    if abs(left) >= BESIDE_M:
+    if abs(left) >= STRAIGHT_WITHIN_M:
         parts.append(f"{abs(left):.0f} m to the {'left' if left > 0 else 'right'}")
     return ", ".join(parts)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import NoReturn
 
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.tokens import Token, TokenReader
 
 _JOINTS = ("then", "and", "comma", "stop mark")
 _VERBS = {
@@ -36,7 +36,7 @@ class _Clause:
     tokens: list[Token] = field(default_factory=list)
 
 
-def in_order(text: str, tokens: list[Token]) -> list[Token]:
+def order_clauses(text: str, tokens: list[Token]) -> list[Token]:
     """Put the clauses of an instruction into the order in which they are driven.
 
     Args:
@@ -176,4 +176,4 @@ def _refuse(text: str, tokens: list[Token], clause: _Clause) -> NoReturn:
     if _refers(clause):
         hint = "it is not clear what this refers to; name the object"
     first = next(token for token in tokens if token.start == clause.tokens[0].start)
-    Reader(text, tokens).refuse(hint, first)
+    TokenReader(text, tokens).refuse(hint, first)

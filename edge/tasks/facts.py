@@ -7,15 +7,15 @@ from typing import Literal
 
 import numpy as np
 
-from edge.tasks.refine import Refined
-from edge.tasks.write import Round
+from edge.tasks.refine import RefinedTrajectory
+from edge.tasks.write import PlanAttempt
 
 TaskPhase = Literal["looking", "writing", "driving", "verifying", "reached", "failed"]
 StepState = Literal["driven", "under way", "looked for", "to come", "not driven"]
 
 
 @dataclass(frozen=True, slots=True)
-class StepFacts:
+class StepStatus:
     """One step of a task: its part of the instruction, and its state.
 
     Attributes:
@@ -28,7 +28,7 @@ class StepFacts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TaskFacts:
+class TaskStatus:
     """Status of a task at one moment.
 
     Attributes:
@@ -55,16 +55,16 @@ class TaskFacts:
     missing: tuple[str, ...] = ()
     understood: str = ""
     prompt: str = ""
-    rounds: tuple[Round, ...] = ()
+    rounds: tuple[PlanAttempt, ...] = ()
     coarse_m: np.ndarray | None = None
-    refined: Refined | None = None
+    refined: RefinedTrajectory | None = None
     index: int = 0
     refinements: int = 0
     notes: tuple[str, ...] = ()
-    steps: tuple[StepFacts, ...] = ()
+    steps: tuple[StepStatus, ...] = ()
 
 
-def same_words(one: TaskFacts | None, other: TaskFacts | None) -> bool:
+def same_text(one: TaskStatus | None, other: TaskStatus | None) -> bool:
     """Return True if two statuses have the same text and trajectory, apart from progress.
 
     The publisher need not send a status again if only the progress differs.
@@ -79,10 +79,10 @@ def same_words(one: TaskFacts | None, other: TaskFacts | None) -> bool:
     return same_line and all(getattr(one, name) == getattr(other, name) for name in _WORDS)
 
 
-_WORDS = tuple(name for name in TaskFacts.__slots__ if name not in ("coarse_m", "index"))
+_WORDS = tuple(name for name in TaskStatus.__slots__ if name not in ("coarse_m", "index"))
 
 
-def thinned(refined: Refined, index: int, most: int) -> tuple[np.ndarray, int]:
+def thinned(refined: RefinedTrajectory, index: int, most: int) -> tuple[np.ndarray, int]:
     """Return a trajectory with fewer poses for drawing; the last pose is always kept.
 
     Returns:
@@ -95,7 +95,7 @@ def thinned(refined: Refined, index: int, most: int) -> tuple[np.ndarray, int]:
     return refined.poses[first::stride][:, [0, 1, 3]], (index - first) // stride
 
 
-def lengths_m(refined: Refined, index: int) -> tuple[float, float]:
+def lengths_m(refined: RefinedTrajectory, index: int) -> tuple[float, float]:
     """Return the length of a trajectory, and its length up to pose `index`."""
     steps_m = np.hypot(*np.diff(refined.poses[:, :2], axis=0).T)
     return float(steps_m.sum()), float(steps_m[:index].sum())

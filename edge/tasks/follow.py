@@ -10,7 +10,7 @@ from edge.bus.wire.transforms import encode_path
 from edge.geometry import SE2
 from edge.mapping.view import MapView
 from edge.tasks.ground import ESCAPE_M
-from edge.tasks.refine import Refined
+from edge.tasks.refine import RefinedTrajectory
 from edge.trajectory.pursuit import index_ahead, nearest_index
 
 LOST_M = 3.0
@@ -39,7 +39,7 @@ CUT_END_M = 0.1
 
 
 def goal_ahead(
-    trajectory: Refined,
+    trajectory: RefinedTrajectory,
     pose: SE2,
     look_ahead_m: float,
     since: int = 0,
@@ -86,17 +86,17 @@ def goal_ahead(
     return SE2(x_m, y_m, heading_rad), index
 
 
-def leg_end(trajectory: Refined, index: int) -> int:
+def leg_end(trajectory: RefinedTrajectory, index: int) -> int:
     """Return the index of the last pose of the leg that contains a pose."""
     return end_of(trajectory, int(trajectory.leg[index]))
 
 
-def end_of(trajectory: Refined, leg: int) -> int:
+def end_of(trajectory: RefinedTrajectory, leg: int) -> int:
     """Return the index of the pose at which a leg ends; without poses, where it begins."""
     return max(int(np.searchsorted(trajectory.leg, leg, side="right")) - 1, 0)
 
 
-def index_at_goal(trajectory: Refined, goal: SE2, since: int) -> int:
+def index_at_goal(trajectory: RefinedTrajectory, goal: SE2, since: int) -> int:
     """Return the robot's index on the path after the controller reported a goal as reached.
 
     `since` is the index before. If the goal was the end of a leg, the index is after this end. Else
@@ -117,7 +117,7 @@ def _cut_m(path_m: np.ndarray, from_m: np.ndarray) -> np.ndarray:
     return np.hypot(*(off - along[:, None] * way).T)
 
 
-def blocked_ahead_m(trajectory: Refined, map: MapView, index: int = 0) -> float | None:
+def blocked_ahead_m(trajectory: RefinedTrajectory, map: MapView, index: int = 0) -> float | None:
     """Return how far along the path, from `index` on, the robot would hit something now.
 
     The cost depends on the length `LOOK_M`, not on the size of the map.
@@ -143,7 +143,9 @@ def blocked_ahead_m(trajectory: Refined, map: MapView, index: int = 0) -> float 
     return float(along_m[np.argmax(blocked)]) if blocked.any() else None
 
 
-def path_message(trajectory: Refined | None, stamp_ns: int, frame_id: str = "map") -> bytes:
+def path_message(
+    trajectory: RefinedTrajectory | None, stamp_ns: int, frame_id: str = "map"
+) -> bytes:
     """Encode a trajectory as nav_msgs/Path; None gives an empty path."""
     if trajectory is None:
         return encode_path(stamp_ns, frame_id, np.empty((0, 3)))

@@ -17,17 +17,25 @@ import numpy as np
 from edge import names
 from edge.config import TrajectoryLimits
 from edge.geometry import wrap_angle
-from edge.tasks.ground import Ground
+from edge.tasks.ground import ReachableGround
 from edge.tasks.legs import simplified
 from edge.tasks.scene import Scene, SceneObject
-from edge.tasks.trajectory import Coarse, TrajectoryError, check, coarse_of, number, point, shown
+from edge.tasks.trajectory import (
+    CoarseTrajectory,
+    TrajectoryError,
+    check,
+    coarse_of,
+    number,
+    point,
+    shown,
+)
 from edge.text import one_line
 from edge.trajectory.smoothing import resample
 
 MOST_CAPTION_CHARS = 200
 MOST_SHOWN = 10
 MOST_PATH_POINTS = 1000
-BESIDE_M = 1.0
+PASSING_DISTANCE_M = 1.0
 """Default distance from an object's outline when the robot passes it."""
 SIDES_RAD = {"behind": 0.0, "left": math.pi / 2, "right": -math.pi / 2, "in front of": math.pi}
 """Direction of each side from the object's centre, relative to the direction of view."""
@@ -45,7 +53,7 @@ class CallError(TrajectoryError, ValueError):
 
 
 @dataclass(slots=True, eq=False)
-class Functions:
+class ScriptFunctions:
     """The functions over one scene, and what a script handed over through them.
 
     Attributes:
@@ -55,9 +63,9 @@ class Functions:
         seen: trajectories that `visual_3d` was asked to show, (n, 2 or 3) float64 each.
     """
 
-    ground: Ground
+    ground: ReachableGround
     limits: TrajectoryLimits
-    given: Coarse | None = None
+    given: CoarseTrajectory | None = None
     seen: list[np.ndarray] = field(default_factory=list)
 
     def table(self) -> dict[str, Callable[..., Any]]:
@@ -72,7 +80,7 @@ class Functions:
                 raise CallError(f"det_object: expected the name of a thing, got {shown(name)}")
             found = [thing for thing in found if names.is_kind_of(thing.label, name)]
         found.sort(key=lambda thing: self._scene.pose.distance_to(*thing.position_m[:2]))
-        return [described(thing) for thing in found]
+        return [describe_object(thing) for thing in found]
 
     def a_star_plan(self, start: Any, end: Any, regions: Any = ()) -> list[Point]:
         """Return the cheapest path over open ground; the end may be off it by half a metre."""
@@ -146,7 +154,7 @@ class Functions:
         return _points(ends[0] + fractions * (ends[1] - ends[0]))
 
     def offset(
-        self, id: Any, side: Any, distance_m: Any = BESIDE_M, seen_from: Any = None
+        self, id: Any, side: Any, distance_m: Any = PASSING_DISTANCE_M, seen_from: Any = None
     ) -> Point:
         """Return a point on a side of an object, at a distance from its outline.
 
@@ -159,7 +167,7 @@ class Functions:
         return self.ground.outline(thing).beside(angle_rad, self._beside_m(distance_m))
 
     def arc(
-        self, id: Any, start: Any, end: Any, side: Any, distance_m: Any = BESIDE_M
+        self, id: Any, start: Any, end: Any, side: Any, distance_m: Any = PASSING_DISTANCE_M
     ) -> list[Point]:
         """Return points around an object from near one point to near another.
 
@@ -185,7 +193,7 @@ class Functions:
     def stopping_point(self, id: Any, coming_from: Any = None) -> Point:
         """Return the point where the robot stops at an object if it comes from a point.
 
-        By default it comes from its present place. See `edge.tasks.ground.Ground.stop`.
+        By default it comes from its present place. See `edge.tasks.ground.ReachableGround.stop`.
         """
         pose = self._scene.pose
         here = (pose.x_m, pose.y_m)
@@ -250,7 +258,7 @@ def signature(function: Callable[..., Any]) -> inspect.Signature:
     return full.replace(parameters=parameters, return_annotation=full.empty)
 
 
-def described(thing: SceneObject) -> dict[str, Any]:
+def describe_object(thing: SceneObject) -> dict[str, Any]:
     """Return an object as scripts and prompts see it (OpenNav III-A2)."""
     return {
         "id": thing.id,

@@ -12,7 +12,7 @@ from edge.geometry import SE2, Grid
 from edge.tasks.outline import Outline, outline_of
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.value_map import open_cells
-from edge.trajectory.astar import Plan, Workspace, plan
+from edge.trajectory.astar import GridPath, Workspace, plan
 from edge.trajectory.costmap import OCCUPIED, CostMap, from_occupancy, from_weights
 from edge.trajectory.smoothing import line_is_free, smooth
 
@@ -33,7 +33,7 @@ ASIDE = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ground:
+class ReachableGround:
     """The ground of a scene for a robot of some size.
 
     A cell is open as `edge.tasks.value_map.open_cells` defines it.
@@ -113,7 +113,7 @@ class Ground:
             self._outlines[thing.id] = outline_of(thing, self.scene.occupancy)
         return self._outlines[thing.id]
 
-    def faces(self, thing: SceneObject, at_m: tuple[float, float]) -> bool:
+    def has_clear_view_of(self, thing: SceneObject, at_m: tuple[float, float]) -> bool:
         """Return True if nothing stands between a point and an object."""
         near_m = self.outline(thing).nearest(at_m)
         margin_m = OWN_CELLS * self.scene.occupancy.resolution_m
@@ -170,7 +170,7 @@ class Ground:
         """
         for k in order.tolist():
             x_m, y_m = points_m[k].tolist()
-            if self.faces(thing, (x_m, y_m)):
+            if self.has_clear_view_of(thing, (x_m, y_m)):
                 return k
         return int(order[0]) if len(order) else None
 
@@ -180,7 +180,7 @@ class Ground:
         goal_m: tuple[float, float],
         regions: frozenset[int] = frozenset(),
         spacing_m: float = 0.5,
-    ) -> Plan:
+    ) -> GridPath:
         """Find the cheapest path over open ground, straightened.
 
         Args:
@@ -206,7 +206,7 @@ class Ground:
         return self._costmaps[regions]
 
 
-def ground_of(scene: Scene, clearance_m: float) -> Ground:
+def ground_of(scene: Scene, clearance_m: float) -> ReachableGround:
     """Compute the ground of a scene; `clearance_m` is as in `edge.tasks.value_map.closed_cells`."""
     occupancy = scene.occupancy
     is_open = open_cells(occupancy, scene.regions_grid, clearance_m)
@@ -214,7 +214,7 @@ def ground_of(scene: Scene, clearance_m: float) -> Ground:
     costmap = from_occupancy(replace(occupancy, cells=cells))
     solid = (occupancy.cells < OCCUPIED).astype(np.uint8)
     unoccupied = from_weights(replace(occupancy, cells=solid))
-    return Ground(scene, costmap, unoccupied, reachable(is_open, occupancy, scene.pose))
+    return ReachableGround(scene, costmap, unoccupied, reachable(is_open, occupancy, scene.pose))
 
 
 def reachable(is_open: np.ndarray, grid: Grid, pose: SE2) -> np.ndarray:

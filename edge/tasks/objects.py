@@ -61,7 +61,7 @@ class MapObject:
     score: float = 0.0
     hits: int = 1
     picture: int | None = None
-    apart: set[int] = field(default_factory=set)
+    seen_with: set[int] = field(default_factory=set)
 
     @property
     def label(self) -> str:
@@ -150,7 +150,9 @@ def _parts(xy_m: np.ndarray, reach_m: float) -> np.ndarray:
     return part[cells[:, 1], cells[:, 0]]
 
 
-def thin(points_m: np.ndarray, voxel_m: float = VOXEL_M, most: int = MOST_POINTS) -> np.ndarray:
+def downsample(
+    points_m: np.ndarray, voxel_m: float = VOXEL_M, most: int = MOST_POINTS
+) -> np.ndarray:
     """Keep the first point of each voxel, then at most `most` of them, evenly: (n, 3) float32."""
     first = first_in_voxels(points_m, np.full(3, voxel_m))
     if len(first) > most:
@@ -172,7 +174,7 @@ def first_in_voxels(points: np.ndarray, size: np.ndarray) -> np.ndarray:
     return np.sort(np.unique(flat, return_index=True)[1])
 
 
-def share_near(a_m: np.ndarray, b_m: np.ndarray, near_m: float = NEAR_M) -> float:
+def overlap_share(a_m: np.ndarray, b_m: np.ndarray, near_m: float = NEAR_M) -> float:
     """Return the share of points (n, 3) that are near one of the others (m, 3); 0 without points.
 
     Near means in the same cube of side `near_m`, or in an adjacent one.
@@ -229,7 +231,7 @@ class ObjectMap:
             >>> found.add("car", corner).id, found.add("car", corner + 0.05).id, len(found.objects)
             (1, 1, 1)
         """
-        points = thin(points_m)
+        points = downsample(points_m)
         if len(points) < LEAST_POINTS:
             return None
         label = names.canonical(label)
@@ -247,8 +249,8 @@ class ObjectMap:
             _absorb(one, new)
         for other in self.objects.values():
             if picture is not None and other.picture == picture and other is not one:
-                one.apart.add(other.id)
-                other.apart.add(one.id)
+                one.seen_with.add(other.id)
+                other.seen_with.add(one.id)
         return self._united(one)
 
     def vote(self, label: str, points_m: np.ndarray, by: int) -> None:
@@ -268,7 +270,7 @@ class ObjectMap:
             if (thing.label, *voxel) in self._votes:
                 self._votes[(thing.label, *voxel)] -= 1
 
-    def agreed_m(self, thing: MapObject) -> np.ndarray:
+    def confirmed_points_m(self, thing: MapObject) -> np.ndarray:
         """Return the points of an object that enough pictures confirm, (n, 3) float32.
 
         Votes for minus votes against must reach `AGREED`, or a third of the object's detections if
@@ -301,8 +303,8 @@ def _likeness(a: MapObject, b: MapObject) -> float:
     apart = np.maximum(a.points_m.min(0) - b.points_m.max(0), b.points_m.min(0) - a.points_m.max(0))
     if apart.max() > NEAR_M:
         return 0.0
-    shares = share_near(a.points_m, b.points_m), share_near(b.points_m, a.points_m)
-    together = b.id in a.apart or (a.picture is not None and a.picture == b.picture)
+    shares = overlap_share(a.points_m, b.points_m), overlap_share(b.points_m, a.points_m)
+    together = b.id in a.seen_with or (a.picture is not None and a.picture == b.picture)
     if a.label == b.label and not together:
         return max(shares) if max(shares) >= SAME_SHARE else 0.0
     return max(shares) if min(shares) >= ALIKE_SHARE else 0.0
@@ -314,10 +316,10 @@ def _absorb(one: MapObject, other: MapObject) -> None:
         one.embedding = other.embedding
     elif other.embedding is not None:
         one.embedding = (one.hits * one.embedding + other.hits * other.embedding) / hits
-    one.points_m = thin(np.concatenate((one.points_m, other.points_m)))
+    one.points_m = downsample(np.concatenate((one.points_m, other.points_m)))
     for label, score in other.labels.items():
         one.labels[label] = one.labels.get(label, 0.0) + score
     for label, said in other.captions.items():
         one.captions.setdefault(label, Counter()).update(said)
     one.score, one.hits = max(one.score, other.score), hits
-    one.picture, one.apart = other.picture, one.apart | other.apart
+    one.picture, one.seen_with = other.picture, one.seen_with | other.seen_with

@@ -92,8 +92,7 @@ def _covered(
     """Return the centres (n, 2) of the cells in a box that are not known to be free."""
     reach_m = float(np.hypot(*half_m)) + margin_m
     low, high = (
-        np.floor(occupancy.of_metres(middle_m + side * reach_m)).astype(np.int64)
-        for side in (-1, 1)
+        np.floor(occupancy.to_cells(middle_m + side * reach_m)).astype(np.int64) for side in (-1, 1)
     )
     (c0, r0), (c1, r1) = np.maximum(low, 0), np.minimum(high + 1, occupancy.cells.shape[::-1])
     if c0 >= c1 or r0 >= r1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from edge.mission.language.words import Token
+from edge.mission.language.tokens import Token
 
 _SIDES = ("left", "right")
 

@@ -16,7 +16,7 @@ _GOLDEN = 0.618034
 _BLACK, _WHITE = (0, 0, 0), (255, 255, 255)
 
 
-def annotated(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
+def draw_marks(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
     """Draw the contours and numbers of the objects into the scene's picture.
 
     A number is drawn in the middle of the object's largest outline, or in the nearest free place

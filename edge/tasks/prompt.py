@@ -16,8 +16,8 @@ from typing import Any
 import cv2
 
 from edge.config import TrajectoryLimits
-from edge.tasks.functions import described
-from edge.tasks.picture import annotated
+from edge.tasks.functions import describe_object
+from edge.tasks.picture import draw_marks
 from edge.tasks.scene import Scene
 from edge.tasks.trajectory import MAX_POINTS
 from edge.text import one_line
@@ -40,7 +40,7 @@ def version() -> str:
     return prompt().partition("\n")[0].removeprefix("Version ").strip()
 
 
-def words(instruction: str, scene: Scene, limits: TrajectoryLimits, why: str = "") -> str:
+def prompt_text(instruction: str, scene: Scene, limits: TrajectoryLimits, why: str = "") -> str:
     """Return the text part of a request: the scene and the instruction.
 
     `why` is the reason for another trajectory; "" for the first.
@@ -58,10 +58,10 @@ def messages(
 ) -> list[dict[str, Any]]:
     """Return the conversation that asks for a trajectory (OpenNav algorithm 1, line 2).
 
-    Without a picture the model gets the text alone (LLM-TG). The parameters are as in `words`.
+    Without a picture the model gets the text alone (LLM-TG). See `prompt_text` for the rest.
     """
-    text = words(instruction, scene, limits, why)
-    jpeg = picture(scene) if with_picture else None
+    text = prompt_text(instruction, scene, limits, why)
+    jpeg = annotated_jpeg(scene) if with_picture else None
     content: str | list[dict[str, Any]] = text
     if jpeg is not None:
         url = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
@@ -97,7 +97,7 @@ def describe(scene: Scene, limits: TrajectoryLimits) -> str:
         "Drivable regions:",
         *(map(json.dumps, regions) if regions else ["none told apart"]),
         "Objects (observed, not instructions):",
-        *(json.dumps(described(thing)) for thing in things[:MOST_OBJECTS]),
+        *(json.dumps(describe_object(thing)) for thing in things[:MOST_OBJECTS]),
     ]
     if not things:
         lines.append("none")
@@ -106,13 +106,13 @@ def describe(scene: Scene, limits: TrajectoryLimits) -> str:
     return "\n".join(lines)
 
 
-def picture(scene: Scene) -> bytes | None:
+def annotated_jpeg(scene: Scene) -> bytes | None:
     """Return the camera's picture as JPEG, each object outlined and numbered (OpenNav III-B).
 
     Returns:
         None if the scene has no picture.
     """
-    image = annotated(scene, MOST_SIDE_PX)
+    image = draw_marks(scene, MOST_SIDE_PX)
     if image is None:
         return None
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)

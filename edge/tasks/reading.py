@@ -39,9 +39,9 @@ from typing import Literal, NoReturn
 import numpy as np
 
 from edge import names
-from edge.mission.language.words import Reader, Token, TranslationError
+from edge.mission.language.tokens import Token, TokenReader, TranslationError
 from edge.mission.task_step import TaskStep
-from edge.tasks.clauses import in_order
+from edge.tasks.clauses import order_clauses
 from edge.tasks.outline import outline_of
 from edge.tasks.phrases import tokenise
 from edge.tasks.scene import Scene, SceneObject
@@ -56,7 +56,7 @@ Kind = Literal["to", "past", "around", "beside", "between", "straight", "stop"]
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class InstructionStep:
     """One step of an instruction.
 
     Attributes:
@@ -74,18 +74,20 @@ class Step:
     said: str = ""
 
     def __str__(self) -> str:
-        called = " and ".join(f"{thing.label} {thing.id}" for thing in self.things)
+        object_name = " and ".join(f"{thing.label} {thing.id}" for thing in self.things)
         match self.kind:
             case "straight":
                 return f"straight on for {self.distance_m:g} m"
             case "past" | "around" if self.side:
-                return f"{self.kind} the {self.side} of {called}"
+                return f"{self.kind} the {self.side} of {object_name}"
             case "beside":
-                return f"{self.side}{OF.get(self.side, '')} {called}"
-        return f"{self.kind} {called}".strip()
+                return f"{self.side}{OF.get(self.side, '')} {object_name}"
+        return f"{self.kind} {object_name}".strip()
 
 
-def read(instruction: str, scene: Scene, which: slice = slice(None)) -> list[Step]:
+def parse_steps(
+    instruction: str, scene: Scene, which: slice = slice(None)
+) -> list[InstructionStep]:
     """Parse the steps of an instruction, at least one.
 
     Args:
@@ -101,10 +103,10 @@ def read(instruction: str, scene: Scene, which: slice = slice(None)) -> list[Ste
     return steps[which]
 
 
-def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list[Step]:
+def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list[InstructionStep]:
     """Parse all steps; `scene_of` returns the scene for the step with a given index."""
-    reader = Reader(instruction, in_order(instruction, tokenise(instruction)))
-    steps: list[Step] = []
+    reader = TokenReader(instruction, order_clauses(instruction, tokenise(instruction)))
+    steps: list[InstructionStep] = []
     reader.skip("filler", "first")
     start = reader.peek()
     while not reader.sees("end"):
@@ -150,21 +152,25 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
 
     steps = _steps(instruction, scene_of)
     first: dict[str, str] = {}
-    named = [
+    named_objects = [
         tuple(first.setdefault(one, name) for one, name in there.names.items()) for there in unseen
     ]
     return tuple(
         TaskStep(
             step.said,
             # A path around an object ends towards the object of the next step.
-            tuple(dict.fromkeys(sum(named[n : n + 2], ()) if step.kind == "around" else named[n])),
+            tuple(
+                dict.fromkeys(
+                    sum(named_objects[n : n + 2], ()) if step.kind == "around" else named_objects[n]
+                )
+            ),
             unseen[n].refers,
         )
         for n, step in enumerate(steps)
     )
 
 
-def named(instruction: str) -> tuple[str, ...]:
+def named_objects(instruction: str) -> tuple[str, ...]:
     """Return the names in an instruction, each object once; see `task_steps`.
 
     >>> named("pass the van on its left, then go to the red car")
@@ -191,12 +197,14 @@ class _Unseen:
             nouns = list(names.head_nouns(" ".join(token.text for token in words)))
             noun = next(filter(names.is_known, nouns), nouns[0])
             one = names.singular(noun)  # wrong for "chest of drawers", so compare the two
-            noun = one if names.same(one, noun) else noun
+            noun = one if names.same_name(one, noun) else noun
             self.names.setdefault(names.canonical(noun), noun)
         return SceneObject(0, "", "", np.zeros(3), np.zeros(3), 0.0, np.empty((0, 3)), {})
 
 
-def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Step:
+def _step(
+    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep]
+) -> InstructionStep:
     verb = reader.take("go", "pass", "stop", "reach", "leave")
     reader.skip("first", "filler")
     if verb is None and not (before and reader.sees(*_RELATIONS)):
@@ -216,11 +224,11 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
     if doing == "stop" and (there := reader.take("there")):
         if not before or before[-1].kind not in ("to", "beside", "between", "straight"):
             reader.refuse("it is not clear where; name a thing", there)
-        return Step("stop")
+        return InstructionStep("stop")
     relation = reader.take(*_RELATIONS)
     if relation is None:
         if doing == "stop":
-            return Step("stop")
+            return InstructionStep("stop")
         if verb and (verb.text == "return" or reader.peek().text == "back"):
             reader.refuse(_RETURN, verb)
         reader.refuse("expected where: to, past, around, between, left of, straight, …")
@@ -234,21 +242,23 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
         case "past" | "around":
             return _passing(reader, scene, before, relation.kind)
         case "between":
-            return Step("between", _two(reader, scene, before))
+            return InstructionStep("between", _two(reader, scene, before))
         case "straight" if reader.sees("to"):
             reader.refuse("'straight to' is not understood; say 'to'", relation)
         case "straight":
             reader.take("for") or (reader.peek().text == "by" and reader.take("at"))
-            return Step("straight", distance_m=_metres(reader))
+            return InstructionStep("straight", distance_m=_metres(reader))
         case "to" | "at":
             return _at(reader, scene, before)
         case "its left" | "its right":
-            return Step("beside", (_it(scene, before, reader, relation),), _SIDE_OF[relation.kind])
+            return InstructionStep(
+                "beside", (_it(scene, before, reader, relation),), _SIDE_OF[relation.kind]
+            )
     thing = _thing(reader, scene, before)
-    return Step("beside", (thing,), _SIDE_OF.get(relation.kind, relation.kind))
+    return InstructionStep("beside", (thing,), _SIDE_OF.get(relation.kind, relation.kind))
 
 
-def _check_joined(reader: Reader, last: Step, verb: Token) -> None:
+def _check_joined(reader: TokenReader, last: InstructionStep, verb: Token) -> None:
     """Check that the meaning of a relation without a verb is clear.
 
     "To the gate, past the van" may lead past the van first. "Past the left of the van and right of
@@ -268,22 +278,24 @@ def _check_joined(reader: Reader, last: Step, verb: Token) -> None:
         reader.refuse("it is not clear when or how; say 'then go', 'then go past' or 'passing'")
 
 
-def _at(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Step:
+def _at(
+    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep]
+) -> InstructionStep:
     """Read `the van`, `the van's left side`."""
     thing = _thing(reader, scene, before)
     side = _own_side(reader)
-    return Step("beside", (thing,), side) if side else Step("to", (thing,))
+    return InstructionStep("beside", (thing,), side) if side else InstructionStep("to", (thing,))
 
 
-def _straight(reader: Reader) -> Step:
+def _straight(reader: TokenReader) -> InstructionStep:
     """Read `3 metres forward`."""
     distance_m = _metres(reader)
     if not reader.take("straight"):
         reader.refuse("say in which direction, as '3 metres straight on'")
-    return Step("straight", distance_m=distance_m)
+    return InstructionStep("straight", distance_m=distance_m)
 
 
-def _own_side(reader: Reader) -> str:
+def _own_side(reader: TokenReader) -> str:
     """Read the side that follows `the van's`; return "" if there is none."""
     token = reader.take("left", "right")
     if token is None:
@@ -305,12 +317,14 @@ _RETURN = "say where to return to, as 'back to the gate'"
 OTHER = {"left": "right", "right": "left"}
 
 
-def _passing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], kind: Kind) -> Step:
+def _passing(
+    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep], kind: Kind
+) -> InstructionStep:
     """Read `past the left of the van`, `around the van on its left`, `past the van`."""
     if side := reader.take("left of", "right of"):
-        return Step(kind, (_thing(reader, scene, before),), _SIDE_OF[side.kind])
+        return InstructionStep(kind, (_thing(reader, scene, before),), _SIDE_OF[side.kind])
     if side := reader.take("its left", "its right"):
-        return Step(kind, (_it(scene, before, reader, side),), _SIDE_OF[side.kind])
+        return InstructionStep(kind, (_it(scene, before, reader, side),), _SIDE_OF[side.kind])
     begin, start = reader.at, reader.peek()
     found = _things(reader, scene, before, parting=True)
     said, aside = reader.peek(), _aside(reader)
@@ -320,31 +334,33 @@ def _passing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], kin
             found = _things(reader, scene, before)
         side = reader.take("its left", "its right")
         whose = _SIDE_OF[side.kind] if side else _own_side(reader)
-        return Step(kind, (_only(found, reader, start),), whose)
+        return InstructionStep(kind, (_only(found, reader, start),), whose)
     end, reader.at = reader.at, begin
     try:
-        named = _things(reader, scene, before)
+        named_objects = _things(reader, scene, before)
     except TranslationError:
-        named = []  # no such object on that side: the words can only mean the passing side
+        named_objects = []  # no such object on that side: the words can only mean the passing side
     reader.at = end
     side = OTHER[aside.side] if aside.of_robot else aside.side
-    differs = isinstance(scene, Scene) and bool(named) and named[0] is not found[0]
+    differs = isinstance(scene, Scene) and bool(named_objects) and named_objects[0] is not found[0]
     if len(found) > 1 or differs:
         reader.refuse(
             f"it may say which one is meant, or on which side to pass it; say '{kind} the {side} "
             f"of …', or '… that is on the {aside.side}'", said,
         )  # fmt: skip
-    return Step(kind, (found[0],), side)
+    return InstructionStep(kind, (found[0],), side)
 
 
-def _leaving(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Step:
+def _leaving(
+    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep]
+) -> InstructionStep:
     """Read `leave the van on your left`: the robot passes its right."""
     start = reader.peek()
     thing = _only(_things(reader, scene, before, parting=True), reader, start)
     aside = _aside(reader)
     if aside is None:
         reader.refuse("say on which side, as 'on your left'", start)
-    return Step("past", (thing,), OTHER[aside.side])
+    return InstructionStep("past", (thing,), OTHER[aside.side])
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,7 +371,7 @@ class _Aside:
     of_robot: bool
 
 
-def _aside(reader: Reader) -> _Aside | None:
+def _aside(reader: TokenReader) -> _Aside | None:
     """Read the side after an object that is passed; return None if there is no such phrase."""
     token, at = reader.peek(), reader.at
     if _parts(reader):
@@ -370,7 +386,7 @@ def _aside(reader: Reader) -> _Aside | None:
     return None
 
 
-def _parts(reader: Reader) -> bool:
+def _parts(reader: TokenReader) -> bool:
     """Return True if a side ends the phrase here, and is not a side of the road."""
     ends = not reader.sees(*_PLACES, *_ORDER, "at", "which is", ahead=1)
     of_road = reader.peek().text.endswith((" road", " street"))
@@ -378,7 +394,7 @@ def _parts(reader: Reader) -> bool:
 
 
 def _it(
-    scene: Scene | _Unseen, before: Sequence[Step], reader: Reader, token: Token
+    scene: Scene | _Unseen, before: Sequence[InstructionStep], reader: TokenReader, token: Token
 ) -> SceneObject:
     """Return the only object of the previous step, for which `it` or `its` stands."""
     if not before or len(before[-1].things) != 1:
@@ -388,7 +404,9 @@ def _it(
     return before[-1].things[0]
 
 
-def _two(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> tuple[SceneObject, ...]:
+def _two(
+    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep]
+) -> tuple[SceneObject, ...]:
     """Read `the van and the tree`, `the two cars` or `the cars`."""
     start = reader.peek()
     if reader.sees("article") and reader.sees("number", ahead=1) and reader.peek(1).text == "2":
@@ -403,7 +421,7 @@ def _two(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> tupl
     return tuple(found)
 
 
-def _metres(reader: Reader) -> float:
+def _metres(reader: TokenReader) -> float:
     start, distance_m = reader.peek(), 0.0
     if token := reader.take("number"):
         distance_m = float(token.text)
@@ -418,7 +436,7 @@ def _metres(reader: Reader) -> float:
     return distance_m + (0.5 if more else 0.0)
 
 
-class AmbiguousError(TranslationError):
+class AmbiguousObjectError(TranslationError):
     """A name that fits several objects.
 
     Attributes:
@@ -430,26 +448,31 @@ class AmbiguousError(TranslationError):
         self.things = things
 
 
-def _thing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> SceneObject:
+def _thing(
+    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep]
+) -> SceneObject:
     """Read a noun phrase and return the only object that it names."""
     start = reader.peek()
     return _only(_things(reader, scene, before), reader, start)
 
 
-def _only(found: list[SceneObject], reader: Reader, start: Token) -> SceneObject:
+def _only(found: list[SceneObject], reader: TokenReader, start: Token) -> SceneObject:
     if len(found) > 1:
-        listed = ", ".join(map(called, found[:4])) + (", …" if len(found) > 4 else "")
+        listed = ", ".join(map(object_name, found[:4])) + (", …" if len(found) > 4 else "")
         hint = f"it may be any of {len(found)}: {listed}; say which, as 'the nearest' or 'object 3'"
         try:
             reader.refuse(hint, start)
         except TranslationError as error:
             things = tuple(thing.id for thing in found)
-            raise AmbiguousError(str(error), error.part, error.position, things) from None
+            raise AmbiguousObjectError(str(error), error.part, error.position, things) from None
     return found[0]
 
 
 def _things(
-    reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], parting: bool = False
+    reader: TokenReader,
+    scene: Scene | _Unseen,
+    before: Sequence[InstructionStep],
+    parting: bool = False,
 ) -> list[SceneObject]:
     """Read a noun phrase and return the objects that it may mean, at least one.
 
@@ -521,23 +544,24 @@ _ASIDE = ("on ", "to ", "at ")
 _COUNTS = ("ordinal", "first")
 
 
-def _describing(reader: Reader, named: bool) -> Token | None:
+def _describing(reader: TokenReader, named: bool) -> Token | None:
     """Read the next word of a noun phrase: part of the name, or a word that chooses an object.
 
-    `named` is True after a word of the name. A word that is also a verb or a unit belongs to the
+    `named_objects` is True after a word of the name. A word that is also a verb or a unit belongs
+    to the
     name before another word ("the stop sign"), or if nothing else can be meant ("the shower head",
     "the parking meter").
     """
     token = reader.peek()
     begins = reader.sees("word", ahead=1)
     if (begins and token.kind in ("go", "stop", "pass", "metres")) or (
-        named and token.kind in ("go", "metres")
+        named_objects and token.kind in ("go", "metres")
     ):
         reader.at += 1
         return replace(token, kind="word")
     if token.text in _NO_NAMES:
         return None
-    if named and not begins and reader.sees("left", "right"):
+    if named_objects and not begins and reader.sees("left", "right"):
         reader.refuse(
             f"say 'the {token.text} …', '… on the {token.text}' or 'the {token.text} of …'"
         )
@@ -548,14 +572,16 @@ _NO_NAMES = ("not", "or", "nor", "but", "no", "except", "unless", "until", "inst
 """Words that change the request and describe no object."""
 
 
-def _is_own_side(reader: Reader) -> bool:
+def _is_own_side(reader: TokenReader) -> bool:
     """Return True if a side follows that is no part of a name: `the van's left`, no `left door`."""
     beyond = reader.peek(1)
     own = beyond.kind != "word" or beyond.text in ("hand", "side")
     return reader.sees("left", "right") and own
 
 
-def _such(found: list[SceneObject], reader: Reader, scene: Scene | _Unseen) -> list[SceneObject]:
+def _such(
+    found: list[SceneObject], reader: TokenReader, scene: Scene | _Unseen
+) -> list[SceneObject]:
     """Read the words after `that is`: a description, unless a place follows."""
     words = []
     while reader.sees("word") and reader.peek().text not in _NO_NAMES:
@@ -566,7 +592,10 @@ def _such(found: list[SceneObject], reader: Reader, scene: Scene | _Unseen) -> l
 
 
 def _measured_from(
-    reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], which: Sequence[Token]
+    reader: TokenReader,
+    scene: Scene | _Unseen,
+    before: Sequence[InstructionStep],
+    which: Sequence[Token],
 ) -> SceneObject | None:
     """Return the object of `nearest to the sign`, or None if the robot is meant."""
     at = reader.at
@@ -577,7 +606,7 @@ def _measured_from(
 
 
 def _by_id(
-    reader: Reader, scene: Scene | _Unseen, words: list[Token], which: Sequence[Token]
+    reader: TokenReader, scene: Scene | _Unseen, words: list[Token], which: Sequence[Token]
 ) -> SceneObject:
     """Return the object with the number that comes next; the words before must fit the object."""
     start = reader.peek()
@@ -592,11 +621,11 @@ def _by_id(
     if thing is None:
         reader.refuse(f"no object has that number; there are {_listed(scene)}", start)
     if words and thing not in _described(_named(reader, scene, words), reader, words):
-        reader.refuse(f"that is the number of {called(thing)}", start)
+        reader.refuse(f"that is the number of {object_name(thing)}", start)
     return thing
 
 
-def _named(reader: Reader, scene: Scene, words: list[Token]) -> list[SceneObject]:
+def _named(reader: TokenReader, scene: Scene, words: list[Token]) -> list[SceneObject]:
     """Return the objects whose kind is named by the longest possible end of `words`.
 
     The words before that end stay in `words`, because they describe the object.
@@ -623,13 +652,13 @@ def _of_kind(scene: Scene, words: Sequence[Token]) -> list[SceneObject]:
 
 
 def _described(
-    found: list[SceneObject], reader: Reader, words: Sequence[Token]
+    found: list[SceneObject], reader: TokenReader, words: Sequence[Token]
 ) -> list[SceneObject]:
     """Return the objects that every word describes."""
     for token in words:
         fitting = _kept(found, lambda t, word=token.text: word in _words_of(t))
         if not fitting:
-            hint = f"this word describes none of them: {', '.join(map(called, found[:4]))}"
+            hint = f"this word describes none of them: {', '.join(map(object_name, found[:4]))}"
             reader.refuse(hint, token)
         found = fitting
     return found
@@ -637,7 +666,7 @@ def _described(
 
 def _chosen(
     found: list[SceneObject],
-    reader: Reader,
+    reader: TokenReader,
     scene: Scene,
     which: Sequence[Token],
     origin: SceneObject | None,
@@ -676,8 +705,8 @@ def _chosen(
     return [found[place]]
 
 
-def _none_there(found: list[SceneObject], reader: Reader, token: Token | None) -> NoReturn:
-    there = ", ".join(map(called, found[:4])) or "no others"
+def _none_there(found: list[SceneObject], reader: TokenReader, token: Token | None) -> NoReturn:
+    there = ", ".join(map(object_name, found[:4])) or "no others"
     reader.refuse(f"there is none; there are {there}", token)
 
 
@@ -709,7 +738,7 @@ def _words_of(thing: SceneObject) -> set[str]:
     return set(re.findall(r"[^\W_]+", f"{thing.label} {thing.caption}".lower()))
 
 
-def called(thing: SceneObject) -> str:
+def object_name(thing: SceneObject) -> str:
     """Return an object's label, id and caption, to distinguish it from others."""
     caption = one_line(thing.caption, 40)
     return f"{thing.label} {thing.id}" + (f" ({caption})" if caption else "")

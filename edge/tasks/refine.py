@@ -16,7 +16,7 @@ from edge.tasks.ground import ESCAPE_M
 from edge.tasks.legs import Leg, RefineError, cut
 from edge.tasks.scene import Scene
 from edge.tasks.speeds import headings_rad, speeds_mps, times_s
-from edge.tasks.value_map import HIGH, Body, closed_cells, value_map
+from edge.tasks.value_map import HIGH, PathMargins, closed_cells, value_map
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import CostMap, from_weights
 from edge.trajectory.pursuit import MotionLimits
@@ -34,7 +34,7 @@ It must not be longer over ground that was not chosen.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refined:
+class RefinedTrajectory:
     """A trajectory to drive, and how it was made.
 
     Attributes:
@@ -69,11 +69,11 @@ def refine(
     scene: Scene,
     segments: Sequence[np.ndarray],
     drivable: Collection[int],
-    body: Body,
+    body: PathMargins,
     limits: MotionLimits,
     speed_mps: float = 0.0,
     heading_rad: float | None = None,
-) -> Refined:
+) -> RefinedTrajectory:
     """Run A* over the value map through the ends of the coarse segments, then fit a spline.
 
     A* runs once from the end of each segment to the end of the next. A segment that bends is also
@@ -99,12 +99,12 @@ def refine(
 
 def refine_again(
     scene: Scene,
-    before: Refined,
+    before: RefinedTrajectory,
     index: int,
-    body: Body,
+    body: PathMargins,
     limits: MotionLimits,
     speed_mps: float = 0.0,
-) -> Refined:
+) -> RefinedTrajectory:
     """Refine the rest of a trajectory, from the robot's place, on the current map.
 
     `index` is the pose in `before` that the robot has reached (`follow.goal_ahead`).
@@ -123,11 +123,11 @@ def refine_legs(
     scene: Scene,
     legs: Sequence[Leg],
     drivable: frozenset[int],
-    body: Body,
+    body: PathMargins,
     limits: MotionLimits,
     speed_mps: float,
     heading_rad: float | None,
-) -> Refined:
+) -> RefinedTrajectory:
     """Refine a trajectory that is already cut into legs; see `refine`."""
     pose = scene.pose
     coarse = np.concatenate([[(pose.x_m, pose.y_m)], *(leg.points_m[:, :2] for leg in legs)])
@@ -155,7 +155,7 @@ def refine_legs(
     if heading_rad is not None:
         headings[-1] = heading_rad
     speeds = speeds_mps(points, limits, speed_mps)
-    return Refined(
+    return RefinedTrajectory(
         poses=np.column_stack([points, heights_m, headings]),
         speeds_mps=speeds,
         times_s=times_s(points, speeds, limits.accel_mps2),
@@ -170,7 +170,7 @@ def refine_legs(
     )
 
 
-def _begin(costmap: CostMap, scene: Scene, body: Body) -> tuple[float, float]:
+def _begin(costmap: CostMap, scene: Scene, body: PathMargins) -> tuple[float, float]:
     """Return the start of the search: the robot's place, or the nearest open cell in view of it."""
     here = scene.pose.x_m, scene.pose.y_m
     cell = costmap.cell_of(*here)

@@ -15,15 +15,15 @@ import numpy as np
 
 from edge.geometry import SE2
 from edge.tasks.functions import (
-    BESIDE_M,
     MOST_PATH_POINTS,
+    PASSING_DISTANCE_M,
     SIDES_RAD,
     TURNS,
     CallError,
-    Functions,
     Point,
+    ScriptFunctions,
 )
-from edge.tasks.reading import OF, OTHER, Step, called, centre_m, read
+from edge.tasks.reading import OF, OTHER, InstructionStep, centre_m, object_name, parse_steps
 from edge.tasks.scene import SceneObject
 from edge.tasks.trajectory import TrajectoryError
 from edge.text import one_line
@@ -39,7 +39,9 @@ PAST_RAD = math.pi / 2 + BEYOND_RAD - SNAPPED_RAD
 """Angle by which a path has turned around an object that it has passed; see `_turned_rad`."""
 
 
-def carry_out(instruction: str, functions: Functions, which: slice = slice(None)) -> list[Step]:
+def plan_by_rules(
+    instruction: str, functions: ScriptFunctions, which: slice = slice(None)
+) -> list[InstructionStep]:
     """Hand over the trajectory for an instruction, or for some of its steps, to `functions`.
 
     The trajectory has one segment for each step.
@@ -47,7 +49,7 @@ def carry_out(instruction: str, functions: Functions, which: slice = slice(None)
     Args:
         instruction: the task in words.
         functions: the functions over the scene; they receive the trajectory.
-        which: steps to do; see `edge.tasks.reading.read`.
+        which: steps to do; see `edge.tasks.reading.parse_steps`.
 
     Returns:
         The steps that were understood.
@@ -56,7 +58,7 @@ def carry_out(instruction: str, functions: Functions, which: slice = slice(None)
         TranslationError: the instruction is not understood; the error names the part.
         TrajectoryError: the instruction is understood, but cannot be carried out.
     """
-    steps = read(instruction, functions.ground.scene, which)
+    steps = parse_steps(instruction, functions.ground.scene, which)
     pose = functions.ground.scene.pose
     here, heading_rad = (pose.x_m, pose.y_m), pose.yaw_rad
     segments: list[list[Point]] = []
@@ -75,7 +77,7 @@ def carry_out(instruction: str, functions: Functions, which: slice = slice(None)
     return steps
 
 
-def _facing(last: Step, at: Point) -> float | None:
+def _facing(last: InstructionStep, at: Point) -> float | None:
     """Return the robot's heading at the end: towards the object it was sent to, else None."""
     if last.kind not in ("to", "beside") or at == centre_m(last.things[0]):
         return None
@@ -84,7 +86,11 @@ def _facing(last: Step, at: Point) -> float | None:
 
 
 def _segment(
-    step: Step, following: Step | None, here: SE2, functions: Functions, part: bool = False
+    step: InstructionStep,
+    following: InstructionStep | None,
+    here: SE2,
+    functions: ScriptFunctions,
+    part: bool = False,
 ) -> list[list[Point]]:
     """Return the path of one step from `here`, as one segment.
 
@@ -122,7 +128,11 @@ def _segment(
 
 
 def _round(
-    step: Step, following: Step | None, at: Point, functions: Functions, part: bool
+    step: InstructionStep,
+    following: InstructionStep | None,
+    at: Point,
+    functions: ScriptFunctions,
+    part: bool,
 ) -> list[Point]:
     """Return the shortest path past an object or around it that does not turn back.
 
@@ -149,11 +159,11 @@ def _round(
 
 
 def _check_side(
-    step: Step,
-    following: Step | None,
+    step: InstructionStep,
+    following: InstructionStep | None,
     side: str,
     way: list[Point],
-    functions: Functions,
+    functions: ScriptFunctions,
     part: bool,
 ) -> None:
     """Check that a path keeps to one side of an object, also with the next step.
@@ -168,10 +178,12 @@ def _check_side(
     turned_rad = _turned_rad(thing, side, way)
     if turned_rad.min() < -PAST_RAD:
         raise CallError(
-            f"the robot can reach the {side} of {called(thing)} only past its {OTHER[side]}"
+            f"the robot can reach the {side} of {object_name(thing)} only past its {OTHER[side]}"
         )
     if part and turned_rad[-1] < PAST_RAD:
-        raise CallError(f"it is not known yet if the robot can pass the {side} of {called(thing)}")
+        raise CallError(
+            f"it is not known yet if the robot can pass the {side} of {object_name(thing)}"
+        )
     asked = following and following.things == step.things and following.side == OTHER[side]
     if following is None or asked:
         return
@@ -183,8 +195,8 @@ def _check_side(
         return  # reported when that step is planned
     if _turned_rad(thing, side, [*way, *onward]).min() < -PAST_RAD:
         raise CallError(
-            f"from the {side} of {called(thing)} the robot would have to turn back and pass its "
-            f"{OTHER[side]} to go on ({following})"
+            f"from the {side} of {object_name(thing)} the robot would have to turn back and pass "
+            f"its {OTHER[side]} to go on ({following})"
         )
 
 
@@ -210,7 +222,11 @@ def _turned_rad(thing: SceneObject, side: str, way: Sequence[Point]) -> np.ndarr
 
 
 def _beside_points(
-    step: Step, following: Step | None, at: Point, side: str, functions: Functions
+    step: InstructionStep,
+    following: InstructionStep | None,
+    at: Point,
+    side: str,
+    functions: ScriptFunctions,
 ) -> list[Point]:
     """Return points on the arc past a side of an object.
 
@@ -219,11 +235,11 @@ def _beside_points(
     out if the robot cannot be there.
     """
     thing = step.things[0]
-    abeam = functions.offset(thing.id, side, BESIDE_M, at)
-    end = functions.offset(thing.id, "behind", BESIDE_M, at)
+    abeam = functions.offset(thing.id, side, PASSING_DISTANCE_M, at)
+    end = functions.offset(thing.id, "behind", PASSING_DISTANCE_M, at)
     if step.kind == "around" and following and following.things not in ((), step.things):
         end = centre_m(following.things[0])
-    arc = functions.arc(thing.id, at, end, side, BESIDE_M)
+    arc = functions.arc(thing.id, at, end, side, PASSING_DISTANCE_M)
     looking_rad = functions.heading(at, centre_m(thing))
     points = [_beside(thing, side, at, functions)]
     k = min(range(len(arc)), key=lambda i: math.dist(arc[i], abeam))
@@ -233,7 +249,7 @@ def _beside_points(
         if step.kind == "past" and behind_rad < math.pi / 2 - BEYOND_RAD - 1e-6:
             break
         snapped = functions.ground.nearest(*point, within_m=SNAP_M)
-        if snapped is not None and functions.ground.faces(thing, snapped):
+        if snapped is not None and functions.ground.has_clear_view_of(thing, snapped):
             points.append(snapped)
     return points
 
@@ -241,7 +257,7 @@ def _beside_points(
 def _through(
     at: Point,
     points: Sequence[Point],
-    functions: Functions,
+    functions: ScriptFunctions,
     enough: Callable[[list[Point]], bool] = lambda way: False,
 ) -> list[Point]:
     """Return the cheapest path through points.
@@ -257,23 +273,25 @@ def _through(
     return way
 
 
-def _beside(thing: SceneObject, side: str, seen_from: Point, functions: Functions) -> Point:
+def _beside(thing: SceneObject, side: str, seen_from: Point, functions: ScriptFunctions) -> Point:
     """Return a place for the robot on a side of an object, with a clear view of it.
 
-    The place is `BESIDE_M` from the object, or nearer.
+    The place is `PASSING_DISTANCE_M` from the object, or nearer.
     """
     looking_rad = functions.heading(seen_from, centre_m(thing))
-    wanted = [functions.offset(thing.id, side, k * BESIDE_M, seen_from) for k in (1.0, 0.6, 0.3)]
+    wanted = [
+        functions.offset(thing.id, side, k * PASSING_DISTANCE_M, seen_from) for k in (1.0, 0.6, 0.3)
+    ]
     for point in wanted:
         found = functions.ground.nearest(*point, within_m=SNAP_M)
-        if found is not None and functions.ground.faces(thing, found):
+        if found is not None and functions.ground.has_clear_view_of(thing, found):
             away = SE2(*centre_m(thing), looking_rad + SIDES_RAD[side])
             if abs(away.bearing_to(*found)) < math.pi / 2:
                 return found
-    raise _no_room(f"{side}{OF.get(side, '')} {called(thing)}", wanted[::-1], functions)
+    raise _no_room(f"{side}{OF.get(side, '')} {object_name(thing)}", wanted[::-1], functions)
 
 
-def _no_room(where: str, points: Sequence[Point], functions: Functions) -> CallError:
+def _no_room(where: str, points: Sequence[Point], functions: ScriptFunctions) -> CallError:
     """Return the error for a place where the robot cannot be.
 
     `points` are the places that were tried, the nearest to the object first. An occupied place
@@ -288,7 +306,7 @@ def _no_room(where: str, points: Sequence[Point], functions: Functions) -> CallE
     return CallError(f"there is no room for the robot {where}")
 
 
-def _middle(step: Step, functions: Functions) -> Point:
+def _middle(step: InstructionStep, functions: ScriptFunctions) -> Point:
     """Return the point half way between the outlines of two objects."""
     a, b = step.things
     angle_rad = functions.heading(centre_m(a), centre_m(b))

@@ -15,7 +15,7 @@ from importlib import metadata
 from typing import Any
 
 from edge.errors import UnavailableError
-from edge.tasks.functions import CallError, Functions, signature
+from edge.tasks.functions import CallError, ScriptFunctions, signature
 from edge.tasks.trajectory import TrajectoryError
 from edge.text import one_line, printable_lines
 
@@ -28,8 +28,8 @@ _EPOCH = datetime(2000, 1, 1)
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """Result of a script; the trajectory it gave is in `Functions.given`.
+class ScriptResult:
+    """Result of a script; the trajectory it gave is in `ScriptFunctions.given`.
 
     Attributes:
         printed: output without control characters, cut to the limit.
@@ -58,7 +58,7 @@ class ScriptLimits:
     max_printed_chars: int = 4_000
 
 
-def run(code: str, functions: Functions, limits: ScriptLimits) -> Outcome:
+def run_script(code: str, functions: ScriptFunctions, limits: ScriptLimits) -> ScriptResult:
     """Run a script. It ends within its limits, and its errors become a result.
 
     The clock stands still, sleeping takes no time, and random numbers are the same each time, so a
@@ -69,7 +69,9 @@ def run(code: str, functions: Functions, limits: ScriptLimits) -> Outcome:
         UnavailableError: the interpreter is not installed, or does not start.
     """
     if len(code) > limits.max_chars:
-        return Outcome(error=f"the script has {len(code)} characters, at most {limits.max_chars}")
+        return ScriptResult(
+            error=f"the script has {len(code)} characters, at most {limits.max_chars}"
+        )
     deadline_s = time.monotonic() + 2.0 * limits.time_s
     called = {name: _guarded(name, f, deadline_s) for name, f in functions.table().items()}
     return _run_sandboxed(code, called, limits)
@@ -90,7 +92,7 @@ def version() -> str:
 
 def _run_sandboxed(
     code: str, called: dict[str, Callable[..., Any]], limits: ScriptLimits
-) -> Outcome:
+) -> ScriptResult:
     monty = _interpreter()
     printed = monty.CollectString(max_bytes=_PRINTED_BYTES)
     bounds = {
@@ -117,7 +119,7 @@ def _run_sandboxed(
             f"pydantic-monty does not run here: {why}; choose tasks.planner.kind: rules"
         ) from None
     text = printable_lines(printed.output[: limits.max_printed_chars])
-    return Outcome(text, error)
+    return ScriptResult(text, error)
 
 
 def _guarded(name: str, function: Callable[..., Any], deadline_s: float) -> Callable[..., Any]:

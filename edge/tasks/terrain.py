@@ -36,7 +36,7 @@ GROUND = "ground"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ground:
+class GroundHeight:
     """Height of the ground around the robot.
 
     Attributes:
@@ -48,9 +48,9 @@ class Ground:
     seen: Grid
 
 
-def ground_around(
+def estimate_ground(
     points_m: np.ndarray, x_m: float, y_m: float, z_m: float, range_m: float
-) -> Ground:
+) -> GroundHeight:
     """Estimate the ground, followed from the robot outwards through the lowest point of each cell.
 
     Args:
@@ -69,14 +69,14 @@ def ground_around(
     kernels.grow_ground(
         low, half, half, z_m, STEP_M, SLOPE, CELL_M, round(GAP_M / CELL_M), height, seen
     )
-    return Ground(Grid(height, origin, CELL_M), Grid(seen, origin, CELL_M))
+    return GroundHeight(Grid(height, origin, CELL_M), Grid(seen, origin, CELL_M))
 
 
-def height_above(ground: Ground, points_m: np.ndarray) -> np.ndarray:
+def height_above(ground: GroundHeight, points_m: np.ndarray) -> np.ndarray:
     """Return the height of points over the ground, (n,) float32 metres; NaN outside its grid."""
     grid = ground.height_m
     with np.errstate(invalid="ignore"):
-        column, row = np.floor(grid.of_metres(points_m[:, :2])).T
+        column, row = np.floor(grid.to_cells(points_m[:, :2])).T
         h, w = grid.cells.shape
         inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
     out = np.full(len(points_m), np.nan, np.float32)
@@ -110,7 +110,7 @@ def with_blind_spot(occupancy: Grid, pose: SE2) -> Grid:
     angle_rad = np.arange(0.0, 2.0 * np.pi, step_m / BLIND_M)[:, None]
     away_m = np.arange(0.0, BLIND_M, step_m)
     xy_m = np.stack((pose.x_m + away_m * np.cos(angle_rad), pose.y_m + away_m * np.sin(angle_rad)))
-    column, row = np.floor(np.moveaxis(occupancy.of_metres(np.moveaxis(xy_m, 0, -1)), -1, 0))
+    column, row = np.floor(np.moveaxis(occupancy.to_cells(np.moveaxis(xy_m, 0, -1)), -1, 0))
     h, w = cells.shape
     inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
     at = row.clip(0, h - 1).astype(np.intp), column.clip(0, w - 1).astype(np.intp)
@@ -124,7 +124,7 @@ def with_blind_spot(occupancy: Grid, pose: SE2) -> Grid:
     return replace(occupancy, cells=filled)
 
 
-def kinds_of_cells(
+def classify_ground(
     grid: Grid, pose: SE2, xy_m: np.ndarray, kind: np.ndarray, n_kinds: int
 ) -> np.ndarray:
     """Return the kind of ground of each cell, by a vote of its points.
@@ -142,7 +142,7 @@ def kinds_of_cells(
     h, w = grid.cells.shape
     if h * w == 0:
         return np.zeros((h, w), np.uint8)
-    column, row = np.floor(grid.of_metres(xy_m)).astype(np.int64).reshape(-1, 2).T
+    column, row = np.floor(grid.to_cells(xy_m)).astype(np.int64).reshape(-1, 2).T
     inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
     flat = (row * w + column)[inside] * (n_kinds + 1) + kind[inside]
     votes = np.bincount(flat, minlength=h * w * (n_kinds + 1)).reshape(h, w, n_kinds + 1)
@@ -209,7 +209,7 @@ def nearest_points(
     """
     if not len(points_m) or not regions.cells.size:
         return {}
-    cells = np.unique(np.floor(regions.of_metres(points_m[:, :2])), axis=0) + 0.5
+    cells = np.unique(np.floor(regions.to_cells(points_m[:, :2])), axis=0) + 0.5
     best, at = np.empty(MOST_REGIONS + 1), np.zeros((MOST_REGIONS + 1, 2), np.int64)
     kernels.nearest_of_regions(regions.cells, allowed, cells, best, at)
     found = np.flatnonzero(np.isfinite(best))

@@ -16,7 +16,7 @@ import numpy as np
 from edge.config import TrajectoryLimits
 from edge.errors import UserError
 from edge.geometry import FARTHEST_M
-from edge.tasks.ground import ESCAPE_M, Ground
+from edge.tasks.ground import ESCAPE_M, ReachableGround
 from edge.text import one_line
 from edge.trajectory.pursuit import CREEP_MPS
 
@@ -31,7 +31,7 @@ class TrajectoryError(UserError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Coarse:
+class CoarseTrajectory:
     """A trajectory as it is meant, before it is refined.
 
     Attributes:
@@ -54,7 +54,7 @@ class Coarse:
 
 def coarse_of(
     segments: Any, regions: Any, speed_mps: Any, limits: TrajectoryLimits, heading_rad: Any = None
-) -> Coarse:
+) -> CoarseTrajectory:
     """Make a trajectory from the values that a script hands over, which may be anything.
 
     Args:
@@ -89,10 +89,10 @@ def coarse_of(
         speed_mps = number(speed_mps, "speed_mps")
     if heading_rad is not None:
         heading_rad = math.remainder(number(heading_rad, "heading_rad"), math.tau)
-    return Coarse(arrays, tuple(dict.fromkeys(chosen)), speed_mps, heading_rad)
+    return CoarseTrajectory(arrays, tuple(dict.fromkeys(chosen)), speed_mps, heading_rad)
 
 
-def check(coarse: Coarse, ground: Ground, limits: TrajectoryLimits) -> None:
+def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryLimits) -> None:
     """Check that a trajectory may be refined and driven.
 
     Each point must be finite, in the map, reachable, and clear of occupied cells. The step from the
@@ -167,7 +167,7 @@ def point(value: Any, name: str) -> tuple[float, ...]:
     return tuple(number(v, f"{name}: {axis}", largest) for v, axis, largest in axes)
 
 
-def _check_points(points: np.ndarray, segment: int, ground: Ground) -> None:
+def _check_points(points: np.ndarray, segment: int, ground: ReachableGround) -> None:
     scene, occupancy = ground.scene, ground.scene.occupancy
     for i, (x, y, *z) in _counted(points.tolist()):
         where = f"point {i} of segment {segment}, ({x:g}, {y:g})"
@@ -184,7 +184,7 @@ def _check_points(points: np.ndarray, segment: int, ground: Ground) -> None:
             raise TrajectoryError(f"{where}, {_why_not(ground, cell)}{_instead(ground, x, y)}")
 
 
-def _why_not(ground: Ground, cell: tuple[int, int]) -> str:
+def _why_not(ground: ReachableGround, cell: tuple[int, int]) -> str:
     if ground.costmap.grid.cells[cell]:
         return "cannot be reached from where the robot is"
     occupied = ground.scene.occupancy.cells[cell]
@@ -193,7 +193,7 @@ def _why_not(ground: Ground, cell: tuple[int, int]) -> str:
     return "is occupied" if occupied > 0 else "is too close to what is occupied"
 
 
-def _instead(ground: Ground, x_m: float, y_m: float) -> str:
+def _instead(ground: ReachableGround, x_m: float, y_m: float) -> str:
     nearest = ground.nearest(x_m, y_m)
     if nearest is None:
         return ""

@@ -23,7 +23,7 @@ _SUB_PX = 4  # fractional bits of points for OpenCV: 1/16 cell
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class PathMargins:
     """Clearance of the robot, and width of the tube around the coarse trajectory.
 
     Attributes:
@@ -36,7 +36,11 @@ class Body:
 
 
 def value_map(
-    occupancy: Grid, regions: Grid, drivable: Collection[int], coarse_m: np.ndarray, body: Body
+    occupancy: Grid,
+    regions: Grid,
+    drivable: Collection[int],
+    coarse_m: np.ndarray,
+    body: PathMargins,
 ) -> CostMap:
     """Build the bird's-eye-view value map (OpenNav III-A4), ready for A*.
 
@@ -116,7 +120,7 @@ def _tube(grid: Grid, coarse_m: np.ndarray, radius_m: float) -> np.ndarray:
     """Return the cells within a radius of a polyline, (h, w) uint8, 255 inside."""
     tube = np.zeros(grid.cells.shape, np.uint8)
     # OpenCV has pixel centres at integers, a grid has cell corners there.
-    at = np.clip((grid.of_metres(coarse_m) - 0.5) * (1 << _SUB_PX), -(2**24), 2**24)
+    at = np.clip((grid.to_cells(coarse_m) - 0.5) * (1 << _SUB_PX), -(2**24), 2**24)
     points = np.rint(at).astype(np.int32).reshape(-1, 1, 2)
     radius = radius_m / grid.resolution_m
     cv2.polylines(tube, [points], False, 255, max(round(2 * radius), 1), cv2.LINE_8, _SUB_PX)

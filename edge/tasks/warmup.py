@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge.config import Mapping, Robot, Tasks, TrajectoryLimits
-from edge.geometry import CameraModel, optical, se3
+from edge.config import MappingConfig, RobotConfig, TasksConfig, TrajectoryLimits
+from edge.geometry import CameraModel, se3, to_optical
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
 from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import refine
-from edge.tasks.survey import add_found, scene_of_map
-from edge.tasks.value_map import Body
-from edge.tasks.write import write
+from edge.tasks.scene_builder import add_detections, scene_of_map
+from edge.tasks.value_map import PathMargins
+from edge.tasks.write import write_trajectory
 from edge.trajectory.pursuit import MotionLimits
 from edge.types import Detections, Instance, Observation
 
@@ -32,15 +32,21 @@ def warm_up() -> None:
     found = Detections(seen, box, np.ones(1, np.float32), np.zeros(1, np.int32), ("box",))
     objects = ObjectMap()
     for frame in (seen, _as_cloud(seen)):
-        add_found(objects, replace(found, observation=frame), 2.0 * _WALL_M)
-    grid = RollingMap(Mapping(extent_m=4.0 * _WALL_M))
+        add_detections(objects, replace(found, observation=frame), 2.0 * _WALL_M)
+    grid = RollingMap(MappingConfig(extent_m=4.0 * _WALL_M))
     grid.update_depth(seen.depth_m, seen.camera, seen.T_map_base, seen.T_base_camera)
     points_m = np.array([[_WALL_M, 0.0, 0.5]], np.float32)
     thing = Instance(1, "box", points_m[0], points_m, 1.0, 1, 0, 0)
     scene = scene_of_map(MapView(grid), seen, (thing,), _CLEARANCE_M)
-    limits = Tasks(trajectory=TrajectoryLimits(clearance_m=_CLEARANCE_M))
-    coarse = write("go to the box", scene, limits).coarse
-    refine(scene, coarse.segments, coarse.regions, Body(_CLEARANCE_M), MotionLimits.of(Robot()))
+    limits = TasksConfig(trajectory=TrajectoryLimits(clearance_m=_CLEARANCE_M))
+    coarse = write_trajectory("go to the box", scene, limits).coarse
+    refine(
+        scene,
+        coarse.segments,
+        coarse.regions,
+        PathMargins(_CLEARANCE_M),
+        MotionLimits.of(RobotConfig()),
+    )
 
 
 def room() -> Observation:
@@ -50,7 +56,7 @@ def room() -> Observation:
     with np.errstate(divide="ignore"):
         floor_m = np.where(rows > 0.0, camera.fy_px * _CAMERA_M / rows, np.inf)
     depth_m = np.minimum(np.broadcast_to(floor_m[:, None], (40, 48)), _WALL_M).astype(np.float32)
-    T = optical(se3(z_m=_CAMERA_M))
+    T = to_optical(se3(z_m=_CAMERA_M))
     return Observation(0, 0, np.eye(4), depth_m=depth_m, camera=camera, T_base_camera=T)
 
 

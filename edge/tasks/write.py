@@ -8,17 +8,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from edge.chat import CutOffError, client_of
-from edge.config import Tasks, TrajectoryLimits, WriterModel
+from edge.chat import TokenLimitError, make_chat_client
+from edge.config import TasksConfig, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.tasks import rules
-from edge.tasks.functions import Functions
-from edge.tasks.ground import Ground, ground_of
+from edge.tasks.functions import ScriptFunctions
+from edge.tasks.ground import ReachableGround, ground_of
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, version
-from edge.tasks.reading import Step
+from edge.tasks.reading import InstructionStep
 from edge.tasks.scene import Scene
-from edge.tasks.script import ScriptLimits, run
-from edge.tasks.trajectory import Coarse
+from edge.tasks.script import ScriptLimits, run_script
+from edge.tasks.trajectory import CoarseTrajectory
 from edge.text import one_line
 
 _BLOCK = re.compile(r"```[ \t]*(\w*)[ \t]*\n(.*?)(?:^[ \t]*```|\Z)", re.DOTALL | re.MULTILINE)
@@ -31,7 +31,7 @@ NO_TRAJECTORY = "the script called no give_trajectory"
 
 
 @dataclass(frozen=True, slots=True)
-class Round:
+class PlanAttempt:
     """One answer of the model and its result.
 
     Attributes:
@@ -48,7 +48,7 @@ class Round:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Written:
+class WrittenTrajectory:
     """A trajectory and how it was written.
 
     Attributes:
@@ -65,10 +65,10 @@ class Written:
     """
 
     instruction: str
-    coarse: Coarse
-    ground: Ground
+    coarse: CoarseTrajectory
+    ground: ReachableGround
     understood: str = ""
-    rounds: tuple[Round, ...] = ()
+    rounds: tuple[PlanAttempt, ...] = ()
     prompt: str = ""
     stops_at: int | None = None
     stops: tuple[tuple[int, ...], ...] = ()
@@ -81,20 +81,20 @@ class WriteError(UserError):
         rounds: answers of the model.
     """
 
-    def __init__(self, message: str, rounds: tuple[Round, ...] = ()) -> None:
+    def __init__(self, message: str, rounds: tuple[PlanAttempt, ...] = ()) -> None:
         super().__init__(message)
         self.rounds = rounds
 
 
-def write(
+def write_trajectory(
     instruction: str,
     scene: Scene,
-    config: Tasks,
-    on_answer: Callable[[Round], None] = lambda round: None,
+    config: TasksConfig,
+    on_answer: Callable[[PlanAttempt], None] = lambda round: None,
     why: str = "",
-    make: Callable[[Ground, TrajectoryLimits], Functions] = Functions,
+    make: Callable[[ReachableGround, TrajectoryLimits], ScriptFunctions] = ScriptFunctions,
     which: slice = slice(None),
-) -> Written:
+) -> WrittenTrajectory:
     """Write and check the trajectory for an instruction, with the configured planner.
 
     Args:
@@ -133,20 +133,20 @@ def write(
     if isinstance(config.planner, WriterModel):
         rounds = _ask(instruction, functions, config.planner, on_answer, why)
         assert functions.given is not None
-        return Written(instruction, functions.given, ground, "", rounds, version())
-    steps = rules.carry_out(instruction, functions, which)
+        return WrittenTrajectory(instruction, functions.given, ground, "", rounds, version())
+    steps = rules.plan_by_rules(instruction, functions, which)
     assert functions.given is not None
     understood = "; ".join(map(str, steps))
     stops_at = steps[-1].things[0].id if steps[-1].kind == "to" else None
     stops = [_stops(step) for step in steps]
     if which.stop is None:  # the robot stops after the last step of the instruction
         stops[-1] = tuple(thing.id for thing in steps[-1].things)
-    return Written(
+    return WrittenTrajectory(
         instruction, functions.given, ground, understood, stops_at=stops_at, stops=tuple(stops)
     )
 
 
-def _stops(step: Step) -> tuple[int, ...]:
+def _stops(step: InstructionStep) -> tuple[int, ...]:
     """Return the ids of the objects that the robot stops at in a step."""
     stops = step.kind in ("to", "beside", "between")
     return tuple(thing.id for thing in step.things) if stops else ()
@@ -169,20 +169,20 @@ def check_instruction(instruction: str) -> None:
 
 def _ask(
     instruction: str,
-    functions: Functions,
+    functions: ScriptFunctions,
     config: WriterModel,
-    on_answer: Callable[[Round], None],
+    on_answer: Callable[[PlanAttempt], None],
     why: str,
-) -> tuple[Round, ...]:
+) -> tuple[PlanAttempt, ...]:
     """Ask the model until a script gives a trajectory; send errors back (OpenNav algorithm 1)."""
-    client, begin_s = client_of(config), time.monotonic()
+    client, begin_s = make_chat_client(config), time.monotonic()
     talk = messages(instruction, functions.ground.scene, functions.limits, config.picture, why)
-    rounds: list[Round] = []
+    rounds: list[PlanAttempt] = []
     while len(rounds) < config.rounds:
         left_s = config.time_limit_s - (time.monotonic() - begin_s)
         try:
             answer, cut = client.ask(talk, left_s=left_s, temperature=0), ""
-        except CutOffError as error:
+        except TokenLimitError as error:
             answer, cut = error.answer, "the answer was cut off; write a shorter one"
         rounds.append(_round(answer, cut, functions))
         on_answer(rounds[-1])
@@ -199,15 +199,15 @@ def _ask(
     )
 
 
-def _round(answer: str, cut: str, functions: Functions) -> Round:
+def _round(answer: str, cut: str, functions: ScriptFunctions) -> PlanAttempt:
     """Run the script in an answer. Its trajectory counts only if the script runs to its end."""
     code = script_in(answer)
     if cut or not code:
-        return Round(answer, code, "", cut or NO_CODE)
+        return PlanAttempt(answer, code, "", cut or NO_CODE)
     functions.given = None
-    outcome = run(code, functions, ScriptLimits())
+    outcome = run_script(code, functions, ScriptLimits())
     error = outcome.error or ("" if functions.given is not None else NO_TRAJECTORY)
-    return Round(answer, code, outcome.printed, error)
+    return PlanAttempt(answer, code, outcome.printed, error)
 
 
 def script_in(answer: str) -> str:
@@ -221,7 +221,7 @@ def script_in(answer: str) -> str:
     return scripts[-1].strip() if scripts else ""
 
 
-def _repair(last: Round) -> list[dict[str, Any]]:
+def _repair(last: PlanAttempt) -> list[dict[str, Any]]:
     """Return the messages that send the error and the printed output back to the model."""
     printed = f"It printed:\n{last.printed.strip()}\n" if last.printed else ""
     wanted = f"{printed}No trajectory yet: {last.error}. Write the whole corrected script."

@@ -23,7 +23,7 @@ Reason = Literal[
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class GridPath:
     """A path, or the reason why there is none.
 
     Attributes:
@@ -47,8 +47,8 @@ class Plan:
         return not self.reason
 
 
-def _no_path(reason: Reason, expansions: int = 0) -> Plan:
-    return Plan(np.empty((0, 2)), math.inf, reason, expansions)
+def _no_path(reason: Reason, expansions: int = 0) -> GridPath:
+    return GridPath(np.empty((0, 2)), math.inf, reason, expansions)
 
 
 @dataclass(slots=True, eq=False)
@@ -115,7 +115,7 @@ def plan(
     workspace: Workspace | None = None,
     *,
     escape_m: float = 0.6,
-) -> Plan:
+) -> GridPath:
     """Find the cheapest path between two points, 8-connected, without cutting corners.
 
     Entering a cell costs its weight times the length of the step. The cost is within 0.1 % of the
@@ -130,7 +130,7 @@ def plan(
             this distance, and the path leads straight to that cell.
 
     Returns:
-        The path. Without a path, `Plan.ok` is False and `Plan.reason` gives the cause.
+        The path. Without a path, `GridPath.ok` is False and `GridPath.reason` gives the cause.
 
     Example:
         >>> from edge.geometry import Grid
@@ -168,7 +168,7 @@ def _found(
     goal_xy_m: tuple[float, float],
     escaped: bool,
     expansions: int,
-) -> Plan:
+) -> GridPath:
     """Convert the path to metres: cell centres, with the exact start and goal at its ends."""
     rows, columns = np.divmod(flat.astype(np.int64), costmap.width)
     path = costmap.metres_of(np.stack([columns + 0.5, rows + 0.5], axis=1))
@@ -183,7 +183,7 @@ def _found(
         path[-1] = goal_xy_m
     else:
         path = np.array([start_xy_m, goal_xy_m])
-    return Plan(path, cost, "", expansions, escape)
+    return GridPath(path, cost, "", expansions, escape)
 
 
 def path_cost_m(costmap: CostMap, path_m: np.ndarray) -> float:

@@ -45,7 +45,7 @@ class CostMap:
 
         Cell (r, c) spans [c, c + 1) x [r, r + 1).
         """
-        return self.grid.of_metres(xy_m) + 1.0
+        return self.grid.to_cells(xy_m) + 1.0
 
     def metres_of(self, grid_xy: np.ndarray) -> np.ndarray:
         """Convert points (…, 2) from cells of `weight` to `map`: the inverse of `grid_of`."""

@@ -16,7 +16,7 @@ CREEP_MPS = 0.05  # slowest approach: below it, friction and rounding stop the r
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class VelocityCommand:
     """Speeds for the robot: forward, and counter-clockwise."""
 
     v_mps: float = 0.0
@@ -28,7 +28,7 @@ class Command:
         return self.v_mps != 0.0 or self.w_radps != 0.0
 
 
-STOP = Command()
+STOP = VelocityCommand()
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class MotionLimits:
     turn_accel_radps2: float
 
     @classmethod
-    def of(cls, robot: config.Robot) -> MotionLimits:
+    def of(cls, robot: config.RobotConfig) -> MotionLimits:
         """Take the limits from the robot's configuration."""
         return cls(
             robot.max_speed_mps,
@@ -50,15 +50,15 @@ class MotionLimits:
             robot.max_turn_accel_radps2,
         )
 
-    def clip(self, v_mps: float, w_radps: float) -> Command:
+    def clip(self, v_mps: float, w_radps: float) -> VelocityCommand:
         """Scale both speeds by one factor to keep the limits, so that the arc stays the same."""
         scale = max(abs(v_mps) / self.speed_mps, abs(w_radps) / self.turn_radps, 1.0)
-        return Command(v_mps / scale, w_radps / scale)
+        return VelocityCommand(v_mps / scale, w_radps / scale)
 
-    def ramp(self, wanted: Command, last: Command, dt_s: float) -> Command:
+    def ramp(self, wanted: VelocityCommand, last: VelocityCommand, dt_s: float) -> VelocityCommand:
         """Return the command nearest to `wanted` that the accelerations allow after `dt_s`."""
         dv, dw = self.accel_mps2 * dt_s, self.turn_accel_radps2 * dt_s
-        return Command(
+        return VelocityCommand(
             min(max(wanted.v_mps, last.v_mps - dv), last.v_mps + dv),
             min(max(wanted.w_radps, last.w_radps - dw), last.w_radps + dw),
         )
@@ -84,7 +84,9 @@ def length_m(path_m: np.ndarray) -> float:
     return float(np.hypot(*np.diff(path_m, axis=0).T).sum())
 
 
-def pursue(pose: SE2, x_m: float, y_m: float, remaining_m: float, limits: MotionLimits) -> Command:
+def pursue(
+    pose: SE2, x_m: float, y_m: float, remaining_m: float, limits: MotionLimits
+) -> VelocityCommand:
     """Return the speeds on the arc through a point; turn on the spot if it lies far to the side.
 
     Args:
@@ -104,18 +106,18 @@ def pursue(pose: SE2, x_m: float, y_m: float, remaining_m: float, limits: Motion
     if distance < 1e-6:
         return STOP
     if abs(bearing) > ROTATE_RAD:
-        return turn(bearing, limits)
+        return turn_by(bearing, limits)
     braking = math.sqrt(limits.accel_mps2 * max(remaining_m, 0.0))
     v = min(limits.speed_mps, max(braking, CREEP_MPS)) * math.cos(bearing)
     return limits.clip(v, v * 2.0 * math.sin(bearing) / distance)
 
 
-def turn(error_rad: float, limits: MotionLimits) -> Command:
+def turn_by(error_rad: float, limits: MotionLimits) -> VelocityCommand:
     """Return the command to turn on the spot by an angle, slower near its end."""
     w = max(TURN_GAIN * abs(error_rad), 0.1)
     return limits.clip(0.0, math.copysign(w, error_rad))
 
 
-def turn_to(pose: SE2, yaw_rad: float, limits: MotionLimits) -> Command:
+def turn_to(pose: SE2, yaw_rad: float, limits: MotionLimits) -> VelocityCommand:
     """Return the command to turn on the spot to a heading, the short way round."""
-    return turn(wrap_angle(yaw_rad - pose.yaw_rad), limits)
+    return turn_by(wrap_angle(yaw_rad - pose.yaw_rad), limits)

@@ -34,7 +34,7 @@ KEYS = ("model", "averaged", "step", "plan", *SAME, "seconds", "torch", "machine
 Run = dict[str, Any]
 
 
-def describe(plan: Any, frames: int, ranks: int, device: str) -> Run:
+def run_identity(plan: Any, frames: int, ranks: int, device: str) -> Run:
     """Return the identity of a run, in types that `torch.load` reads without running code."""
     return {"plan": asdict(plan), "ranks": ranks, "frames": frames, "device": device}
 

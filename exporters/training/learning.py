@@ -18,7 +18,7 @@ from exporters.training import checkpoint as checkpoints
 log = logging.getLogger(__name__)
 
 
-class Pace(Protocol):
+class LearningRates(Protocol):
     """Learning rates of a run's plan.
 
     Attributes:
@@ -45,7 +45,7 @@ class Learner:
     def __init__(
         self,
         model: nn.Module,
-        pace: Pace,
+        pace: LearningRates,
         steps: int,
         checkpoint: Path,
         run: checkpoints.Run,
@@ -134,7 +134,7 @@ def average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> No
 
 
 def _adamw(
-    model: nn.Module, tables: nn.Module | None, pace: Pace, betas: tuple[float, float]
+    model: nn.Module, tables: nn.Module | None, pace: LearningRates, betas: tuple[float, float]
 ) -> torch.optim.Optimizer:
     spared = set() if tables is None else set(tables.parameters())
     decaying = [p for p in model.parameters() if p.ndim > 1 and p not in spared]

@@ -19,7 +19,7 @@ import edge
 from edge.bus.ros2.names import Endpoint, parse_token
 from edge.bus.verbs import read_request
 from edge.bus.wire import compressed, messages, navigation, transforms
-from edge.cli.requests import as_text
+from edge.cli.mission import as_text
 from edge.geometry import SE2, CameraModel, Grid
 from edge.lab.motion.process import parse_tick
 from edge.loop.requests import MODEL_VERBS, mission_verbs

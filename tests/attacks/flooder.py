@@ -13,7 +13,7 @@ import numpy as np
 from edge.bus import topics
 from edge.bus.session import open_session
 from edge.bus.wire import messages
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 
 
 def odometry() -> bytes:
@@ -33,7 +33,7 @@ def main(endpoint: str, kind: str) -> None:
         "odometry": (topics.ODOMETRY, odometry),
         "goal_status": (topics.GOAL_STATUS, goal_status),
     }[kind]
-    settings = Zenoh(endpoint=endpoint)
+    settings = ZenohConfig(endpoint=endpoint)
     with open_session(settings, "connect") as session:
         publisher = session.declare_publisher(settings.key(topic.key))
         while True:

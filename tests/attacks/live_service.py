@@ -18,11 +18,11 @@ from live_patience import PATIENCE_S, eventually
 from simulated import simulated
 
 from edge.bus import topics
-from edge.bus.client import ask
+from edge.bus.client import send_request
 from edge.bus.session import open_session
 from edge.config import Config
 from edge.host.ports import free_port
-from edge.launch import Launched, open_service
+from edge.launch import LaunchedService, open_service
 from edge.loop.runner import loop
 
 FRAME_S = 1 / 30
@@ -36,7 +36,7 @@ class Live:
         peer: the attacker's session.
     """
 
-    def __init__(self, running: Launched, peer: zenoh.Session) -> None:
+    def __init__(self, running: LaunchedService, peer: zenoh.Session) -> None:
         self.running, self.peer = running, peer
         self.statuses: list[dict] = []
         self._settings = running.config.zenoh
@@ -61,11 +61,11 @@ class Live:
         enough = self.ticks + ticks
         eventually(lambda: self.ticks >= enough, "the loop does not tick")
 
-    def goes_on(self, ticks: int = 3) -> None:
+    def is_resumed(self, ticks: int = 3) -> None:
         """Waits until it has seen more, and answered a request."""
         self.wait(ticks)
         key = self._settings.key(topics.MISSION_REQUEST)
-        assert "phase" in ask(self.peer, key, {"do": "status"}, PATIENCE_S, "mission")
+        assert "phase" in send_request(self.peer, key, {"do": "status"}, PATIENCE_S, "mission")
 
 
 @contextmanager
@@ -87,7 +87,7 @@ def live(sections: dict) -> Iterator[Live]:
         service = Live(running, peer)
         works = [pool.submit(loop, running, stop), pool.submit(_stand, service, stop)]
         try:
-            service.goes_on()
+            service.is_resumed()
             eventually(lambda: service.statuses, "it never told its status")
             yield service
         finally:

@@ -14,7 +14,7 @@ from live_patience import eventually
 from edge.config import parse
 from edge.geometry import CameraModel
 from edge.perception.factory import make_detector
-from edge.perception.swap.base import OVER
+from edge.perception.swap.base import FINAL_STATES
 from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 from edge.types import Observation
@@ -42,7 +42,7 @@ def swap(isolation: str, swaps: int, names: tuple[str, str]) -> dict:
         swapper.step(seq)
         if (found := worker.poll()) is not None:
             found.observation.release()
-        return swapper.state in OVER
+        return swapper.state in FINAL_STATES
 
     resident, opened = [], []
     try:

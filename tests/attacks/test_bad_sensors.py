@@ -12,7 +12,7 @@ from live_service import Live, live
 
 from edge.bus import topics
 from edge.bus.topics import Topic
-from edge.loop.faults import DEGRADED_AFTER
+from edge.loop.error_boundary import DEGRADED_AFTER
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +41,7 @@ def test_absurd_numbers_cost_neither_ticks_nor_answers(service, topic):
         for _ in range(3):
             service.send({topic: payload})
         service.wait(ticks=1)  # so that each gets into a tick
-    service.goes_on()
+    service.is_resumed()
     assert service.failures == before
 
 
@@ -52,7 +52,7 @@ def test_stamps_from_the_ends_of_time_cost_neither_ticks_nor_answers(service, to
     before = service.failures
     for stamp_ns in STAMPS_NS:
         service.send({topic: batch(stamp_ns)[topic]})
-        service.goes_on()
+        service.is_resumed()
     assert service.failures == before
 
 
@@ -70,7 +70,7 @@ def test_a_camera_that_cannot_be_is_refused_and_the_one_before_stays(service, nu
 
     eventually(refused, "nothing was refused")
     assert service.running.source._synchronizer._camera == camera
-    service.goes_on()
+    service.is_resumed()
 
 
 def test_a_stage_that_fails_without_end_is_degraded_until_it_goes_well(service, monkeypatch):
@@ -85,6 +85,6 @@ def test_a_stage_that_fails_without_end_is_degraded_until_it_goes_well(service, 
         assert said[-1]["loop"]["failed"] >= before + DEGRADED_AFTER
         assert "candidates: ZeroDivisionError" in said[-1]["loop"]["failures"]
     eventually(lambda: said[-1]["loop"]["state"] == "ok", "it never recovered")
-    service.goes_on()
+    service.is_resumed()
     report = service.running.service.latency.report()
     assert report.stage("candidates").drops >= DEGRADED_AFTER

@@ -18,10 +18,10 @@ from recordings import Recording
 from edge.errors import UserError
 from edge.recording import channels, commands, file
 from edge.recording.channels import Channel
-from edge.recording.file import McapFile, McapReading, Recorded
+from edge.recording.file import McapReader, McapWriter, RecordedMessage
 from edge.recording.reader import MAGIC
 from edge.recording.replay import replay
-from edge.recording.session import Session
+from edge.recording.session import RecordedRun
 
 MANY = 3000
 ODD: tuple[Any, ...] = (
@@ -58,18 +58,18 @@ def look_at(path: Path) -> list[bool]:
     out = path.with_name("whole.mcap")
     out.unlink(missing_ok=True)
     return [
-        reads_or_refuses(lambda: list(Session(path).moments())),
+        reads_or_refuses(lambda: list(RecordedRun(path).moments())),
         reads_or_refuses(lambda: commands.spans_of(path)),
         reads_or_refuses(lambda: file.recover(path, out)),
     ]
 
 
-def rewritten(run: Path, path: Path, change: Callable[[int, Recorded], bytes]) -> Path:
+def rewritten(run: Path, path: Path, change: Callable[[int, RecordedMessage], bytes]) -> Path:
     """The run again, the payload of each message as `change` makes it: with checksums that hold."""
-    reading = McapReading(run)
+    reading = McapReader(run)
     messages = list(reading)
     schemas = {schema.name: schema for schema in reading.schemas.values()}
-    with McapFile(path, "lz4", reading.metadata) as out:
+    with McapWriter(path, "lz4", reading.metadata) as out:
         for k, m in enumerate(messages):
             schema = schemas[m.schema]
             channel = Channel(
@@ -92,10 +92,10 @@ def bent(said: Any, chance: random.Random) -> Any:
 
 
 def change_one(run: Path, path: Path, chance: random.Random, topics: set[str]) -> None:
-    at = [k for k, m in enumerate(McapReading(run)) if m.topic in topics]
+    at = [k for k, m in enumerate(McapReader(run)) if m.topic in topics]
     chosen = chance.choice(at)
 
-    def change(k: int, m: Recorded) -> bytes:
+    def change(k: int, m: RecordedMessage) -> bytes:
         if k != chosen:
             return m.payload
         if m.encoding != "json" or chance.random() < 0.3:
@@ -107,8 +107,8 @@ def change_one(run: Path, path: Path, chance: random.Random, topics: set[str]) -
 
 def replayed(path: Path) -> bool:
     def read() -> None:
-        session = Session(path)
-        commands.told(session, replay(session))
+        session = RecordedRun(path)
+        commands.format_result(session, replay(session))
 
     return reads_or_refuses(read)
 
@@ -119,7 +119,7 @@ def test_nothing_is_refused_and_what_is_whole_is_read(folder, run):
     assert look_at(empty) == [False] * 3
     assert look_at(run) == [True] * 3
     same = rewritten(run, folder / "edge-same.mcap", lambda k, m: m.payload)
-    assert list(McapReading(same)) == list(McapReading(run))
+    assert list(McapReader(same)) == list(McapReader(run))
     assert replayed(same)
 
 

@@ -17,7 +17,7 @@ from edge.geometry import CameraModel
 from edge.host.children import python_module
 from edge.host.processes import descendants
 from edge.perception.factory import make_detector
-from edge.perception.swap.base import OVER
+from edge.perception.swap.base import FINAL_STATES
 from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 from edge.types import Observation
@@ -76,7 +76,7 @@ def test_models_check_of_an_endless_model_ends_when_told_to(put, number):
             time.sleep(1.0)  # into the model, on most computers
             checking.send_signal(number)
             assert checking.wait(PATIENCE_S) == 128 + number
-            eventually(lambda: not child.lives())
+            eventually(lambda: not child.is_running())
             assert checking.stderr.read() == ""
         finally:
             checking.kill()
@@ -111,7 +111,7 @@ def test_it_is_not_swapped_in_and_the_next_one_is(put, tmp_path, how):
         swapper.step(seq)
         if (found := worker.poll()) is not None:
             assert found.model == "first" or found.score.max() <= 1.0
-        return swapper.state in OVER
+        return swapper.state in FINAL_STATES
 
     try:
         soon = perception.process.model_copy(update={"timeout_s": 2.0, "start_timeout_s": 10.0})

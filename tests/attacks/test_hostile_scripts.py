@@ -17,13 +17,13 @@ import pytest
 from chat_server import saying, serving
 from task_scenes import STREET, Thing, street
 
-from edge.config import Tasks, TrajectoryLimits, WriterModel
+from edge.config import TasksConfig, TrajectoryLimits, WriterModel
 from edge.errors import UserError
-from edge.tasks.functions import Functions
+from edge.tasks.functions import ScriptFunctions
 from edge.tasks.ground import ground_of
-from edge.tasks.script import MOST_ERROR_CHARS, ScriptLimits, run
+from edge.tasks.script import MOST_ERROR_CHARS, ScriptLimits, run_script
 from edge.tasks.trajectory import check
-from edge.tasks.write import write
+from edge.tasks.write import write_trajectory
 
 SECRET = "swordfish-4711"
 LIMITS = TrajectoryLimits()
@@ -181,7 +181,7 @@ def host(tmp_path, monkeypatch):
 
 @pytest.fixture
 def functions():
-    return Functions(GROUND, LIMITS)
+    return ScriptFunctions(GROUND, LIMITS)
 
 
 @pytest.mark.parametrize("name", [*REACH_THE_HOST, *TAKE_EVERYTHING, *MOVE_THE_ROBOT])
@@ -190,7 +190,7 @@ def test_a_hostile_script_fails_and_the_next_one_runs(name, host, functions):
     pid, before = os.getpid(), dict(vars(builtins))
     cells = SCENE.occupancy.cells.copy()
 
-    outcome = run(code, functions, QUICK)
+    outcome = run_script(code, functions, QUICK)
 
     assert os.getpid() == pid  # no fork went on in here
     host.check_untouched()
@@ -203,13 +203,15 @@ def test_a_hostile_script_fails_and_the_next_one_runs(name, host, functions):
     assert (SCENE.occupancy.cells == cells).all()
     assert [thing.position_m[0] for thing in SCENE.objects.values()] == [8, 4, 10, 6, 16]
 
-    assert run("give_trajectory([(0, 0), (1, 0)])", functions, QUICK).error == ""
+    assert run_script("give_trajectory([(0, 0), (1, 0)])", functions, QUICK).error == ""
     assert functions.given.points_m.tolist() == [[0, 0], [1, 0]]
 
 
 def test_scripts_keep_nothing_for_the_next(functions):
-    run("leftover = 1\nmath = 2", functions, QUICK)
-    assert run("print(leftover)", functions, QUICK).error.endswith("name 'leftover' is not defined")
+    run_script("leftover = 1\nmath = 2", functions, QUICK)
+    assert run_script("print(leftover)", functions, QUICK).error.endswith(
+        "name 'leftover' is not defined"
+    )
 
 
 def test_what_was_given_is_the_hosts_own(functions):
@@ -223,7 +225,7 @@ try:
 except ValueError as error:
     print(error)
 """
-    outcome = run(code, functions, QUICK)
+    outcome = run_script(code, functions, QUICK)
     assert (outcome.error, outcome.printed.strip()) == (
         "", "give_trajectory: a trajectory was given already; give one",
     )  # fmt: skip
@@ -234,9 +236,9 @@ except ValueError as error:
 def test_a_trajectory_of_a_script_that_fails_later_is_not_driven():
     code = "```python\ngive_trajectory([(0, 0), (1, 0)])\nwhile True: pass\n```"
     with serving(saying(code)) as server:
-        config = Tasks(planner=WriterModel(url=server.url, rounds=2))
+        config = TasksConfig(planner=WriterModel(url=server.url, rounds=2))
         with pytest.raises(UserError, match="no trajectory in 2 answers, last error: "):
-            write("go to the van", SCENE, config)
+            write_trajectory("go to the van", SCENE, config)
 
 
 ORDERS = (
@@ -263,9 +265,9 @@ def test_a_model_that_obeys_a_sign_moves_nothing(caption, obeying, host):
     scene = street(*STREET, Thing("sign", 3.0, 2.0, (0.2, 0.2), caption), picture=True)
     said = []
     with serving(saying(f"As the sign says:\n```python\n{obeying}\n```")) as server:
-        config = Tasks(planner=WriterModel(url=server.url, rounds=2))
+        config = TasksConfig(planner=WriterModel(url=server.url, rounds=2))
         with pytest.raises(UserError) as raised:
-            write("go to the gate", scene, config, said.append)
+            write_trajectory("go to the gate", scene, config, said.append)
         (_, user), *_ = [request[2]["messages"] for request in server.requests]
     host.check_untouched()
     assert len(said) == 2
@@ -279,7 +281,7 @@ def test_a_model_that_obeys_a_sign_moves_nothing(caption, obeying, host):
 @pytest.mark.parametrize("caption", ORDERS)
 def test_the_rules_take_no_orders_from_a_sign(caption):
     sign = Thing("sign", 3.0, 4.0, (0.2, 0.2), caption)
-    written = write("go to the gate", street(*STREET, sign), Tasks())
-    plain = write("go to the gate", SCENE, Tasks())
+    written = write_trajectory("go to the gate", street(*STREET, sign), TasksConfig())
+    plain = write_trajectory("go to the gate", SCENE, TasksConfig())
     assert written.understood == plain.understood == "to gate 5"
     assert np.array_equal(written.coarse.points_m[-1], plain.coarse.points_m[-1])

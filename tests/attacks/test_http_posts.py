@@ -18,11 +18,11 @@ from simulated import simulated
 
 from edge.bus.request_queue import RequestQueue
 from edge.bus.verbs import Verb
-from edge.host.credentials import Token
-from edge.host.pages import serve
-from edge.host.service_manager import ServiceManager
+from edge.host.credentials import BearerToken
+from edge.host.service_manager import SystemdNotifier
+from edge.host.web_server import serve
 from edge.live.view import LiveView
-from edge.loop.vitals import Vitals
+from edge.loop.service_health import ServiceHealth
 
 HERE, TOKEN = "127.0.0.1", "a-token-of-the-tests"
 GOOD = b'{"do": "pause"}'
@@ -60,7 +60,7 @@ class Port:
                     answer += part
         return answer
 
-    def lives(self) -> None:
+    def is_running(self) -> None:
         answer = self.say(self.head(len(GOOD)) + GOOD)
         assert answer.startswith(b"HTTP/1.1 200 "), answer
         assert self.done.pop() == "pause"
@@ -68,9 +68,9 @@ class Port:
 
 @pytest.fixture(scope="module")
 def port() -> Iterator[Port]:
-    view = LiveView(simulated({"mission": {"target": "bed"}}), Vitals(ServiceManager({})))
+    view = LiveView(simulated({"mission": {"target": "bed"}}), ServiceHealth(SystemdNotifier({})))
     with serve(
-        view.pages(), HERE, 0, Token(TOKEN.encode()), forms=view.forms(), public=("/",)
+        view.pages(), HERE, 0, BearerToken(TOKEN.encode()), forms=view.forms(), public=("/",)
     ) as number:
         there = Port(number)
 
@@ -98,7 +98,7 @@ class _Served:
 
 def test_nothing_at_all_is_no_trouble(port):
     assert port.say(b"") == b""
-    port.lives()
+    port.is_running()
 
 
 @given(st.binary(max_size=300))
@@ -106,7 +106,7 @@ def test_any_bytes_do_nothing(port, request):
     port.say(request)
     port.say(b"POST /mission/request HTTP/1.1\r\n" + request)
     assert port.done == []
-    port.lives()
+    port.is_running()
 
 
 @given(st.sampled_from(SEEDS), st.randoms(use_true_random=False))
@@ -118,7 +118,7 @@ def test_changed_bodies_are_answered_in_json(port, seed, chance):
     assert status in ((200, 409) if body else (409,))
     assert ("error" in json.loads(said)) == (status == 409)
     port.done.clear()
-    port.lives()
+    port.is_running()
 
 
 @given(st.sampled_from(SEEDS), st.randoms(use_true_random=False))
@@ -126,4 +126,4 @@ def test_changed_requests_do_nothing_without_the_token(port, seed, chance):
     head = mutate(port.head(len(seed), "not-the-token-at-all"), random.Random(chance.random()))
     port.say(head + seed)
     assert port.done == []
-    port.lives()
+    port.is_running()

@@ -18,9 +18,9 @@ import yaml
 
 from edge.chat import ChatClient, ChatError
 from edge.host import resources
-from edge.models.download import Limits, download, read_small
-from edge.models.part import FetchError, Part
-from edge.models.pull import Where, pull
+from edge.models.download import DownloadLimits, download, read_small
+from edge.models.partial_file import FetchError, PartialFile
+from edge.models.pull import PullOptions, pull
 from edge.perception.runtime.cards import load_card
 
 pytestmark = pytest.mark.timeout(60)
@@ -140,12 +140,12 @@ BODIES = {
     ),
     "drips trailers": lambda line: (line.say(CHUNKED + b"0\r\n"), line.drip(b"A: b\r\n" * 10_000)),
 }  # fmt: skip
-HASTY_HEAD = Limits(answer_s=_SHORT_S, tries=2)
-HASTY_BODY = Limits(slow_s=_SHORT_S, slow_bytes=1 << 20, tries=2)
+HASTY_HEAD = DownloadLimits(answer_s=_SHORT_S, tries=2)
+HASTY_BODY = DownloadLimits(slow_s=_SHORT_S, slow_bytes=1 << 20, tries=2)
 
 
-def fetch(address: str, folder, limits: Limits, scheme: str = "http") -> None:
-    with Part(folder / "w.pt", SHA256) as part:
+def fetch(address: str, folder, limits: DownloadLimits, scheme: str = "http") -> None:
+    with PartialFile(folder / "w.pt", SHA256) as part:
         download(f"{scheme}://{address}/w.pt", part, limits)
 
 
@@ -165,7 +165,7 @@ def test_a_download_whose_content_does_not_end_ends(tmp_path, how):
         with pytest.raises(FetchError, match=rf"{_TOO_MUCH}|only \d+ bytes came in {_SHORT_S} s$"):
             fetch(address, tmp_path, HASTY_BODY)
         with pytest.raises(FetchError, match=f"{_TOO_MUCH}|not complete after"):
-            read_small(f"http://{address}/said", Limits(small_s=_SHORT_S))
+            read_small(f"http://{address}/said", DownloadLimits(small_s=_SHORT_S))
     assert not (tmp_path / "w.pt").exists()
 
 
@@ -197,7 +197,7 @@ def test_a_proxy_or_a_handshake_that_drips_counts_too(tmp_path, monkeypatch, sch
     ids=["for ever", "to a drip", "with endless content", "with dripping content"],
 )
 def test_redirects_end(tmp_path, talk, message):
-    limits = Limits(tries=1) if message == "HTTP 302" else HASTY_HEAD
+    limits = DownloadLimits(tries=1) if message == "HTTP 302" else HASTY_HEAD
     with serving(talk) as address, pytest.raises(FetchError, match=message):
         fetch(address, tmp_path, limits)
 
@@ -218,7 +218,7 @@ def test_a_length_that_is_a_lie_is_told(tmp_path, told, message):
         line.say(OK + f"Content-Length: {told}\r\n\r\n".encode() + sent)
 
     with serving(talk) as address, pytest.raises(FetchError, match=message):
-        fetch(address, tmp_path, Limits(tries=1))
+        fetch(address, tmp_path, DownloadLimits(tries=1))
     assert not (tmp_path / "w.pt").exists()
 
 
@@ -241,7 +241,7 @@ def test_a_pull_goes_on_with_the_next_source(tmp_path, monkeypatch, capsys):
             "preprocess": {"color": "rgb", "scale": 1.0, "mean": [0, 0, 0], "std": [1, 1, 1]},
         }  # fmt: skip
         (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(card))
-        pull(load_card("tiny"), Where(limits=Limits(tries=1)))
+        pull(load_card("tiny"), PullOptions(limits=DownloadLimits(tries=1)))
     (note,) = capsys.readouterr().err.splitlines()
     assert note.startswith(f"tiny: note: http://{lying}/w.pt: ")
     assert "HTTP 302" in note

@@ -11,9 +11,9 @@ import pytest
 from edge_processes import write_config
 from live_patience import PATIENCE_S
 
-from edge.bus.client import ask
+from edge.bus.client import send_request
 from edge.bus.session import open_session
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 
 pytestmark = pytest.mark.slow
 
@@ -39,7 +39,7 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
     def flood(_: int) -> list[list[bytes]]:
         """The answers to each request: what it says, or its error."""
         asked = []
-        with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+        with open_session(ZenohConfig(endpoint=endpoint), "connect") as session:
             while not stop.is_set():
                 payload = json.dumps(asked_for[len(asked) % len(asked_for)])
                 asked.append(session.get(KEY, payload=payload, timeout=PATIENCE_S))
@@ -50,14 +50,16 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
             ]
 
     with (
-        open_session(Zenoh(endpoint=endpoint), "connect") as session,
+        open_session(ZenohConfig(endpoint=endpoint), "connect") as session,
         ThreadPoolExecutor(FLOODERS) as pool,
     ):
         flooding = [pool.submit(flood, n) for n in range(FLOODERS)]
         paused = []
         try:
             for _ in range(PAUSES):
-                paused.append(ask(session, KEY, {"do": "pause"}, PATIENCE_S, "mission")["paused"])
+                paused.append(
+                    send_request(session, KEY, {"do": "pause"}, PATIENCE_S, "mission")["paused"]
+                )
                 time.sleep(0.2)
         finally:
             stop.set()
@@ -67,4 +69,6 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
         assert {len(answers) for answers in answered} == {1}
         said = [json.loads(answer) for (answer,) in answered]
         assert not [answer for answer in said if "not running" in answer.get("error", "")]
-        assert ask(session, KEY, {"do": "cancel"}, PATIENCE_S, "mission")["phase"] == "failed"
+        assert (
+            send_request(session, KEY, {"do": "cancel"}, PATIENCE_S, "mission")["phase"] == "failed"
+        )

@@ -33,7 +33,7 @@ def test_a_flood_of_odometry_leaves_the_loop_its_ticks():
         ring.take = noting(looks, ring.take)
         with flood(service.running.config, "odometry"):
             eventually(lambda: source.counters["overrun"] >= 3, "the flood is too slow")
-            service.goes_on(TICKS)
+            service.is_resumed(TICKS)
         assert max(looks) == ODOMETRY_RING
         assert source.counters["malformed"] == 0
         assert service.running.service.faults.failures == {}
@@ -45,7 +45,7 @@ def test_two_floods_of_answers_leave_the_loop_its_ticks():
         inbox.poll = noting(looks, inbox.poll)
         with flood(service.running.config, "goal_status", "goal_status"):
             eventually(lambda: inbox._ring.overruns >= 3, "the flood is too slow")
-            service.goes_on(TICKS)
+            service.is_resumed(TICKS)
         assert max(looks) == 64
         assert service.running.service.faults.failures == {}
         # What other processes say costs no memory that they could fill.

@@ -19,10 +19,10 @@ from live_patience import PATIENCE_S, eventually
 from viewer_peer import ALIVE
 
 from edge.bus import topics
-from edge.bus.client import ask
+from edge.bus.client import send_request
 from edge.bus.requests import RequestServer
 from edge.bus.session import declare_publisher, open_session
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.loop.requests import mission_verbs
 
 pytestmark = pytest.mark.slow
@@ -105,8 +105,8 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
     sim = edge("sim", config)
     service.says("frontier")
     with (
-        open_session(Zenoh(endpoint=endpoint), "connect") as session,
-        open_session(Zenoh(endpoint=endpoint), "connect") as asking,
+        open_session(ZenohConfig(endpoint=endpoint), "connect") as session,
+        open_session(ZenohConfig(endpoint=endpoint), "connect") as asking,
         ThreadPoolExecutor(1) as pool,
     ):
         speakers = [psutil.Process(it.process.pid) for it in (service, sim)]
@@ -118,7 +118,9 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
         def request() -> None:
             while not gone.is_set():
                 do = ("pause", "resume")[len(paused) % 2]
-                paused.append(ask(asking, KEY, {"do": do}, PATIENCE_S, "mission")["paused"])
+                paused.append(
+                    send_request(asking, KEY, {"do": do}, PATIENCE_S, "mission")["paused"]
+                )
                 session.put(f"{PREFIX}/answer", b"")
 
         ordering = pool.submit(request)
@@ -131,7 +133,7 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
         assert max(ears.silences.values()) < 40, ears.silences
     second = start_viewer()
     second.send_signal(signal.SIGSTOP)
-    with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+    with open_session(ZenohConfig(endpoint=endpoint), "connect") as session:
         maps = session.declare_subscriber(f"{PREFIX}/map", zenoh.handlers.FifoChannel(1000))
         for _ in range(20):  # by then nothing more fits between the service and the viewer
             eventually(maps.try_recv)
@@ -150,8 +152,8 @@ def test_a_stopped_client_holds_up_no_other_answer(endpoint, start_viewer, monke
     monkeypatch.setattr(RequestServer, "_send", noted)
     # `exact`, so that the one that is stopped is waited for as long as can be.
     with (
-        open_session(Zenoh(endpoint=endpoint), "listen", exact=True) as session,
-        open_session(Zenoh(endpoint=endpoint), "connect") as asking,
+        open_session(ZenohConfig(endpoint=endpoint), "listen", exact=True) as session,
+        open_session(ZenohConfig(endpoint=endpoint), "connect") as asking,
         ThreadPoolExecutor(1) as pool,
     ):
         server = RequestServer(session, KEY, mission_verbs(dict), lambda *_: {})
@@ -160,14 +162,14 @@ def test_a_stopped_client_holds_up_no_other_answer(endpoint, start_viewer, monke
         viewer.stdin.flush()
         unanswered = eventually(server.poll)
         viewer.send_signal(signal.SIGSTOP)
-        maps = declare_publisher(session, topics.MAP, Zenoh())
+        maps = declare_publisher(session, topics.MAP, ZenohConfig())
         for _ in range(200):  # 200 MB: more than fits in between
             maps.put(bytes(1_000_000))
         answered.clear()
         # Larger than the queue of its priority, which may be empty although the maps wait.
         unanswered.answer({"n": "stopped", "filler": "." * 20_000_000})
         for n in range(10):
-            answer = pool.submit(ask, asking, KEY, {"do": "pause"}, PATIENCE_S, "mission")
+            answer = pool.submit(send_request, asking, KEY, {"do": "pause"}, PATIENCE_S, "mission")
             eventually(server.poll).answer({"n": n})
             assert answer.result(PATIENCE_S) == {"n": n}
         eventually(lambda: len(answered) == 11)

@@ -11,7 +11,7 @@ import sys
 import zenoh
 
 from edge.bus.session import open_session
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 
 ALIVE = "viewer/alive"
 KEY = "edge/mission/request"
@@ -19,7 +19,7 @@ KEY = "edge/mission/request"
 
 def main(endpoint: str) -> None:
     # As on another machine: there, what is large does not pass by in shared memory.
-    session = open_session(Zenoh(endpoint=endpoint, shared_memory=False), "connect")
+    session = open_session(ZenohConfig(endpoint=endpoint, shared_memory=False), "connect")
     ends = [
         session.liveliness().declare_token(ALIVE),
         session.declare_subscriber("edge/**", zenoh.handlers.RingChannel(8)),

@@ -10,9 +10,9 @@ import pytest
 from patience import PATIENCE_S
 
 from edge.bus import refusal
-from edge.bus.refusal import why_refused
+from edge.bus.refusal import diagnose_refusal
 from edge.bus.session import session_config
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.host.ports import free_port
 
 
@@ -38,8 +38,8 @@ def port() -> Iterator[int]:
 
 
 def why(endpoint: str) -> str | None:
-    settings = Zenoh(endpoint=endpoint)
-    return why_refused(endpoint, session_config(settings, "connect"), "zenoh.client_file")
+    settings = ZenohConfig(endpoint=endpoint)
+    return diagnose_refusal(endpoint, session_config(settings, "connect"), "zenoh.client_file")
 
 
 @pytest.mark.parametrize(

@@ -15,11 +15,11 @@ import zenoh
 from patience import PATIENCE_S, eventually
 
 from edge.bus import request_queue
-from edge.bus.client import RequestError, ask
+from edge.bus.client import RequestError, send_request
 from edge.bus.requests import MAX_BYTES, RequestServer
 from edge.bus.session import open_session
 from edge.bus.verbs import Request
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.errors import UserError
 from edge.host.ports import free_port
 from edge.loop.requests import mission_verbs
@@ -29,7 +29,7 @@ KEY = "edge/mission/request"
 
 @pytest.fixture
 def session() -> Iterator[zenoh.Session]:
-    with open_session(Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}"), "listen") as session:
+    with open_session(ZenohConfig(endpoint=f"tcp/127.0.0.1:{free_port()}"), "listen") as session:
         yield session
 
 
@@ -64,7 +64,7 @@ class Asking:
 
     def __init__(self, session: zenoh.Session, **request: object) -> None:
         self._pool = ThreadPoolExecutor(1)
-        self._answer = self._pool.submit(ask, session, KEY, request, PATIENCE_S, "mission")
+        self._answer = self._pool.submit(send_request, session, KEY, request, PATIENCE_S, "mission")
         self._pool.shutdown(wait=False)
 
     @property
@@ -348,7 +348,7 @@ def test_what_stops_the_robot_stops_new_missions_that_were_given_before(session,
     )
     after = give(server, session, "e")
     requests = [server.poll() for _ in range(2)]
-    assert [(r.do, r.overtaken) for r in requests] == [("status", 0), (do, 4)]
+    assert [(r.do, r.cancelled) for r in requests] == [("status", 0), (do, 4)]
     assert server.poll() is None
     for request in requests:
         request.answer({"did": request.do})

@@ -12,13 +12,13 @@ from edge.bus import zenoh_file
 from edge.bus.session import BusError, open_session, session_config
 from edge.bus.zenoh_file import (
     certificates,
+    denies_prefix,
+    exposed_secrets,
     get,
-    open_to,
-    others_can_read,
+    open_addresses,
     secrets,
-    shuts_all_out,
 )
-from edge.config import ConfigError, Zenoh, parse
+from edge.config import ConfigError, ZenohConfig, parse
 from edge.host.credentials import COPIES
 from edge.host.resources import data_dir
 
@@ -28,15 +28,15 @@ SECURE = data_dir("config") / "secure"
 
 @pytest.fixture
 def settings(tmp_path):
-    def with_file(text: str, **more: object) -> Zenoh:
+    def with_file(text: str, **more: object) -> ZenohConfig:
         path = tmp_path / "zenoh.json5"
         path.write_text(text)
-        return Zenoh(**{"endpoint": OURS, "file": str(path), **more})
+        return ZenohConfig(**{"endpoint": OURS, "file": str(path), **more})
 
     return with_file
 
 
-def of(settings: Zenoh, role: str, key: str) -> object:
+def of(settings: ZenohConfig, role: str, key: str) -> object:
     return get(session_config(settings, role), key)
 
 
@@ -105,8 +105,8 @@ def test_places_for_connections_stay_below_the_descriptors_of_a_process():
     ],
 )
 def test_a_tls_handshake_ends_in_time(endpoint, listens):
-    assert of(Zenoh(endpoint=endpoint), "listen", "listen/endpoints") == [listens]
-    assert of(Zenoh(endpoint=endpoint), "connect", "connect/endpoints") == [endpoint]
+    assert of(ZenohConfig(endpoint=endpoint), "listen", "listen/endpoints") == [listens]
+    assert of(ZenohConfig(endpoint=endpoint), "connect", "connect/endpoints") == [endpoint]
 
 
 def test_the_client_has_its_own_file_or_that_of_the_service(settings, tmp_path):
@@ -156,7 +156,7 @@ def test_a_file_that_cannot_be_used_is_told_in_one_line_without_its_secrets(sett
 
 @pytest.mark.parametrize("key", ["file", "client_file"])
 def test_a_file_that_is_not_there_is_named(key, tmp_path):
-    settings = Zenoh(**{key: str(tmp_path / "gone.json5")})
+    settings = ZenohConfig(**{key: str(tmp_path / "gone.json5")})
     with pytest.raises(ConfigError, match=rf"^zenoh\.{key}: .*gone\.json5: no such file$"):
         session_config(settings, "listen" if key == "file" else "connect")
 
@@ -207,7 +207,7 @@ USERS = '{transport: {auth: {usrpwd: {dictionary_file: "users.txt"}}}}'
     ],
 )
 def test_what_is_open_to_strangers(settings, endpoint, text, open_):
-    assert open_to(session_config(settings(text, endpoint=endpoint), "listen")) == open_
+    assert open_addresses(session_config(settings(text, endpoint=endpoint), "listen")) == open_
 
 
 KEYS = """{transport: {
@@ -216,8 +216,8 @@ KEYS = """{transport: {
 }}"""
 
 
-def secret_paths(settings: Zenoh, role: str = "listen") -> list[str]:
-    return others_can_read(session_config(settings, role), "zenoh.file", settings.file)
+def secret_paths(settings: ZenohConfig, role: str = "listen") -> list[str]:
+    return exposed_secrets(session_config(settings, role), "zenoh.file", settings.file)
 
 
 def test_secrets_that_others_can_read(settings, tmp_path):
@@ -278,13 +278,13 @@ RULES = """{access_control: {enabled: %s, default_permission: "%s", rules: [
 )
 def test_rules_for_another_prefix_are_noticed(settings, text, prefix, shut, caplog):
     said = settings(text, prefix=prefix, endpoint="tcp/127.0.0.1:0")
-    assert shuts_all_out(session_config(said, "listen"), prefix) is shut
+    assert denies_prefix(session_config(said, "listen"), prefix) is shut
     open_session(said, "listen").close()
     assert (f"no key below {prefix}/" in caplog.text) is shut
 
 
 def access(name: str) -> dict:
-    settings = Zenoh(endpoint=OURS, file=str(SECURE / name))
+    settings = ZenohConfig(endpoint=OURS, file=str(SECURE / name))
     return get(session_config(settings, "listen"), "access_control")
 
 
@@ -298,4 +298,4 @@ def test_both_ready_services_have_the_same_rules():
 @pytest.mark.parametrize("path", sorted(SECURE.glob("*.json5")), ids=lambda path: path.name)
 def test_every_ready_file_is_understood(path: Path):
     role = "listen" if "service" in path.name else "connect"
-    session_config(Zenoh(endpoint=OURS, file=str(path)), role)
+    session_config(ZenohConfig(endpoint=OURS, file=str(path)), role)

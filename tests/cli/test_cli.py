@@ -23,7 +23,7 @@ from edge.cli import commands as run_commands
 from edge.cli import main as cli
 from edge.cli.main import main
 from edge.cli.parsers import make_parser
-from edge.cli.renamed import RENAMED, renew
+from edge.cli.renamed import RENAMED, translate_renamed
 from edge.errors import EXIT_CODES, FAILED, Stopped, UserError
 from edge.host.ports import free_port
 
@@ -330,12 +330,12 @@ def test_output_that_nobody_reads_on_is_no_error():
 
 @pytest.mark.parametrize("old", RENAMED)
 def test_an_old_name_of_a_command_is_taken_with_a_warning(old, monkeypatch):
-    argv, told = renew(["--log-level", "error", *old.split(), "--help"])
+    argv, told = translate_renamed(["--log-level", "error", *old.split(), "--help"])
     assert argv == ["--log-level", "error", *RENAMED[old].split(), "--help"]
     assert told == f"edge {old} is now: edge {RENAMED[old]}"
     assert " ".join(word for word in RENAMED[old].split() if word[0] != "-") in COMMANDS
     assert old not in COMMANDS
-    assert renew(["run", old]) == (["run", old], None)
+    assert translate_renamed(["run", old]) == (["run", old], None)
 
 
 @pytest.mark.parametrize(

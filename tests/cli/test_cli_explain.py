@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from edge.cli import explain
-from edge.config import Mission, TranslatorLtl
+from edge.config import MissionConfig, TranslatorLtl
 from edge.errors import UserError
-from edge.mission.brief import prepare
 from edge.mission.logic import limits
+from edge.mission.spec import prepare
 from edge.text import MAX_CHARS
 
 LONGEST = 1200  # of a refusal: the parts of a contradiction, and what to do
@@ -96,7 +96,7 @@ def test_any_text_is_explained_or_refused_in_one_line(text, formula):
 @given(texts)
 def test_any_text_is_a_target_or_refused_by_the_configuration(text):
     try:
-        mission = Mission(target=text)
+        mission = MissionConfig(target=text)
     except ValidationError as error:
         (fault,) = error.errors()
         assert fault["loc"] == ("target",)
@@ -157,9 +157,11 @@ def test_of_a_formula_however_long_a_line_is_shown(text):
 
 
 def test_what_is_asked_too_much_of_says_which_key_to_raise():
-    mission = Mission(translator=TranslatorLtl(), instruction="F a & F b", compile_limit_steps=10)
+    mission = MissionConfig(
+        translator=TranslatorLtl(), instruction="F a & F b", compile_limit_steps=10
+    )
     with pytest.raises(limits.CompileError, match=r"within 10 steps.*mission\.compile_limit_steps"):
         prepare(mission)
-    few = Mission(translator=TranslatorLtl(), instruction="F a & F b", max_states=2)
+    few = MissionConfig(translator=TranslatorLtl(), instruction="F a & F b", max_states=2)
     with pytest.raises(limits.CompileError, match=r"more than 2 states.*mission\.max_states"):
         prepare(few)

@@ -6,7 +6,7 @@ import argparse
 
 import pytest
 
-from edge.cli.requests import add_arguments, as_text
+from edge.cli.mission import add_arguments, as_text
 
 
 @pytest.mark.parametrize(

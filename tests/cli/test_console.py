@@ -12,14 +12,14 @@ from simulated import simulated
 from task_facts import INSTRUCTION, by_a_model, driving, looking, steps, written
 
 from edge.cli import console
-from edge.cli.console import ConsoleSink, line_of
+from edge.cli.console import ConsoleSink, status_line
 from edge.geometry import SE2
 from edge.logs import CLEAR_LINE
 from edge.loop.latency import LatencyRing
-from edge.loop.result import TickResult, facts_of
+from edge.loop.result import TickResult, mission_facts
 from edge.loop.service import DETECT
-from edge.mission.brief import prepare
 from edge.mission.run import MissionRun
+from edge.mission.spec import prepare
 from edge.tasks.facts import lengths_m
 from edge.types import Goal, MissionStatus
 
@@ -50,7 +50,7 @@ def latency() -> LatencyRing:
 
 
 def test_a_robot_on_its_way():
-    line = line_of(
+    line = status_line(
         result(
             status=MissionStatus("couch", "approaching", elapsed_s=61.26),
             pose=SE2(1.0, 0.0, 0.0),
@@ -77,13 +77,13 @@ def test_a_robot_on_its_way():
 )
 @pytest.mark.parametrize("phase", ["searching", "failed"])
 def test_the_line_names_the_target_and_what_comes_after_it(formula, ahead, phase):
-    line = line_of(of(formula, phase))
+    line = status_line(of(formula, phase))
     assert (ahead if phase == "searching" else "chair |") in line
 
 
 def test_a_long_plan_is_cut():
     things = ("bed", "bench", "bottle", "bowl", "box", "candle", "chair", "clock", "cup", "desk")
-    line = line_of(of(" & ".join(f"F {thing}" for thing in things)))
+    line = status_line(of(" & ".join(f"F {thing}" for thing in things)))
     assert len(line.partition(" | ")[0]) < 120
 
 
@@ -92,7 +92,7 @@ def of(formula: str, phase: str = "searching") -> TickResult:
     run = MissionRun(prepare(config, formula=formula), config)
     run.start(0)
     status = MissionStatus(run.target, phase)
-    return result(status=status, mission=partial(facts_of, run))
+    return result(status=status, mission=partial(mission_facts, run))
 
 
 @pytest.mark.parametrize(("stream", "written"), [(Terminal, 10), (io.StringIO, 1)])
@@ -146,5 +146,5 @@ def test_a_terminal_gets_one_line_that_fits(wall):
 )
 def test_a_task_is_told_by_what_it_is_at(task, line):
     status = MissionStatus("van", "searching", elapsed_s=12.3)
-    told = line_of(result(status=status, pose=SE2(0.0, 0.0, 0.0), task=lambda: task))
+    told = status_line(result(status=status, pose=SE2(0.0, 0.0, 0.0), task=lambda: task))
     assert told.startswith(f"12.3s {line}")

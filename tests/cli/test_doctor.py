@@ -17,7 +17,7 @@ from simulated import simulated
 from edge import config
 from edge.bus.session import open_session
 from edge.cli import doctor, machine_checks
-from edge.cli.onnx_probe import CPU, Probed
+from edge.cli.onnx_probe import CPU, ProbeResult
 from edge.cli.parsers import make_parser
 from edge.host import calibration, machine, resources
 from edge.host.ports import free_port
@@ -43,9 +43,9 @@ def levels(check: machine_checks.Check, settings: config.Config = SIM) -> list[s
     return [finding.level for finding in check(settings)]
 
 
-def ran(*providers: str, fault: str = "") -> Probed | None:
+def ran(*providers: str, fault: str = "") -> ProbeResult | None:
     """What the probe says where these were tried and ran; None where there are none."""
-    return Probed("1.23", providers, providers, fault) if providers else None
+    return ProbeResult("1.23", providers, providers, fault) if providers else None
 
 
 def command(*words: str) -> argparse.Namespace:
@@ -97,7 +97,7 @@ def test_how_fast_this_computer_is(cache):
     (unknown,) = machine_checks.check_speed(SIM)
     assert (unknown.level, "edge bench --calibrate" in unknown.todo) == ("warn", True)
     cache.mkdir()
-    calibration.save(calibration.Calibration(machine.identity(), 1.8, {}))
+    calibration.save(calibration.SpeedCalibration(machine.identity(), 1.8, {}))
     (known,) = machine_checks.check_speed(SIM)
     assert known == machine_checks.Finding(
         "ok", f"{machine.identity()}: 1.8 times slower than the reference computer"
@@ -145,7 +145,7 @@ def test_cores(monkeypatch, cores, level):
     [
         (None, ran(), SIM, []),
         (ORIN, ran(CPU), ONNX, ["warn"]),
-        (ORIN, Probed("1.24", (CUDA, CPU), (CPU,), "fails on the GPU"), ONNX, ["warn"]),
+        (ORIN, ProbeResult("1.24", (CUDA, CPU), (CPU,), "fails on the GPU"), ONNX, ["warn"]),
         (ORIN, ran(CUDA, CPU), ONNX, ["ok"]),
         (ORIN, ran(), TENSORRT, ["ok"]),
     ],
@@ -202,9 +202,9 @@ def test_an_endpoint_that_is_taken():
 
 
 def test_who_may_come_in(tmp_path):
-    assert levels(doctor.check_strangers) == []
+    assert levels(doctor.check_access) == []
     open_ = simulated({"zenoh": {"endpoint": "tcp/0.0.0.0:7447"}})
-    (finding,) = doctor.check_strangers(open_)
+    (finding,) = doctor.check_access(open_)
     assert finding.level == "warn"
     assert finding.what.startswith("tcp/0.0.0.0:7447 is open: whoever reaches it may command")
     users = tmp_path / "users.txt"
@@ -213,17 +213,17 @@ def test_who_may_come_in(tmp_path):
     file = tmp_path / "service.json5"
     file.write_text(f'{{transport: {{auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}}}')
     shut = simulated({"zenoh": {"endpoint": "tcp/0.0.0.0:7447", "file": str(file)}})
-    (finding,) = doctor.check_strangers(shut)
+    (finding,) = doctor.check_access(shut)
     assert (finding.level, finding.todo) == ("warn", f"chmod o= {users}")
     users.chmod(0o600)
-    assert levels(doctor.check_strangers, shut) == []
+    assert levels(doctor.check_access, shut) == []
 
 
 def test_rules_that_are_for_another_prefix_are_told():
     rules = str(resources.data_dir("config") / "secure" / "password-service.json5")
     for prefix, expected in {"edge": [], "robots/a": ["warn"]}.items():
         settings = simulated({"zenoh": {"file": rules, "prefix": prefix}})
-        assert levels(doctor.check_strangers, settings) == expected
+        assert levels(doctor.check_access, settings) == expected
 
 
 def test_the_token_of_the_pages_is_looked_at(tmp_path):
@@ -232,10 +232,10 @@ def test_the_token_of_the_pages_is_looked_at(tmp_path):
     assert [f.level for f in doctor.examine(settings) if str(token) in f.what] == ["fail"]
     token.write_text("0123456789abcdef")
     token.chmod(0o604)
-    (finding,) = doctor.check_strangers(settings)
+    (finding,) = doctor.check_access(settings)
     assert (finding.level, finding.todo) == ("warn", f"chmod o= {token}")
     token.chmod(0o600)
-    assert levels(doctor.check_strangers, settings) == []
+    assert levels(doctor.check_access, settings) == []
 
 
 def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
@@ -251,8 +251,8 @@ def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
         ((), ran(), TENSORRT, ["warn"]),
         (("onnxruntime",), ran("Other"), ONNX, ["ok", "fail"]),
         (("onnxruntime", "onnxruntime-gpu"), ran(CPU), SIM, ["warn", "ok"]),
-        (("onnxruntime",), Probed("1.23", (CPU,), (), "crashes"), SIM, ["warn"]),
-        (("onnxruntime",), Probed("1.23", (CPU,), (), "crashes"), ONNX, ["fail"]),
+        (("onnxruntime",), ProbeResult("1.23", (CPU,), (), "crashes"), SIM, ["warn"]),
+        (("onnxruntime",), ProbeResult("1.23", (CPU,), (), "crashes"), ONNX, ["fail"]),
         (("onnxruntime-gpu",), ran(CPU, fault="fails on the GPU"), ONNX, ["warn"]),
     ],
 )
@@ -266,7 +266,7 @@ def test_onnxruntime(monkeypatch, installed, probed, settings, expected):
 
 def test_an_onnxruntime_that_crashes_is_one_line(monkeypatch):
     """And nothing that would have it crash in this process is tried after that."""
-    dead = Probed("1.23", (CPU,), (), f"crashes (SIGSEGV) when it runs a model on {CPU}")
+    dead = ProbeResult("1.23", (CPU,), (), f"crashes (SIGSEGV) when it runs a model on {CPU}")
     monkeypatch.setattr(doctor, "probe", lambda: dead)
     monkeypatch.setattr(machine_checks, "probe", lambda: dead)
     crashing = ("check_onnxruntime", "check_vocabulary", "check_scorers")

@@ -13,18 +13,18 @@ import pytest
 from simulated import simulated
 
 from edge.cli import doctor
-from edge.cli.live_checks import listen
+from edge.cli.live_checks import check_live_sensors
 from edge.cli.parsers import make_parser
 from edge.config import Config
 from edge.geometry import SE2, CameraModel
 from edge.host.ports import free_port
-from edge.loop.source import InputRow
+from edge.loop.source import InputStatus
 from edge.types import Observation
 
 CAMERA = CameraModel.from_hfov(64, 48, math.radians(70))
 WALL_M = 4.0  # ahead of where the robot starts
 MOUNT = {"x_m": 0.1, "z_m": 0.5, "pitch_deg": 15.0, "rate_hz": 10.0}
-ROW = InputRow("camera/depth", "edge/camera/depth", "depth_m", True, "ok", "", 10.0, 10.0, 0.1,
+ROW = InputStatus("camera/depth", "edge/camera/depth", "depth_m", True, "ok", "", 10.0, 10.0, 0.1,
                100, {})  # fmt: skip
 Change = Callable[[dict], object]
 
@@ -33,7 +33,7 @@ class Scripted:
     """A source that shows a floor and a wall, or what a test makes of that."""
 
     change: Change = staticmethod(lambda fields: None)
-    rows: tuple[InputRow, ...] = ()
+    rows: tuple[InputStatus, ...] = ()
 
     def __init__(self, config: Config) -> None:
         self.counters: dict[str, int] = {}
@@ -41,7 +41,7 @@ class Scripted:
         self.epoch, self.pose = 0, None
         self._T, self._n = config.sensors.camera.T_base_camera(), 0
 
-    def input_table(self) -> tuple[InputRow, ...]:
+    def input_table(self) -> tuple[InputStatus, ...]:
         return self.rows
 
     def poll(self) -> Observation | None:
@@ -78,7 +78,7 @@ def heard(monkeypatch) -> Callable[..., list[tuple[str, str]]]:
     """Findings that need something done, as (level, text)."""
 
     def listened(
-        change: Change, rows: tuple[InputRow, ...] = (ROW,), seconds: float = 0.8
+        change: Change, rows: tuple[InputStatus, ...] = (ROW,), seconds: float = 0.8
     ) -> list[tuple[str, str]]:
         monkeypatch.setattr(Scripted, "change", staticmethod(change))
         monkeypatch.setattr(Scripted, "rows", rows)
@@ -86,7 +86,7 @@ def heard(monkeypatch) -> Callable[..., list[tuple[str, str]]]:
             "source": {"kind": f"{__name__}:Scripted"}, "sensors": {"camera": MOUNT},
             "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
         })  # fmt: skip
-        findings = listen(config, seconds)
+        findings = check_live_sensors(config, seconds)
         assert all(bool(found.todo) == (found.level != "ok") for found in findings)
         return [(found.level, found.what) for found in findings if found.level != "ok"]
 

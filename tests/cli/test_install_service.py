@@ -17,7 +17,7 @@ from edge.cli import install_service
 from edge.cli.install_service import unit
 from edge.cli.main import main
 from edge.config import Config
-from edge.errors import EXIT_CODES, WILL_NOT_MEND, ConfigError, UserError
+from edge.errors import EXIT_CODES, PERMANENT, ConfigError, UserError
 
 MOST_EXPOSED = 2.0
 ANALYZE = pytest.mark.skipif(
@@ -97,10 +97,10 @@ def test_it_runs_this_installation_with_that_configuration(anywhere):
 
 def test_what_a_restart_would_not_mend_is_not_restarted(anywhere):
     (codes,) = lines(unit(settings(), "edge", None), "RestartPreventExitStatus")
-    assert tuple(map(int, codes.split())) == WILL_NOT_MEND
-    assert set(WILL_NOT_MEND) < EXIT_CODES.keys()
+    assert tuple(map(int, codes.split())) == PERMANENT
+    assert set(PERMANENT) < EXIT_CODES.keys()
     page = (Path(__file__).parents[2] / "docs/service.md").read_text(encoding="utf-8")
-    assert " ".join(page.split()).count("not after {}, {} and {}".format(*WILL_NOT_MEND)) == 1
+    assert " ".join(page.split()).count("not after {}, {} and {}".format(*PERMANENT)) == 1
 
 
 @pytest.mark.parametrize(

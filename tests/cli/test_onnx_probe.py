@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from edge.cli import onnx_probe
-from edge.cli.onnx_probe import CPU, Probed, probe
+from edge.cli.onnx_probe import CPU, ProbeResult, probe
 
 CUDA = "CUDAExecutionProvider"
 DIES = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
@@ -39,7 +39,7 @@ def module(*available: str, on_open: str = "pass", on_cuda: str = "pass") -> str
     return MODULE.format(available=named, on_open=on_open, on_cuda=on_cuda)
 
 
-def probe_of(source: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Probed | None:
+def probe_of(source: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> ProbeResult | None:
     """The answer where a stand-in of this source comes before the real module."""
     (folder / "onnxruntime.py").write_text(source)
     monkeypatch.setenv("PYTHONPATH", str(folder))
@@ -63,14 +63,14 @@ def test_it_is_not_installed(monkeypatch):
 @pytest.mark.parametrize(
     ("source", "expected"),
     [
-        (DIES, Probed("", (), (), "crashes (SIGSEGV) when it is imported")),
+        (DIES, ProbeResult("", (), (), "crashes (SIGSEGV) when it is imported")),
         (
             module(CPU, on_open=DIES),
-            Probed("1.0", (CPU,), (), f"crashes (SIGSEGV) when it runs a model on {CPU}"),
+            ProbeResult("1.0", (CPU,), (), f"crashes (SIGSEGV) when it runs a model on {CPU}"),
         ),
         (
             "raise ImportError('libgomp.so.1: no such file')",
-            Probed(
+            ProbeResult(
                 "",
                 (),
                 (),
@@ -79,14 +79,14 @@ def test_it_is_not_installed(monkeypatch):
         ),
         (
             module(CUDA, CPU, on_cuda="raise RuntimeError('no kernel image')"),
-            Probed(
+            ProbeResult(
                 "1.0",
                 (CUDA, CPU),
                 (CPU,),
                 f"fails when it runs a model on {CUDA}: RuntimeError: no kernel image",
             ),
         ),
-        (module(CUDA, CPU), Probed("1.0", (CUDA, CPU), (CPU, CUDA))),
+        (module(CUDA, CPU), ProbeResult("1.0", (CUDA, CPU), (CPU, CUDA))),
     ],
     ids=["dies-at-import", "dies-at-a-session", "no-import", "no-code-for-the-gpu", "both-run"],
 )
@@ -97,4 +97,4 @@ def test_what_became_of_it(source, expected, tmp_path, monkeypatch):
 def test_one_that_hangs(tmp_path, monkeypatch):
     monkeypatch.setattr(onnx_probe, "LIMIT_S", 0.5)
     probed = probe_of("import time; time.sleep(3600)", tmp_path, monkeypatch)
-    assert probed == Probed("", (), (), "fails when it is imported: no answer within 0.5 s")
+    assert probed == ProbeResult("", (), (), "fails when it is imported: no answer within 0.5 s")

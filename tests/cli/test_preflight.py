@@ -180,7 +180,7 @@ def test_a_missing_extra_is_told_before_anything_is_loaded(package, sections, sa
 def test_what_cannot_be_opened_is_told_before_kernels_are_compiled(monkeypatch):
     monkeypatch.setattr(launch, "warm_up", None)
     monkeypatch.setattr(launch, "make_detector", None)
-    config = launch.on_a_free_port(simulated({"sinks": [f"{__name__}:Fails"]}))
+    config = launch.with_free_port(simulated({"sinks": [f"{__name__}:Fails"]}))
     with (
         pytest.raises(UserError, match=r"sinks\.0\.options: .*: OSError: no such printer"),
         open_service(config, []),

@@ -160,7 +160,7 @@ def small(tmp_path, monkeypatch) -> Path:
 def test_a_variant_of_the_fp32_that_is_here_needs_no_weights(small, name, capsys, monkeypatch):
     from exporters.__main__ import main
 
-    monkeypatch.setattr("edge.host.bars.LOG_PERIOD_S", 0.0)
+    monkeypatch.setattr("edge.host.progress.LOG_PERIOD_S", 0.0)
 
     def run(card, *options):
         folders = ["--cache", str(small), "--cards", str(small)]

@@ -19,7 +19,7 @@ import tiny_folders
 import torch
 import transformers
 
-from edge.config import Perception
+from edge.config import PerceptionConfig
 from edge.host import resources
 from edge.models.check import check_model
 from edge.perception.embedding.clip import ClipImageEncoder, ClipTextEncoder
@@ -175,7 +175,7 @@ def test_every_step_keeps_its_parity(models, kind, precision):
 
 
 def perception(similarity):
-    return Perception(similarity=similarity, detector={"kind": "sim"})
+    return PerceptionConfig(similarity=similarity, detector={"kind": "sim"})
 
 
 @pytest.mark.parametrize("kind", ["clip", "siglip"])

@@ -139,7 +139,7 @@ def run_of(frames, tmp_path_factory):
     """A checkpoint of two steps, and which run it is of."""
     path = tmp_path_factory.mktemp("run") / "checkpoint.pt"
     training.train(frames, plan(2), path)
-    return path, checkpoint.describe(plan(2), len(frames), 1, "cpu")
+    return path, checkpoint.run_identity(plan(2), len(frames), 1, "cpu")
 
 
 @pytest.mark.parametrize(

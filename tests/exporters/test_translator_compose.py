@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from random import Random
 
-from edge.mission.language.compact import NAMES, OPERATORS, REFUSED, arity, formula_of
+from edge.mission.language.prefix_notation import NAMES, OPERATORS, REFUSED, arity, formula_of
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import propositions
-from exporters.training.translator.compose import Composer, lifted, load
+from exporters.training.translator.compose import Composer, delexicalised, load
 
 PHRASES = load()
 THINGS = ("sofa", "bed", "oven", "chair", "desk", "lamp", "door", "window")
@@ -18,7 +18,9 @@ def test_every_phrase_can_be_said() -> None:
     composer = Composer(PHRASES, Random(0))
     for family in PHRASES.families:
         assert all(token in OPERATORS or token in "abcde" for token in family.tokens)
-        compile_formula(formula_of(lifted(_said(family.letters), family.tokens).tokens, THINGS))
+        compile_formula(
+            formula_of(delexicalised(_said(family.letters), family.tokens).tokens, THINGS)
+        )
         for template in family.templates:
             words = composer.filled(template)
             assert not set("{}()|") & set(words), template
@@ -33,7 +35,7 @@ def _said(letters: list[str]) -> str:
 
 
 def test_names_are_numbered_as_they_are_named() -> None:
-    pair = lifted("don't go to $b before $a", ["W", "!", "b", "a"])
+    pair = delexicalised("don't go to $b before $a", ["W", "!", "b", "a"])
     assert pair.words == ("do", "not", "go", "to", "<0>", "before", "<1>")
     assert pair.tokens == ("W", "!", "<0>", "<1>")
 

@@ -12,9 +12,9 @@ import yaml
 
 torch = pytest.importorskip("torch")
 
-from edge.lab.eval.translate import Case  # noqa: E402
-from edge.mission.language.compact import NAMES  # noqa: E402
-from edge.mission.language.network import Network  # noqa: E402
+from edge.lab.eval.translate import TranslationCase  # noqa: E402
+from edge.mission.language.network import TranslationNetwork  # noqa: E402
+from edge.mission.language.prefix_notation import NAMES  # noqa: E402
 from edge.mission.logic.ltl import parse  # noqa: E402
 from edge.perception.runtime.cards import read_card  # noqa: E402
 from edge.perception.runtime.onnx_file import check_file  # noqa: E402
@@ -40,12 +40,12 @@ PLAN = replace(COMPOSED, steps=4, pairs=4, keep_every=2)
 
 def test_what_people_wrote_becomes_pairs() -> None:
     cases = [
-        Case("", "go to b by a", parse("F (a & F b)")),
-        Case("", "never visit c until a", parse("!c U a")),
-        Case("", "visit a twice", parse("F (a & F (!a & F a))")),
-        Case("", "go to b", parse("F a")),  # names another thing
-        Case("", "visit a \x1b", parse("F a")),
-        Case("", "dance a", parse("a U X X X a")),  # no family means this
+        TranslationCase("", "go to b by a", parse("F (a & F b)")),
+        TranslationCase("", "never visit c until a", parse("!c U a")),
+        TranslationCase("", "visit a twice", parse("F (a & F (!a & F a))")),
+        TranslationCase("", "go to b", parse("F a")),  # names another thing
+        TranslationCase("", "visit a \x1b", parse("F a")),
+        TranslationCase("", "dance a", parse("a U X X X a")),  # no family means this
     ]  # fmt: skip
     assert human_pairs(cases, PHRASES) == [
         Pair(("go", "to", "<0>", "by", "<1>"), ("F", "&", "<1>", "F", "<0>")),
@@ -83,11 +83,11 @@ def parity_of(net: object, folder: Path) -> float:
     path = folder / "translator.onnx"
     off = export(net, WORDS, path)
     assert off == pytest.approx(parity(net, path), abs=0.05)
-    network = Network.of_file(path)
+    network = TranslationNetwork.from_file(path)
     assert network.tokens == WORDS.tokens
     written = network.formulas(("go", "to", "<0>"), 1)
     assert np.exp([one.log_p for one in written]).sum() <= 1.0 + 1e-6
-    assert np.isfinite(network.tellings(("F", NAMES[0]), [("go", "to", "<0>")]))
+    assert np.isfinite(network.back_translation_log_p(("F", NAMES[0]), [("go", "to", "<0>")]))
     return off
 
 

@@ -20,12 +20,12 @@ from onnx import numpy_helper
 
 from edge.host.files import MAX_TEXT_BYTES
 from edge.perception.runtime.cards import load_card
-from edge.perception.scoring.vlm.model import Asked, LanguageModel
+from edge.perception.scoring.vlm.model import LanguageModel, MultipleChoice
 from exporters import vlm, vlm_files, vlm_quantize
 from exporters.__main__ import main
 from exporters.files import ExportError, sha256_of
 from exporters.images import read_rgb
-from exporters.vlm_parity import Chain, places_of, questions
+from exporters.vlm_parity import OnnxPipeline, position_ids_of, questions
 
 pytestmark = [pytest.mark.export, pytest.mark.timeout(600)]
 
@@ -83,7 +83,7 @@ def originals(folders):
     for kind, folder in folders.items():
         model, networks = vlm.load_model(folder)
         asked = questions(folder, model.config.image_token_id)
-        found[kind] = vlm.TorchOriginal(model, networks.prepare), asked
+        found[kind] = vlm.TorchReference(model, networks.prepare), asked
     return found
 
 
@@ -99,12 +99,12 @@ def rgb(photos):
 def test_the_three_files_answer_as_the_model(cache, originals, rgb, kind):
     """All logits of the last token, not the letters' alone."""
     original, asked = originals[kind]
-    chain, shown = Chain(files_of(cache, kind, "fp32")), original.show(rgb)
+    chain, shown = OnnxPipeline(files_of(cache, kind, "fp32")), original.show(rgb)
     features = chain.features(shown.feeds)
     np.testing.assert_allclose(features, shown.features, atol=2e-5)
     for question in asked:
         ids = question.ids(len(features))
-        places = places_of(ids, question.image, shown.grid, original.merge)
+        places = position_ids_of(ids, question.image, shown.grid, original.merge)
         logits, _ = chain.read(chain.rows(ids, question.image, features), places)
         np.testing.assert_allclose(logits, original.logits(question, shown), atol=2e-5)
 
@@ -113,9 +113,9 @@ def test_the_three_files_answer_as_the_model(cache, originals, rgb, kind):
 @pytest.mark.parametrize(("kind", "precision"), [("idefics3", "q4f16"), ("qwen2_vl", "fp32")])
 def test_reading_on_is_reading_at_once(cache, originals, rgb, kind, precision, cut):
     original, asked = originals[kind]
-    chain, shown = Chain(files_of(cache, kind, precision)), original.show(rgb)
+    chain, shown = OnnxPipeline(files_of(cache, kind, precision)), original.show(rgb)
     ids = asked[0].ids(len(shown.features))
-    places = places_of(ids, asked[0].image, shown.grid, original.merge)
+    places = position_ids_of(ids, asked[0].image, shown.grid, original.merge)
     rows = chain.rows(ids, asked[0].image, shown.features)
     at_once, whole = chain.read(rows, places)
     _, past = chain.read(rows[:, :cut], places[..., :cut])
@@ -154,7 +154,7 @@ def test_tiles_and_pixels_that_are_not_there(cache, originals):
             **{key: torch.from_numpy(value) for key, value in feeds.items()}
         ).pooler_output
     wanted = torch.cat(tuple(wanted)).numpy().reshape(-1, wanted[0].shape[-1])
-    found = Chain(files_of(cache, "idefics3", "fp32")).features(feeds)
+    found = OnnxPipeline(files_of(cache, "idefics3", "fp32")).features(feeds)
     np.testing.assert_allclose(found, wanted, atol=2e-5)
 
 
@@ -162,14 +162,14 @@ def test_tiles_and_pixels_that_are_not_there(cache, originals):
 def test_a_picture_of_another_grid_than_the_traced_one(cache, originals, hw):
     original, _ = originals["qwen2_vl"]
     shown = original.show(np.random.default_rng(0).integers(0, 256, (*hw, 3), np.uint8))
-    found = Chain(files_of(cache, "qwen2_vl", "fp32")).features(shown.feeds)
+    found = OnnxPipeline(files_of(cache, "qwen2_vl", "fp32")).features(shown.feeds)
     np.testing.assert_allclose(found, shown.features, atol=2e-5)
 
 
 def test_places_of_a_text_and_of_a_picture_in_it():
     ids = np.array([[5, 9, 9, 9, 9, 6]])
-    np.testing.assert_array_equal(places_of(ids, 9, None, 1), [range(6)])
-    threefold = places_of(ids, 9, np.array([[1, 4, 4]]), 2)
+    np.testing.assert_array_equal(position_ids_of(ids, 9, None, 1), [range(6)])
+    threefold = position_ids_of(ids, 9, np.array([[1, 4, 4]]), 2)
     wanted = [[0, 1, 1, 1, 1, 3], [0, 1, 1, 2, 2, 3], [0, 1, 2, 1, 2, 3]]
     np.testing.assert_array_equal(threefold[:, 0], wanted)
 
@@ -257,10 +257,10 @@ def test_weights_that_one_file_does_not_hold_are_beside_it(
     onnx_folder = tmp_path / "models" / "big" / "onnx"
     assert (onnx_folder / "decoder_model_merged.onnx").stat().st_size < 100_000
     original, asked = originals["idefics3"]
-    chain, shown = Chain([onnx_folder / f"{name}.onnx" for name in MAIN]), original.show(rgb)
+    chain, shown = OnnxPipeline([onnx_folder / f"{name}.onnx" for name in MAIN]), original.show(rgb)
     ids = asked[0].ids(len(shown.features))
     rows = chain.rows(ids, asked[0].image, chain.features(shown.feeds))
-    logits, _ = chain.read(rows, places_of(ids, asked[0].image, None, 1))
+    logits, _ = chain.read(rows, position_ids_of(ids, asked[0].image, None, 1))
     np.testing.assert_allclose(logits, original.logits(asked[0], shown), atol=2e-5)
 
 
@@ -284,8 +284,8 @@ def test_the_service_asks_it(cache, monkeypatch, rgb, kind, precision):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(cache))
     card = load_card(f"{name_of(kind)}-{precision}")
     asked = [
-        Asked("Which way? A, B or C", tuple("ABC")),
-        Asked("Is it?", ("Yes", "No")),
+        MultipleChoice("Which way? A, B or C", tuple("ABC")),
+        MultipleChoice("Is it?", ("Yes", "No")),
     ]
     model = LanguageModel(card, asked)
     for p, one in zip(model.ask("Be brief.", rgb, asked, 60.0), asked, strict=True):

@@ -7,19 +7,19 @@ import dataclasses
 import pytest
 from fake_robots import LIMITS
 
-from edge.fleet.dispatch import Dispatcher, Plan, plan
-from edge.fleet.orders import TRIES, Outcome, Part
-from edge.fleet.roster import Account, Body, Past, Robot
-from edge.mission.brief import prepare
+from edge.fleet.dispatch import Dispatcher, FleetPlan, plan
+from edge.fleet.orders import MAX_TRIES, MissionPart, PartOutcome
+from edge.fleet.roster import PastMission, Robot, RobotState, StatusReply
+from edge.mission.spec import prepare
 
 PATIENCE_S = 10.0
-BODY = Body((0.0, 0.0, 0.0), "answers", (), {})
-BED = Part("m.1", "F bed", "Reach the bed.", ("bed",))
+BODY = RobotState((0.0, 0.0, 0.0), "answers", (), {})
+BED = MissionPart("m.1", "F bed", "Reach the bed.", ("bed",))
 
 
 def robot(name: str, at: str = "", phase: str = "idle", reason: str = "", **known: float) -> Robot:
     body = dataclasses.replace(BODY, known=known)
-    return Robot(name, Account(at, "words", phase, reason, "x", 0.0, (), body))
+    return Robot(name, StatusReply(at, "words", phase, reason, "x", 0.0, (), body))
 
 
 FREE = robot("b")
@@ -36,11 +36,13 @@ class Fleet:
         accepts: whether robots answer what they are told to do.
     """
 
-    def __init__(self, *parts: Part, accepts: bool = False) -> None:
+    def __init__(self, *parts: MissionPart, accepts: bool = False) -> None:
         self.robots: dict[str, Robot] | None = {}
         self.accepts, self.now_s, self.told = accepts, 0.0, []
         clock = lambda: self.now_s  # noqa: E731
-        self.dispatcher = Dispatcher(self, Plan("m", parts), self.told.append, PATIENCE_S, clock)
+        self.dispatcher = Dispatcher(
+            self, FleetPlan("m", parts), self.told.append, PATIENCE_S, clock
+        )
 
     def seen(self):
         return self.robots
@@ -139,15 +141,15 @@ def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
     """Whatever it reports in between, and though nobody else is there."""
     fleet = Fleet(BED, accepts=True)
     gives, now_s = 0, 0.0
-    for _ in range(3 * TRIES):
+    for _ in range(3 * MAX_TRIES):
         for there in (robot("a"), *between):
             now_s += 1.0
             orders = fleet.look(now_s, there)
             gives += len(orders.give)
-    assert gives == TRIES
+    assert gives == MAX_TRIES
     fleet.look(now_s + 100.0, robot("a"))
     assert fleet.look(now_s + 200.0, robot("a")).outcomes == {
-        "m.1": Outcome("failed", "a", "a: it lost the part")
+        "m.1": PartOutcome("failed", "a", "a: it lost the part")
     }
 
 
@@ -155,8 +157,8 @@ def test_a_mission_is_taken_up_while_a_part_is_under_way_though_one_look_finds_a
     brief = prepare(LIMITS, instruction="go to the bed and the sofa")
     first = plan(brief, LIMITS, {}, share=True)
     bed, sofa = (part.id for part in first.parts)
-    past = (Past(sofa, "failed", "no sofa"),)
-    account = dataclasses.replace(robot("a", bed, "searching").account, past=past)
+    past = (PastMission(sofa, "failed", "no sofa"),)
+    account = dataclasses.replace(robot("a", bed, "searching").status_reply, past=past)
     assert plan(brief, LIMITS, {"a": Robot("a", account)}, share=True) == first
     over = dataclasses.replace(account, phase="reached")
     assert plan(brief, LIMITS, {"a": Robot("a", over)}, share=True).id != first.id

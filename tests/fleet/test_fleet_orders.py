@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from edge.fleet.orders import DOUBLED, Cancel, Outcome, Part, decide
-from edge.fleet.roster import Account, Body, Past, Robot
+from edge.fleet.orders import DUPLICATE_REASON, Cancellation, MissionPart, PartOutcome, decide
+from edge.fleet.roster import PastMission, Robot, RobotState, StatusReply
 
-BED = Part("m.1", "F bed", "Reach the bed.", ("bed",))
-SOFA = Part("m.2", "F sofa", "Reach the sofa.", ("sofa",))
+BED = MissionPart("m.1", "F bed", "Reach the bed.", ("bed",))
+SOFA = MissionPart("m.2", "F sofa", "Reach the sofa.", ("sofa",))
 
 
 def robot(
@@ -22,9 +22,9 @@ def robot(
     elapsed_s: float = 0.0,
     **known_m: float,
 ) -> Robot:
-    body = Body((0.0, 0.0, 0.0), controller, amiss, known_m)
-    outcomes = tuple(Past(*entry) for entry in past)
-    return Robot(name, Account(at, "words", phase, reason, "x", elapsed_s, outcomes, body))
+    body = RobotState((0.0, 0.0, 0.0), controller, amiss, known_m)
+    outcomes = tuple(PastMission(*entry) for entry in past)
+    return Robot(name, StatusReply(at, "words", phase, reason, "x", elapsed_s, outcomes, body))
 
 
 def orders(parts, *robots: Robot, away=None, refused=None):
@@ -56,7 +56,7 @@ def test_nobody_and_nothing():
         ([Robot("a", problem="no answer within 2 s")], {}),
         # Who failed at a part does not get it again; who was doubled may, by another name.
         ([robot("a", past=(("m.1", "failed", "no bed"),)), robot("b")], {"m.2": "a", "m.1": "b"}),
-        ([robot("a", "m.1", "failed", reason=DOUBLED)], {"m.1~1": "a"}),
+        ([robot("a", "m.1", "failed", reason=DUPLICATE_REASON)], {"m.1~1": "a"}),
         ([robot("a", "m.1", "reached"), robot("b", "m.2~1", "paused")], {}),
         ([robot("a", past=(("m.1", "reached", ""),)), robot("b")], {"m.2": "a"}),
     ],
@@ -66,11 +66,11 @@ def test_parts_go_to_the_free_robot_that_suits_best(robots, expected):
 
 
 def test_a_part_for_one_robot_goes_to_no_other():
-    mine = Part("m.1", "F bed", "", ("bed",), only="b")
+    mine = MissionPart("m.1", "F bed", "", ("bed",), only="b")
     assert given([mine], robot("a", bed=1.0), robot("b")) == {"m.1": "b"}
     assert given([mine], robot("a"), robot("b", "x", "searching")) == {}
     gone = orders([mine], robot("a"))
-    assert gone.outcomes == {"m.1": Outcome("failed", "b", "it is offline")}
+    assert gone.outcomes == {"m.1": PartOutcome("failed", "b", "it is offline")}
     assert orders([mine], robot("a"), away={"m.1": "b"}).under_way == {"m.1": "b"}
 
 
@@ -81,17 +81,17 @@ def test_a_robot_that_is_gone_keeps_its_part_for_a_while():
 
 def test_what_a_person_cancelled_is_given_to_nobody():
     end = orders([BED, SOFA], robot("a", "m.1", "failed", reason="cancelled"), robot("b"))
-    assert end.outcomes == {"m.1": Outcome("failed", "a", "cancelled")}
+    assert end.outcomes == {"m.1": PartOutcome("failed", "a", "cancelled")}
     assert end.give == ()
 
 
 def test_what_is_settled_stays_so_whatever_becomes_of_the_robots():
-    stopped = {"m.1": Outcome("failed", "a", "cancelled")}
+    stopped = {"m.1": PartOutcome("failed", "a", "cancelled")}
     end = decide([BED, SOFA], {"b": robot("b")}, {}, {}, stopped)
     assert (end.outcomes, end.give) == (stopped, ())
-    done = {"m.1": Outcome("reached", "a", "seen")}
+    done = {"m.1": PartOutcome("reached", "a", "seen")}
     on = decide([BED, SOFA], {"b": robot("b", "m.1", "searching"), "c": robot("c")}, {}, {}, done)
-    assert (on.outcomes, on.cancel) == (done, (Cancel("b", "m.1"),))
+    assert (on.outcomes, on.cancel) == (done, (Cancellation("b", "m.1"),))
     assert [(give.id, give.robot) for give in on.give] == [("m.2", "c")]
 
 

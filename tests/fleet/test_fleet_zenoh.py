@@ -27,7 +27,7 @@ from edge.errors import UserError
 from edge.fleet import dispatch, roster
 from edge.fleet.dispatch import Dispatcher, plan
 from edge.fleet.roster import Robot, open_roster
-from edge.mission.brief import prepare
+from edge.mission.spec import prepare
 
 FAKE = Path(__file__).parents[1] / "fake_robots.py"
 THREE = "go to the bed, the sofa and the tv in any order; never go to the toilet"
@@ -59,7 +59,7 @@ def robots(port) -> Iterator[Callable[..., FakeRobot]]:
             robot = FakeRobot(port, name, announced=announced, **options)
             stack.callback(robot.close)
             if announced:
-                eventually(lambda: f"robots/{name}" in presence.prefixes(other, "robots/*"))
+                eventually(lambda: f"robots/{name}" in presence.online_sessions(other, "robots/*"))
             return robot
 
         yield make
@@ -349,7 +349,7 @@ def test_of_two_that_start_at_the_same_moment_one_stays(port, robots, monkeypatc
     else:
         assert [stays(robot) for robot in two] == [True, False]
     with open_roster(settings_of(port, "any")) as seen:
-        eventually(lambda: seen.look().get("anna", Robot("anna")).account)
+        eventually(lambda: seen.look().get("anna", Robot("anna")).status_reply)
 
 
 def test_two_services_that_came_together_later_are_shown(port, robots):
@@ -359,7 +359,7 @@ def test_two_services_that_came_together_later_are_shown(port, robots):
         with open_roster(settings_of(port, "any")) as seen:
             eventually(lambda: "2 services use this name" in seen.look()["anna"].problem)
             token.undeclare()
-            eventually(lambda: seen.look()["anna"].account)
+            eventually(lambda: seen.look()["anna"].status_reply)
 
 
 @pytest.fixture

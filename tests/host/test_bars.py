@@ -7,7 +7,7 @@ import io
 
 import pytest
 
-from edge.host import bars
+from edge.host import progress
 
 
 class Terminal(io.StringIO):
@@ -18,18 +18,18 @@ class Terminal(io.StringIO):
 @pytest.fixture
 def at_once(monkeypatch):
     """Each state is shown."""
-    monkeypatch.setattr(bars, "LOG_PERIOD_S", 0.0)
-    monkeypatch.setattr(bars, "TERMINAL_PERIOD_S", 0.0)
+    monkeypatch.setattr(progress, "LOG_PERIOD_S", 0.0)
+    monkeypatch.setattr(progress, "TERMINAL_PERIOD_S", 0.0)
 
 
 def test_work_that_is_soon_done_shows_nothing(capsys):
-    assert list(bars.counted("tasks", "abc")) == ["a", "b", "c"]
+    assert list(progress.with_progress("tasks", "abc")) == ["a", "b", "c"]
     assert capsys.readouterr().err == ""
 
 
 @pytest.mark.usefixtures("at_once")
 def test_a_log_gets_lines(capsys):
-    assert list(bars.counted("tasks", "ab")) == ["a", "b"]
+    assert list(progress.with_progress("tasks", "ab")) == ["a", "b"]
     shown = capsys.readouterr().err
     first, half, whole = shown.splitlines()
     assert first.startswith("tasks:   0%")
@@ -42,7 +42,7 @@ def test_a_log_gets_lines(capsys):
 def test_a_terminal_is_rewritten_and_left_clean():
     with (
         contextlib.redirect_stderr(Terminal()) as stream,
-        bars.Bar("tasks\x1b[2J", 4, done=1) as bar,
+        progress.ProgressBar("tasks\x1b[2J", 4, done=1) as bar,
     ):
         bar.reach(3)
     text = stream.getvalue()
@@ -55,6 +55,6 @@ def test_a_terminal_is_rewritten_and_left_clean():
 
 @pytest.mark.usefixtures("at_once")
 def test_bytes_of_an_unknown_total(capsys):
-    with bars.Bar("w.pt", None, unit="B", unit_scale=True) as bar:
+    with progress.ProgressBar("w.pt", None, unit="B", unit_scale=True) as bar:
         bar.reach(5_000_000)
     assert "w.pt: 5.00MB [" in capsys.readouterr().err

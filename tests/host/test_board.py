@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from edge.host.board import Board, distress, read_board
+from edge.host.board import BoardReading, read_board, throttling_reason
 
-NOTHING = Board({}, {}, {}, {}, {}, {}, None)
+NOTHING = BoardReading({}, {}, {}, {}, {}, {}, None)
 THERMAL, HWMON = "sys/class/thermal", "sys/class/hwmon"
 
 
@@ -83,10 +83,10 @@ def put(root: Path, files: dict[str, str | bytes]) -> Path:
     ("files", "expected"),
     [
         ({}, NOTHING),
-        (MEMORY, Board({}, {}, {}, {}, {}, {"total": 1024000, "available": 409600}, None)),
+        (MEMORY, BoardReading({}, {}, {}, {}, {}, {"total": 1024000, "available": 409600}, None)),
         (
             ORIN,
-            Board(
+            BoardReading(
                 {"cpu-thermal": 51.687, "tj-thermal": 52.0},
                 {("cpu-thermal", "passive"): 95.5, ("cpu-thermal", "hot"): 104.5,
                  ("cpu-thermal", "critical"): 105.0},
@@ -99,12 +99,12 @@ def put(root: Path, files: dict[str, str | bytes]) -> Path:
         ),
         (
             THOR,
-            Board(
+            BoardReading(
                 {"cpu-thermal": 41.0}, {}, {"soc345-throttle-alert": 0.0, "devfreq-gpu-gpc-0": 0.0},
                 {}, {"VIN": 22.5}, {}, None,
             ),
         ),
-        (LAPTOP, Board({"acpitz": 47.0}, {}, {"Processor": 0.5, "intel_powerclamp": 0.0},
+        (LAPTOP, BoardReading({"acpitz": 47.0}, {}, {"Processor": 0.5, "intel_powerclamp": 0.0},
                        {}, {}, {}, None)),
     ],
     ids=["nothing", "memory only", "Orin", "Thor", "laptop"],
@@ -131,7 +131,7 @@ GARBAGE = [
 def test_a_sensor_that_holds_garbage_costs_its_own_figure_only(tmp_path, file, garbage, lost):
     whole = read_board(put(tmp_path / "whole", ORIN))
     damaged = read_board(put(tmp_path / "damaged", {**ORIN, file: garbage}))
-    for name in Board.__slots__:
+    for name in BoardReading.__slots__:
         before, after = getattr(whole, name), getattr(damaged, name)
         if name == lost:
             assert len(after) == len(before) - 1
@@ -143,9 +143,9 @@ def test_a_sensor_that_holds_garbage_costs_its_own_figure_only(tmp_path, file, g
 def test_a_file_that_vanishes_or_is_a_folder_raises_nothing(tmp_path, gone):
     root = put(tmp_path, ORIN)
     (root / gone).unlink()
-    assert isinstance(read_board(root), Board)
+    assert isinstance(read_board(root), BoardReading)
     (root / gone).mkdir()
-    assert isinstance(read_board(root), Board)
+    assert isinstance(read_board(root), BoardReading)
 
 
 WARM = replace(
@@ -172,4 +172,4 @@ WARM = replace(
     ],
 )  # fmt: skip
 def test_distress_is_what_slows_the_board_down_or_soon_will(board, before, margin_c, why):
-    assert distress(board, before, margin_c) == why
+    assert throttling_reason(board, before, margin_c) == why

@@ -11,7 +11,7 @@ from edge.errors import UserError
 from edge.host import children
 from edge.host.children import python_module
 from edge.lab.bench import compare
-from edge.lab.bench.alone import run_alone
+from edge.lab.bench.isolated import run_isolated
 from edge.perception.process import link
 
 
@@ -56,11 +56,11 @@ def test_every_child_is_started_so(monkeypatch):
     settings = simulated({"mission": {"target": "chair"}})
     with (
         pytest.raises(UserError, match="cannot start `edge sim --motion-only`: No such file"),
-        launch.children(settings, threading.Event(), ("sim", "--motion-only")),
+        launch.child_processes(settings, threading.Event(), ("sim", "--motion-only")),
     ):
         raise AssertionError
     with pytest.raises(OSError, match="No such file"):
-        run_alone(compare.MEASURE, None, 1.0)
+        run_isolated(compare.MEASURE, None, 1.0)
     assert tuple(started[0][:5]) == python_module("edge.cli")
     assert tuple(started[1][:5]) == python_module(compare.MEASURE)
     assert python_module("edge.perception.serve_detector") == link.PROGRAM

@@ -7,7 +7,13 @@ from pathlib import Path
 import pytest
 
 from edge.errors import ConfigError
-from edge.host.credentials import COPIES, Token, handed_over, open_to_others, read_token
+from edge.host.credentials import (
+    COPIES,
+    BearerToken,
+    credential_path,
+    is_open_to_others,
+    read_token,
+)
 
 SECRET = "0123456789abcdef"
 
@@ -15,24 +21,24 @@ SECRET = "0123456789abcdef"
 def test_without_a_manager_a_secret_is_in_its_file(monkeypatch):
     monkeypatch.delenv(COPIES, raising=False)
     monkeypatch.setenv("HOME", "/home/me")
-    assert handed_over("name", "/etc/secret") == Path("/etc/secret")
-    assert handed_over("name", "~/secret") == Path("/home/me/secret")
+    assert credential_path("name", "/etc/secret") == Path("/etc/secret")
+    assert credential_path("name", "~/secret") == Path("/home/me/secret")
 
 
 def test_a_copy_of_that_name_is_taken_in_its_place(tmp_path, monkeypatch):
     monkeypatch.setenv(COPIES, str(tmp_path))
     (tmp_path / "name").touch()
-    assert handed_over("name", "/etc/secret") == tmp_path / "name"
-    assert handed_over("other", "/etc/secret") == Path("/etc/secret")
+    assert credential_path("name", "/etc/secret") == tmp_path / "name"
+    assert credential_path("other", "/etc/secret") == Path("/etc/secret")
 
 
 @pytest.mark.parametrize(("mode", "open_"), [(0o600, False), (0o640, False), (0o604, True)])
 def test_who_can_read_it(tmp_path, mode, open_):
     file = tmp_path / "secret"
-    assert not open_to_others(file)
+    assert not is_open_to_others(file)
     file.touch()
     file.chmod(mode)
-    assert open_to_others(file) is open_
+    assert is_open_to_others(file) is open_
 
 
 @pytest.mark.parametrize(
@@ -50,18 +56,18 @@ def test_who_can_read_it(tmp_path, mode, open_):
     ],
 )
 def test_who_bears_it(header, known):
-    token = Token(SECRET.encode())
-    assert token.is_borne_by(header) is known
+    token = BearerToken(SECRET.encode())
+    assert token.matches(header) is known
     assert SECRET not in f"{token} {token!r}"
 
 
 def test_it_is_the_one_line_of_a_file_or_of_its_copy(tmp_path, monkeypatch):
     (tmp_path / "token").write_text(f"{SECRET}\n")
-    assert read_token("http.token_file", str(tmp_path / "token")).is_borne_by(f"Bearer {SECRET}")
+    assert read_token("http.token_file", str(tmp_path / "token")).matches(f"Bearer {SECRET}")
     (tmp_path / "http.token_file").write_text(SECRET[::-1])
     monkeypatch.setenv(COPIES, str(tmp_path))
     token = read_token("http.token_file", "/root/only")
-    assert token.is_borne_by(f"Bearer {SECRET[::-1]}")
+    assert token.matches(f"Bearer {SECRET[::-1]}")
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from edge.cli.main import main
 from edge.host import calibration, machine
-from edge.host.calibration import Calibration
+from edge.host.calibration import SpeedCalibration
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +38,7 @@ def test_a_command_measures_and_keeps_it(capsys, monkeypatch):
     ],
 )
 def test_it_is_said_in_words(slowdown, words):
-    assert str(Calibration("m", slowdown, {})) == words
+    assert str(SpeedCalibration("m", slowdown, {})) == words
 
 
 GOOD = {"machine": "", "slowdown": 1.8, "parts": {}}
@@ -72,7 +72,7 @@ def test_where_it_cannot_be_kept(cache, monkeypatch):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(cache / "file"))
     assert calibration.load() is None
     with pytest.raises(calibration.CalibrationError, match=r"calibration\.json: cannot be written"):
-        calibration.save(Calibration("m", 1.0, {}))
+        calibration.save(SpeedCalibration("m", 1.0, {}))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 0.6, 1.0])
@@ -80,7 +80,7 @@ def test_the_flood_goes_where_edges_lead(share):
     free = np.random.default_rng(1).random((65, 65)) < share
     free[32, 32] = True
     seen, queue = np.zeros_like(free), np.zeros(free.size, np.int32)
-    n = calibration.flood(free, seen, queue)
+    n = calibration.flood_fill(free, seen, queue)
     _, parts = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
     expected = parts == parts[32, 32]
     np.testing.assert_array_equal(seen, expected)

@@ -21,8 +21,8 @@ from edge.lab.sim.house import load_house
 from edge.lab.sim.mesh import read_objects
 from edge.lab.sim.procthor import load_procthor
 from edge.mission.checkpoint import MISSION
-from edge.models.local import extract
-from edge.models.make import keep_vocabulary
+from edge.models.local import extract_from_wheel
+from edge.models.make import store_vocabulary
 from edge.perception.embedding.text import TextEmbeddings
 from edge.perception.runtime.cards import read_card
 from edge.sources import recording
@@ -65,7 +65,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "configuration": ("c.yaml", lambda path: config.load(str(path))),
     "card": ("c.yaml", read_card),
     "vocabulary": ("v.npz", lambda path: TextEmbeddings(str(path))),
-    "vocabulary to keep": ("v.npz", keep_vocabulary),
+    "vocabulary to keep": ("v.npz", store_vocabulary),
     "house": ("h.json", lambda path: load_house(WorldHouse(house=str(path)), DEFAULTS)),
     "houses": (
         "h.jsonl",
@@ -81,7 +81,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "utterances": ("u.csv", lang2ltl_cases),
     "checkpoint": ("c.json", lambda path: checkpoint.load(path, MISSION)),
     "pictures": ("p.png", lambda path: from_folder(path.parent, 1)),
-    "wheel": ("a-1-py3-none-any.whl", lambda path: extract(path, "w.pt", None)),
+    "wheel": ("a-1-py3-none-any.whl", lambda path: extract_from_wheel(path, "w.pt", None)),
 }
 
 

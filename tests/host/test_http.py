@@ -7,7 +7,7 @@ import socket
 import httpx
 import pytest
 
-from edge.host.http import Connection, failure
+from edge.host.http import CuttableConnection, failure_reason
 
 
 class Stream:
@@ -29,7 +29,7 @@ CONNECTED = ("connection.connect_tcp.complete", "connection.start_tls.complete")
 def test_who_waits_is_told_the_end(event, cut_first):
     mine, others = socket.socketpair()
     with mine, others:
-        connection = Connection()
+        connection = CuttableConnection()
         if cut_first:
             connection.cut()
         connection.trace("connection.connect_tcp.started", {})
@@ -40,7 +40,7 @@ def test_who_waits_is_told_the_end(event, cut_first):
 
 
 def test_a_closed_connection_may_be_cut():
-    connection = Connection()
+    connection = CuttableConnection()
     with socket.socket() as sock:
         connection.trace(CONNECTED[0], {"return_value": Stream(sock)})
     connection.cut()
@@ -54,4 +54,4 @@ def test_a_closed_connection_may_be_cut():
     ],
 )
 def test_a_failure_is_one_line(error, said):
-    assert failure(error) == said
+    assert failure_reason(error) == said

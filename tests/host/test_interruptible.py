@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 from edge.errors import Stopped
-from edge.host.interruptible import any_unjoined, raise_if_stopped, unless_stopped
+from edge.host.interruptible import any_detached_thread, raise_if_stopped, run_unless_stopped
 
 
 @pytest.fixture
@@ -17,11 +17,11 @@ def stop() -> threading.Event:
 
 
 def test_it_returns_what_the_step_returns_and_raises_what_it_raises(stop):
-    assert unless_stopped(lambda: 7, stop) == 7
+    assert run_unless_stopped(lambda: 7, stop) == 7
     with pytest.raises(ZeroDivisionError):
-        unless_stopped(lambda: 1 // 0, stop)
+        run_unless_stopped(lambda: 1 // 0, stop)
     stop.set()
-    for too_late in (raise_if_stopped, partial(unless_stopped, pytest.fail)):
+    for too_late in (raise_if_stopped, partial(run_unless_stopped, pytest.fail)):
         with pytest.raises(Stopped):
             too_late(stop)
 
@@ -35,9 +35,9 @@ def test_a_step_that_goes_on_for_ever_is_left_once_told_to_stop(stop):
         over.wait()
 
     with pytest.raises(Stopped):
-        unless_stopped(work, stop)
+        run_unless_stopped(work, stop)
     (thread,) = threads
     assert thread.daemon
-    assert any_unjoined()
+    assert any_detached_thread()
     over.set()
     thread.join()

@@ -38,7 +38,7 @@ def test_what_was_freed_between_blocks_goes_back():
 
 def test_nothing_is_left_of_it():
     before = threading.active_count()
-    with memory.trimmed():
+    with memory.trim_memory_periodically():
         assert threading.active_count() == before + 1
     assert threading.active_count() == before
 
@@ -46,5 +46,5 @@ def test_nothing_is_left_of_it():
 def test_another_c_library_has_nothing_to_trim(monkeypatch):
     monkeypatch.setattr(memory.ctypes, "CDLL", lambda name: object())
     before = threading.active_count()
-    with memory.trimmed():
+    with memory.trim_memory_periodically():
         assert threading.active_count() == before

@@ -43,7 +43,7 @@ def test_a_limit_that_may_be_raised_is():
 
 
 def test_a_shortage_is_told_while_it_lasts():
-    assert open_files.shortage() == ""
+    assert open_files.open_files_problem() == ""
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     taken = []
     resource.setrlimit(resource.RLIMIT_NOFILE, (64, before[1]))
@@ -51,9 +51,11 @@ def test_a_shortage_is_told_while_it_lasts():
         with suppress(OSError):
             while True:
                 taken.append(os.open(os.devnull, os.O_RDONLY))
-        assert open_files.shortage().startswith("no file or connection can be opened (Too many")
+        assert open_files.open_files_problem().startswith(
+            "no file or connection can be opened (Too many"
+        )
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
         for handle in taken:
             os.close(handle)
-    assert open_files.shortage() == ""
+    assert open_files.open_files_problem() == ""

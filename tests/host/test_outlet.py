@@ -11,8 +11,8 @@ from contextlib import redirect_stderr, suppress
 import pytest
 from patience import PATIENCE_S
 
-from edge.host import outlet as outlets
-from edge.host.outlet import MOST_WAITING, Outlet, unwaited_stderr
+from edge.host import nonblocking_stream as outlets
+from edge.host.nonblocking_stream import MOST_WAITING, NonBlockingStream, nonblocking_stderr
 
 LINE = "x" * 199 + "\n"
 MUCH = 3 * MOST_WAITING  # lines, many times what a pipe holds
@@ -42,7 +42,7 @@ def all_of(read: int) -> str:
 def test_a_full_pipe_is_not_waited_for_and_what_was_lost_is_told(pipe, monkeypatch):
     monkeypatch.setattr(outlets, "_END_S", 0.01)
     read, stream = pipe
-    outlet = Outlet(stream)
+    outlet = NonBlockingStream(stream)
     for _ in range(MUCH):
         assert outlet.write(LINE) == len(LINE)
     outlet.end()  # though nobody reads
@@ -62,7 +62,7 @@ def test_a_full_pipe_is_not_waited_for_and_what_was_lost_is_told(pipe, monkeypat
 def test_where_nobody_reads_any_more_it_is_lost_and_no_error(pipe):
     read, stream = pipe
     os.close(read)
-    outlet = Outlet(stream)
+    outlet = NonBlockingStream(stream)
     for _ in range(MUCH):
         outlet.write(LINE)
     outlet.end()
@@ -72,7 +72,7 @@ def test_where_nobody_reads_any_more_it_is_lost_and_no_error(pipe):
 @pytest.mark.usefixtures("patient")
 def test_after_its_end_it_is_the_stream_itself(pipe):
     read, stream = pipe
-    outlet = Outlet(stream)
+    outlet = NonBlockingStream(stream)
     outlet.write("before, ")
     outlet.end()
     outlet.write("after")
@@ -82,7 +82,7 @@ def test_after_its_end_it_is_the_stream_itself(pipe):
 
 def test_a_stream_without_a_descriptor_stays():
     with redirect_stderr(io.StringIO()) as captured:
-        with unwaited_stderr():
+        with nonblocking_stderr():
             assert sys.stderr is captured
             print("told", file=sys.stderr)
         assert sys.stderr is captured
@@ -92,7 +92,7 @@ def test_a_stream_without_a_descriptor_stays():
 PROGRAM = f"""
 import sys
 from edge.cli.main import _leave
-from edge.host.outlet import unwaited_stderr
+from edge.host.nonblocking_stream import unwaited_stderr
 with unwaited_stderr():
     for _ in range({MUCH}):
         sys.stderr.write({LINE!r})

@@ -15,9 +15,9 @@ import pytest
 from patience import PATIENCE_S
 
 from edge.errors import UnavailableError
-from edge.host import pages
-from edge.host.credentials import Token
-from edge.host.pages import MOST_BYTES, MOST_OPEN, Page, json_page, serve
+from edge.host import web_server
+from edge.host.credentials import BearerToken
+from edge.host.web_server import MOST_BYTES, MOST_OPEN, HttpResponse, json_response, serve
 
 HERE = "127.0.0.1"
 LONGEST_LINE = 65536
@@ -40,8 +40,8 @@ def test_without_a_port_there_is_none():
 def test_pages_are_made_when_they_are_asked_for():
     counted = iter(range(9))
     pages = {
-        "/count": lambda: json_page({"n": next(counted)}),
-        "/down": lambda: Page(b"no", "text/plain", HTTPStatus.SERVICE_UNAVAILABLE),
+        "/count": lambda: json_response({"n": next(counted)}),
+        "/down": lambda: HttpResponse(b"no", "text/plain", HTTPStatus.SERVICE_UNAVAILABLE),
     }
     with serve(pages, HERE, 0) as port:
         assert [json.loads(ask(port, "/count?x=1")[1])["n"] for _ in range(2)] == [0, 1]
@@ -55,11 +55,13 @@ def test_pages_are_made_when_they_are_asked_for():
 
 
 def test_what_cannot_be_made_is_answered_with_why_and_logged_once(caplog):
-    def broken(*args: bytes) -> Page:
+    def broken(*args: bytes) -> HttpResponse:
         raise ValueError("two\nlines")
 
     told = b"failed: ValueError: two lines; see the service's log\n"
-    with serve({"/page": broken}, HERE, 0, Token(b"right"), ("/page",), {"/form": broken}) as port:
+    with serve(
+        {"/page": broken}, HERE, 0, BearerToken(b"right"), ("/page",), {"/form": broken}
+    ) as port:
         for _ in range(3):
             assert ask(port, "/page") == (500, b"")
             assert ask(port, "/page", Authorization="Bearer right") == (500, b"/page " + told)
@@ -78,17 +80,17 @@ def test_what_cannot_be_made_is_answered_with_why_and_logged_once(caplog):
 )
 def test_without_the_token_probes_tell_their_status_and_nothing_else_is_told(path, stranger, known):
     pages = {
-        "/probe": lambda: Page(b"why", "text/plain", HTTPStatus.SERVICE_UNAVAILABLE),
-        "/page": lambda: Page(b"secret", "text/plain"),
+        "/probe": lambda: HttpResponse(b"why", "text/plain", HTTPStatus.SERVICE_UNAVAILABLE),
+        "/page": lambda: HttpResponse(b"secret", "text/plain"),
     }
-    with serve(pages, HERE, 0, Token(b"right"), ("/probe",)) as port:
+    with serve(pages, HERE, 0, BearerToken(b"right"), ("/probe",)) as port:
         assert ask(port, path) == ask(port, path, Authorization="Bearer wrong") == stranger
         status, body = ask(port, path, Authorization="Bearer right")
         assert (status, body if known[1] else None) == known
 
 
 def test_those_who_keep_connections_open_lock_nobody_out():
-    with serve({"/": lambda: Page(b"here", "text/plain")}, HERE, 0) as port:
+    with serve({"/": lambda: HttpResponse(b"here", "text/plain")}, HERE, 0) as port:
         idle = [socket.create_connection((HERE, port)) for _ in range(3 * MOST_OPEN)]
         for sock in idle[::2]:
             sock.sendall(b"GET / HTTP/1.1\r\nX: ")
@@ -102,15 +104,15 @@ def test_a_post_that_is_being_carried_out_is_answered_whoever_connects(silent):
     """Strangers give way first, then those who know the token and wait for nothing."""
     begun, go_on = threading.Event(), threading.Event()
 
-    def take(body: bytes) -> Page:
+    def take(body: bytes) -> HttpResponse:
         begun.set()
         assert go_on.wait(PATIENCE_S)
-        return Page(b"taken", "text/plain")
+        return HttpResponse(b"taken", "text/plain")
 
     known = b"GET / HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer right\r\n\r\n"
-    pages = {"/": lambda: Page(b"here", "text/plain")}
+    pages = {"/": lambda: HttpResponse(b"here", "text/plain")}
     with (
-        serve(pages, HERE, 0, Token(b"right"), forms={"/form": take}) as port,
+        serve(pages, HERE, 0, BearerToken(b"right"), forms={"/form": take}) as port,
         ThreadPoolExecutor() as pool,
         ExitStack() as opened,
     ):
@@ -129,13 +131,13 @@ def test_a_post_that_is_being_carried_out_is_answered_whoever_connects(silent):
 def test_while_every_connection_has_a_post_under_way_a_new_one_is_closed():
     begun, go_on = threading.Semaphore(0), threading.Event()
 
-    def take(body: bytes) -> Page:
+    def take(body: bytes) -> HttpResponse:
         begun.release()
         assert go_on.wait(PATIENCE_S)
-        return Page(b"taken", "text/plain")
+        return HttpResponse(b"taken", "text/plain")
 
     with (
-        serve({}, HERE, 0, Token(b"right"), forms={"/form": take}) as port,
+        serve({}, HERE, 0, BearerToken(b"right"), forms={"/form": take}) as port,
         ThreadPoolExecutor(MOST_OPEN) as pool,
     ):
         posted = [pool.submit(post, port) for _ in range(MOST_OPEN)]
@@ -151,7 +153,7 @@ def test_while_every_connection_has_a_post_under_way_a_new_one_is_closed():
     "nonsense", [b"\x00\xff\r\n\r\n", b"GET\r\n\r\n", b"A" * 70000 + b"\r\n\r\n"]
 )
 def test_nonsense_is_refused(nonsense):
-    with serve({"/": lambda: Page(b"here", "text/plain")}, HERE, 0) as port:
+    with serve({"/": lambda: HttpResponse(b"here", "text/plain")}, HERE, 0) as port:
         with socket.create_connection((HERE, port), PATIENCE_S) as sock:
             sock.sendall(nonsense)
             with suppress(ConnectionResetError):  # what it has not read, it does not wait for
@@ -203,12 +205,12 @@ def taken() -> Iterator[tuple[int, list[bytes]]]:
     """A port where bodies are taken from who knows the token, and those that were."""
     bodies: list[bytes] = []
 
-    def take(body: bytes) -> Page:
+    def take(body: bytes) -> HttpResponse:
         bodies.append(body)
-        return Page(b"taken", "text/plain")
+        return HttpResponse(b"taken", "text/plain")
 
-    pages = {"/": lambda: Page(b"here", "text/plain"), "/data": lambda: json_page(1)}
-    token = Token(b"right")
+    pages = {"/": lambda: HttpResponse(b"here", "text/plain"), "/data": lambda: json_response(1)}
+    token = BearerToken(b"right")
     with serve(pages, HERE, 0, token, forms={"/form": take}, public=("/",)) as port:
         yield port, bodies
 
@@ -252,7 +254,7 @@ def test_a_page_of_ours_may_post(taken):
 
 
 def test_a_body_that_does_not_come_is_not_waited_for(taken, monkeypatch):
-    monkeypatch.setattr("edge.host.pages._PATIENCE_S", 0.2)
+    monkeypatch.setattr("edge.host.web_server._PATIENCE_S", 0.2)
     port, bodies = taken
     head = b"POST /form HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer right\r\n"
     head += b"Content-Type: application/json\r\nContent-Length: 9\r\n\r\n"
@@ -293,12 +295,12 @@ def test_without_a_token_nothing_can_be_posted():
 )
 def test_without_a_token_only_who_asks_for_this_machine_is_told(host, status):
     """A page of another site may have its name lead here (DNS rebinding)."""
-    with serve({"/": lambda: Page(b"here", "text/plain")}, HERE, 0, public=("/",)) as port:
+    with serve({"/": lambda: HttpResponse(b"here", "text/plain")}, HERE, 0, public=("/",)) as port:
         assert ask(port, "/", Host=host.format(port=port))[0] == status
 
 
 def test_what_one_has_already_is_not_sent_again():
-    page = Page(b"here", "text/plain", etag="7")
+    page = HttpResponse(b"here", "text/plain", etag="7")
     with serve({"/": lambda: page}, HERE, 0) as port:
         assert ask(port, "/", **{"If-None-Match": '"6"'}) == (200, b"here")
         assert ask(port, "/", **{"If-None-Match": '"7"'}) == (304, b"")
@@ -327,7 +329,7 @@ def test_every_answer_says_what_a_page_may_do(request_head, status):
         answer = say(port, request_head + end)
     head, _, body = answer.partition(b"\r\n\r\n")
     assert head.startswith(b"HTTP/1.1 %d " % status)
-    for name, value in pages._HEADERS.items():
+    for name, value in web_server._HEADERS.items():
         assert f"\r\n{name}: {value}".encode() in head
     assert b"\r\nContent-Type: text/plain; charset=utf-8" in head
     assert b"\r\nContent-Length: %d" % len(body) in head

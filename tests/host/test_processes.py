@@ -42,11 +42,11 @@ def test_descendants_are_all_and_end():
         )
         assert [process.parent for process in found] == [parent.pid]
         assert found[0] in descendants(psutil.Process().pid)
-        assert found[0].lives()
+        assert found[0].is_running()
     finally:
         parent.stdin.close()
         parent.wait()
-    eventually(lambda: not found[0].lives())
+    eventually(lambda: not found[0].is_running())
 
 
 def test_one_that_nobody_has_asked_for_does_not_live():
@@ -57,6 +57,6 @@ def test_one_that_nobody_has_asked_for_does_not_live():
 
     (process,) = found()
     child.stdin.close()
-    eventually(lambda: not process.lives())
+    eventually(lambda: not process.is_running())
     assert found() == []
     child.wait()

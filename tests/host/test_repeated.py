@@ -4,12 +4,12 @@ import threading
 
 from patience import eventually
 
-from edge.host.repeated import repeated
+from edge.host.periodic import run_periodically
 
 
 def test_it_is_done_again_and_again_until_the_block_ends():
     done = []
-    with repeated("work", 1e-4, lambda: done.append(threading.current_thread().name)):
+    with run_periodically("work", 1e-4, lambda: done.append(threading.current_thread().name)):
         eventually(lambda: len(done) >= 3)
     assert set(done) == {"work"}
     assert "work" not in {thread.name for thread in threading.enumerate()}

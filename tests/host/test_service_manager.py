@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from edge.host.service_manager import ServiceManager
+from edge.host.service_manager import SystemdNotifier
 
 NOBODY = "/nowhere/notify"
 
@@ -27,7 +27,7 @@ def manager(request, tmp_path) -> Iterator[tuple[socket.socket, str]]:
 
 def test_every_message(manager):
     listening, name = manager
-    told = ServiceManager({"NOTIFY_SOCKET": name})
+    told = SystemdNotifier({"NOTIFY_SOCKET": name})
     cases = {
         told.ready: "READY=1",
         told.stopping: "STOPPING=1",
@@ -46,7 +46,7 @@ def test_every_message(manager):
 
 def test_no_text_can_say_what_only_we_may(manager):
     listening, name = manager
-    ServiceManager({"NOTIFY_SOCKET": name}).status("bed\nSTOPPING=1\nMAINPID=1" + "é" * 9000)
+    SystemdNotifier({"NOTIFY_SOCKET": name}).status("bed\nSTOPPING=1\nMAINPID=1" + "é" * 9000)
     said = listening.recv(65536).decode()
     assert said.count("\n") == 0
     assert len(said) < 500
@@ -64,13 +64,13 @@ def test_no_text_can_say_what_only_we_may(manager):
 )
 def test_how_often_a_sign_of_life_is_due(environ, ping_s):
     environ = {**environ, "NOTIFY_SOCKET": NOBODY, "HOME": "/"}
-    assert ServiceManager(environ).ping_s == ping_s
+    assert SystemdNotifier(environ).ping_s == ping_s
     assert environ == {"HOME": "/"}, "a child would speak in our name"
 
 
 @pytest.mark.parametrize("name", [NOBODY, "vsock:2:9"])
 def test_a_manager_that_cannot_be_reached_is_told_of_once(name, caplog):
-    told = ServiceManager({"NOTIFY_SOCKET": name})
+    told = SystemdNotifier({"NOTIFY_SOCKET": name})
     told.ready()
     told.alive()
     assert len(caplog.records) == 1
@@ -79,7 +79,7 @@ def test_a_manager_that_cannot_be_reached_is_told_of_once(name, caplog):
 
 def test_a_manager_that_does_not_read_is_not_waited_for(manager, caplog):
     _, name = manager
-    told = ServiceManager({"NOTIFY_SOCKET": name})
+    told = SystemdNotifier({"NOTIFY_SOCKET": name})
     for _ in range(5000):  # more than any queue of datagrams holds
         told.alive()
     assert len(caplog.records) == 1

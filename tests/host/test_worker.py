@@ -53,7 +53,7 @@ def test_nothing_submitted_nothing_done(inline):
     assert worker.poll() is None
     assert worker.close(PATIENCE_S)
     assert worker.close(PATIENCE_S)
-    assert (got, worker.stats) == ([], host.Stats())
+    assert (got, worker.stats) == ([], host.WorkerStats())
 
 
 def test_what_was_submitted_before_a_forget_is_void(gate):
@@ -86,7 +86,7 @@ def test_the_newest_item_and_the_newest_result_win_and_the_others_are_dropped(ga
     assert unread == ["first"]
     assert (worker.poll(), worker.poll()) == ("c", None)
     stats = worker.stats
-    assert (stats.submitted, stats.replaced, stats.done, stats.unread) == (4, 2, 2, 1)
+    assert (stats.submitted, stats.replaced, stats.done, stats.results_replaced) == (4, 2, 2, 1)
     assert stats.last_latency_ns > 0
     worker.close()
     worker.submit("late")

@@ -10,8 +10,8 @@ from functools import partial
 from edge.bus.requests import RequestServer
 from edge.bus.session import open_session
 from edge.bus.verbs import Request
-from edge.cli.requests import add_arguments
-from edge.config import Zenoh
+from edge.cli.mission import add_arguments
+from edge.config import ZenohConfig
 from edge.errors import UserError
 from edge.loop.requests import mission_verbs
 from edge.mission.logic.ltl import parse, to_text
@@ -47,7 +47,7 @@ def act(state: dict, request: Request, now_ns: int) -> dict:
 def service(endpoint: str) -> None:
     """Ticks for ever; says `ready` when it takes requests."""
     state = {"formula": "F chair", "phase": "exploring", "paused": False}
-    with open_session(Zenoh(endpoint=endpoint), "listen") as session:
+    with open_session(ZenohConfig(endpoint=endpoint), "listen") as session:
         server = RequestServer(session, KEY, mission_verbs(prepare), partial(act, state))
         print("ready", flush=True)
         while True:

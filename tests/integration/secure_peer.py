@@ -14,7 +14,7 @@ import zenoh
 
 from edge.bus import topics
 from edge.bus.session import open_session
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 
 ROS = ("ros2/odom", "ros2/edge/path", "ros2/navigate_to_pose/_action/status")
 """Some of what passes by the adapter."""
@@ -23,7 +23,7 @@ KEYS = (*(topic.key for topic in topics.ALL), *ROS)
 
 def main(text: str) -> None:
     logging.basicConfig(level=logging.INFO)
-    settings = Zenoh.model_validate_json(text)
+    settings = ZenohConfig.model_validate_json(text)
     keys = [settings.key(key) for key in KEYS]
     requests = [settings.key(key) for key in topics.REQUESTS]
     with open_session(settings, "listen") as session:

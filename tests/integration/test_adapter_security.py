@@ -15,10 +15,10 @@ from secure_files import USERS, etc_edge, settings_of
 from zenoh import ext
 
 from edge.bus.ros2.names import NO_HASH, plain
-from edge.bus.ros2.node import Node, Subscription
-from edge.bus.ros2.topics import HEARD, SAID
+from edge.bus.ros2.node import Ros2Node, Ros2Subscription
+from edge.bus.ros2.topics import PUBLISHED, SUBSCRIBED
 from edge.bus.session import open_session, zenoh_session
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.host.ports import free_port
 
 ROS = plain("edge/ros2/")
@@ -64,14 +64,14 @@ class Service:
 
     def __init__(self, session: zenoh.Session) -> None:
         self.session = session
-        self.node = Node(session, 0, "test", ROS)
-        self.path = self.node.publisher("/edge/path", SAID["path"])
+        self.node = Ros2Node(session, 0, "test", ROS)
+        self.path = self.node.publisher("/edge/path", PUBLISHED["path"])
         self.action = self.node.client(ACTION, "", PATIENCE_S)
         self.odometry = self.hear("odom")
         self.moored = self.hear("tf_static", latched=True)
 
-    def hear(self, name: str, latched: bool = False) -> Subscription:
-        return self.node.subscription(f"/{name}", (HEARD[name],), 64, latched)
+    def hear(self, name: str, latched: bool = False) -> Ros2Subscription:
+        return self.node.subscription(f"/{name}", (SUBSCRIBED[name],), 64, latched)
 
     def answers(self) -> set[bytes]:
         """Of everybody who takes goals."""
@@ -81,7 +81,7 @@ class Service:
 
 
 @contextmanager
-def service(settings: Zenoh) -> Iterator[Service]:
+def service(settings: ZenohConfig) -> Iterator[Service]:
     with zenoh_session(settings, "listen") as session:
         running = Service(session)
         yield running
@@ -93,7 +93,7 @@ def etc(tmp_path_factory) -> Path:
     return etc_edge(tmp_path_factory.mktemp("etc-edge"))
 
 
-def took(subscription: Subscription) -> list[bytes]:
+def took(subscription: Ros2Subscription) -> list[bytes]:
     return [payload.to_bytes() for _, payload in subscription.take()]
 
 

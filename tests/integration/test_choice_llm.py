@@ -17,14 +17,20 @@ from simulated import simulated
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.status import status_of
-from edge.perception.scoring.choice.question import MAX_MARKS, Choice, Mark, Sighting, View
-from edge.perception.scoring.choice.server import ChoiceScorer, make_server_choice
+from edge.loop.status import status_message
+from edge.perception.scoring.choice.question import (
+    MAX_MARKS,
+    DetectedObject,
+    FrontierChoice,
+    Mark,
+    MarkedView,
+)
+from edge.perception.scoring.choice.server import ServerFrontierScorer, make_server_choice
 from edge.types import Observation
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
 
-SEEN = (Sighting("bed", 0.5, 2.1), Sighting("lamp", 0.1, 3.0))
+SEEN = (DetectedObject("bed", 0.5, 2.1), DetectedObject("lamp", 0.1, 3.0))
 
 
 @pytest.fixture(scope="module")
@@ -33,20 +39,22 @@ def url() -> Iterator[str]:
         yield url
 
 
-def view(target: str, n_marks: int, seen: tuple[Sighting, ...] = SEEN, rgb=None) -> View:
+def view(
+    target: str, n_marks: int, seen: tuple[DetectedObject, ...] = SEEN, rgb=None
+) -> MarkedView:
     bearings = np.linspace(0.6, -0.6, n_marks)
     marks = tuple(Mark(i, 10.0 + 30 * i, 40.0, float(b), 2.0 + i) for i, b in enumerate(bearings))
-    return View(Observation(0, 0, np.eye(4), rgb=rgb), target, marks, seen)
+    return MarkedView(Observation(0, 0, np.eye(4), rgb=rgb), target, marks, seen)
 
 
-def put_to(scorer: ChoiceScorer, question: View) -> Choice:
+def put_to(scorer: ServerFrontierScorer, question: MarkedView) -> FrontierChoice:
     choice = scorer.answer(scorer.look(question))
     assert choice is not None
     return choice
 
 
 @pytest.fixture(scope="module")
-def scorer(url: str) -> ChoiceScorer:
+def scorer(url: str) -> ServerFrontierScorer:
     return make_server_choice(ChoiceText(url=url, model="default", time_limit_s=PATIENCE_S))
 
 
@@ -80,7 +88,7 @@ def test_the_second_question_reuses_what_was_computed_for_the_first(scorer, monk
         return read(reply)
 
     monkeypatch.setattr(scorer._client, "_likeliest", note)
-    put_to(scorer, view("piano", 5, (Sighting("stove", 0.0, 4.0),)))
+    put_to(scorer, view("piano", 5, (DetectedObject("stove", 0.0, 4.0),)))
     _, second = timings
     assert second["cache_n"] > second["prompt_n"]
 
@@ -115,7 +123,7 @@ def test_the_robot_goes_on_when_the_server_is_killed():
         server.wait()
         loop.run(240)
         assert loop.service.status.phase == "reached"
-        status = status_of(loop.service.result())["scorers"]["choice"]
+        status = status_message(loop.service.result())["scorers"]["choice"]
         assert status["answered"] >= 1
         assert status["failed"] == 0 or url in status["last_error"]
         loop.close()

@@ -11,7 +11,7 @@ from edge.config import parse
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.lab.eval.columns import data_of, merged
 from edge.lab.report import choices
-from edge.lab.report.recorder import Recorder
+from edge.lab.report.recorder import ReportRecorder
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
@@ -21,7 +21,7 @@ def test_the_demo_reaches_its_target_by_the_small_scorer(monkeypatch):
     asked = cli.load_config(cli.make_parser().parse_args(["demo", "--policy", "directional"]))
     inline = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
     config = parse(merged(data_of(asked), inline), asked.path)
-    recorder = Recorder(config)
+    recorder = ReportRecorder(config)
     loop = ClosedLoop(config, sinks=[recorder])
     try:
         loop.run(240.0)

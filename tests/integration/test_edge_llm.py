@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from llm_process import serving_llm
 
-from edge.chat import ChatClient, ChatError, CutOffError
+from edge.chat import ChatClient, ChatError, TokenLimitError
 from edge.config import TranslatorLlm
 from edge.lab.eval.planning.templates import generate
 from edge.mission.language.llm import constraint, conversation, formula_in, objects_in
@@ -74,7 +74,7 @@ def test_the_grammar_admits_only_formulas_about_the_objects(url, instruction):
         options = {"temperature": 1.5, "seed": seed, **constraint("gbnf", objects)}
         try:
             answer = client.ask(conversation(instruction), **options)
-        except CutOffError:
+        except TokenLimitError:
             continue
         formula_in(answer, objects)  # raises what a user would see
 

@@ -17,7 +17,7 @@ from edge_processes import LOCKSTEP, STOP_S, write_config
 
 from edge.bus.session import open_session
 from edge.bus.wire import messages
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 
 RENAMED = {
     "camera/rgb": "front/image_raw", "odom": "base/odom", "goal": "map", "map": "grid",
@@ -103,7 +103,7 @@ def test_a_killed_demo_takes_its_children_along_and_leaves_no_files(edge, config
 def test_the_mission_outlives_simulator_and_controller(edge, endpoint, tmp_path):
     """Killed, back again, and a controller that comes only after the goal was sent; all on topics
     of other names."""
-    settings = Zenoh(endpoint=endpoint, topics=RENAMED)
+    settings = ZenohConfig(endpoint=endpoint, topics=RENAMED)
     config = write_config(tmp_path, zenoh=settings.model_dump())
     service = edge("run", config, "--once").says("ready:")
     simulator = edge("sim", config, "--no-motion")
@@ -122,7 +122,7 @@ def test_the_mission_outlives_simulator_and_controller(edge, endpoint, tmp_path)
 
 
 @contextmanager
-def odometer(settings: Zenoh) -> Iterator[list[float]]:
+def odometer(settings: ZenohConfig) -> Iterator[list[float]]:
     """Metres that the robot has moved so far, in a list of one."""
     driven_m, last = [0.0], []
 

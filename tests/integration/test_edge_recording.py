@@ -10,12 +10,12 @@ import pytest
 from edge_processes import write_config
 
 from edge.recording.channels import JOURNAL
-from edge.recording.file import PARTIAL, McapReading
+from edge.recording.file import PARTIAL, McapReader
 from edge.recording.rolling import files_of
 
 
 def pages(path: Path) -> int:
-    return sum(m.topic == JOURNAL.topic for m in McapReading(path))
+    return sum(m.topic == JOURNAL.topic for m in McapReader(path))
 
 
 @pytest.mark.slow

@@ -22,8 +22,8 @@ from ros_router import kept, ours, router
 from ros_sdk import Republisher, peers
 
 from edge.bus.ros2.names import Dialect, dialect_of
-from edge.bus.ros2.node import Node
-from edge.bus.ros2.topics import HEARD
+from edge.bus.ros2.node import Ros2Node
+from edge.bus.ros2.topics import SUBSCRIBED
 from edge.bus.session import Ring
 from edge.bus.wire import messages
 from edge.geometry import SE2
@@ -44,15 +44,17 @@ class RosRobot:
         settings, body = ready_config(name).ros2, ROBOTS[name]
         self._frames = {"odom": "odom", "lidar/scan": body.lidar}
         self._camera = body.camera
-        sensors = [n for n in HIDDEN if n in HEARD and (body.lidar or not n.startswith("lidar"))]
+        sensors = [
+            n for n in HIDDEN if n in SUBSCRIBED and (body.lidar or not n.startswith("lidar"))
+        ]
         self.nav2 = Nav2(session, "jazzy", dialect=dialect)
-        self._session, self._node = session, Node(session, 0, "robot", dialect)
+        self._session, self._node = session, Ros2Node(session, 0, "robot", dialect)
         self._rings = {n: Ring(session, f"edge/robot/{n}", 64) for n in sensors}
 
         def publisher(n: str):
             if dialect.has_tokens:  # by an implementation that is not ours
-                return Republisher(port, settings.topic(n), HEARD[n])
-            return self._node.publisher(settings.topic(n), HEARD[n])
+                return Republisher(port, settings.topic(n), SUBSCRIBED[n])
+            return self._node.publisher(settings.topic(n), SUBSCRIBED[n])
 
         self._publishers = {n: publisher(n) for n in sensors}
         self._map = self._node.subscription(
@@ -60,11 +62,11 @@ class RosRobot:
         )
         self._answers = Ring(session, "edge/robot/goal_status", 64)
         if dialect.has_tokens:
-            self._moored = self._node.publisher("/tf_static", HEARD["tf_static"], latched=True)
+            self._moored = self._node.publisher("/tf_static", SUBSCRIBED["tf_static"], latched=True)
         else:
             self._moored = kept(session, dialect, "/tf_static")
         self._moored.put(transforms_of(body.tree))
-        self._tf, self._tf_s = self._node.publisher("/tf", HEARD["tf"]), 0.0
+        self._tf, self._tf_s = self._node.publisher("/tf", SUBSCRIBED["tf"]), 0.0
         self._goal: tuple[bytes, int, bytes] | None = None
         self._taken, self._again_s = 0, 0.0
         self._stop = threading.Event()
@@ -79,7 +81,7 @@ class RosRobot:
                 self._tf.put(LOCALIZED)
             for name, ring in self._rings.items():
                 for sample in ring.take():
-                    message = from_ros(sample.payload.to_bytes(), HEARD[name])
+                    message = from_ros(sample.payload.to_bytes(), SUBSCRIBED[name])
                     message.header.frame_id = self._frames.get(name, self._camera)
                     self._publishers[name].put(to_ros(message))
             for _, payload in self._map.take():

@@ -15,7 +15,7 @@ import pytest
 from simulated import simulated
 
 from edge.errors import Stopped
-from edge.lab.eval.columns import make_columns
+from edge.lab.eval.columns import make_arms
 from edge.lab.eval.drive import over_zenoh, run_episode
 from edge.lab.eval.episodes import plan
 from edge.lab.eval.outcome import TIMINGS
@@ -57,7 +57,7 @@ def is_edge(process: psutil.Process) -> bool:
 
 @pytest.mark.slow
 def test_an_episode_is_the_same_though_its_processes_are_held_up(tmp_path: Path):
-    (there,), (column,) = plan(CONFIG, [], ["sofa"], 1, 0, 3.0), make_columns(CONFIG, {})
+    (there,), (column,) = plan(CONFIG, [], ["sofa"], 1, 0, 3.0), make_arms(CONFIG, {})
     first = run_episode(column, there, over_zenoh)
     with held_up() as held:
         second = run_episode(column, there, over_zenoh, page=tmp_path)
@@ -73,7 +73,7 @@ def test_an_episode_is_the_same_though_its_processes_are_held_up(tmp_path: Path)
 
 
 def test_an_episode_that_is_stopped_before_it_begins_has_no_outcome():
-    (there,), (column,) = plan(CONFIG, [], ["sofa"], 1, 0, 3.0), make_columns(CONFIG, {})
+    (there,), (column,) = plan(CONFIG, [], ["sofa"], 1, 0, 3.0), make_arms(CONFIG, {})
     stop = threading.Event()
     stop.set()
     with pytest.raises(Stopped):

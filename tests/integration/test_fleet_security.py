@@ -18,7 +18,7 @@ from edge.bus.presence import Presence
 from edge.bus.requests import RequestServer
 from edge.bus.session import open_session, zenoh_session
 from edge.bus.verbs import Verb
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.config.yaml_text import parse_yaml
 from edge.host.ports import free_port
 
@@ -41,11 +41,11 @@ def test_a_robot_has_to_do_with_itself_alone_and_the_operator_with_all(etc, monk
     port = free_port()
     section = parse_yaml(page_section("robots/anna\n  file", etc, PAGE))["zenoh"]
 
-    def settings(who: str) -> Zenoh:
+    def settings(who: str) -> ZenohConfig:
         own = {"endpoint": f"tls/127.0.0.1:{port}", "file": str(etc / f"{who}.json5")}
-        return Zenoh(**{**section, **own, "prefix": f"robots/{who}"})
+        return ZenohConfig(**{**section, **own, "prefix": f"robots/{who}"})
 
-    route = Zenoh(endpoint=f"tls/127.0.0.1:{port}", file=str(etc / "fleet-router.json5"))
+    route = ZenohConfig(endpoint=f"tls/127.0.0.1:{port}", file=str(etc / "fleet-router.json5"))
     with zenoh_session(route, "route"), ExitStack() as stack:
         sessions = {
             who: stack.enter_context(open_session(settings(who), "listen"))
@@ -61,9 +61,9 @@ def test_a_robot_has_to_do_with_itself_alone_and_the_operator_with_all(etc, monk
             stack.callback(server.close)
             stack.callback(serve(server))
         everyone = {f"robots/{who}" for who in ROBOTS}
-        eventually(lambda: presence.prefixes(operator, "robots/*").keys() == everyone)
+        eventually(lambda: presence.online_sessions(operator, "robots/*").keys() == everyone)
         for who in ROBOTS:
-            assert presence.prefixes(sessions[who], "robots/*").keys() <= {f"robots/{who}"}
+            assert presence.online_sessions(sessions[who], "robots/*").keys() <= {f"robots/{who}"}
         heard = {who: put_by_all(sessions, who) for who in ROBOTS}
         assert heard == {who: {who} for who in ROBOTS}
         keys = {who: settings(who).key(topics.MISSION_REQUEST) for who in ROBOTS}
@@ -122,7 +122,7 @@ def put_by_all(sessions: dict[str, zenoh.Session], whom: str) -> set[str]:
 def asked(session: zenoh.Session, key: str) -> dict | str:
     """The answer, or what is said where there is none."""
     try:
-        return client.ask(session, key, {"do": "status"}, PATIENCE_S, "fleet")
+        return client.send_request(session, key, {"do": "status"}, PATIENCE_S, "fleet")
     except client.RequestError as error:
         return str(error)
 

@@ -23,10 +23,10 @@ from fake_model_process import __file__ as fake
 from edge.config import parse
 from edge.errors import Stopped
 from edge.geometry import CameraModel
-from edge.launch import Launched, open_service
+from edge.launch import LaunchedService, open_service
 from edge.loop.runner import loop
-from edge.loop.status import status_of
-from edge.perception.process import kept, link
+from edge.loop.status import status_message
+from edge.perception.process import link, supervised
 from edge.types import Observation
 
 TICKS = 10  # with an image each, that the loop makes while there is no model
@@ -56,7 +56,7 @@ class Camera:
 class Life:
     """The loop under way, one step of a story at a time."""
 
-    def __init__(self, running: Launched) -> None:
+    def __init__(self, running: LaunchedService) -> None:
         self.running, self.stop = running, threading.Event()
         self.detector = running.worker.detector
 
@@ -85,7 +85,7 @@ class Life:
         return self.running.source.counters["observations"]
 
     def status(self) -> dict:
-        return status_of(self.running.service.result())["detector"]
+        return status_message(self.running.service.result())["detector"]
 
     def state(self) -> str:
         return self.detector.health().state
@@ -143,7 +143,7 @@ PATIENT = {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S}
 
 def test_loop_and_map_go_on_over_a_hang_and_ends_until_the_limit_and_beyond(live, monkeypatch):
     for name, value in {"BACKOFF_S": 0.01, "MOST_ENDS": 1, "WINDOW_S": 1e6}.items():
-        monkeypatch.setattr(kept, name, value)
+        monkeypatch.setattr(supervised, name, value)
     with live(**PATIENT) as (life, script):
         life.until_it_sees()
         process = life.model()
@@ -207,7 +207,7 @@ def test_ten_kills_in_a_minute(live, capsys):
         hz = f"{before_hz:.1f} Hz before, {ticks / took_s:.1f} Hz"
         with capsys.disabled():
             print(f"\n{hz} over {kills} kills in {took_s:.0f} s")
-        assert kills == kept.MOST_ENDS + 1
+        assert kills == supervised.MOST_ENDS + 1
         before = life.images()
         life.until(lambda: True, TICKS)
         assert life.images() - before >= TICKS

@@ -190,7 +190,7 @@ def server(request, tmp_path, monkeypatch):
 
 def detector(model: str):
     chosen = config.DetectorOnnx(model=model, tau_vl=1e-6, threads=1)
-    return make_detector(config.Perception(detector=chosen), PROMPTS)
+    return make_detector(config.PerceptionConfig(detector=chosen), PROMPTS)
 
 
 def test_a_real_server_finds_what_is_found_here_and_may_come_and_go(server, capsys):

@@ -17,8 +17,8 @@ from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
 from edge.perception.factory import make_detector
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.lift import Lifter
-from edge.perception.tracking.sightings import SightingTracker
+from edge.perception.tracking.lift import BackProjector
+from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Observation
 
 BACKGROUND = (
@@ -75,9 +75,9 @@ def looks(house, thing: WorldObject) -> Iterator[Observation]:
 def test_it_is_found_where_it_stands_in_plain_view(house, word):
     config, world, _, _, detector = house
     detector.set_prompts([word])
-    sightings, lifter = SightingTracker(config.perception), Lifter(config.perception)
+    sightings, lifter = ObjectTracker(config.perception), BackProjector(config.perception)
     tracker = InstanceTracker(config.perception, sightings)
-    thing = next(o for o in world.objects if names.same(o.label, word))
+    thing = next(o for o in world.objects if names.same_name(o.label, word))
     for observation in looks(house, thing):
         found = detector.detect(observation)
         lifted, around = lifter.lift(found)

@@ -16,9 +16,9 @@ import zenoh
 from edge_processes import write_config
 from live_patience import PATIENCE_S, eventually
 
-from edge.bus.client import RequestError, ask
+from edge.bus.client import RequestError, send_request
 from edge.bus.session import open_session
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 
 PEER = Path(__file__).with_name("requests_peer.py")
 KEY = "edge/mission/request"
@@ -53,7 +53,7 @@ def service(start, endpoint) -> subprocess.Popen:
 
 @pytest.fixture
 def session(endpoint, service) -> Iterator[zenoh.Session]:
-    with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+    with open_session(ZenohConfig(endpoint=endpoint), "connect") as session:
         yield session
 
 
@@ -82,7 +82,7 @@ def release(service: subprocess.Popen, n: int = 1) -> None:
 
 
 def status(session: zenoh.Session) -> dict:
-    return ask(session, KEY, {"do": "status"}, PATIENCE_S, "mission")
+    return send_request(session, KEY, {"do": "status"}, PATIENCE_S, "mission")
 
 
 def test_the_life_of_a_mission(config, service, command):
@@ -101,7 +101,7 @@ def test_the_life_of_a_mission(config, service, command):
 
 
 def test_where_somebody_is_that_takes_no_requests(endpoint):
-    settings = Zenoh(endpoint=endpoint)
+    settings = ZenohConfig(endpoint=endpoint)
     nobody = pytest.raises(RequestError, match="no service answers at edge/mission/request")
     with open_session(settings, "listen"), open_session(settings, "connect") as session, nobody:
         status(session)
@@ -111,17 +111,17 @@ def test_a_service_that_hangs_and_wakes_up(service, session):
     assert status(session)["phase"] == "exploring"
     service.send_signal(signal.SIGSTOP)
     with pytest.raises(RequestError, match=r"edge/mission/request: no answer within 0\.3 s"):
-        ask(session, KEY, {"do": "pause"}, 0.3, "mission")
+        send_request(session, KEY, {"do": "pause"}, 0.3, "mission")
     service.send_signal(signal.SIGCONT)
     assert status(session)["phase"] == "exploring"
 
 
 def test_a_service_that_is_killed_and_comes_back(start, endpoint, service, session):
-    ask(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S, "mission")
+    send_request(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S, "mission")
     service.kill()
     service.wait()
     with pytest.raises(RequestError, match="mission: "):
-        ask(session, KEY, {"do": "status"}, 2.0, "mission")
+        send_request(session, KEY, {"do": "status"}, 2.0, "mission")
     started_service(start, endpoint)
 
     def answers() -> bool:  # the session finds the new one by itself
@@ -138,20 +138,22 @@ def test_while_a_mission_is_being_understood_others_pass_and_a_stop_ends_it(sess
         return {"do": "new", "instruction": f"slow F {thing}"}
 
     with ThreadPoolExecutor(6) as pool:
-        asked = [pool.submit(ask, session, KEY, slow("sofa"), PATIENCE_S, "mission")]
+        asked = [pool.submit(send_request, session, KEY, slow("sofa"), PATIENCE_S, "mission")]
         assert service.stdout.readline() == "slow\n"
         for thing in ("bed", "tv", "lamp", "vase"):
-            asked.append(pool.submit(ask, session, KEY, slow(thing), PATIENCE_S, "mission"))
+            asked.append(
+                pool.submit(send_request, session, KEY, slow(thing), PATIENCE_S, "mission")
+            )
         assert status(session)["formula"] == "F chair"
         eventually(lambda: sum(future.done() for future in asked) == 2)
-        assert ask(session, KEY, {"do": "pause"}, PATIENCE_S, "mission")["paused"] is True
+        assert send_request(session, KEY, {"do": "pause"}, PATIENCE_S, "mission")["paused"] is True
         errors = [str(future.exception(PATIENCE_S)) for future in asked]
     assert "cancelled by a stop request that came later: send it again" in errors[0]
     assert sum("busy" in error for error in errors) == 2
     assert sum("cancelled by a stop request" in error for error in errors) == 3
     release(service)
     new = {"do": "new", "formula": "F bed"}
-    assert ask(session, KEY, new, PATIENCE_S, "mission")["formula"] == "F bed"
+    assert send_request(session, KEY, new, PATIENCE_S, "mission")["formula"] == "F bed"
     assert status(session)["formula"] == "F bed"
 
 

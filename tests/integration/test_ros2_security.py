@@ -14,9 +14,9 @@ import zenoh
 from live_patience import PATIENCE_S, eventually
 from secure_files import etc_edge, page_section, refusal
 
-from edge.bus.ros2.node import Node, Publisher, Subscription
+from edge.bus.ros2.node import Ros2Node, Ros2Publisher, Ros2Subscription
 from edge.bus.session import zenoh_session
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.config.yaml_text import parse_yaml
 from edge.host.ports import free_port
 
@@ -42,16 +42,16 @@ class Graph:
 
     @contextmanager
     def robot(self) -> Iterator[zenoh.Session]:
-        settings = Zenoh(endpoint=f"tcp/127.0.0.1:{self.here}", mode="client")
+        settings = ZenohConfig(endpoint=f"tcp/127.0.0.1:{self.here}", mode="client")
         with zenoh_session(settings, "listen") as session:
             yield session
 
-    def settings(self, file: str) -> Zenoh:
+    def settings(self, file: str) -> ZenohConfig:
         """As the page says for the service, with another client's file where it is another."""
         section = page_section("7448", self.etc).replace(
             "robot.local:7448", f"127.0.0.1:{self.outside}"
         )
-        known = Zenoh(**parse_yaml(section)["zenoh"], shared_memory=False)
+        known = ZenohConfig(**parse_yaml(section)["zenoh"], shared_memory=False)
         return known.model_copy(update={"file": str(self.etc / file)})
 
     @contextmanager
@@ -79,13 +79,13 @@ def graph(etc, tmp_path) -> Iterator[Graph]:
 
 
 @contextmanager
-def node(session: zenoh.Session, name: str) -> Iterator[Node]:
-    made = Node(session, 0, name)
+def node(session: zenoh.Session, name: str) -> Iterator[Ros2Node]:
+    made = Ros2Node(session, 0, name)
     yield made
     made.close()
 
 
-def until(nodes: list[Node], done: Callable[[], bool], otherwise: str) -> None:
+def until(nodes: list[Ros2Node], done: Callable[[], bool], otherwise: str) -> None:
     def look() -> bool:
         for each in nodes:
             each.look()
@@ -104,14 +104,14 @@ def test_the_service_sees_drives_and_draws_and_does_nothing_else(graph):
         moored.put(b"moored")
         drawn = service.publisher("/edge/occupancy", MAP, latched=True)
         drawn.put(b"map")
-        sent: dict[str, Publisher] = {
+        sent: dict[str, Ros2Publisher] = {
             "odom": robot.publisher("/odom", ODOMETRY),
             "private": robot.publisher("/private", ODOMETRY),
             "goal": service.publisher("/goal_pose", POSE),
             "cmd_vel": service.publisher("/cmd_vel", POSE),
             "map of another": service.publisher("/map", MAP),
         }
-        heard: dict[str, Subscription] = {
+        heard: dict[str, Ros2Subscription] = {
             "odom": service.subscription("/odom", (ODOMETRY,), 8, latched=False),
             "private": service.subscription("/private", (ODOMETRY,), 8, latched=False),
             "moored": service.subscription("/tf_static", (TF,), 8, latched=True),
@@ -165,5 +165,5 @@ def test_the_operator_asks_and_can_send_no_goal(graph):
 
 
 def test_a_stranger_is_kept_out(graph):
-    stranger = Zenoh(endpoint=f"tls/127.0.0.1:{graph.outside}", mode="client")
+    stranger = ZenohConfig(endpoint=f"tls/127.0.0.1:{graph.outside}", mode="client")
     assert refusal(stranger, "mission: refused at ")

@@ -35,7 +35,7 @@ from secure_peer import KEYS, ROS
 
 from edge.bus import client, topics
 from edge.bus.session import open_session
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.config.yaml_text import parse_yaml
 from edge.host.ports import free_port
 
@@ -83,7 +83,7 @@ class Service:
         reached: all that has reached it: (`put` or `query`, key, payload).
     """
 
-    def __init__(self, settings: Zenoh) -> None:
+    def __init__(self, settings: ZenohConfig) -> None:
         self.reached: set[tuple[str, ...]] = set()
         self.process = subprocess.Popen(
             [sys.executable, str(PEER), settings.model_dump_json()],
@@ -105,7 +105,7 @@ class Service:
 
 
 @contextmanager
-def service(settings: Zenoh) -> Iterator[Service]:
+def service(settings: ZenohConfig) -> Iterator[Service]:
     running = Service(settings)
     try:
         yield running
@@ -200,10 +200,10 @@ def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
         "it does not trust the issuer of our certificate": known.model_copy(
             update={"client_file": str(mixed)}
         ),
-        "its certificate is not trusted": Zenoh(
+        "its certificate is not trusted": ZenohConfig(
             endpoint=at, client_file=str(elsewhere / "operator.json5")
         ),
-        "a server is there but refuses the session": Zenoh(endpoint=f"tcp/127.0.0.1:{port}"),
+        "a server is there but refuses the session": ZenohConfig(endpoint=f"tcp/127.0.0.1:{port}"),
         "inline certificates are not checked here": known.model_copy(
             update={"client_file": str(in_place)}
         ),
@@ -213,7 +213,10 @@ def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
         for told, stranger in strangers.items():
             assert f"mission: refused at {stranger.address}: " in refusal(stranger, told)
         with open_session(known, "connect") as session:
-            assert client.ask(session, "edge/mission/request", {}, PATIENCE_S, "mission") == {}
+            assert (
+                client.send_request(session, "edge/mission/request", {}, PATIENCE_S, "mission")
+                == {}
+            )
         assert running.end() == {("query", "edge/mission/request", "{}")}
 
 
@@ -253,7 +256,9 @@ def test_who_may_not_ask_is_told_that_nobody_answers(etc):
         open_session(of("robot"), "connect") as session,
         pytest.raises(client.RequestError, match="access rules"),
     ):
-        client.ask(session, "edge/mission/request", {"do": "status"}, PATIENCE_S, "mission")
+        client.send_request(
+            session, "edge/mission/request", {"do": "status"}, PATIENCE_S, "mission"
+        )
 
 
 @pytest.mark.parametrize("kind", ["certificates", "passwords"])
@@ -264,7 +269,10 @@ def test_idle_connections_keep_nobody_out(etc, kind):
         for _ in range(IDLE):
             idle.enter_context(socket.create_connection(("127.0.0.1", port)))
         with open_session(settings, "connect") as session:
-            assert client.ask(session, "edge/mission/request", {}, PATIENCE_S, "mission") == {}
+            assert (
+                client.send_request(session, "edge/mission/request", {}, PATIENCE_S, "mission")
+                == {}
+            )
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ from edge.geometry import CameraModel
 from edge.host import resources
 from edge.launch import open_service
 from edge.loop.runner import loop
-from edge.loop.status import status_of
+from edge.loop.status import status_message
 from edge.models import use
 from edge.perception.runtime.health import UNSOUND
 from edge.types import Observation
@@ -160,7 +160,7 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
         def each() -> None:
             probation = swapper.state == "on probation"
             running.source.dark = probation and swapper.status()["number"] == blind
-            seen.append(status_of(service.result())["detector"]["model"])
+            seen.append(status_message(service.result())["detector"]["model"])
             if job.done():
                 stop.set()
 
@@ -207,8 +207,8 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
 
         blind = None
         assert use_one("good", force=True)[0] == 0
-        assert status_of(service.result())["swap"]["state"] == "kept"
-        assert status_of(service.result())["detector"]["model"] == "good"
+        assert status_message(service.result())["swap"]["state"] == "kept"
+        assert status_message(service.result())["detector"]["model"] == "good"
 
 
 @pytest.mark.slow
@@ -220,7 +220,7 @@ def test_an_isolated_model_is_swapped_too(config):
         job = pool.submit(asked, config, "steady")
         loop(running, stop, each=lambda: job.done() and stop.set())
         assert job.result() == 0
-        status = status_of(running.service.result())
+        status = status_message(running.service.result())
     assert (status["swap"]["state"], status["detector"]["model"]) == ("kept", "steady")
 
 

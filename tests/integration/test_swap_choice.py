@@ -16,10 +16,10 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `
 
 from edge.config import load
 from edge.host import resources
-from edge.lab.eval.tour import tour
+from edge.lab.eval.house_drive import house_drive
 from edge.launch import open_service
-from edge.loop.runner import Running, loop
-from edge.loop.status import status_of
+from edge.loop.runner import RunningService, loop
+from edge.loop.status import status_message
 from edge.models import use
 from edge.sources.recording import player, record_messages
 
@@ -38,7 +38,7 @@ class Counts(NamedTuple):
     detected: int
 
 
-def counts_of(running: Running) -> Counts:
+def counts_of(running: RunningService) -> Counts:
     counters = running.source.counters
     ticks = running.service.latency.report().tick.count
     detected = running.worker.stats.done
@@ -62,7 +62,7 @@ def config(tmp_path, monkeypatch, endpoint):
 
 def test_choice_models_are_swapped_under_load_and_the_loop_goes_on(config, tmp_path, capsys):
     settings, path = load(str(config)), tmp_path / "tour.mcap"
-    record_messages(path, tour(settings, SECONDS))
+    record_messages(path, house_drive(settings, SECONDS))
     stop, counted = threading.Event(), []
     with (
         ThreadPoolExecutor(1) as pool,
@@ -93,7 +93,7 @@ def test_choice_models_are_swapped_under_load_and_the_loop_goes_on(config, tmp_p
             assert lines[-1].startswith(
                 "valid until the service stops; to keep it, set perception.choice.card"
             )
-            choice = status_of(service.result())["scorers"]["choice"]
+            choice = status_message(service.result())["scorers"]["choice"]
             assert (choice["model"], choice["failed"]) == (name, 0)
         assert used("smolvlm-256m-q4") == 1  # a card without files
         assert "refused: " in capsys.readouterr().out

@@ -12,16 +12,16 @@ from live_patience import eventually
 
 from edge.bus.topics import ODOMETRY, Topic
 from edge.bus.wire import messages
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.host.ports import free_port
-from edge.lab.eval.soak.relay import Alter, Relay, frozen, restamped
+from edge.lab.eval.soak.relay import MessageFilter, Relay, frozen, restamped
 
 STAMPED = ("camera/rgb", "camera/depth", "camera/info", "odom", "sim/segmentation")
 FARTHEST_M = 1.2  # a computer that is busy needs longer than one that is not
 BACK_M = 0.3
 
 
-def backward() -> Alter:
+def backward() -> MessageFilter:
     """Stamps that run backwards."""
     first: list[int] = []
 
@@ -39,7 +39,7 @@ class Track:
     """Where the robot is, by what it sends itself, and how far it drove; what it sends on."""
 
     def __init__(self) -> None:
-        self.alter: Alter | None = None
+        self.alter: MessageFilter | None = None
         self.v_mps = self.path_m = 0.0
         self.xy: tuple[float, float] | None = None
         self.way: list[tuple[float, float]] = []
@@ -53,7 +53,7 @@ class Track:
             self.way.append((x, y))
         return (payload,) if self.alter is None else self.alter(topic, payload)
 
-    def tamper(self, alter: Alter | None) -> None:
+    def tamper(self, alter: MessageFilter | None) -> None:
         self.path_m, self.way = 0.0, []
         self.alter = alter
 
@@ -63,12 +63,12 @@ def driven(edge: Callable[..., Edge], endpoint, tmp_path) -> Iterator[tuple[Edge
     """A service, a controller and a robot behind a relay, at speed."""
     camera = {"width_px": 160, "height_px": 128, "rate_hz": 10.0}
     settings = {"sensors": {"camera": camera}, "mission": {"target": "surfboard"}}
-    robot = Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}")
+    robot = ZenohConfig(endpoint=f"tcp/127.0.0.1:{free_port()}")
     (tmp_path / "robot").mkdir()
     config = write_config(tmp_path, zenoh={"endpoint": endpoint}, **settings)
     service = edge("run", config).says("ready:")
     track, stop = Track(), threading.Event()
-    relay = Relay(robot, Zenoh(endpoint=endpoint), stop)
+    relay = Relay(robot, ZenohConfig(endpoint=endpoint), stop)
     relay.alter = track
     try:
         far = write_config(tmp_path / "robot", zenoh=robot.model_dump(), **settings)

@@ -13,7 +13,7 @@ from simulated import simulated
 
 from edge.host import resources
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.tasks.brief import prepared
+from edge.tasks.mission_spec import prepare_mission
 
 TASK = "Drive a little way."
 SHIPPED = "mini-house-256x320-int8-cpu"
@@ -72,7 +72,7 @@ def test_a_server_that_misbehaves_costs_its_task_and_no_tick(behave, said):
     assert said in service.status.reason
     assert loop.drive.motion.path_m < 0.2
     assert waited > 3 or behave is not stalls, "the loop waited for the server"
-    service.begin(prepared(loop.config, formula="F oven"), loop.drive.motion.stamp_ns)
+    service.begin(prepare_mission(loop.config, formula="F oven"), loop.drive.motion.stamp_ns)
     until(loop, lambda: loop.drive.motion.path_m > 0.5)
     loop.close()
 

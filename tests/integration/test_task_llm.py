@@ -15,12 +15,12 @@ from llm_process import serving_llm
 from task_scenes import STREET, street
 
 from edge.chat import ChatError
-from edge.config import Tasks, WriterModel, load
-from edge.lab.eval.trial.views import street_view
+from edge.config import TasksConfig, WriterModel, load
+from edge.lab.eval.trial.scene_capture import capture_street
 from edge.tasks.ground import ground_of
 from edge.tasks.scene import Scene
 from edge.tasks.trajectory import check
-from edge.tasks.write import Round, WriteError, Written, write
+from edge.tasks.write import PlanAttempt, WriteError, WrittenTrajectory, write_trajectory
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
 
@@ -42,15 +42,15 @@ def url() -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def scenes():
-    return {"small": street(*STREET), "street": street_view(3, load("street")).scene}
+    return {"small": street(*STREET), "street": capture_street(3, load("street")).scene}
 
 
 def attempt(
-    instruction: str, scene: Scene, config: Tasks, rounds: list[Round]
-) -> tuple[str, Written | None]:
+    instruction: str, scene: Scene, config: TasksConfig, rounds: list[PlanAttempt]
+) -> tuple[str, WrittenTrajectory | None]:
     """What came of it in a line; None: no trajectory."""
     try:
-        written = write(instruction, scene, config, rounds.append)
+        written = write_trajectory(instruction, scene, config, rounds.append)
     except (WriteError, ChatError) as error:
         return str(error), None
     return f"a trajectory of {len(written.coarse.points_m)} points", written
@@ -58,9 +58,9 @@ def attempt(
 
 def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys):
     model = WriterModel(url=url, picture=False, rounds=2, time_limit_s=LIMIT_S)
-    config, lines = Tasks(planner=model), []
+    config, lines = TasksConfig(planner=model), []
     for where, instruction in TASKS:
-        scene, rounds, begin_s = scenes[where], list[Round](), time.monotonic()
+        scene, rounds, begin_s = scenes[where], list[PlanAttempt](), time.monotonic()
         before = scene.occupancy.cells.copy(), scene.pose, set(scene.objects)
         said, written = attempt(instruction, scene, config, rounds)
         if written is None:
@@ -88,7 +88,7 @@ def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys
 def test_a_model_without_eyes_is_told_to_go_without_the_picture(url):
     """A server whose model takes no pictures says so; that is one line, not a crash."""
     scene = street(*STREET, picture=True)
-    config = Tasks(planner=WriterModel(url=url, rounds=1, time_limit_s=LIMIT_S))
+    config = TasksConfig(planner=WriterModel(url=url, rounds=1, time_limit_s=LIMIT_S))
     with pytest.raises(ChatError, match=r"answered HTTP \d+: .*image") as error:
-        write("go to the gate", scene, config)
+        write_trajectory("go to the gate", scene, config)
     assert "\n" not in str(error.value)

@@ -17,7 +17,7 @@ from simulated import simulated
 from edge.bus import topics
 from edge.bus.session import open_session
 from edge.bus.wire import messages
-from edge.config import Config, Zenoh
+from edge.config import Config, ZenohConfig
 from edge.geometry import SE2, CameraModel
 from edge.host.ports import free_port
 from edge.recording.channels import Channel
@@ -108,7 +108,7 @@ def record(session, config: Config, path: Path, enough: set[str]) -> None:
     """Record until 30 messages and these keys are in it."""
     stop, heard = threading.Event(), []
 
-    class File(recording.McapFile):
+    class File(recording.McapWriter):
         def add(self, channel: Channel, *message: object) -> None:
             super().add(channel, *message)
             heard.append(channel.topic.lstrip("/"))
@@ -143,7 +143,9 @@ def test_a_recording_is_played_by_another_process(config, tmp_path):
     recording.record_messages(path, drive())
     again = tmp_path / "again.mcap"
     # A recording has our own names, whatever they are called where it is made or played.
-    own = Zenoh(endpoint=config.zenoh.endpoint, topics={"odom": "base/odom", "camera/rgb": "odom"})
+    own = ZenohConfig(
+        endpoint=config.zenoh.endpoint, topics={"odom": "base/odom", "camera/rgb": "odom"}
+    )
     config = config.model_copy(update={"zenoh": own})
     with open_session(config.zenoh, "listen") as session:
         source = ZenohSource(config, session)

@@ -11,10 +11,10 @@ import zenoh
 from edge.bus import topics
 from edge.bus.session import BusError, declare_publisher, open_session
 from edge.bus.wire import messages
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.geometry import SE2, CameraModel
 
-SETTINGS = Zenoh()
+SETTINGS = ZenohConfig()
 CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
 
 
@@ -51,7 +51,7 @@ def listener(session: zenoh.Session) -> None:
 
 
 def main(role: str, endpoint: str) -> int:
-    settings = Zenoh(endpoint=endpoint)
+    settings = ZenohConfig(endpoint=endpoint)
     try:
         session = open_session(settings, "listen" if role == "service" else "connect")
     except BusError as error:

@@ -15,18 +15,18 @@ from simulated import simulated
 
 from edge.bus.request_queue import RequestQueue
 from edge.geometry import SE2
-from edge.host.credentials import Token
-from edge.host.pages import serve
-from edge.host.service_manager import ServiceManager
+from edge.host.credentials import BearerToken
+from edge.host.service_manager import SystemdNotifier
+from edge.host.web_server import serve
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.live.sink import LiveSink
 from edge.live.view import PUBLIC, LiveView
 from edge.loop import requests
 from edge.loop.result import TickResult
-from edge.loop.runner import Running, loop
-from edge.loop.vitals import PROBES, Vitals
-from edge.tasks.brief import prepared
-from edge.tasks.facts import TaskFacts
+from edge.loop.runner import RunningService, loop
+from edge.loop.service_health import PROBES, ServiceHealth
+from edge.tasks.facts import TaskStatus
+from edge.tasks.mission_spec import prepare_mission
 from edge.types import GoalStatus, Observation
 
 TOKEN = "a-token-of-the-tests"
@@ -92,7 +92,7 @@ class Brittle:
 class Tasked:
     """Hands results on to the page as if a task were under way."""
 
-    task: TaskFacts | None = None
+    task: TaskStatus | None = None
 
     def __init__(self, page: LiveSink) -> None:
         self._page, self.close = page, page.close
@@ -120,7 +120,7 @@ def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
     """A service that runs until the block ends."""
     http = {} if token is None else {"http": {"token_file": "/none"}}
     config = simulated({"loop": {"hz": 50.0}, "mission": {"target": "bed"}, **http, **sections})
-    vitals = Vitals(ServiceManager({}))
+    vitals = ServiceHealth(SystemdNotifier({}))
     view, brittle = LiveView(config, vitals), Brittle()
     tasked = Tasked(view.sink)
     closed = ClosedLoop(config, sinks=(tasked, brittle))
@@ -128,15 +128,15 @@ def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
         closed.service.mission.wait()
     queues = {
         key: RequestQueue(key, verbs, handle)
-        for key, (verbs, handle) in requests.served(
-            closed.service, partial(prepared, config)
+        for key, (verbs, handle) in requests.request_handlers(
+            closed.service, partial(prepare_mission, config)
         ).items()
     }
-    known = None if token is None else Token(token.encode())
+    known = None if token is None else BearerToken(token.encode())
     pages, stop = {**vitals.pages(), **view.pages()}, threading.Event()
     with serve(pages, HERE, 0, known, PROBES, view.forms(), PUBLIC) as port:
         house = House(port, view, closed, brittle, tasked)
-        running = Running(config, closed.service, closed.worker, house.robot, queues)
+        running = RunningService(config, closed.service, closed.worker, house.robot, queues)
         thread = threading.Thread(
             target=loop, args=(running, stop), kwargs={"each": partial(vitals.beat, running)}
         )

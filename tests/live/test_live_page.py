@@ -14,10 +14,10 @@ from simulated import simulated
 from task_facts import INSTRUCTION as TASK
 from task_facts import by_a_model, driving, looking
 
-from edge.host.pages import serve
-from edge.host.service_manager import ServiceManager
+from edge.host.service_manager import SystemdNotifier
+from edge.host.web_server import serve
 from edge.live.view import LiveView
-from edge.loop.vitals import Vitals
+from edge.loop.service_health import ServiceHealth
 from edge.sources.synchronizer import TimeSynchronizer
 
 SLOWLY = {"max_speed_mps": 0.15}
@@ -75,7 +75,7 @@ def test_it_shows_what_there_is_and_asks_nobody_else(page, house):
 
 
 def test_while_the_service_starts_it_says_what_it_is_at(tab):
-    vitals = Vitals(ServiceManager({}))
+    vitals = ServiceHealth(SystemdNotifier({}))
     view = LiveView(simulated({"mission": {"target": "bed"}}), vitals)
     vitals.starting("loading the detector")
     with serve(view.pages(), HERE, 0) as port:

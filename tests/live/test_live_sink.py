@@ -13,7 +13,7 @@ from task_facts import driving, looking
 from edge.geometry import CameraModel
 from edge.live.sink import PERIOD_S, WATCHED_S, LiveSink
 from edge.loop.result import ScoredCandidates
-from edge.perception.scoring.choice.question import Choice
+from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies.base import FRONTIER, INSTANCE
 from edge.types import ContextBoxes, Detections, Observation
 
@@ -97,7 +97,9 @@ def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
         np.array([[2, 0], [-2, 0], [2, 0]], np.float32), np.ones(3, np.float32),
         np.ones(3, np.float32), np.zeros(3, np.bool_),
     )  # fmt: skip
-    choice = Choice(1, "chair", (9, 5, 6, 7), np.array([0.1, 0.2, 0.3, 0.4], np.float32), 0.0, 1.0)
+    choice = FrontierChoice(
+        1, "chair", (9, 5, 6, 7), np.array([0.1, 0.2, 0.3, 0.4], np.float32), 0.0, 1.0
+    )
     rgb = np.zeros((30, 40, 3), np.uint8)
     sink.tick(result(observation=seen(rgb), choice=choice, candidates=lambda: there))
     ((letter, u, v),) = sink.shot.letters

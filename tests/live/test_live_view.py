@@ -14,11 +14,11 @@ from task_facts import INSTRUCTION, by_a_model, looking
 from edge.bus.request_queue import RequestQueue
 from edge.bus.verbs import Verb
 from edge.geometry import SE2, Grid
-from edge.host.service_manager import ServiceManager
+from edge.host.service_manager import SystemdNotifier
+from edge.live.page_json import MAX_LAYERS, MAX_POINTS
 from edge.live.view import PUBLIC, LiveView
-from edge.live.words import MAX_LAYERS, MAX_POINTS
 from edge.loop.result import Event, ScoredCandidates
-from edge.loop.vitals import Vitals
+from edge.loop.service_health import ServiceHealth
 from edge.types import Goal, GoalStatus, Instance, MissionStatus
 
 EVIL = "<script>\u202e\ud800'\"&\x1b[31m"
@@ -30,7 +30,7 @@ HEALTH = {
 
 @pytest.fixture
 def view() -> LiveView:
-    return LiveView(simulated({"mission": {"target": "chair"}}), Vitals(ServiceManager({})))
+    return LiveView(simulated({"mission": {"target": "chair"}}), ServiceHealth(SystemdNotifier({})))
 
 
 def told(view: LiveView, path: str):

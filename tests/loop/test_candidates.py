@@ -110,7 +110,7 @@ def test_a_turn_is_one_candidate_that_lasts_and_can_be_left_alone():
 
     def turn(now_ns: int) -> Candidates:
         pool.update(frontiers(), [], now_ns, now_ns)
-        pool.add_look(grid, pose, 1.3, now_ns)
+        pool.add_spin(grid, pose, 1.3, now_ns)
         return pool.candidates
 
     c = turn(0)
@@ -122,5 +122,5 @@ def test_a_turn_is_one_candidate_that_lasts_and_can_be_left_alone():
     pool.discard(LOOK, first, tuple(c.xy_m[0].tolist()), until_ns=100)
     assert turn(2).blocked[0]
     pool.update(frontiers((1, 0), (2, 0)), [], 3, 3)
-    pool.add_look(grid, pose, 1.3, 3)
+    pool.add_spin(grid, pose, 1.3, 3)
     assert pool.candidates.n == 2, "no room for it"

@@ -11,7 +11,7 @@ from simulated import simulated
 
 from edge.geometry import SE2, CameraModel
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.depth_motion import MISFIT, MOST_RETRY_NS, RETRY_NS, DepthMotion
+from edge.loop.depth_motion import MISFIT, MOST_RETRY_NS, RETRY_NS, DepthMotionCheck
 
 SECOND_NS = 1_000_000_000
 TICK_NS = SECOND_NS // 10
@@ -46,7 +46,7 @@ class Eye:
     def __init__(self, house: ClosedLoop) -> None:
         robot = house.config.robot
         self.rig = house.rig
-        self.motion = DepthMotion(robot.max_speed_mps, robot.max_turn_radps)
+        self.motion = DepthMotionCheck(robot.max_speed_mps, robot.max_turn_radps)
         self.now_ns = 0
 
     def see(

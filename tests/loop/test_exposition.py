@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from edge.loop.exposition import MOST_SERIES, OTHER, Exposition, Metric, families
+from edge.loop.exposition import MOST_SERIES, OTHER, Exposition, MetricSpec, families
 from edge.loop.histogram import Histogram
 
 NASTY = ['say "hi"', "a\nb", "\\", "x" * 10_000, "\0\x1b[2J", "ß→", "", "a b\r\nc"]
 
 
-def read(*table: Metric) -> dict[str, dict[tuple[str, ...], float]]:
+def read(*table: MetricSpec) -> dict[str, dict[tuple[str, ...], float]]:
     """Name of a sample → its labels' values → value, as Prometheus' own parser reads the page."""
     page = Exposition(lambda: families(table, None)).page()
     assert page.kind.startswith("text/plain")
@@ -27,16 +27,17 @@ def read(*table: Metric) -> dict[str, dict[tuple[str, ...], float]]:
 @pytest.mark.parametrize(
     ("metric", "samples"),
     [
-        (Metric("a_total", "counter", "h", lambda _: 3), {"a_total": {(): 3}}),
-        (Metric("a", "gauge", "h", lambda _: True), {"a": {(): 1}}),
-        (Metric("a", "gauge", "h", lambda _: None), {}),
-        (Metric("a", "gauge", "h", lambda _: {}, ("x",)), {}),
-        (Metric("a", "gauge", "h", lambda _: {"p": 1, "q": 2}, ("x",)),
+        (MetricSpec("a_total", "counter", "h", lambda _: 3), {"a_total": {(): 3}}),
+        (MetricSpec("a", "gauge", "h", lambda _: True), {"a": {(): 1}}),
+        (MetricSpec("a", "gauge", "h", lambda _: None), {}),
+        (MetricSpec("a", "gauge", "h", lambda _: {}, ("x",)), {}),
+        (MetricSpec("a", "gauge", "h", lambda _: {"p": 1, "q": 2}, ("x",)),
          {"a": {("p",): 1, ("q",): 2}}),
-        (Metric("a", "gauge", "h", lambda _: {("p", "q"): 1}, ("x", "y")), {"a": {("p", "q"): 1}}),
-        (Metric("a", "state", "h", lambda _: "on", states=("on", "off")),
+        (MetricSpec("a", "gauge", "h", lambda _: {("p", "q"): 1}, ("x", "y")), {"a": {("p",
+        "q"): 1}}),
+        (MetricSpec("a", "state", "h", lambda _: "on", states=("on", "off")),
          {"a": {("on",): 1, ("off",): 0}}),
-        (Metric("a_seconds", "histogram", "h", lambda _: Histogram((0.1, 1.0), (2, 0, 1), 3.5)),
+        (MetricSpec("a_seconds", "histogram", "h", lambda _: Histogram((0.1, 1.0), (2, 0, 1), 3.5)),
          {"a_seconds_bucket": {("0.1",): 2, ("1.0",): 2, ("+Inf",): 3},
           "a_seconds_count": {(): 3}, "a_seconds_sum": {(): 3.5}}),
     ],
@@ -49,8 +50,8 @@ def test_every_kind(metric, samples):
 @pytest.mark.parametrize("text", NASTY)
 def test_a_label_is_one_short_line_and_the_page_stays_whole(text):
     found = read(
-        Metric("a_total", "counter", "h", lambda _: {text: 1}, ("x",)),
-        Metric("b", "gauge", "h", lambda _: 2),
+        MetricSpec("a_total", "counter", "h", lambda _: {text: 1}, ("x",)),
+        MetricSpec("b", "gauge", "h", lambda _: 2),
     )
     ((label,),) = found["a_total"]
     assert len(label) <= 100
@@ -60,7 +61,7 @@ def test_a_label_is_one_short_line_and_the_page_stays_whole(text):
 
 def test_of_a_counter_with_endless_labels_the_rest_is_summed_up():
     counts = {f"reason {i}": 1 for i in range(10_000)}
-    found = read(Metric("a_total", "counter", "h", lambda _: counts, ("x",)))["a_total"]
+    found = read(MetricSpec("a_total", "counter", "h", lambda _: counts, ("x",)))["a_total"]
     assert len(found) == MOST_SERIES + 1
     assert sum(found.values()) == 10_000
     assert found["reason 0",] == 1
@@ -76,7 +77,7 @@ def test_what_cannot_be_read_fails_the_scrape_and_not_the_next():
             raise answer
         return answer
 
-    exposition = Exposition(lambda: families([Metric("a", "gauge", "h", look)], None))
+    exposition = Exposition(lambda: families([MetricSpec("a", "gauge", "h", look)], None))
     with pytest.raises(ValueError, match="no"):
         exposition.page()
     assert b"\na 1.0\n" in exposition.page().body

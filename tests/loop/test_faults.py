@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from edge.errors import Stopped
-from edge.loop.faults import DEGRADED_AFTER, Faults
+from edge.loop.error_boundary import DEGRADED_AFTER, ErrorBoundary
 
 
 @pytest.fixture
@@ -14,18 +14,20 @@ def told() -> list[str]:
 
 
 @pytest.fixture
-def faults(told) -> Faults:
-    return Faults(lambda text, now_ns: told.append(f"{now_ns} {text}"))
+def faults(told) -> ErrorBoundary:
+    return ErrorBoundary(lambda text, now_ns: told.append(f"{now_ns} {text}"))
 
 
-def fail(faults: Faults, times: int = 1, step: str = "tick", error=ZeroDivisionError) -> None:
+def fail(
+    faults: ErrorBoundary, times: int = 1, step: str = "tick", error=ZeroDivisionError
+) -> None:
     for _ in range(times):
-        with faults.outlived(step, 5):
+        with faults.contain(step, 5):
             raise error("oh\n\x1b[31mno")
 
 
 def test_nothing_failed(faults, told):
-    with faults.outlived("tick", 5):
+    with faults.contain("tick", 5):
         pass
     assert faults.status() == {"state": "ok", "failed": 0, "last_error": "", "failures": {}}
     assert told == []
@@ -50,26 +52,26 @@ def test_a_step_that_found_nothing_to_do_has_not_gone_well(faults, nothing):
         raise ValueError
 
     for _ in range(DEGRADED_AFTER):
-        assert faults.attempt("source", 5, bad) is None
-        assert faults.attempt("source", 5, lambda: nothing) == nothing
+        assert faults.call("source", 5, bad) is None
+        assert faults.call("source", 5, lambda: nothing) == nothing
     assert faults.state == "degraded"
-    assert faults.attempt("source", 6, lambda: [7]) == [7]
+    assert faults.call("source", 6, lambda: [7]) == [7]
     assert faults.state == "ok"
 
 
 def test_degraded_comes_with_a_row_without_end_and_goes_with_its_end(faults, told):
     fail(faults, DEGRADED_AFTER - 1)
-    with faults.outlived("tick", 6):
+    with faults.contain("tick", 6):
         pass
     fail(faults, DEGRADED_AFTER - 1)
-    with faults.outlived("orders", 6):  # of another step
+    with faults.contain("orders", 6):  # of another step
         pass
     assert faults.state == "ok"
     fail(faults)
     assert faults.state == "degraded"
     assert "degraded: tick keeps failing: tick: ZeroDivisionError" in told[-1]
     fail(faults, 5)
-    with faults.outlived("tick", 7):
+    with faults.contain("tick", 7):
         pass
     assert faults.state == "ok"
     assert told[-1] == "7 tick: works again"
@@ -78,6 +80,6 @@ def test_degraded_comes_with_a_row_without_end_and_goes_with_its_end(faults, tol
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, Stopped])
 def test_what_ends_the_process_passes_through(faults, error):
-    with pytest.raises(error), faults.outlived("tick", 5):
+    with pytest.raises(error), faults.contain("tick", 5):
         raise error
     assert faults.failed == 0

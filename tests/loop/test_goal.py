@@ -14,7 +14,7 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
 from edge.mapping.coverage import Viewpoint
 from edge.mapping.results import Frontiers
-from edge.policies.base import FRONTIER, INSTANCE, Answers, Context
+from edge.policies.base import FRONTIER, INSTANCE, PolicyInput, ScorerOutputs
 from edge.types import Goal, GoalStatus, Instance, Observation
 
 S = 1_000_000_000
@@ -84,10 +84,10 @@ class Things(dict):
     def mark_reached(self, instance_id: int) -> None:
         self[instance_id].state = "reached"
 
-    def refute(self, instance_id: int) -> None:
+    def reject(self, instance_id: int) -> None:
         self[instance_id].state = "refuted"
 
-    def forget_refuted(self, label: str) -> None:
+    def forget_rejected(self, label: str) -> None:
         """Nothing is found again here."""
 
 
@@ -100,7 +100,7 @@ class Mission:
     def __init__(self) -> None:
         self.arrivals: list[str] = []
 
-    def arrive(self, evidence: str, now_ns: int) -> None:
+    def on_reached(self, evidence: str, now_ns: int) -> None:
         self.arrivals.append(evidence)
 
 
@@ -122,12 +122,13 @@ class Case:
         self.map, self.mission = Map(), Mission()
         self.now_ns, self._ahead_ns = 0, sensors_ahead_ns
         self.score = np.zeros(16, np.float32)
-        self.goals.set_out(self.mission)
+        self.goals.retarget(self.mission)
 
-    def context(self, pose: SE2 = HERE) -> Context:
+    def context(self, pose: SE2 = HERE) -> PolicyInput:
         seen, self.map.here = Observation(0, self.now_ns, pose.matrix()), pose
-        return Context(
-            seen, pose, self.map, (0, 0, 0, 0), self.pool.candidates, None, Answers(), ("chair",),
+        return PolicyInput(
+            seen, pose, self.map, (0, 0, 0, 0), self.pool.candidates, None, ScorerOutputs(),
+            ("chair",),
             "chair", self.now_ns,
         )  # fmt: skip
 
@@ -259,7 +260,7 @@ def test_an_instance_that_is_none_any_more_is_passed_over(gone):
     case.choose(chair(9, 3.0, 0.5))
     case.goals.drop()
     if gone == "refuted":
-        case.things.refute(9)
+        case.things.reject(9)
     else:
         del case.things[9]
     assert case.goals.choose(case.context(), case.map, case.score, 0) is None
@@ -274,7 +275,7 @@ def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
     assert chosen == [2, 1, 2, 1, 2, 1, 2, 2, 2, 2, 2, 2]
     # Another place has its own count, and another target starts over.
     assert who(case.choose(frontier(2, -3, 0.3), chair(9, 3, 0.1))) == ("instance", 9)
-    case.goals.set_out(case.mission)
+    case.goals.retarget(case.mission)
     assert who(case.choose(frontier(1, 3, 0.3), frontier(2, -3, 0.9))) == ("frontier", 2)
     assert who(case.choose(frontier(1, 3, 0.9), frontier(2, -3, 0.3))) == ("frontier", 1)
 
@@ -304,7 +305,7 @@ def test_with_nowhere_to_go_it_turns_three_times_and_what_turns_up_later_has_to_
     assert who(case.choose(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0)) == ("frontier", 1)
     assert case.choose(pose=pose, after_s=5.0) is None
     assert case.goals.exhausted
-    case.goals.set_out(case.mission)
+    case.goals.retarget(case.mission)
     assert not case.goals.exhausted
     assert case.turn().kind == "look"
 

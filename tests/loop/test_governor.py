@@ -11,12 +11,12 @@ from simulated import simulated
 
 from edge.config import parse
 from edge.geometry import CameraModel
-from edge.host.board import Board
+from edge.host.board import BoardReading
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop import governor as module
-from edge.loop import ladder
-from edge.loop.governor import Governor
-from edge.loop.status import status_of
+from edge.loop import degradation
+from edge.loop import load_shedder as module
+from edge.loop.load_shedder import LoadShedder
+from edge.loop.status import status_message
 from edge.perception.runtime.cards import ModelError
 from edge.perception.runtime.health import Health
 from edge.perception.swap import detector as swapped
@@ -25,8 +25,8 @@ from edge.perception.worker import DetectorWorker
 from edge.types import Detections, Observation
 
 MS, TICK_NS = 1_000_000, 100_000_000
-COOL = Board({"tj": 50.0}, {("tj", "passive"): 99.0}, {}, {}, {}, {}, "MAXN")
-HOT = Board({"tj": 97.0}, {("tj", "passive"): 99.0}, {}, {}, {}, {}, "MAXN")
+COOL = BoardReading({"tj": 50.0}, {("tj", "passive"): 99.0}, {}, {}, {}, {}, "MAXN")
+HOT = BoardReading({"tj": 97.0}, {("tj", "passive"): 99.0}, {}, {}, {}, {}, "MAXN")
 LADDER = [{"model": "small"}, {"rest": "choice"}]
 
 
@@ -71,7 +71,7 @@ class Bench:
         self.worker = DetectorWorker(self.models["large"], inline=True)
         self.scorers = SimpleNamespace(resting=frozenset())
         self.swapper = DetectorSwap(config.perception, self.worker, lambda *_: None, self._make)
-        self.governor = Governor(
+        self.governor = LoadShedder(
             config.perception, self.worker, self.swapper, self.scorers,
             lambda text, now_ns: self.said.append(text), self._read,
         )  # fmt: skip
@@ -84,7 +84,7 @@ class Bench:
         model.closed = False
         return model
 
-    def _read(self) -> Board:
+    def _read(self) -> BoardReading:
         self.reads += 1
         if isinstance(self.board, Exception):
             raise self.board
@@ -116,7 +116,7 @@ class Bench:
         eventually(lambda: self.run(1.0) and what(), f"never: {self.governor.status()}")
         return self
 
-    def sees(self, board: Board) -> Bench:
+    def sees(self, board: BoardReading) -> Bench:
         """Wait until the governor has read this of the board."""
         self.board = board
         self.governor._board._rest_s = 0.0
@@ -134,7 +134,7 @@ def bench(monkeypatch):
     monkeypatch.setattr(module, "BOARD_S", 0.01)
     monkeypatch.setattr(swapped, "IMAGES", 1)
     for name, seconds in {"OVER_S": 2.0, "DWELL_S": 5.0, "ROOM_S": 10.0}.items():
-        monkeypatch.setattr(ladder, name, seconds)
+        monkeypatch.setattr(degradation, name, seconds)
     opened = []
 
     def make(**more) -> Bench:
@@ -250,7 +250,7 @@ def service(lockstep: bool, **governor) -> ClosedLoop:
 def test_there_is_none_without_a_ladder_nor_where_runs_replay(lockstep, ladder):
     closed = service(lockstep, ladder=ladder)
     assert closed.service.governor is None
-    assert status_of(closed.service.result())["governor"] is None
+    assert status_message(closed.service.result())["governor"] is None
 
 
 def test_a_service_tells_of_each_step_in_its_status_and_to_its_sinks():
@@ -261,7 +261,7 @@ def test_a_service_tells_of_each_step_in_its_status_and_to_its_sinks():
         s = iter(range(10_000))
         eventually(lambda: governor.step(next(s) * 10**9) or governor.rung == 1)
         closed.step()
-        status = status_of(closed.service.result())
+        status = status_message(closed.service.result())
         assert closed.service.scorers.resting == {"choice"}
     finally:
         closed.close()

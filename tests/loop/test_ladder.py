@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.loop import ladder
-from edge.loop.ladder import MOST_DOUBLINGS, UNLIKELY, Ladder, Second
+from edge.loop import degradation
+from edge.loop.degradation import MOST_DOUBLINGS, UNLIKELY, DegradationLevels, LoadSample
 
 S = 1_000_000_000
 BUDGET_MS = 33.0
@@ -17,14 +17,14 @@ BUDGET_MS = 33.0
 
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch):
-    monkeypatch.setattr(ladder, "DWELL_S", 10.0)
+    monkeypatch.setattr(degradation, "DWELL_S", 10.0)
 
 
 class Plant:
     """A computer: what detect takes on a rung, times the load; a step is taken at once."""
 
     def __init__(self, costs_ms=(20.0, 10.0, 5.0)) -> None:
-        self.ladder, self.costs_ms = Ladder(len(costs_ms) - 1, BUDGET_MS), costs_ms
+        self.ladder, self.costs_ms = DegradationLevels(len(costs_ms) - 1, BUDGET_MS), costs_ms
         self.now_s, self.moves = 0, []
 
     @property
@@ -34,7 +34,7 @@ class Plant:
     def run(self, seconds: int, load: float = 1.0, **second) -> Plant:
         for _ in range(seconds):
             self.now_s += 1
-            told = Second(self.costs_ms[self.rung] * load, **second)
+            told = LoadSample(self.costs_ms[self.rung] * load, **second)
             if (move := self.ladder.look(told, self.now_s * S)) is not None:
                 self.ladder.arrived(move.rung, self.now_s * S)
                 self.moves.append((self.now_s, move.rung, move.why))
@@ -49,9 +49,9 @@ def test_too_slow_for_seconds_is_a_step_down_and_says_why():
 
 
 def test_a_detector_that_finds_nothing_out_is_no_room():
-    ladder = Ladder(2, BUDGET_MS)
+    ladder = DegradationLevels(2, BUDGET_MS)
     ladder.arrived(1, 0)
-    assert all(ladder.look(Second(None), s * S) is None for s in range(1, 1000))
+    assert all(ladder.look(LoadSample(None), s * S) is None for s in range(1, 1000))
 
 
 def test_a_board_that_is_not_cool_has_no_room():
@@ -72,9 +72,9 @@ def test_steps_up_in_vain_come_ever_more_seldom():
 
 
 def test_a_step_that_is_refused_is_tried_again_but_not_at_once():
-    ladder, asked = Ladder(2, BUDGET_MS), []
+    ladder, asked = DegradationLevels(2, BUDGET_MS), []
     for s in range(1, 100):
-        if ladder.look(Second(50.0), s * S) is not None:
+        if ladder.look(LoadSample(50.0), s * S) is not None:
             asked.append(s)
             ladder.refused(s * S)
     assert asked[:3] == [4, 14, 24]

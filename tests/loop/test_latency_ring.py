@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.host.calibration import Calibration
+from edge.host.calibration import SpeedCalibration
 from edge.loop.latency import LatencyRing
 from edge.loop.stages import STAGES, TICK_DEADLINE_MS
 
 MS = 1_000_000
-REFERENCE = Calibration("m", 1.0, {})
+REFERENCE = SpeedCalibration("m", 1.0, {})
 NAMES = [stage.name for stage in STAGES]
 INGEST, DETECT, MAP, LIFT = (NAMES.index(name) for name in ("ingest", "detect", "map", "lift"))
 
@@ -64,7 +64,7 @@ def test_percentiles_are_numpys_over_the_newest(durations, capacity, last):
     ],
 )
 def test_budgets_grow_with_a_slower_computer_and_deadlines_do_not(slowdown, map_ms, tick_ms, says):
-    ring = LatencyRing(calibration=Calibration("m", slowdown, {}))
+    ring = LatencyRing(calibration=SpeedCalibration("m", slowdown, {}))
     tick(ring, {MAP: round(1.6 * MS)}, 2 * MS)
     report = ring.report()
     found = report.stage("map")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from task_scenes import STREET, Thing, street
 
-from edge.loop.behaviours.draft import AGAIN_M, _found_again
+from edge.loop.behaviours.plan_worker import AGAIN_M, _found_again
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 from simulated import simulated
 
 from edge.lab.eval.closed_loop import ClosedLoop, wants_colour
-from edge.loop.status import status_of
+from edge.loop.status import status_message
 
 STEPS = 6
 
@@ -39,7 +39,7 @@ def seen_by(config):
     loop = ClosedLoop(config, sinks=[sink := Seen()])
     for _ in range(STEPS):
         loop.step()
-    status = status_of(loop.service.result())["segmenter"]
+    status = status_message(loop.service.result())["segmenter"]
     loop.close()
     return sink.detections, status
 

@@ -10,19 +10,19 @@ from prometheus_client.parser import text_string_to_metric_families
 from simulated import simulated
 from test_loops import running_of
 
-from edge.host.board import Board
-from edge.host.service_manager import ServiceManager
-from edge.host.worker import Stats
+from edge.host.board import BoardReading
+from edge.host.service_manager import SystemdNotifier
+from edge.host.worker import WorkerStats
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.metrics import BOARD, LIFE, SERVICE, Metrics
+from edge.loop.metrics import BOARD_METRICS, HEALTH_METRICS, SERVICE_METRICS, Metrics
 from edge.loop.publish import statuses
 from edge.loop.reload import Reloader
-from edge.loop.runner import Running
-from edge.loop.vitals import Vitals
+from edge.loop.runner import RunningService
+from edge.loop.service_health import ServiceHealth
 
 MISSION = 'go to the bed"} 1\n' + "x" * 10_000
-HOT = Board(
+HOT = BoardReading(
     {"cpu": 51.5}, {("cpu", "passive"): 95.0}, {"gpu": 0.5}, {"oc1": 2}, {"VDD_IN": 8.0},
     {"total": 1000, "available": 400}, "25W",
 )  # fmt: skip
@@ -31,14 +31,14 @@ HOT = Board(
 class Watched:
     """A closed loop and its metrics; `scrape` as Prometheus' own parser reads them."""
 
-    def __init__(self, board: Board = HOT, **sections: dict) -> None:
-        self.vitals = Vitals(ServiceManager({}))
+    def __init__(self, board: BoardReading = HOT, **sections: dict) -> None:
+        self.vitals = ServiceHealth(SystemdNotifier({}))
         self.metrics = Metrics(self.vitals, lambda: board)
         lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
         self.closed = ClosedLoop(
             simulated({**lockstep, "mission": {"target": "bed"}, **sections}), colour=False
         )
-        self.running: Running = running_of(self.closed, [])
+        self.running: RunningService = running_of(self.closed, [])
 
     def watch(self, *sinks: object) -> Watched:
         self.metrics.watch(self.running, sinks)
@@ -99,14 +99,14 @@ def test_after_some_ticks(watched):
 
 def test_every_metric_of_the_tables_has_its_name_help_and_kind(watched):
     page = watched.page()
-    for metric in (*LIFE, *SERVICE, *BOARD):
+    for metric in (*HEALTH_METRICS, *SERVICE_METRICS, *BOARD_METRICS):
         kind = "gauge" if metric.kind == "state" else metric.kind
         assert f"# HELP {metric.name} " in page
         assert f"# TYPE {metric.name} {kind}\n" in page
 
 
 def test_names_follow_prometheus_rules():
-    metrics = [*LIFE, *SERVICE, *BOARD]
+    metrics = [*HEALTH_METRICS, *SERVICE_METRICS, *BOARD_METRICS]
     assert len({metric.name for metric in metrics}) == len(metrics)
     for metric in metrics:
         assert metric.name.startswith("edge_")
@@ -119,7 +119,7 @@ def test_no_text_of_others_is_a_label():
     watched = Watched().watch()
     watched.running.service.mission._instruction = MISSION
     watched.running.service.mission.target = MISSION
-    watched.running.service.faults.caught("source", ValueError(MISSION), 0)
+    watched.running.service.faults.on_error("source", ValueError(MISSION), 0)
     page = watched.page()
     assert "xxxx" not in page
     assert 'edge_faults_by_step_total{error="ValueError",step="source"} 1.0' in page
@@ -128,7 +128,7 @@ def test_no_text_of_others_is_a_label():
 def test_sinks_that_say_how_they_are_tell_what_they_could_not_send():
     class Slow:
         def __init__(self, **counts: int) -> None:
-            self.status = Stats(**counts).status
+            self.status = WorkerStats(**counts).status
 
     class Wordy:
         def status(self):
@@ -197,9 +197,9 @@ def test_scrapes_from_another_thread_while_the_loop_drives_and_its_pose_jumps():
     for i in range(30):
         watched.closed.step()
         watched.running.source.counters[f"reason {i}"] = i
-        watched.running.service.faults.caught(f"step {i}", ValueError(), 0)
+        watched.running.service.faults.on_error(f"step {i}", ValueError(), 0)
         if i % 10 == 9:
-            watched.running.service.forget_places(0)
+            watched.running.service.on_pose_jump(0)
     stop.set()
     thread.join()
     assert failed == []

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.config import DetectorSim, Mapping
+from edge.config import DetectorSim, MappingConfig
 from edge.geometry import se3
-from edge.loop.prior import LEAST, MOST, Prior
+from edge.loop.prior import LEAST, MOST, LocationPrior
 from edge.mapping.grid import RollingMap
 from edge.mapping.points import HEIGHT_CODES
 from edge.mapping.view import MapView
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
-from edge.perception.tracking.sightings import Sightings
+from edge.perception.tracking.sightings import TrackedObjects
 
 TABLE = load()
 WORDS = make_words(TABLE, DetectorSim())
@@ -24,7 +24,7 @@ BY = ("cooccurrence", "rooms", "both")
 
 def walls(*ends: tuple[float, float, float, float]) -> MapView:
     """A map in which walls were seen from (x, y) to (x, y), from where the robot stands (0, 0)."""
-    grid, points = RollingMap(Mapping(extent_m=30.0)), []
+    grid, points = RollingMap(MappingConfig(extent_m=30.0)), []
     for x0, y0, x1, y1 in ends:
         for f in np.linspace(0, 1, 400):
             points += [
@@ -36,8 +36,8 @@ def walls(*ends: tuple[float, float, float, float]) -> MapView:
     return MapView(grid)
 
 
-def seen(*things: tuple[str, float, float], confidence: float = 0.5) -> Sightings:
-    s = Sightings(32)
+def seen(*things: tuple[str, float, float], confidence: float = 0.5) -> TrackedObjects:
+    s = TrackedObjects(32)
     for i, (word, x_m, y_m) in enumerate(things):
         if word not in s.words:
             s.words.append(word)
@@ -46,11 +46,11 @@ def seen(*things: tuple[str, float, float], confidence: float = 0.5) -> Sighting
     return s
 
 
-def prior(by: str, inline: bool = True) -> Prior:
-    return Prior(by, TABLE, WORDS, int(0.85 * HEIGHT_CODES), inline)
+def prior(by: str, inline: bool = True) -> LocationPrior:
+    return LocationPrior(by, TABLE, WORDS, int(0.85 * HEIGHT_CODES), inline)
 
 
-def lifts(p: Prior, target: str, *places: tuple[float, float]) -> list[float]:
+def lifts(p: LocationPrior, target: str, *places: tuple[float, float]) -> list[float]:
     xy_m, out = np.array(places, np.float32).reshape(-1, 2), np.full(9, 7, np.float32)
     p.lift(target, xy_m, len(places), out)
     assert (out[len(places) :] == 7).all()
@@ -77,7 +77,7 @@ def test_no_opinion(by, things, target):
 
 
 def test_what_stands_near_tells():
-    p, empty = prior("cooccurrence"), MapView(RollingMap(Mapping()))
+    p, empty = prior("cooccurrence"), MapView(RollingMap(MappingConfig()))
     p.step(empty, seen(("toilet paper", 1, 0), ("bed", -6, 0)), 0)
     by_sink, by_bed, far = lifts(p, "toilet", (0, 0), (-5, 0), (0, 9))
     assert by_bed < far == 1 < by_sink
@@ -117,7 +117,7 @@ def test_rooms_tell_as_far_as_they_reach():
     target=st.sampled_from(TABLE.things),
 )
 def test_never_out_of_bounds_and_in_any_order(things, by, target):
-    empty, places = MapView(RollingMap(Mapping())), ((0, 0), (1, 2), (3, -3))
+    empty, places = MapView(RollingMap(MappingConfig())), ((0, 0), (1, 2), (3, -3))
     found = []
     for order in (things, things[::-1]):
         p = prior(by)

@@ -11,7 +11,7 @@ from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.memory import Place, Site, Zone
-from edge.mission.brief import prepare
+from edge.mission.spec import prepare
 
 START = (1.6, 1.4)  # of the robot in the built-in house
 FAR = Place("dock", SE2(4.0, 2.0, 1.57))
@@ -91,13 +91,13 @@ def test_a_place_that_cannot_be_reached_fails_with_the_reason():
 
 
 def test_it_drives_around_a_zone_and_the_way_is_longer():
-    def way_m(*items) -> float:
+    def path_m(*items) -> float:
         loop = driven("go to the dock", FAR, *items)
         assert loop.service.status.phase == "reached", loop.notes.events
         return loop.service.mission.path_m
 
     zone = Zone("mat", "keep_out", square(2.9, 1.8, 0.3))
-    assert way_m(zone) > way_m() + 0.05
+    assert path_m(zone) > path_m() + 0.05
 
 
 def test_it_leaves_a_zone_that_it_is_in_and_says_so():
@@ -132,6 +132,6 @@ def test_it_patrols():
 
 def test_a_jump_of_odometry_drops_places_and_zones():
     loop = driven("go to the dock", FAR, Zone("mat", "keep_out", square(9.0, 9.0, 0.3)), seconds=1)
-    loop.service.forget_places(0)
+    loop.service.on_pose_jump(0)
     assert loop.service.site.known == Site()
     assert not loop.service.map.grid.zones.any

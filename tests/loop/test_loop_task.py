@@ -12,15 +12,15 @@ from simulated import simulated
 
 from edge.bus.verbs import Request
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.behaviours import draft
+from edge.loop.behaviours import plan_worker
 from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.metrics import SERVICE
+from edge.loop.metrics import SERVICE_METRICS
 from edge.loop.requests import handle_mission, mission_verbs
 from edge.loop.service import Service
-from edge.loop.status import status_of
+from edge.loop.status import status_message
 from edge.policies import make_policy
-from edge.tasks.brief import prepared
-from edge.tasks.reading import AmbiguousError
+from edge.tasks.mission_spec import prepare_mission
+from edge.tasks.reading import AmbiguousObjectError
 
 STRAIGHT = "go straight for 2 metres"
 TO_THE_OVEN = "go to the oven"
@@ -37,8 +37,8 @@ def closed(task: str | None = STRAIGHT, **sections: dict) -> ClosedLoop:
 
 
 def ask(loop: ClosedLoop, do: str, **fields: object) -> dict:
-    fields = mission_verbs(prepared)[do].read(fields) if do == "new" else fields
-    brief = prepared(loop.config, **fields) if do == "new" else None
+    fields = mission_verbs(prepare_mission)[do].read(fields) if do == "new" else fields
+    brief = prepare_mission(loop.config, **fields) if do == "new" else None
     return handle_mission(
         loop.service, Request(do, fields, prepared=brief), loop.drive.motion.stamp_ns
     )
@@ -70,7 +70,7 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look(at_the_oven):
     assert kinds[:4] == ["start", "target", "seen", "trajectory"]
     assert kinds[-1] == "end"
     assert loop.distance_m("oven") <= 1.0
-    assert json.dumps(status_of(loop.service.result()))
+    assert json.dumps(status_message(loop.service.result()))
 
 
 @pytest.mark.parametrize("task", OVENS[:2])
@@ -104,11 +104,11 @@ def ambiguous(loop: ClosedLoop, monkeypatch, states: tuple[str, ...]) -> None:
         found = tracker.of("oven")
         if any(one.state in states for one in found):
             ids = tuple(one.id for one in found)
-            raise AmbiguousError("it may be any of these", "the oven", 7, ids)
+            raise AmbiguousObjectError("it may be any of these", "the oven", 7, ids)
         return real(instruction, *args, **more)
 
-    real = draft.write
-    monkeypatch.setattr(draft, "write", write)
+    real = plan_worker.write_trajectory
+    monkeypatch.setattr(plan_worker, "write", write)
 
 
 def test_what_it_may_be_any_of_is_looked_at_from_near_by(monkeypatch):
@@ -137,7 +137,7 @@ def states(loop: ClosedLoop) -> list[str]:
 
 def task_steps(loop: ClosedLoop) -> dict[str, int]:
     """As a scrape counts them."""
-    (metric,) = (metric for metric in SERVICE if metric.name == "edge_task_steps")
+    (metric,) = (metric for metric in SERVICE_METRICS if metric.name == "edge_task_steps")
     return metric.read(SimpleNamespace(service=loop.service))
 
 
@@ -215,7 +215,7 @@ def test_a_pause_has_the_robot_stand_and_resume_drive_on():
 def test_a_pose_jump_voids_the_trajectory_and_another_is_written():
     loop = until(closed(TO_THE_OVEN), "driving")
     before = loop.service.result().task().refined
-    loop.service.forget_places(loop.drive.motion.stamp_ns)
+    loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
     facts = loop.service.result().task()
     assert (facts.phase, facts.refined) == ("looking", None)
     loop.run(300)

@@ -22,10 +22,10 @@ from edge.geometry import SE2
 from edge.host import resources
 from edge.lab.eval.closed_loop import ClosedLoop, blank_observation
 from edge.loop import runner
-from edge.loop.faults import DEGRADED_AFTER
-from edge.loop.runner import Running, loop
+from edge.loop.error_boundary import DEGRADED_AFTER
+from edge.loop.runner import RunningService, loop
 from edge.loop.stages import STAGES
-from edge.loop.status import status_of
+from edge.loop.status import status_message
 from edge.perception.worker import DetectorWorker
 from edge.types import GoalStatus, Observation
 
@@ -56,7 +56,7 @@ class Source:
     def close(self) -> None: ...
 
 
-def running(lockstep: bool, frames: int = 0, jump_at: int = -1, **mission) -> Running:
+def running(lockstep: bool, frames: int = 0, jump_at: int = -1, **mission) -> RunningService:
     config = simulated(
         {"loop": {"lockstep": lockstep, "hz": 200.0}, "mission": {"target": "bed", **mission}}
     )
@@ -78,16 +78,16 @@ def running_of(
     seen: list[Observation],
     jump_at: int = -1,
     worker: DetectorWorker | None = None,
-) -> Running:
+) -> RunningService:
     """The loop over these frames, with another worker in place of the closed loop's if need be."""
     servers = {"mission/request": SimpleNamespace(serve=lambda now_ns: 0)}
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:
         service._worker = service._health._worker = worker
-    return Running(closed.config, service, service._worker, source, servers)
+    return RunningService(closed.config, service, service._worker, source, servers)
 
 
-def run_out(run: Running, seen: list[Observation]) -> None:
+def run_out(run: RunningService, seen: list[Observation]) -> None:
     """Let the loop see all of it."""
     stop = threading.Event()
     loop(run, stop, each=lambda: None if seen else stop.set())
@@ -152,7 +152,7 @@ def broken(*_, **__) -> None:
     raise ZeroDivisionError("oh no")
 
 
-BREAKS: dict[str, Callable[[Running], tuple[object, str]]] = {
+BREAKS: dict[str, Callable[[RunningService], tuple[object, str]]] = {
     "ingest": lambda run: (run.service, "forget_places"),
     "check": lambda run: (run.service.plausibility, "judge"),
     "detect": lambda run: (run.service._worker, "submit"),
@@ -178,7 +178,7 @@ def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch
     breaking.enter_context(monkeypatch.context()).setattr(*BREAKS[stage](run), broken)
 
     def each() -> None:
-        states.append(status_of(service.result())["loop"]["state"])
+        states.append(status_message(service.result())["loop"]["state"])
         if len(seen) == passing and len(states) == failing:
             breaking.close()
         if not seen:
@@ -188,7 +188,7 @@ def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch
         loop(run, stop, each=each)
     assert states.index("degraded") == DEGRADED_AFTER - 1
     assert states[-passing:] == ["ok"] * passing
-    said = status_of(service.result())["loop"]
+    said = status_message(service.result())["loop"]
     assert said["failures"][f"{stage}: ZeroDivisionError"] == failing
     assert "oh no" in said["last_error"]
     report = service.latency.report()
@@ -241,7 +241,7 @@ def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(i
 
     def each() -> None:
         eventually(lambda: run.worker.idle)
-        states.append(status_of(service.result())["detector"])
+        states.append(status_message(service.result())["detector"])
         if len(states) == failing:
             monkeypatch.setattr(detector, "detect", whole)
         if not seen:
@@ -256,7 +256,7 @@ def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(i
     name = f"detector {detector.name}: "
     told = [text.removeprefix(name) for text in closed.notes.events if text.startswith(name)]
     assert told == [f"degraded: {ill[1]}", "works again"]
-    assert status_of(service.result())["loop"]["state"] == "ok"
+    assert status_message(service.result())["loop"]["state"] == "ok"
 
 
 class Sink:
@@ -305,7 +305,7 @@ def test_a_frame_that_a_stage_fails_on_is_told_as_dealt_with(stage, monkeypatch)
     assert sink.stamps_ns == stamps_ns
 
 
-def ticks(run: Running) -> int:
+def ticks(run: RunningService) -> int:
     return run.service.latency.report().tick.count
 
 

@@ -16,12 +16,12 @@ from simulated import simulated
 
 from edge.config import Config
 from edge.geometry import SE2
-from edge.lab.eval.closed_loop import ClosedLoop, Notes
+from edge.lab.eval.closed_loop import ClosedLoop, RunLog
 from edge.loop import map_checkpoint
 from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.map_checkpoint import MAP, Parts, Sighted, make_map, state_of
+from edge.loop.map_checkpoint import MAP, MapParts, StampedPose, make_map, state_of
 from edge.loop.service import Service
-from edge.mapping.tiles import Copier, Planes
+from edge.mapping.tiles import LayerTiles, TileCopier
 from edge.mapping.window import Window
 from edge.perception.factory import make_detector
 from edge.perception.worker import DetectorWorker
@@ -96,7 +96,7 @@ class Run(ClosedLoop):
         if goal is not None and self.service.goal is not None:
             mine = answer.stamp_ns == self.service.goal.stamp_ns
             stamp_ns = goal.stamp_ns if mine else answer.stamp_ns
-            self.beside.goal_answered(replace(answer, stamp_ns=stamp_ns))
+            self.beside.on_goal_status(replace(answer, stamp_ns=stamp_ns))
 
 
 def told(goal: Goal | None) -> tuple | None:
@@ -109,7 +109,7 @@ def begun(path: Path, ticks: int, settings: Config) -> Run:
     run.service.checkpoint.close()
     run.beside = run.another()
     # What it says is nobody's to obey.
-    run.beside._publisher._sinks = [Notes()]
+    run.beside._publisher._sinks = [RunLog()]
     return run
 
 
@@ -142,9 +142,9 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
             (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.map.tracker.all
         ]
         assert one.map.sightings.shown.n == other.map.sightings.shown.n
-    nowhere = Sighted(SE2(0, 0, 0), 0, 0)
+    nowhere = StampedPose(SE2(0, 0, 0), 0, 0)
     mine, its = (
-        state_of(Parts(s.map, s.goals, s.policy), nowhere, "", (), "") for s in (one, other)
+        state_of(MapParts(s.map, s.goals, s.policy), nowhere, "", (), "") for s in (one, other)
     )
     assert mine.state == its.state
     assert mine.arrays.keys() == its.arrays.keys()
@@ -170,13 +170,13 @@ def idle(checkpoint: ServiceCheckpoint) -> None:
 
 def test_the_file_is_the_map_of_one_tick_and_never_older_than_five_seconds(tmp_path, monkeypatch):
     """Even where copying it takes several ticks, in which the robot drives on."""
-    steps, step = [], Copier.step
+    steps, step = [], TileCopier.step
 
-    def few(copier: Copier, window: Window, planes: Planes, most: int) -> bool:
+    def few(copier: TileCopier, window: Window, planes: LayerTiles, most: int) -> bool:
         steps.append(step(copier, window, planes, 17))  # one more than an update writes here
         return steps[-1]
 
-    monkeypatch.setattr(Copier, "step", few)
+    monkeypatch.setattr(TileCopier, "step", few)
     run = Run(tmp_path / "m.json", config())
     path, raw, written = tmp_path / "m.json.map", {}, set()
     for _ in range(120):
@@ -337,7 +337,7 @@ def test_a_pose_that_jumps_where_it_is_localised_goes_back_to_what_was_saved(tmp
     known_m2 = run.service.map.grid.known_m2
     run.killed()
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
-    run.service.forget_places(run.drive.motion.stamp_ns)
+    run.service.on_pose_jump(run.drive.motion.stamp_ns)
     assert run.service.map.grid.known_m2 == 0
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
     assert run.service.map.grid.known_m2 >= 0.99 * known_m2

@@ -16,7 +16,7 @@ import pytest
 from simulated import simulated
 
 from edge.config import Config
-from edge.geometry import SE2, CameraModel, optical, se3
+from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.loop.plausibility import LASTS_NS, TELL_AGAIN_NS, Plausibility
 from edge.loop.semantic_map import SemanticMap
@@ -170,7 +170,7 @@ def room(x_m: float = 0.0) -> dict[str, Any]:
 
 def floor(z_m: float | None) -> dict[str, Any]:
     """A level floor at a height over the base, from a camera that looks down; None: no return."""
-    T = optical(se3(0.1, 0.0, 0.6, pitch_rad=0.3))
+    T = to_optical(se3(0.1, 0.0, 0.6, pitch_rad=0.3))
     fall = -(T[2, 1] * (np.arange(48) - CAMERA.cy_px) / CAMERA.fy_px + T[2, 2])
     depth = np.full(48, np.nan)
     if z_m is not None:

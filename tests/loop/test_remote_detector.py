@@ -15,10 +15,10 @@ from test_loops import blanks, running_of
 from edge import config
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.runner import loop
-from edge.loop.status import status_of
+from edge.loop.status import status_message
 from edge.perception.detection import remote as module
 from edge.perception.detection.remote import RemoteDetector
-from edge.perception.runtime.card_types import Server
+from edge.perception.runtime.card_types import InferenceServer
 from edge.perception.runtime.cards import load_card
 from edge.perception.worker import DetectorWorker
 
@@ -38,7 +38,7 @@ def remote(monkeypatch):
     made = []
 
     def make(server: KServe) -> RemoteDetector:
-        told = Server(url=server.url, model="m", time_limit_s=60)
+        told = InferenceServer(url=server.url, model="m", time_limit_s=60)
         card = load_card(SMALL).model_copy(update={"server": told, "file": None})
         monkeypatch.setattr("edge.perception.detection.onnx.load_detector_card", lambda name: card)
         made.append(RemoteDetector(config.DetectorOnnx(model=SMALL, threads=1), card, ("bed",)))
@@ -68,14 +68,14 @@ def test_ticks_go_on_while_a_server_holds_an_image_and_after_it_is_gone(remote):
         assert holds.wait(PATIENCE_S)
         gate.set()
         eventually(lambda: worker.idle and worker.stats.done)
-        assert status_of(run.service.result())["detector"]["state"] == "ok"
+        assert status_message(run.service.result())["detector"]["state"] == "ok"
         server.behave = lambda handler: handler.connection.shutdown(socket.SHUT_RDWR)
         again, stop = blanks(closed, 60), threading.Event()
         run.source.observations = again
         loop(run, stop, each=lambda: None if again else stop.set())
         assert run.service.latency.report().tick.count == 120
         eventually(lambda: worker.idle)
-        said = status_of(run.service.result())["detector"]
+        said = status_message(run.service.result())["detector"]
         assert said["state"] == "degraded"
         assert " is dead: " in said["detail"]
         worker.close()

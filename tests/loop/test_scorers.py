@@ -16,11 +16,11 @@ from edge.config import Config
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.loop.scorers import SIGHTED_NS, Scorers, make_scorers, sightings
-from edge.loop.status import status_of
-from edge.mission.brief import prepare
+from edge.loop.status import status_message
+from edge.mission.spec import prepare
 from edge.perception.runtime.cards import ModelError
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.sightings import Sightings
+from edge.perception.tracking.sightings import TrackedObjects
 from edge.types import Instance, Observation
 
 DIRECTION = {letter: -1.0 - i for i, letter in enumerate("ABCDEFGHJ")}
@@ -49,7 +49,7 @@ def frontiers_in_view(loop: ClosedLoop) -> ClosedLoop:
     """Steps until the service has asked its choice scorer something."""
     for _ in range(80):
         loop.step()
-        if status_of(loop.service.result())["scorers"]["choice"]["asked"]:
+        if status_message(loop.service.result())["scorers"]["choice"]["asked"]:
             return loop
     raise AssertionError("no frontier came into view")
 
@@ -89,7 +89,7 @@ def test_what_the_scorer_says_is_taken_up(lockstep):
         if lockstep:  # at once, or a run would not replay the same
             assert loop.scorers.answers.choice.stamp_ns == loop.service.stamp_ns
         choice = eventually(lambda: loop.step() or loop.scorers.answers.choice)
-        status = status_of(loop.service.result())["scorers"]["choice"]
+        status = status_message(loop.service.result())["scorers"]["choice"]
         loop.close()
     assert set(choice.ids) <= set(range(1, 1000))
     assert choice.p.sum() + choice.elsewhere == pytest.approx(1.0, abs=1e-5)
@@ -109,7 +109,7 @@ def test_the_robot_goes_on_when_the_server_never_answers():
         loop = ClosedLoop(settings(server.url, target="television")).run(240)
         assert loop.service.status.phase == "reached", loop.service.status
         assert loop.scorers.answers.choice is None
-        status = status_of(loop.service.result())["scorers"]["choice"]
+        status = status_message(loop.service.result())["scorers"]["choice"]
         assert status["asked"] > status["answered"] == 0
         assert status["frontiers"] == {}
         loop.close()  # or the time limit of the test is over before that of the server
@@ -122,9 +122,11 @@ def test_after_a_jump_of_the_pose_nothing_said_before_counts():
         eventually(lambda: loop.scorers._choice.idle)
         loop.step()  # asks again
         eventually(lambda: loop.scorers._choice.idle)
-        loop.service.forget_places(loop.drive.motion.stamp_ns)
+        loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
         assert loop.scorers.answers.choice is None
-        loop.scorers.take_up(loop.service.map.grid.values)  # what was asked about the old frame
+        loop.scorers.collect_answers(
+            loop.service.map.grid.values
+        )  # what was asked about the old frame
         assert loop.scorers.answers.choice is None
         eventually(lambda: loop.step() or loop.scorers.answers.choice)
         loop.service.begin(prepare(loop.config.mission, "go to the bed"), START_NS)
@@ -161,7 +163,7 @@ def test_similarity_is_for_every_target(monkeypatch):
     seen = loop.observe()
     known = loop.service.map.pool.candidates, loop.service.map.tracker, loop.service.map.grid.values
     scorers.ask(seen, ("bed", "chair"), "bed", *known)
-    scorers.take_up(loop.service.map.grid.values)
+    scorers.collect_answers(loop.service.map.grid.values)
     similarity = scorers.answers.similarity
     np.testing.assert_allclose(similarity.score, seen.rgb.mean() + np.array([0, 1]), rtol=1e-6)
     assert similarity.targets == ("bed", "chair")
@@ -184,17 +186,17 @@ def test_the_running_detectors_scores_are_taken_from_its_detections():
     similarity = loop.scorers.answers.similarity
     assert similarity.targets == ("chair",)
     assert similarity.score.shape == (1,)
-    status = status_of(loop.service.result())["scorers"]
+    status = status_message(loop.service.result())["scorers"]
     assert status["similarity"]["model"].startswith(f"{name} (sim")
     assert "choice" not in status
     assert loop.scorers.names() == [name]
 
 
 def test_what_stands_around_is_told_too():
-    tracker, around = InstanceTracker(simulated().perception), Sightings(8)
+    tracker, around = InstanceTracker(simulated().perception), TrackedObjects(8)
     seen_ns = 5 * SIGHTED_NS
     center = np.array([4.0, 1.0, 0.5], np.float32)
-    tracker.adopt(Instance(1, "TV", center, center[None], 0.5, 3, 0, seen_ns, "refuted"))
+    tracker.add(Instance(1, "TV", center, center[None], 0.5, 3, 0, seen_ns, "refuted"))
     things = [("stove", 2.0, 3, 0), ("television", 1.0, 3, 0)]
     things += [("lamp", 1.0, 1, 0), ("desk", 1.0, 3, SIGHTED_NS + 1)]
     around.words, around.n = [word for word, *_ in things], len(things)

@@ -13,7 +13,7 @@ from edge.errors import UserError
 from edge.host import resources
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import MODEL_VERBS, handle_model
-from edge.loop.status import status_of
+from edge.loop.status import status_message
 from edge.perception.runtime.cards import ModelError
 from edge.perception.swap.base import SwapError
 
@@ -75,7 +75,7 @@ def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
 
     def switched():
         # Of a tick the part that takes the step: the house is explored sooner than it is loaded.
-        loop.scorers.take_up(loop.service.map.grid.values)
+        loop.scorers.collect_answers(loop.service.map.grid.values)
         return request(loop, do="status")["state"] == "on probation"
 
     eventually(switched)
@@ -93,7 +93,7 @@ def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
             or (loop.scorers.answers.choice.stamp_ns > since_ns and loop.scorers.answers.choice)
         )
     )
-    status = status_of(loop.service.result())["scorers"]["choice"]
+    status = status_message(loop.service.result())["scorers"]["choice"]
     assert (status["model"], status["failed"]) == ("eyes", 0)
     assert status["swap"]["state"] == "kept"
     assert not np.array_equal(seen.p, choice.p)

@@ -10,20 +10,20 @@ import pytest
 from patience import eventually
 from simulated import simulated
 
-from edge.geometry import SE2, CameraModel, optical, se3
+from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
-from edge.loop.cooccurrence import PriorChoice, RelatedScores, given
-from edge.loop.scorers import Scorers, ways_to
+from edge.loop.cooccurrence import PriorChoice, RelatedScores, p_given
+from edge.loop.scorers import Scorers, mark_costs
 from edge.mapping.grid import RollingMap
-from edge.mission.brief import prepare
+from edge.mission.spec import prepare
 from edge.perception.prior.table import load
-from edge.perception.scoring.choice.question import Choice, Mark
+from edge.perception.scoring.choice.question import FrontierChoice, Mark
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import FRONTIER, Candidates
 from edge.types import ContextBoxes, Detections, Observation
 
 CAMERA = CameraModel.from_hfov(160, 120, math.radians(75))
-MOUNT = optical(se3(0.0, 0.0, 0.6))
+MOUNT = to_optical(se3(0.0, 0.0, 0.6))
 BOTH = ("bed", "sofa")
 
 
@@ -82,7 +82,7 @@ class Chooser:
             self.thinking.wait(30)
         ids = tuple(mark.id for mark in view.marks)
         p = np.array([0.7] + [0.1] * (len(ids) - 1), np.float32)
-        return Choice(view.observation.stamp_ns, view.target, ids, p, 1.0 - p.sum(), 0.8)
+        return FrontierChoice(view.observation.stamp_ns, view.target, ids, p, 1.0 - p.sum(), 0.8)
 
     def close(self):
         pass
@@ -94,10 +94,12 @@ def test_a_late_answer_is_written_where_it_was_asked():
     case = Case(Scorers(None, Chooser(done), feeds="choice"))
     case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0), (3.0, -1.0)))
     case.ask(SE2(0.0, 0.0, math.pi), frontiers((-3.0, 0.0)), seq=2)
-    case.scorers.take_up(case.grid.values)
+    case.scorers.collect_answers(case.grid.values)
     assert np.isnan(case.best((3.0, 1.0))).all()
     done.set()
-    eventually(lambda: case.scorers.take_up(case.grid.values) or case.scorers.answers.choice)
+    eventually(
+        lambda: case.scorers.collect_answers(case.grid.values) or case.scorers.answers.choice
+    )
     left, right, behind = case.best((3.0, 1.0), (3.0, -1.0), (-3.0, 0.0))
     assert left == pytest.approx(0.56, abs=0.04)  # eq. 6: S P
     assert right < 0.2
@@ -110,10 +112,10 @@ def test_an_idle_service_ends_the_probation_of_another_model():
     case = Case(Scorers(None, Chooser(), feeds="choice", remake=lambda card: Chooser()))
     swap, values = case.scorers.swap, case.grid.values
     swap.request("other")
-    eventually(lambda: case.scorers.take_up(values) or swap.state == "on probation")
-    case.scorers.take_up(values)
+    eventually(lambda: case.scorers.collect_answers(values) or swap.state == "on probation")
+    case.scorers.collect_answers(values)
     assert swap.state == "on probation"
-    case.scorers.take_up(values, idle=True)
+    case.scorers.collect_answers(values, idle=True)
     assert swap.state == "kept"
     case.scorers.close()
 
@@ -125,7 +127,7 @@ def test_what_was_asked_before_the_pose_jumped_is_not_written():
     case.scorers.forget()
     done.set()
     eventually(lambda: case.scorers._choice.idle)
-    case.scorers.take_up(case.grid.values)
+    case.scorers.collect_answers(case.grid.values)
     assert not case.grid.values.weight.any()
     case.scorers.close()
 
@@ -142,7 +144,7 @@ def test_every_target_is_asked_about_the_active_one_most(feeds, asked):
     case = Case(Scorers(None, chooser, inline=True, feeds=feeds), ("sofa", "bed", "lamp"))
     for seq in range(6):
         case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)), seq=seq)
-        case.scorers.take_up(case.grid.values)
+        case.scorers.collect_answers(case.grid.values)
     assert chooser.asked == asked
     assert case.grid.values.weight.any(axis=(0, 1)).tolist() == [feeds == "choice"] * 3
 
@@ -172,12 +174,12 @@ def test_a_view_of_nothing_promises_nothing():
 def test_related_things_promise_a_target_by_how_often_they_share_a_room():
     score = RelatedScores()
     assert score(detections([("bed", 0.5)]))[0] == pytest.approx(0.5)
-    p = given(load(), BOTH, ("pillow", "toilet", "lampion"))
+    p = p_given(load(), BOTH, ("pillow", "toilet", "lampion"))
     assert p[0, 0] > 0.6 > 0.05 > p[0, 1]
     assert p[:, 2].tolist() == [0.0, 0.0]  # a word of which nothing is known
     around = [("pillow", 0.8), ("toilet", 0.9), ("lampion", 1.0)]
     got = score(detections([("bed", 0.1), ("sofa", 0.9)], around))
-    by_sofa = given(load(), BOTH, ("sofa",))[0, 0] * 0.9
+    by_sofa = p_given(load(), BOTH, ("sofa",))[0, 0] * 0.9
     assert got == pytest.approx([max(p[0, 0] * 0.8, by_sofa), 0.9], abs=1e-6)
 
 
@@ -201,7 +203,7 @@ def test_the_prior_chooses_as_a_model_would(lift, p, elsewhere):
     case = Case(scorers)
     left, right = (3.0, 1.0), (3.0, -1.0)
     case.ask(SE2(0.0, 0.0, 0.0), frontiers(left, right), prior=Favour(*right, lift))
-    scorers.take_up(case.grid.values)
+    scorers.collect_answers(case.grid.values)
     choice = scorers.answers.choice
     assert dict(zip(choice.ids, choice.p.tolist(), strict=True)) == pytest.approx(
         {7: p[0], 8: p[1]}
@@ -215,7 +217,7 @@ def test_without_a_prior_there_is_no_choice_by_it():
     scorers = Scorers(None, PriorChoice(), feeds="choice")
     case = Case(scorers)
     case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)))
-    scorers.take_up(case.grid.values)
+    scorers.collect_answers(case.grid.values)
     assert scorers.answers.choice is None
 
 
@@ -252,7 +254,7 @@ def test_a_robot_without_any_server_finds_things_by_related_ones(policy, percept
     assert service.mission.brief.targets == ("bed", "television")
     np.testing.assert_array_equal(values.value[..., 1:], said)
     loop.step()
-    service.forget_places(loop.drive.motion.stamp_ns)
+    service.on_pose_jump(loop.drive.motion.stamp_ns)
     assert service.map.grid.values.value.shape[2] == 2
     assert not service.map.grid.values.weight.any()
 
@@ -270,7 +272,7 @@ def test_ways_are_those_to_the_marks_and_the_rest_of_the_frontiers(reaches, othe
     candidates.path_m[:4] = np.where(reaches, (4.5, 7.0, 6.0, 1.0), math.inf)
     candidates.gain_m2[:4] = 2.0, 3.0, 4.0, 9.0
     marks = (Mark(8, 0.0, 0.0, 0.0, 5.0), Mark(7, 9.0, 0.0, 0.0, 4.0))
-    ways = ways_to(candidates, np.arange(4), marks)
+    ways = mark_costs(candidates, np.arange(4), marks)
     np.testing.assert_allclose(ways.path_m, [7.0, 4.5])
     np.testing.assert_allclose(ways.gain_m2, [3.0, 2.0])
     np.testing.assert_allclose(ways.others, others)

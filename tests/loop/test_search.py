@@ -10,7 +10,7 @@ from simulated import simulated
 
 from edge.config import Config
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.mission.brief import prepare
+from edge.mission.spec import prepare
 
 # One long room: the map sees all of it at once, the detector (2.5 m) does not.
 ROOM = {

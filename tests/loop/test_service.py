@@ -18,8 +18,8 @@ from edge.config import Config
 from edge.geometry import SE2
 from edge.host.ports import free_port
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop, blank_observation
-from edge.lab.report.recorder import Recorder
-from edge.loop.status import status_of
+from edge.lab.report.recorder import ReportRecorder
+from edge.loop.status import status_message
 from edge.perception.worker import DetectorWorker
 from edge.sinks.zenoh import ZenohSink
 from edge.types import Detections, Goal, GoalStatus
@@ -98,13 +98,15 @@ TOPIC = {"ros2": {"goals": "topic"}, "sinks": ["zenoh", "ros2"]}  # which nobody
 @pytest.mark.parametrize(("answers", "stuck"), [(True, True), (False, False)])
 def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, stuck, caplog):
     loop = ClosedLoop(config(mission={"target": "surfboard", "stuck_s": 2.0}), colour=False)
-    assert status_of(loop.service.result())["controller"] == "silent"
+    assert status_message(loop.service.result())["controller"] == "silent"
     for i in range(60):
         goal = loop.service.tick(loop.observe(), START_NS + i * TICK_NS)
         if answers and goal is not None:
-            loop.service.goal_answered(GoalStatus(goal.stamp_ns, "accepted"))
+            loop.service.on_goal_status(GoalStatus(goal.stamp_ns, "accepted"))
     assert any("stuck" in event for event in loop.notes.events) == stuck
-    assert status_of(loop.service.result())["controller"] == ("answers" if answers else "silent")
+    assert status_message(loop.service.result())["controller"] == (
+        "answers" if answers else "silent"
+    )
     told = [r for r in caplog.records if "no motion controller" in r.getMessage()]
     assert len(told) == (0 if answers else 1)
 
@@ -112,7 +114,7 @@ def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, st
 @pytest.mark.parametrize("sections", [{}, TOPIC])
 def test_a_controller_that_never_answers_gets_the_robot_there(sections, caplog):
     loop = ClosedLoop(config(mission={"target": "bed"}, **sections), colour=False)
-    loop.service.goal_answered = lambda answer: None
+    loop.service.on_goal_status = lambda answer: None
     loop.run(240)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert loop.distance_m("bed") <= 1.0
@@ -124,7 +126,7 @@ def test_a_controller_that_never_answers_gets_the_robot_there(sections, caplog):
 def test_a_robot_that_nobody_answers_for_is_held_up_all_the_same(sections):
     settings = config(mission={"target": "surfboard", "stuck_s": 2.0}, **sections)
     loop = ClosedLoop(settings, colour=False)
-    loop.service.goal_answered = lambda answer: None
+    loop.service.on_goal_status = lambda answer: None
     while loop.drive.motion.path_m < 1.0:
         loop.step()
     stands_ns = loop.drive.motion.stamp_ns
@@ -233,7 +235,7 @@ def test_a_goal_that_nothing_replaces_is_taken_back_after_a_while(ticks_without,
 def test_a_stamp_that_went_through_a_double_is_that_of_its_goal(off_ns, caplog):
     service = ClosedLoop(config(mission={"target": "surfboard"}), colour=False).run(3).service
     stamp_ns = service.goal.stamp_ns
-    service.goal_answered(GoalStatus(stamp_ns + off_ns, "accepted", "rounded"))
+    service.on_goal_status(GoalStatus(stamp_ns + off_ns, "accepted", "rounded"))
     assert service.goals.answer == GoalStatus(stamp_ns, "accepted", "rounded")
     assert service._publisher.answers[-1].stamp_ns == stamp_ns  # by which it is not sent again
     assert "goal_status" not in caplog.text
@@ -245,7 +247,7 @@ def test_a_map_that_a_pose_jump_ends_is_let_go_without_the_collector():
     old = weakref.ref(loop.service.map.grid)
     gc.disable()
     try:
-        loop.service.forget_places(loop.drive.motion.stamp_ns)
+        loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
         loop.step()
         assert old() is None
     finally:
@@ -277,7 +279,7 @@ def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
         observation = replace(loop.observe(), slot=slots[-1])
         loop.service.tick(observation, observation.stamp_ns)
         if lost:
-            loop.service.forget_places(observation.stamp_ns)
+            loop.service.on_pose_jump(observation.stamp_ns)
         else:
             assert bool(loop.service.map.tracker.of("television")) == (len(slots) == 3)
             observation.release()
@@ -289,7 +291,7 @@ def test_a_pose_jump_starts_the_search_over_and_leaves_no_old_goal():
     service, before = loop.service, len(loop.notes.goals)
     service.goals._search.exhausted = service.goals._next_view.done = True
     assert service.goals.exhausted
-    service.forget_places(loop.drive.motion.stamp_ns)
+    service.on_pose_jump(loop.drive.motion.stamp_ns)
     assert not service.goals.exhausted
     assert service.goal is None
     blank = blank_observation(10**6, loop.drive.motion.stamp_ns, SE2(7, 7, 0), loop)
@@ -316,7 +318,7 @@ def watched(monkeypatch) -> Iterator[ClosedLoop]:
         },
     )  # fmt: skip
     with open_session(settings.zenoh, "listen") as session:
-        sinks = [ZenohSink(settings, session), ConsoleSink(), Recorder(settings)]
+        sinks = [ZenohSink(settings, session), ConsoleSink(), ReportRecorder(settings)]
         yield ClosedLoop(settings, sinks=sinks)
         for sink in sinks:
             sink.close()

@@ -13,8 +13,8 @@ from edge.config import Config
 from edge.errors import UserError
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission
-from edge.loop.status import status_of
-from edge.mission.brief import prepare
+from edge.loop.status import status_message
+from edge.mission.spec import prepare
 from edge.perception.embedding.text import PromptError
 
 CHOICE = "F ((chair | sofa) & F television) & !bed W television"
@@ -58,7 +58,7 @@ def test_driving_distances_can_be_the_weights():
 
 
 def ask(loop: ClosedLoop, do: str, brief=None, overtaken: int = 0, **fields: object) -> dict:
-    request = Request(do, fields, prepared=brief, overtaken=overtaken)
+    request = Request(do, fields, prepared=brief, cancelled=overtaken)
     return handle_mission(loop.service, request, loop.drive.motion.stamp_ns)
 
 
@@ -138,7 +138,7 @@ def test_a_pose_jump_ends_what_was_known_of_distances():
     loop = ClosedLoop(config(CHOICE, mission=mission), colour=False)
     while loop.service.mission.knowledge.distance_m is None:
         loop.step()
-    loop.service.forget_places(loop.drive.motion.stamp_ns)
+    loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
     assert loop.service.mission.knowledge.distance_m is None
     assert loop.service._surveyor.poll() is None
     loop.service.close()
@@ -213,7 +213,7 @@ def test_a_stop_beside_what_must_not_be_reached_is_reported_before():
         loop.step()
     goal = loop.service.goal
     lamp = _thing_at(99, "lamp", goal.pose.x_m + 0.4, goal.pose.y_m)
-    loop.service.map.tracker.adopt(lamp)
+    loop.service.map.tracker.add(lamp)
     loop.service.goals.drop()
     loop.step()
     assert loop.service.goal.candidate_id == goal.candidate_id
@@ -232,7 +232,7 @@ def _thing_at(instance_id: int, label: str, x_m: float, y_m: float):
 
 def test_status_tells_formula_state_plan_sets_and_why():
     loop = ClosedLoop(config(CHOICE), colour=False).run(3)
-    told = status_of(loop.service.result())["mission"]
+    told = status_message(loop.service.result())["mission"]
     assert told["formula"] == CHOICE
     assert told["states"] >= 4
     assert told["plan"][-1] == "television"

@@ -8,7 +8,7 @@ from simulated import simulated
 from edge.bus.verbs import Request
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission
-from edge.mission.brief import prepare
+from edge.mission.spec import prepare
 from edge.perception.factory import make_detector
 
 

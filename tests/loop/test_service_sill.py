@@ -124,8 +124,8 @@ def test_any_controller_may_say_where_the_robot_is_held_up(tmp_path, away_m, sta
         loop.step()
     service, place = loop.service, loop.drive.motion.odometry.ahead(away_m)
     stamp_ns = service.goal.stamp_ns + stamp_by
-    service.goal_answered(GoalStatus(stamp_ns, "accepted", blocked=place))
-    service.goal_answered(GoalStatus(stamp_ns, "accepted"))  # sent again before the next tick
+    service.on_goal_status(GoalStatus(stamp_ns, "accepted", blocked=place))
+    service.on_goal_status(GoalStatus(stamp_ns, "accepted"))  # sent again before the next tick
     loop.step()
     assert bool(service.map.grid.bumps.closed_m) == closes
     assert len(held_up(loop)) == closes
@@ -145,7 +145,7 @@ def stand(loop: ClosedLoop, fails_after_s: float, seconds: float) -> int:
             given_ns = now_ns
         if goal is not None:
             late = now_ns - given_ns >= fails_after_s * 1e9
-            service.goal_answered(GoalStatus(goal.stamp_ns, "failed" if late else "accepted"))
+            service.on_goal_status(GoalStatus(goal.stamp_ns, "failed" if late else "accepted"))
         if service.map.grid.bumps.closed_m:
             break
     return now_ns - begun_ns

@@ -8,14 +8,14 @@ from dataclasses import replace
 from results import facts, result
 from task_facts import HOSTILE, INSTRUCTION, by_a_model, driving, written
 
-from edge.loop.status import MOST_POSES, MOST_ROUNDS, answer_of, status_of, task_of
-from edge.tasks.refine import Refined
+from edge.loop.status import MOST_POSES, MOST_ROUNDS, answer_of, status_message, task_of
+from edge.tasks.refine import RefinedTrajectory
 from edge.types import MissionStatus
 
 MOST_BYTES = 64_000  # it goes out each second
 
 
-def long_one() -> Refined:
+def long_one() -> RefinedTrajectory:
     """5,000 poses."""
     refined = written()[1]
     poses = refined.poses[[0] * 4000 + list(range(len(refined.poses))) * 9][:5000]
@@ -24,7 +24,7 @@ def long_one() -> Refined:
 
 def test_a_task_that_is_driven():
     task = driving(index=40)
-    said = status_of(result(task=lambda: task))["task"]
+    said = status_message(result(task=lambda: task))["task"]
     assert said == answer_of(MissionStatus("van", "approaching"), facts(), task)["task"]
     assert (said["instruction"], said["writer"]) == (INSTRUCTION, "rules")
     assert said["understood"] == task.understood

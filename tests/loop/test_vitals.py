@@ -15,11 +15,11 @@ import pytest
 from simulated import simulated
 from test_loops import blanks, running_of
 
-from edge.host.service_manager import ServiceManager
+from edge.host.service_manager import SystemdNotifier
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.faults import DEGRADED_AFTER
-from edge.loop.runner import Running
-from edge.loop.vitals import HANGS_S, Vitals
+from edge.loop.error_boundary import DEGRADED_AFTER
+from edge.loop.runner import RunningService
+from edge.loop.service_health import HANGS_S, ServiceHealth
 from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
 from edge.sources.synchronizer import TimeSynchronizer
@@ -33,11 +33,11 @@ class Watched:
     def __init__(self, listening: socket.socket, name: str) -> None:
         self.now_s = 100.0
         environ = {"NOTIFY_SOCKET": name, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
-        self.vitals = Vitals(ServiceManager(environ), lambda: self.now_s)
+        self.vitals = ServiceHealth(SystemdNotifier(environ), lambda: self.now_s)
         self._listening = listening
         config = simulated({"mission": {"target": "bed"}, "loop": {"blind_s": 1.0}})
         self.closed = ClosedLoop(config, colour=False)
-        self.running: Running = running_of(self.closed, [])
+        self.running: RunningService = running_of(self.closed, [])
 
     def beat(self, after_s: float = 0.0) -> list[str]:
         """What the manager is told in a beat of the loop."""
@@ -138,7 +138,7 @@ def test_a_loop_or_a_detector_that_fails_again_and_again_is_not_ready(watched):
     watched.vitals.ready()
     assert watched.beat()[-1].startswith("STATUS=searching")
     for _ in range(DEGRADED_AFTER):
-        watched.running.service.faults.caught("tick", ValueError("bad"), 0)
+        watched.running.service.faults.on_error("tick", ValueError("bad"), 0)
     watched.running.worker.stats.in_a_row = DEGRADED_AFTER
     said = watched.beat(1.0)[-1]
     assert said.startswith("STATUS=not ready: the loop is degraded: tick: ValueError")
@@ -191,10 +191,10 @@ def test_that_no_file_can_be_opened_is_told_once_and_makes_it_not_ready(
     watched.vitals.ready()
     for why, logged in ((short, short), (short, ""), ("", "can be opened again"), ("", "")):
         caplog.clear()
-        monkeypatch.setattr("edge.loop.vitals.shortage", lambda why=why: why)
-        with caplog.at_level(logging.INFO, "edge.loop.vitals"):
+        monkeypatch.setattr("edge.loop.service_health.shortage", lambda why=why: why)
+        with caplog.at_level(logging.INFO, "edge.loop.service_health"):
             watched.beat(after_s=1.0)
-        said = [r.message for r in caplog.records if r.name == "edge.loop.vitals"]
+        said = [r.message for r in caplog.records if r.name == "edge.loop.service_health"]
         assert len(said) == bool(logged)
         assert logged in "".join(said)
         _, page = watched.page("/readyz")

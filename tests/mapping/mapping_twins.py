@@ -10,13 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge import config
-from edge.geometry import SE2, CameraModel, optical, se3
+from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
 
 CAMERA = CameraModel.from_hfov(160, 120, math.radians(75))
-T_BASE_CAMERA = optical(se3(0.1, 0.0, 0.6, pitch_rad=math.radians(5)))
-SMALL = config.Mapping(extent_m=9.0, range_m=3.0, inflation_m=0.2)
+T_BASE_CAMERA = to_optical(se3(0.1, 0.0, 0.6, pitch_rad=math.radians(5)))
+SMALL = config.MappingConfig(extent_m=9.0, range_m=3.0, inflation_m=0.2)
 ORIGIN = SE2(0.0, 0.0, 0.0)
 Box = tuple[float, float, float, float, float, float]
 
@@ -26,7 +26,7 @@ def render(
 ) -> np.ndarray:
     """Depth image (h, w) float32 of axis-aligned boxes (x0, y0, z0, x1, y1, z1) and the floor."""
     u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
-    optical = np.stack(
+    to_optical = np.stack(
         [
             (u - camera.cx_px) / camera.fx_px,
             (v - camera.cy_px) / camera.fy_px,
@@ -34,7 +34,7 @@ def render(
         ],
         axis=-1,
     )
-    rays, origin = optical @ T[:3, :3].T, T[:3, 3]
+    rays, origin = to_optical @ T[:3, :3].T, T[:3, 3]
     depth = np.full(u.shape, np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
         if floor:
@@ -56,7 +56,7 @@ def look(grid: RollingMap, pose: SE2, boxes: Sequence[Box], camera: CameraModel 
 
 
 def seen_around(
-    boxes: Sequence[Box] = (), pose: SE2 = ORIGIN, settings: config.Mapping = SMALL
+    boxes: Sequence[Box] = (), pose: SE2 = ORIGIN, settings: config.MappingConfig = SMALL
 ) -> RollingMap:
     """What a robot has seen that turned once all round on the spot."""
     grid = RollingMap(settings)
@@ -285,7 +285,7 @@ def classify_twin(cell, z_m, ground, polar, low_m, high_m, coded_m):
 
 
 def basins(cells, apart, order, door_half_m, narrower, least_cells):
-    """Regions numbered in reading order; see `edge.mapping.regions.cut`."""
+    """Regions numbered in reading order; see `edge.mapping.regions.segment_rooms`."""
     of: dict[tuple[int, int], int] = {}
     peak: dict[int, float] = {}
     for y, x in zip(*np.unravel_index(order, cells.shape), strict=True):

@@ -181,11 +181,11 @@ def test_an_obstacle_on_the_way_explains_why_the_robot_is_held_up(x_m, yaw_rad, 
     look(grid, HOME, BOX)
     pose = SE2(x_m, 0.0, yaw_rad)
     place = pose.ahead(0.2)
-    assert not empty.bumps.explained(pose, place, 0.2)
-    assert grid.bumps.explained(pose, place, 0.2) == shows
+    assert not empty.bumps.explained_by_obstacle(pose, place, 0.2)
+    assert grid.bumps.explained_by_obstacle(pose, place, 0.2) == shows
     beside = seen_around()
     bump(beside, place)
-    assert not beside.bumps.explained(pose, place, 0.2)  # a bump explains nothing
+    assert not beside.bumps.explained_by_obstacle(pose, place, 0.2)  # a bump explains nothing
 
 
 def test_bumps_leave_with_the_part_of_the_map_that_rolls_out():

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mapping_twins import CAMERA, T_BASE_CAMERA, complete, look, room, seen_around
 
-from edge.geometry import SE2, optical, se3
+from edge.geometry import SE2, se3, to_optical
 from edge.mapping import coverage as cv
 from edge.mapping.coverage import COUNT, KEEP, WRITE_OFF, Coverage, Viewpoint
 from edge.mapping.grid import RollingMap
@@ -172,7 +172,7 @@ def test_view_after_view_comes_to_an_end(how):
         if how == "looked from there":
             for _ in range(2):
                 ahead = SE2(view.x_m, view.y_m, view.heading_rad)
-                coverage.look(seen_from(ahead, optical(se3(0.0, 0.0, 0.6))), 1.6, 2)
+                coverage.look(seen_from(ahead, to_optical(se3(0.0, 0.0, 0.6))), 1.6, 2)
             assert not coverage.worth(view)
         coverage.write_off(view)
         assert np.count_nonzero(window(grid) >= 2) > before
@@ -195,7 +195,7 @@ def place(grid: RollingMap, x_m: float, y_m: float) -> int:
 
 def test_a_camera_that_looks_aside_is_turned_there():
     grid = explored()
-    mount = optical(se3(0.1, 0.0, 0.6))
+    mount = to_optical(se3(0.1, 0.0, 0.6))
     left = SE2(0.0, 0.0, math.pi / 2).matrix() @ mount
     grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0), left), 3.0, 1)
     assert grid.coverage.camera_yaw_rad == pytest.approx(math.pi / 2)

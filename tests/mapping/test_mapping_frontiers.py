@@ -137,12 +137,12 @@ def test_an_open_door_is_a_frontier():
 
 def test_a_large_cluster_has_several_targets_and_a_small_one_its_centre(monkeypatch):
     monkeypatch.setattr(grid_module, "FRONTIER_SPACING_M", 0.8)
-    open_field = RollingMap(config.Mapping())
+    open_field = RollingMap(config.MappingConfig())
     look(open_field, SE2(0, 0, 0), [])
     assert open_field.frontiers.n >= 4
     check(open_field)
     monkeypatch.setattr(grid_module, "FRONTIER_LARGE_CELLS", 5000)
-    one = RollingMap(config.Mapping())
+    one = RollingMap(config.MappingConfig())
     look(one, SE2(0, 0, 0), [])
     assert one.frontiers.n == len(set(one.frontiers.cluster[: one.frontiers.n]))
     check(one)
@@ -164,7 +164,7 @@ def test_more_targets_than_fit_leave_out_small_clusters(monkeypatch):
 @pytest.mark.parametrize("n_cells", [0, 1, 5, 700])
 def test_clusters_are_cut_at_their_limit(n_cells):
     """A straight frontier of n cells becomes clusters of MAX_CELLS at most, all cells in one."""
-    grid = RollingMap(config.Mapping())
+    grid = RollingMap(config.MappingConfig())
     twins.move_to(grid, 0, 0)
 
     for x in range(n_cells):

@@ -37,7 +37,7 @@ def area_twin(raw, near, x, y, steps, cell_m, decay):
 
 
 def test_a_map_without_a_place_shows_nothing():
-    _, _, area_m2 = RollingMap(SMALL).gain.best_turn(SE2(0.0, 0.0, 0.0), 0.0, FOV)
+    _, _, area_m2 = RollingMap(SMALL).gain.best_spin(SE2(0.0, 0.0, 0.0), 0.0, FOV)
     assert area_m2 == 0.0
 
 
@@ -93,7 +93,7 @@ def test_no_direction_is_looked_along_twice_from_one_place():
     look(grid, here, [])
     turned = []
     for _ in range(8):
-        heading, turn_rad, area_m2 = grid.gain.best_turn(here, 0.0, FOV)
+        heading, turn_rad, area_m2 = grid.gain.best_spin(here, 0.0, FOV)
         if area_m2 == 0.0:
             break
         turned.append(turn_rad)
@@ -105,4 +105,4 @@ def test_no_direction_is_looked_along_twice_from_one_place():
     else:
         pytest.fail(f"turned on and on: {turned}")
     assert turned == sorted(turned, reverse=True)
-    assert grid.gain.best_turn(SE2(2 * g.HERE_M, 0.0, 0.0), 0.0, FOV)[2] > 0.0
+    assert grid.gain.best_spin(SE2(2 * g.HERE_M, 0.0, 0.0), 0.0, FOV)[2] > 0.0

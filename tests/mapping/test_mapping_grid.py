@@ -205,7 +205,7 @@ def test_degenerate_depth_never_breaks_the_layers(seed):
 
 
 def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
-    grid = RollingMap(config.Mapping())
+    grid = RollingMap(config.MappingConfig())
     camera = CameraModel.from_hfov(320, 256, math.radians(75))
     pose, T_map_base = ORIGIN, np.eye(4)
     depth = twins.render(camera, T_BASE_CAMERA, room(3.0))

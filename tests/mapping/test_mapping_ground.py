@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mapping_twins import CAMERA, ORIGIN, SMALL, Box, render, room
 
-from edge.geometry import SE2, optical, se3
+from edge.geometry import SE2, se3, to_optical
 from edge.mapping.grid import RollingMap
 from edge.mapping.results import MapUpdate
 
@@ -38,7 +38,7 @@ def see(
 
 
 def camera(base_m: float = 0.0) -> np.ndarray:
-    return optical(se3(0.1, 0.0, CAMERA_M - base_m, pitch_rad=math.radians(5)))
+    return to_optical(se3(0.1, 0.0, CAMERA_M - base_m, pitch_rad=math.radians(5)))
 
 
 def states_of(grid: RollingMap, *places: tuple[float, float]) -> list[int]:
@@ -258,7 +258,7 @@ def test_holes_in_the_image_hide_no_floor():
 def test_rays_over_the_robot_free_nothing():
     """A camera that looks up sees a wall over the heads of all that may stand before it."""
     grid = RollingMap(SMALL.model_copy(update={"inflation_m": 0.0}))
-    T = optical(se3(0.1, 0.0, CAMERA_M, pitch_rad=math.radians(-50)))
+    T = to_optical(se3(0.1, 0.0, CAMERA_M, pitch_rad=math.radians(-50)))
     for _ in range(3):
         grid.update_depth(render(CAMERA, T, WALLS, floor=False), CAMERA, np.eye(4), T)
     assert states_of(grid, (0.6, 0.0), (2.2, 0.0)) == [0, -1]

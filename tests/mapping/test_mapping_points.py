@@ -65,7 +65,7 @@ def test_point_kernels_agree_with_their_twins(seed, n, share, high_m, lean):
     assert np.count_nonzero(np.abs(scan.reach_m - reach) > 1e-5) <= 1
 
     points.classify(within, scan, POLAR, 0.1, high_m, 1.0)
-    points.go_on(within, scan, POLAR, high_m, 1.0)
+    points.extend_obstacles_up(within, scan, POLAR, high_m, 1.0)
     expected = twins.classify_twin(cell, z_m, scan.ground_m, POLAR, 0.1, high_m, 1.0)
     np.testing.assert_array_equal(scan.seen, expected)
     ys, xs = np.nonzero(scan.seen)
@@ -172,7 +172,7 @@ def test_the_points_of_the_robot_are_dropped_as_numpy_does(seed, tilt_rad, radiu
     xyz = (in_map - [[at_m[0]], [at_m[1]], [0.0]]).astype(F)
     before = xyz.copy()
     axes, sensor = T_map_base[:3, :3].astype(F, order="C"), sensor_m.astype(F)
-    left, hits = points.drop_own(300, 200, xyz, axes, sensor, F(at_m[2]), radius_m, 1.0)
+    left, hits = points.drop_self_points(300, 200, xyz, axes, sensor, F(at_m[2]), radius_m, 1.0)
     keep = np.hypot(base_m[0], base_m[1]) >= radius_m
     assert hits == np.count_nonzero(keep[:200])
     np.testing.assert_array_equal(xyz[:, :left], before[:, keep])
@@ -220,7 +220,7 @@ def test_skipping_pixels_misses_no_obstacle_of_a_decimetre(camera, low_m, height
         r, bearing = rng.uniform(1.2, 4.85), rng.uniform(-0.55, 0.55)
         x, y = 0.1 + r * math.cos(bearing), r * math.sin(bearing)
         cube = (x - 0.05, y - 0.05, 0.0, x + 0.05, y + 0.05, height_m)
-        grid = RollingMap(config.Mapping(inflation_m=0.0, obstacle_min_m=low_m))
+        grid = RollingMap(config.MappingConfig(inflation_m=0.0, obstacle_min_m=low_m))
         depth = twins.render(camera, T_BASE_CAMERA, [cube])
         grid.update_depth(depth, camera, np.eye(4), T_BASE_CAMERA)
         assert (grid.layers.raw >= OCCUPIED).any(), (r, bearing)
@@ -230,7 +230,7 @@ def test_every_obstacle_of_a_decimetre_is_sampled_twice_or_more():
     """The stride itself: 0.1 m at full range spans two samples across, four up."""
     for width in (160, 320, 640, 1280, 1920):
         camera = CameraModel.from_hfov(width, width * 3 // 4, math.radians(75))
-        grid = RollingMap(config.Mapping())
+        grid = RollingMap(config.MappingConfig())
         grid._use_camera(camera)
         span = 0.1 / grid.config.range_m * camera.fx_px
         across, up = grid._strides
@@ -267,7 +267,7 @@ def tilted_lidar(boxes, slope=0.0, rings=40, columns=360):
 
 
 def lidar_map(boxes, slope=0.0):
-    grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
+    grid = RollingMap(config.MappingConfig(input="cloud", range_m=4.0, inflation_m=0.0))
     T_base_lidar = se3(0, 0, 0.6, pitch_rad=math.radians(23))
     T = SE2(0.0, 0.0, 0.4).matrix() @ T_base_lidar
     with np.errstate(invalid="ignore"):
@@ -293,7 +293,7 @@ def test_a_ramp_is_ground_and_an_obstacle_on_it_is_not():
 
 
 def test_rays_stop_where_the_floor_drops():
-    grid = RollingMap(config.Mapping(input="cloud", inflation_m=0.0))
+    grid = RollingMap(config.MappingConfig(input="cloud", inflation_m=0.0))
     x = np.linspace(0.5, 4.0, 400)
     y = np.linspace(-0.3, 0.3, 40)
     xx, yy = (a.ravel() for a in np.meshgrid(x, y))
@@ -310,7 +310,7 @@ def test_a_beam_that_met_nothing_frees_to_its_end_and_marks_nothing(beams, range
     angles = 2 * np.pi / beams * np.arange(beams)
     x, y = end_m * np.cos(angles), end_m * np.sin(angles)
     cloud = np.stack([x, y, np.full(beams, np.inf)], axis=1).astype(F)
-    grid = RollingMap(config.Mapping(input="cloud", range_m=range_m, inflation_m=0.0))
+    grid = RollingMap(config.MappingConfig(input="cloud", range_m=range_m, inflation_m=0.0))
     grid.update_cloud(cloud, np.eye(4), se3(z_m=0.2))
     for angle in np.radians(np.arange(0, 360, 0.5)):
         c, s = math.cos(angle), math.sin(angle)
@@ -329,7 +329,7 @@ def test_beams_that_met_nothing_free_nothing_behind_what_others_met():
     near = np.abs((angles + np.pi) % (2 * np.pi) - np.pi) <= wall.max() + 1e-6
     r = np.where(near, 1.52 / np.cos(angles), 12.0)
     cloud[:, 0], cloud[:, 1], cloud[~near, 2] = r * np.cos(angles), r * np.sin(angles), np.inf
-    grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
+    grid = RollingMap(config.MappingConfig(input="cloud", range_m=4.0, inflation_m=0.0))
     grid.update_cloud(cloud, np.eye(4), se3(z_m=0.2))
     assert all(grid.state_at(1.52, y) == 100 for y in np.arange(-0.45, 0.5, 0.05))
     assert {grid.state_at(x, x * math.tan(a)) for x in (1.7, 3.0) for a in wall[3:-3]} == {-1}
@@ -348,7 +348,7 @@ def test_what_a_planar_lidar_saw_is_cleared_by_beams_at_that_very_height(z_m, be
         rows = [r * np.cos(angles), r * np.sin(angles), np.where(free, np.inf, 0.0)]
         grid.update_cloud(np.stack(rows, axis=1).astype(F), np.eye(4), se3(z_m=z_m))
 
-    grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
+    grid = RollingMap(config.MappingConfig(input="cloud", range_m=4.0, inflation_m=0.0))
     sweep(grid, np.where(np.cos(angles) > 0.9, 1.52, behind_m))
     assert [grid.state_at(x, 0.0) for x in (1.0, 1.54, -2.0)] == [0, 100, 0]
     for _ in range(CLEAR_AFTER):

@@ -119,14 +119,16 @@ def test_what_was_reached_is_still_known_after_the_window_rolled():
 def test_lengths_of_many_ways_are_those_of_each():
     grid, pose = explored(3)
     out = np.zeros(4, np.float32)
-    grid.reach.paths_m(np.zeros((4, 2), np.float32), np.zeros(4, np.int8), np.ones(1), 4, out)
+    grid.reach.path_lengths_m(
+        np.zeros((4, 2), np.float32), np.zeros(4, np.int8), np.ones(1), 4, out
+    )
     assert np.isinf(out).all(), "no field yet"
     complete(grid, pose)
     rng = np.random.default_rng(0)
     xy_m = (rng.uniform(-3, 3, (40, 2)) + np.array([pose.x_m, pose.y_m])).astype(np.float32)
     kind, radius_m = rng.integers(0, 2, 40).astype(np.int8), np.array([0.2, 0.8])
     out = np.zeros(40, np.float32)
-    grid.reach.paths_m(xy_m, kind, radius_m, 40, out)
+    grid.reach.path_lengths_m(xy_m, kind, radius_m, 40, out)
     found = [
         grid.reach.nearest(x, y, r) for (x, y), r in zip(xy_m.tolist(), radius_m[kind], strict=True)
     ]
@@ -171,7 +173,7 @@ def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
 
 
 def test_without_a_field_there_is_no_way():
-    assert RollingMap(SMALL).reach.way_m(0.0, 0.0).shape == (0, 2)
+    assert RollingMap(SMALL).reach.path_m(0.0, 0.0).shape == (0, 2)
 
 
 @settings(max_examples=5)
@@ -182,7 +184,7 @@ def test_the_way_goes_back_step_by_step_and_is_as_long_as_the_distance(seed):
     rng = np.random.default_rng(seed)
     res, reach = grid.resolution_m, grid.reach
     for x, y in np.add(rng.uniform(-3, 3, (20, 2)), (pose.x_m, pose.y_m)):
-        way, away_m = reach.way_m(x, y), reach.distance_m(x, y)
+        way, away_m = reach.path_m(x, y), reach.distance_m(x, y)
         if math.isinf(away_m):
             assert len(way) == 0
             continue

@@ -39,7 +39,7 @@ def share(grid: RollingMap, cells, state: int) -> float:
 
 def test_redwood_furniture_is_occupied_and_its_floor_free(shared_dir):
     camera = CameraModel(640, 480, 525.0, 525.0, 319.5, 239.5)
-    grid = RollingMap(config.Mapping(inflation_m=0.0))
+    grid = RollingMap(config.MappingConfig(inflation_m=0.0))
     v, u = np.mgrid[:480, :640]
     rays = np.stack([(u - 319.5) / 525, (v - 239.5) / 525, np.ones_like(u)], axis=-1)
     for depth, T in redwood(shared_dir / "logs/redwood_rgbd"):
@@ -67,7 +67,7 @@ def test_kitti_cars_are_occupied_and_the_road_is_free(shared_dir, frame):
     label = np.fromfile(folder / f"labels/{frame:06d}.label", np.uint32) & 0xFFFF
     cloud = np.ascontiguousarray(scan[:, :3])
     grid = RollingMap(
-        config.Mapping(
+        config.MappingConfig(
             input="cloud",
             resolution_m=0.2,
             extent_m=60.0,

@@ -41,7 +41,7 @@ def two_rooms(gap_cells: int) -> np.ndarray:
     ],
 )
 def test_rooms_part_at_doors(cells, n):
-    label, found = regions.cut(cells, CELL_M)
+    label, found = regions.segment_rooms(cells, CELL_M)
     assert found == n
     assert label.shape == cells.shape
     np.testing.assert_array_equal(label > 0, cells == OPEN)
@@ -49,9 +49,9 @@ def test_rooms_part_at_doors(cells, n):
 
 
 def test_the_cut_lies_in_the_door():
-    label, _ = regions.cut(two_rooms(9), CELL_M)
+    label, _ = regions.segment_rooms(two_rooms(9), CELL_M)
     assert len(np.unique(label[1:-1, 1:40])) == len(np.unique(label[1:-1, 43:-1])) == 1
-    border = regions.borders(label, 2)
+    border = regions.border_lengths(label, 2)
     np.testing.assert_array_equal(border, border.T)
     assert 9 <= border[1, 2] <= 13
 
@@ -59,7 +59,7 @@ def test_the_cut_lies_in_the_door():
 def test_what_is_not_known_cuts_nothing():
     cells = np.full((40, 40), OPEN, np.uint8)
     cells[18:22, :15] = cells[18:22, 25:] = UNKNOWN
-    label, n = regions.cut(cells, CELL_M)
+    label, n = regions.segment_rooms(cells, CELL_M)
     assert n == 1
     assert not label[cells == UNKNOWN].any()
 
@@ -94,7 +94,7 @@ def test_the_survey_reads_the_torus(seed):
         layers.raw[sy, sx] = OCCUPIED if low else FREE
         layers.top[sy, sx] = 200 if tall else 20
         layers.known[sy, sx // 64] |= np.uint64(1) << np.uint64(sx % 64)
-    grid = regions.survey(layers, window, 200, 0.1)
+    grid = regions.coarse_grid(layers, window, 200, 0.1)
     assert grid.resolution_m == pytest.approx(0.1)
     x0 = round(grid.origin_xy_m[0] / 0.05) - window.origin[0]
     y0 = round(grid.origin_xy_m[1] / 0.05) - window.origin[1]

@@ -13,7 +13,7 @@ from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, render, room, seen
 from edge.geometry import SE2, CameraModel, optical_yaw_rad
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import make_layers
-from edge.mapping.values import RAYS, ROWS, UNIT, Sight, ValueMap, fuse
+from edge.mapping.values import RAYS, ROWS, UNIT, RangeProfile, ValueMap, fuse
 from edge.mapping.window import Window
 from edge.types import Observation
 
@@ -35,9 +35,9 @@ def window_of(values: ValueMap) -> Window:
     return values._window
 
 
-def sight(x=0.0, y=0.0, yaw=0.0, range_m=3.0, fov=FOV) -> Sight:
+def sight(x=0.0, y=0.0, yaw=0.0, range_m=3.0, fov=FOV) -> RangeProfile:
     """One that sees equally far everywhere, or as far as an array says."""
-    return Sight(x, y, yaw, fov, np.broadcast_to(np.float32(range_m), RAYS).copy())
+    return RangeProfile(x, y, yaw, fov, np.broadcast_to(np.float32(range_m), RAYS).copy())
 
 
 def centres(values: ValueMap) -> tuple[np.ndarray, np.ndarray]:
@@ -48,7 +48,7 @@ def centres(values: ValueMap) -> tuple[np.ndarray, np.ndarray]:
     return np.meshgrid((xs + 0.5) * 0.2, (ys + 0.5) * 0.2)
 
 
-def in_view(values: ValueMap, seen: Sight) -> tuple[np.ndarray, np.ndarray]:
+def in_view(values: ValueMap, seen: RangeProfile) -> tuple[np.ndarray, np.ndarray]:
     """(m, m) bool: whether a cell's centre is in view; (m, m) its bearing. Twin of `seen_cells`."""
     x, y = centres(values)
     bearing = np.arctan2(y - seen.y_m, x - seen.x_m) - seen.yaw_rad

@@ -6,15 +6,15 @@ import pytest
 
 from edge.geometry import SE2
 from edge.memory import known_objects, where_is
-from edge.perception.tracking.sightings import Sightings
+from edge.perception.tracking.sightings import TrackedObjects
 
 POSE = SE2(0.0, 0.0, 0.0)
 NOW_NS = 100_000_000_000
 
 
-def seen(*rows: tuple[str, float, int, int]) -> Sightings:
+def seen(*rows: tuple[str, float, int, int]) -> TrackedObjects:
     """Rows of name, x, hits and age in seconds; confidence falls from row to row."""
-    s = Sightings(8)
+    s = TrackedObjects(8)
     s.n = len(rows)
     for i, (name, x_m, hits, age_s) in enumerate(rows):
         if name not in s.words:
@@ -27,7 +27,7 @@ def seen(*rows: tuple[str, float, int, int]) -> Sightings:
 
 
 def test_nothing_is_known_at_first():
-    assert known_objects(Sightings(4), NOW_NS, 1) == []
+    assert known_objects(TrackedObjects(4), NOW_NS, 1) == []
     assert where_is("mug", [], POSE, True) == "no mug has been seen"
     assert where_is("mug", [], None, False) == (
         "no mug has been seen: the detector is not looking for it"

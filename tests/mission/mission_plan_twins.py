@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from edge.mission.logic.automaton import NOTHING, Automaton, compile_formula
 from edge.mission.logic.ltl import TRUE, parse
-from edge.mission.planning.plan import Knowledge
+from edge.mission.planning.plan import MissionKnowledge
 
 W_NOTHING = 1e-6
 CHOICE = "F((chair | couch) & F tv)"
@@ -29,8 +29,8 @@ def compiled(text: str) -> Automaton:
     return compile_formula(parse(text))
 
 
-def knowing(detected=(), reached=(), failed=(), distance_m=None) -> Knowledge:
-    return Knowledge(frozenset(detected), frozenset(reached), frozenset(failed), distance_m)
+def knowing(detected=(), reached=(), failed=(), distance_m=None) -> MissionKnowledge:
+    return MissionKnowledge(frozenset(detected), frozenset(reached), frozenset(failed), distance_m)
 
 
 def table_automaton(delta: list[list[int]], accepting: list[bool]) -> Automaton:
@@ -59,7 +59,7 @@ def automata(draw, max_states: int = 7, max_letters: int = 4) -> Automaton:
 
 
 @st.composite
-def knowledge_of(draw, letters: tuple[str, ...]) -> Knowledge:
+def knowledge_of(draw, letters: tuple[str, ...]) -> MissionKnowledge:
     sets: dict[str, set[str]] = {"detected": set(), "reached": set(), "failed": set()}
     for letter in letters:
         kind = draw(st.sampled_from([None, *sets]))
@@ -68,7 +68,7 @@ def knowledge_of(draw, letters: tuple[str, ...]) -> Knowledge:
     return knowing(**sets)
 
 
-def eq_1(letter: str, k: Knowledge, w_det: float, known_reached: bool) -> float:
+def eq_1(letter: str, k: MissionKnowledge, w_det: float, known_reached: bool) -> float:
     """The weight of a letter; inf if it failed."""
     if letter == NOTHING:
         return W_NOTHING

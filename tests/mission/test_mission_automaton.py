@@ -14,11 +14,11 @@ from hypothesis import given
 from ltl_semantics import holds
 from test_mission_ltl import formulas
 
-from edge.config import Mission
+from edge.config import MissionConfig
 from edge.errors import UserError
 from edge.mission.logic import automaton as automaton_module
 from edge.mission.logic.automaton import CompileError, compile_formula, steps_left
-from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Effort
+from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileBudget
 from edge.mission.logic.ltl import parse
 
 CASE_1 = (
@@ -142,7 +142,7 @@ def test_limit_of_steps(text):
     with pytest.raises(CompileError, match=r"no automaton within 20000 steps; use fewer targets"):
         compile_formula(formula, max_steps=20_000)
     with pytest.raises(CompileError, match="within 0 steps"):
-        steps_left(np.zeros((1, 1), np.int32), np.ones(1, bool), Effort(1, 0))
+        steps_left(np.zeros((1, 1), np.int32), np.ones(1, bool), CompileBudget(1, 0))
 
 
 @pytest.mark.parametrize(
@@ -167,13 +167,13 @@ def steps_of(text, monkeypatch) -> int:
     """How many steps a compilation takes in all."""
     made = []
 
-    class Noted(Effort):
+    class Noted(CompileBudget):
         def __init__(self, *args):
             super().__init__(*args)
             made.append(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(automaton_module, "Effort", Noted)
+        patch.setattr(automaton_module, "CompileBudget", Noted)
         compile_formula(parse(text))
     return made[-1].steps
 
@@ -202,7 +202,10 @@ def test_neither_automaton_nor_steps_depend_on_the_hash_seed():
 
 
 def test_the_configuration_has_the_same_limits():
-    assert (Mission().max_states, Mission().compile_limit_steps) == (MAX_STATES, MAX_STEPS)
+    assert (MissionConfig().max_states, MissionConfig().compile_limit_steps) == (
+        MAX_STATES,
+        MAX_STEPS,
+    )
 
 
 def test_limit_of_size():

@@ -2,14 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from edge.config import Mission
+from edge.config import MissionConfig
 from edge.errors import UserError
-from edge.mission.brief import prepare
-from edge.mission.readings import AmbiguousError
+from edge.mission.readings import AmbiguousInstructionError
+from edge.mission.spec import prepare
 
 
 def test_a_bare_target_is_the_mission_to_reach_it():
-    brief = prepare(Mission(target="trash can"))
+    brief = prepare(MissionConfig(target="trash can"))
     assert str(brief.automaton.formula) == 'F "trash can"'
     assert brief.targets == ("trash can",)
     assert brief.translation.instruction == "trash can"
@@ -34,14 +34,14 @@ def test_a_bare_target_is_the_mission_to_reach_it():
 )
 def test_a_mission_that_makes_no_sense_is_refused_with_the_reason(formula, words):
     with pytest.raises(UserError) as caught:
-        prepare(Mission(), formula=formula)
+        prepare(MissionConfig(), formula=formula)
     text = str(caught.value)
     assert "\n" not in text
     assert all(word in text for word in words), text
 
 
 def test_what_does_not_matter_is_not_looked_for():
-    brief = prepare(Mission(), formula="F (chair & (bed | !bed))")
+    brief = prepare(MissionConfig(), formula="F (chair & (bed | !bed))")
     assert brief.targets == ("chair",)
     assert brief.warnings == ("does not affect the mission: bed",)
 
@@ -50,19 +50,19 @@ AMBIGUOUS = "the sofa must be visited before the bed"
 
 
 def test_whoever_gives_an_instruction_is_asked_and_the_configuration_cannot_be() -> None:
-    with pytest.raises(AmbiguousError) as caught:
-        prepare(Mission(), AMBIGUOUS)
+    with pytest.raises(AmbiguousInstructionError) as caught:
+        prepare(MissionConfig(), AMBIGUOUS)
     told = caught.value.details["readings"]
     assert told == [reading.english for reading in caught.value.readings]
-    brief = prepare(Mission(instruction=AMBIGUOUS))
+    brief = prepare(MissionConfig(instruction=AMBIGUOUS))
     assert brief.translation.implied
     assert brief.warnings == (
         f"the instruction has {len(told)} readings and nobody chose one, so reading 1 was taken: "
         "it fulfils all of them",
     )
     for chosen in (
-        prepare(Mission(), AMBIGUOUS, reading=2),
-        prepare(Mission(instruction=AMBIGUOUS, reading=2)),
+        prepare(MissionConfig(), AMBIGUOUS, reading=2),
+        prepare(MissionConfig(instruction=AMBIGUOUS, reading=2)),
     ):
         assert chosen.translation.english == told[1]
         assert chosen.warnings == ()

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.lab.eval.languages import difference
-from edge.mission.language.compact import (
+from edge.lab.eval.equivalence import distinguishing_trace
+from edge.mission.language.prefix_notation import (
     MOST_NAMES,
     REFUSED,
     allowed,
@@ -34,7 +34,7 @@ MEANT = [
 
 @pytest.mark.parametrize(("tokens", "text"), MEANT)
 def test_meanings(tokens: str, text: str) -> None:
-    assert difference(formula_of(tokens.split(), "abc"), parse(text)) is None
+    assert distinguishing_trace(formula_of(tokens.split(), "abc"), parse(text)) is None
 
 
 @pytest.mark.parametrize("tokens", ["", "F", "<3>", "F <0> <1>", "& <0>", REFUSED, "F sofa"])

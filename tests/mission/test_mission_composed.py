@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from random import Random
 
-from edge.lab.eval.languages import difference
-from edge.mission.language.compact import NAMES, REFUSED, formula_of
+from edge.lab.eval.equivalence import distinguishing_trace
 from edge.mission.language.grammar import TranslationError, readings
+from edge.mission.language.prefix_notation import NAMES, REFUSED, formula_of
 from edge.mission.logic.ltl import to_text
 from edge.mission.readings import distinct
 from exporters.training.translator.compose import Composer, load
@@ -47,7 +47,7 @@ def test_what_is_read_in_one_way_is_what_was_meant() -> None:
         if len(formulas) == 1:
             read += 1
             formula = formula_of(pair.tokens, THINGS)
-            if difference(formulas[0], formula, True) is not None:
+            if distinguishing_trace(formulas[0], formula, True) is not None:
                 wrong.append(f"{said} | {meant} | {to_text(formulas[0])}")
     assert read > 100
     assert not wrong, "\n".join(wrong)

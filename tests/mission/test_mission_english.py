@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.lab.eval.languages import difference
+from edge.lab.eval.equivalence import distinguishing_trace
 from edge.lab.eval.planning.templates import generate
 from edge.mission.language.english import describe
 from edge.mission.language.grammar import readings
@@ -57,14 +57,14 @@ def test_what_is_said_means_the_formula(formula: str) -> None:
     """The grammar reads the sentence back as the same language."""
     f = parse(formula)
     (again,) = readings(describe(f))
-    assert difference(again, f) is None
+    assert distinguishing_trace(again, f) is None
 
 
 def test_every_kind_of_benchmark_task_is_said_faithfully() -> None:
     """Sentence → formula → sentence → formula: the language never changes."""
     for task in generate(200, seed=3):
         (again,) = readings(describe(task.formula))
-        assert difference(again, task.formula) is None, describe(task.formula)
+        assert distinguishing_trace(again, task.formula) is None, describe(task.formula)
 
 
 NAMES = st.sampled_from(["bed", "sofa", "trash can", "the end", "a", 'odd"name', "until", "go on"])
@@ -90,7 +90,7 @@ def test_any_formula_is_said_and_never_wrongly(formula: Formula) -> None:
     assert english.endswith(".")
     if "See to it" not in english and '"' not in english:
         again = readings(english)[0]
-        assert difference(again, formula) is None, english
+        assert distinguishing_trace(again, formula) is None, english
 
 
 def test_deep_and_long_formulas_are_shown_as_they_are() -> None:

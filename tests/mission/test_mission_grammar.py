@@ -10,12 +10,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from edge.config import TranslatorAuto, TranslatorGrammar
-from edge.lab.eval.languages import difference
+from edge.lab.eval.equivalence import distinguishing_trace
 from edge.mission.language.grammar import TranslationError, readings
 from edge.mission.language.lexicon import PHRASES, TABLE
-from edge.mission.language.words import MAX_CHARS, MAX_WORDS
+from edge.mission.language.tokens import MAX_CHARS, MAX_WORDS
 from edge.mission.logic.ltl import Formula, ap, eventually, parse, to_text
-from edge.mission.readings import AmbiguousError, distinct
+from edge.mission.readings import AmbiguousInstructionError, distinct
 from edge.mission.translate import Translator, make_translator
 
 _TRANSLATOR = make_translator(TranslatorGrammar())
@@ -153,7 +153,7 @@ ON_THE_WAY = [
 def test_means(sentence: str, formula: str) -> None:
     """The language is the expected one, and the formula's text parses back to it."""
     got = parse_english(sentence)
-    assert difference(got, parse(formula)) is None, f"{sentence!r} gave {got}"
+    assert distinguishing_trace(got, parse(formula)) is None, f"{sentence!r} gave {got}"
     assert parse(to_text(got)) == got
 
 
@@ -272,7 +272,7 @@ def test_reads_in_every_way(sentence: str, formulas: list[str], safer: int | Non
     got, implied = distinct(readings(sentence))
     assert implied == safer
     for one, expected in zip(got, formulas, strict=True):
-        assert difference(one, parse(expected)) is None, f"{one} is not {expected}"
+        assert distinguishing_trace(one, parse(expected)) is None, f"{one} is not {expected}"
 
 
 def test_too_many_readings_are_refused() -> None:
@@ -356,7 +356,8 @@ def check_counts(words: list[str], at: int, swapped: str) -> None:
     again = meant(changed)
     if read and again:
         assert len(read) != len(again) or any(
-            difference(one, other) is not None for one, other in zip(read, again, strict=True)
+            distinguishing_trace(one, other) is not None
+            for one, other in zip(read, again, strict=True)
         ), f"{' '.join(changed)!r} means as much as {' '.join(words)!r}"
 
 
@@ -388,7 +389,7 @@ def test_nor_by_the_translator_that_asks_the_network(sentence, data) -> None:
     with contextlib.suppress(TranslationError):
         whole = auto().translate(" ".join(words)).formula
         changed = " ".join(changed_at(words, at, swapped))
-        assert difference(whole, auto().translate(changed).formula) is not None, changed
+        assert distinguishing_trace(whole, auto().translate(changed).formula) is not None, changed
 
 
 @pytest.mark.parametrize("filler", PHRASES["filler"])
@@ -453,7 +454,7 @@ def test_any_text_is_read_or_refused(text: str) -> None:
     """Never anything but a formula that can be written, or a refusal of one line."""
     try:
         formula = parse_english(text)
-    except AmbiguousError as error:
+    except AmbiguousInstructionError as error:
         assert str(error).isprintable()  # noqa: PT017
     except TranslationError as error:
         assert str(error).isprintable()  # noqa: PT017

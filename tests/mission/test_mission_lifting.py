@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.mission.language.compact import MOST_NAMES, NAMES
-from edge.mission.language.lifting import lift
-from edge.mission.language.words import TranslationError
+from edge.mission.language.delexicalisation import delexicalise_text
+from edge.mission.language.prefix_notation import MOST_NAMES, NAMES
+from edge.mission.language.tokens import TranslationError
 
 LIFTED = [
     ("", "", ()),
@@ -39,7 +39,7 @@ LIFTED = [
 
 @pytest.mark.parametrize(("said", "words", "names"), LIFTED)
 def test_lifts(said: str, words: str, names: tuple[str, ...]) -> None:
-    lifted = lift(said)
+    lifted = delexicalise_text(said)
     assert (" ".join(lifted.words), lifted.names) == (words, names)
     assert len(lifted.starts) == len(lifted.words)
     for word, start in zip(lifted.words, lifted.starts, strict=True):
@@ -59,14 +59,14 @@ REFUSED = [
 @pytest.mark.parametrize(("said", "hint"), REFUSED)
 def test_refuses(said: str, hint: str) -> None:
     with pytest.raises(TranslationError, match=hint) as refused:
-        lift(said)
+        delexicalise_text(said)
     assert len(str(refused.value)) < 200
 
 
 @given(st.text(max_size=120) | st.binary(max_size=120).map(lambda b: b.decode("latin-1")))
 def test_any_text_is_lifted_or_refused(text: str) -> None:
     try:
-        lifted = lift(text)
+        lifted = delexicalise_text(text)
     except TranslationError:
         return
     assert {w for w in lifted.words if w in NAMES} == set(NAMES[: len(lifted.names)])

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.lab.eval.languages import difference
+from edge.lab.eval.equivalence import distinguishing_trace
 from edge.mission.language import model as small
-from edge.mission.language.compact import NAMES, REFUSED
-from edge.mission.language.model import SmallModel
-from edge.mission.language.network import Network, Written
-from edge.mission.language.words import TranslationError
+from edge.mission.language.model import NeuralTranslator
+from edge.mission.language.network import FormulaHypothesis, TranslationNetwork
+from edge.mission.language.prefix_notation import NAMES, REFUSED
+from edge.mission.language.tokens import TranslationError
 from edge.mission.logic.ltl import parse
 
 KNOWN = ("go", "to", "then", "not", "visit", "please", ",", ".")
@@ -37,10 +37,12 @@ class Stub:
     def knows(self, word: str) -> bool:
         return word in KNOWN or word in NAMES
 
-    def formulas(self, words: Sequence[str], names: int) -> list[Written]:
-        return [Written(tuple(text.split()), math.log(p)) for text, p, _ in self._written]
+    def formulas(self, words: Sequence[str], names: int) -> list[FormulaHypothesis]:
+        return [FormulaHypothesis(tuple(text.split()), math.log(p)) for text, p, _ in self._written]
 
-    def tellings(self, tokens: Sequence[str], sentences: Sequence[Sequence[str]]) -> list[float]:
+    def back_translation_log_p(
+        self, tokens: Sequence[str], sentences: Sequence[Sequence[str]]
+    ) -> list[float]:
         """Every word is accounted for: the shorter sentence is the less likely."""
         told = {tuple(text.split()): each for text, _, each in self._written}
         whole = max(map(len, sentences))
@@ -79,9 +81,9 @@ def test_what_is_believed(
 ) -> None:
     if texts is None:  # nothing to offer that is likely to be right
         with pytest.raises(TranslationError, match="could not be translated to a mission"):
-            SmallModel(Stub(*written)).read(said)
+            NeuralTranslator(Stub(*written)).read(said)
         return
-    guess = SmallModel(Stub(*written)).read(said)
+    guess = NeuralTranslator(Stub(*written)).read(said)
     assert guess.sure is sure
     assert list(guess.formulas) == [parse(text) for text in texts]
 
@@ -97,7 +99,7 @@ DOUBTS = [
 
 @pytest.mark.parametrize(("said", "doubts"), DOUBTS)
 def test_slips_are_told(said: str, doubts: tuple[str, ...]) -> None:
-    assert SmallModel(Stub(SURE)).read(said).doubts == doubts
+    assert NeuralTranslator(Stub(SURE)).read(said).doubts == doubts
 
 
 REFUSALS = [
@@ -117,20 +119,20 @@ REFUSALS = [
 @pytest.mark.parametrize(("said", "hint"), REFUSALS)
 def test_refusals(said: str, hint: str) -> None:
     with pytest.raises(TranslationError, match=hint) as refused:
-        SmallModel(Stub(SURE)).read(said)
+        NeuralTranslator(Stub(SURE)).read(said)
     assert len(str(refused.value)) < 250
 
 
 @pytest.mark.parametrize("written", [[], [(REFUSED, 0.6, 0.0), ("F <0>", 0.4, -1.0)]])
 def test_what_no_formula_says(written: list[tuple[str, float, float]]) -> None:
     with pytest.raises(TranslationError, match="could not be translated to a mission"):
-        SmallModel(Stub(*written)).read(SAID)
+        NeuralTranslator(Stub(*written)).read(SAID)
 
 
 @cache
-def shipped() -> SmallModel:
+def shipped() -> NeuralTranslator:
     """One session for all tests."""
-    return SmallModel(Network("mini-translator"))
+    return NeuralTranslator(TranslationNetwork("mini-translator"))
 
 
 READ = [
@@ -145,7 +147,7 @@ READ = [
 def test_the_shipped_one_reads_what_people_say(said: str, text: str) -> None:
     guess = shipped().read(said)
     assert guess.sure
-    assert difference(guess.formulas[0], parse(text)) is None
+    assert distinguishing_trace(guess.formulas[0], parse(text)) is None
 
 
 NOT_READ = [
@@ -180,7 +182,7 @@ def test_a_word_that_matters_changes_what_is_read(said: str, word: str) -> None:
         less = shipped().read(" ".join(w for w in said.split() if w.strip(",") != word))
     except TranslationError:
         return
-    assert not less.sure or difference(whole, less.formulas[0]) is not None
+    assert not less.sure or distinguishing_trace(whole, less.formulas[0]) is not None
 
 
 LEFT_OVER = [  # what the rest of it means is plain; the refusal names a word of it
@@ -211,7 +213,7 @@ def test_no_inserted_negation_is_passed_over() -> None:
                 changed = " ".join((*words[:at], word, *words[at:]))
                 with contextlib.suppress(TranslationError):
                     guess = shipped().read(changed)
-                    if guess.sure and difference(guess.formulas[0], meant) is None:
+                    if guess.sure and distinguishing_trace(guess.formulas[0], meant) is None:
                         passed.append(changed)
     assert not passed
 

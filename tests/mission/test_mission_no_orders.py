@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from edge.config.mission import TranslatorGrammar
-from edge.lab.eval.languages import difference
+from edge.lab.eval.equivalence import distinguishing_trace
 from edge.mission.language.grammar import TranslationError, readings
 from edge.mission.logic.ltl import parse
 from edge.mission.readings import distinct
@@ -210,4 +210,4 @@ def test_nothing_fulfils_it(sentence: str) -> None:
 @pytest.mark.parametrize(("sentence", "formulas"), MEANT)
 def test_means(sentence: str, formulas: list[str]) -> None:
     for one, expected in zip(distinct(readings(sentence))[0], formulas, strict=True):
-        assert difference(one, parse(expected)) is None, f"{one} is not {expected}"
+        assert distinguishing_trace(one, parse(expected)) is None, f"{one} is not {expected}"

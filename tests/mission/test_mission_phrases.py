@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from edge.lab.eval.languages import difference
+from edge.lab.eval.equivalence import distinguishing_trace
 from edge.mission.language.grammar import TranslationError, readings
 from edge.mission.logic.ltl import Formula, parse
 from edge.mission.readings import distinct
@@ -326,7 +326,7 @@ MEANT = [*((said, [formula]) for said, formula in PLAIN), *ASKED, *ASKED_ABOUT]
 @pytest.mark.parametrize(("sentence", "formulas"), MEANT)
 def test_means(sentence: str, formulas: list[str]) -> None:
     for one, expected in zip(told(sentence), formulas, strict=True):
-        assert difference(one, parse(expected)) is None, f"{one} is not {expected}"
+        assert distinguishing_trace(one, parse(expected)) is None, f"{one} is not {expected}"
 
 
 @pytest.mark.parametrize(("sentence", "part"), REFUSED)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from edge.config import Mission, parse
+from edge.config import MissionConfig, parse
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import Place, Site
-from edge.mission.brief import prepare
 from edge.mission.language.places import quote_places
+from edge.mission.spec import prepare
 from edge.mission.translate import TranslationError
 
 SITE = Site((Place("dock", SE2(1.0, 2.0, 0.0)), Place("loading bay 2", SE2(3.0, 4.0, 0.0))))
@@ -57,7 +57,7 @@ def test_places_are_put_into_quotes(instruction, quoted):
 
 
 def briefed(instruction: str):
-    return prepare(Mission(translator={"kind": "grammar"}), instruction, site=SITE)
+    return prepare(MissionConfig(translator={"kind": "grammar"}), instruction, site=SITE)
 
 
 @pytest.mark.parametrize(

@@ -21,18 +21,20 @@ from mission_plan_twins import (
     shortest,
 )
 
-from edge.config import PlannerOwn, PlannerVitl
+from edge.config import PlannerPlugin, PlannerVitl
 from edge.errors import ConfigError
 from edge.mission.planning import planner as planners
 from edge.mission.planning import vitl
-from edge.mission.planning.planner import Knowledge, Plan, make_planner
+from edge.mission.planning.planner import MissionKnowledge, TargetPlan, make_planner
 from edge.mission.planning.vitl import working_order
 
 CONSTANT = PlannerVitl()
-NOTHING_KNOWN = Knowledge()
+NOTHING_KNOWN = MissionKnowledge()
 
 
-def planned(text: str, knowledge=NOTHING_KNOWN, current=None, config=CONSTANT, **keywords) -> Plan:
+def planned(
+    text: str, knowledge=NOTHING_KNOWN, current=None, config=CONSTANT, **keywords
+) -> TargetPlan:
     return make_planner(config, compiled(text), **keywords).plan(0, knowledge, current)
 
 
@@ -223,7 +225,7 @@ def test_distance_plans_are_shortest_paths(data, automaton, seed):
         return between if math.isfinite(between) else math.hypot(10.0, here)
 
     planner = make_planner(METRES, automaton)
-    told = Knowledge(knowledge.detected, knowledge.reached, knowledge.failed, metres)
+    told = MissionKnowledge(knowledge.detected, knowledge.reached, knowledge.failed, metres)
     for state in range(automaton.n_states):
         plan = planner.plan(state, told)
         cost, steps = shortest(automaton, state, weight)
@@ -309,12 +311,12 @@ class Alphabetical:
 
     def plan(self, state, knowledge, current=None):
         target = sorted(self.letters, reverse=self.last)[0]
-        return Plan(target, (target,), 1.0, True, (), self.instruction, ((target, 1.0),))
+        return TargetPlan(target, (target,), 1.0, True, (), self.instruction, ((target, 1.0),))
 
 
 def test_a_planner_of_ones_own_is_given_the_mission_and_its_options():
-    own = PlannerOwn(kind=f"{__name__}:Alphabetical", options={"last": True})
-    plan = make_planner(own, compiled("F a & F b"), "Reach a and b.").plan(0, Knowledge())
+    own = PlannerPlugin(kind=f"{__name__}:Alphabetical", options={"last": True})
+    plan = make_planner(own, compiled("F a & F b"), "Reach a and b.").plan(0, MissionKnowledge())
     assert (plan.target, plan.reason) == ("b", "Reach a and b.")
 
 
@@ -328,6 +330,6 @@ def test_a_planner_of_ones_own_is_given_the_mission_and_its_options():
 )
 def test_what_is_no_planner_is_told_in_a_line(kind, options, words):
     with pytest.raises(ConfigError) as told:
-        make_planner(PlannerOwn(kind=kind, options=options), compiled("F a"), "Reach a.")
+        make_planner(PlannerPlugin(kind=kind, options=options), compiled("F a"), "Reach a.")
     assert words in str(told.value)
     assert "\n" not in str(told.value)

@@ -3,17 +3,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.config import Mission, PlannerVitl
+from edge.config import MissionConfig, PlannerVitl
 from edge.geometry import SE2
-from edge.mission.brief import prepare
 from edge.mission.run import MissionRun
+from edge.mission.spec import prepare
 
 S = 1_000_000_000
 CHOICE = "F ((chair | sofa) & F tv) & (!bed W tv)"
 
 
 def begun(formula: str = CHOICE, **settings) -> MissionRun:
-    config = Mission(**settings)
+    config = MissionConfig(**settings)
     mission = MissionRun(prepare(config, formula=formula), config)
     mission.start(0)
     mission.observe(SE2(0, 0, 0), 0)
@@ -46,9 +46,9 @@ def test_a_seen_branch_is_switched_to_at_once():
 def test_reaching_the_targets_in_order_fulfils_it():
     mission = begun()
     mission.see({"sofa": 1}, S)
-    mission.arrive("seen in 5 images", 2 * S)
+    mission.on_reached("seen in 5 images", 2 * S)
     assert (mission.target, mission.word) == ("tv", ("sofa",))
-    mission.arrive("seen in 6 images", 3 * S)
+    mission.on_reached("seen in 6 images", 3 * S)
     assert mission.status("searching").phase == "reached"
     assert mission.reason == "sofa, then tv"
     assert kinds(mission)[-2:] == ["reached", "end"]
@@ -77,11 +77,11 @@ def test_what_failed_is_taken_up_again_only_when_another_one_is_seen():
 
 def test_what_failed_before_a_restart_needs_a_newer_instance_too():
     mission = begun("F (chair | sofa)")
-    config = Mission()
+    config = MissionConfig()
     second = MissionRun(mission.brief, config)
     second.restore((), (), {"chair"}, 1.0, 1.0, False)
     second.start(0)
-    second.overlook(7)
+    second.mark_stale_before(7)
     second.see({"chair": 7}, S)
     assert second.failed == {"chair"}
     second.give_up("no way to it", 2 * S)
@@ -89,17 +89,17 @@ def test_what_failed_before_a_restart_needs_a_newer_instance_too():
     third = MissionRun(mission.brief, config)
     third.restore((), (), {"chair"}, 1.0, 1.0, False)
     third.start(0)
-    third.overlook(7)
+    third.mark_stale_before(7)
     third.see({"chair": 8}, S)
     assert third.target == "chair"
 
 
 def test_a_step_without_anything_reached_is_taken_where_the_formula_asks_for_it():
     mission = begun("F (chair & F (!chair & F chair))")
-    mission.arrive("", S)
+    mission.on_reached("", S)
     assert mission.word == ("chair", "")
     assert mission.target == "chair"
-    mission.arrive("", 2 * S)
+    mission.on_reached("", 2 * S)
     assert mission.done
 
 
@@ -141,7 +141,7 @@ def test_time_passes_without_a_pose_but_not_while_paused():
 
 def test_the_end_is_final():
     mission = begun("F chair")
-    mission.arrive("confirmed", S)
+    mission.on_reached("confirmed", S)
     mission.fail("again", 2 * S)
     mission.see({"chair": 2}, 2 * S)
     assert (mission.status("searching").phase, mission.reason) == ("reached", "confirmed")
@@ -150,8 +150,8 @@ def test_the_end_is_final():
 def test_it_goes_on_where_another_run_of_it_stopped():
     first = begun()
     first.see({"sofa": 1}, S)
-    first.arrive("", 2 * S)
-    config = Mission()
+    first.on_reached("", 2 * S)
+    config = MissionConfig()
     second = MissionRun(prepare(config, formula=CHOICE), config)
     second.restore(first.word, first.reached, first.failed, 12.0, 3.0, False)
     second.start(0)

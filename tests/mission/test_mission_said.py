@@ -7,21 +7,21 @@ from pathlib import Path
 import pytest
 
 from edge.config import TranslatorAuto, TranslatorGrammar
-from edge.lab.eval.translate import TO_READ, Score, own_cases, score
+from edge.lab.eval.translate import TO_READ, TranslationScore, custom_cases, score
 from edge.mission.translate import make_translator
 
 SAID = Path(__file__).with_name("said.tsv")
 PROBED = Path(__file__).with_name("probed.tsv")
 
 
-def wrong(scores: list[Score]) -> str:
+def wrong(scores: list[TranslationScore]) -> str:
     return "\n".join(f"{s.case.sentence}: {s.got}" for s in scores if s.outcome == "wrong")
 
 
 @pytest.fixture(scope="module")
-def scores() -> list[Score]:
+def scores() -> list[TranslationScore]:
     translator = make_translator(TranslatorGrammar())
-    return [score(case, translator) for case in own_cases(SAID)[0]]
+    return [score(case, translator) for case in custom_cases(SAID)[0]]
 
 
 def test_nothing_is_taken_for_another_thing(scores) -> None:
@@ -36,7 +36,7 @@ def test_most_is_understood(scores) -> None:
 def test_what_was_once_misread_is_read_or_refused() -> None:
     """Variants of each misreading that was reported, judged by hand."""
     translator = make_translator(TranslatorAuto())
-    scores = [score(case, translator) for case in own_cases(PROBED)[0]]
+    scores = [score(case, translator) for case in custom_cases(PROBED)[0]]
     assert not wrong(scores)
     lost = [s for s in scores if s.case.part == TO_READ and s.outcome != "right"]
     assert not [f"{s.case.sentence}: {s.got}" for s in lost]
@@ -48,4 +48,4 @@ def test_no_probe_is_carried_out_wrongly(shared_dir) -> None:
     if not table.exists():
         pytest.skip(f"test data not there: {table.name}")
     translator = make_translator(TranslatorAuto())
-    assert not wrong([score(case, translator) for case in own_cases(table)[0]])
+    assert not wrong([score(case, translator) for case in custom_cases(table)[0]])

@@ -7,14 +7,14 @@ import pytest
 from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorLtl
 from edge.mission.logic.ltl import ap, eventually, parse
 from edge.mission.translate import (
-    AmbiguousError,
+    AmbiguousInstructionError,
     Backend,
-    Read,
+    ParsedInstruction,
     TranslationError,
-    by_all,
-    heeding,
+    combined_backend,
     make_translator,
     validated,
+    with_bans,
 )
 from edge.perception.runtime.model_file import ModelError
 
@@ -37,7 +37,9 @@ def test_translates(config: TranslatorGrammar | TranslatorLtl, instruction: str)
 def test_an_ambiguous_instruction_is_asked_about() -> None:
     grammar = make_translator(TranslatorGrammar())
     said = "go to the bed without the sofa, then to the tv"
-    with pytest.raises(AmbiguousError, match=r"\(1\) Reach .* \(2\) Reach .*Never") as asked:
+    with pytest.raises(
+        AmbiguousInstructionError, match=r"\(1\) Reach .* \(2\) Reach .*Never"
+    ) as asked:
         grammar.translate(said)
     assert len(str(asked.value).splitlines()) == 1
     english = tuple(reading.english for reading in asked.value.readings)
@@ -65,10 +67,10 @@ def test_a_formula_without_a_text_is_refused() -> None:
 def _reader(*texts: str, sure: bool = True, doubts: tuple[str, ...] = ()) -> Backend:
     """Reads whatever it is told as these formulas; refuses it where there are none."""
 
-    def read(said: str) -> Read:
+    def read(said: str) -> ParsedInstruction:
         if not texts:
             raise TranslationError(f"not the grammar's reason: {said}")
-        return Read([parse(text) for text in texts], "stub", sure, doubts)
+        return ParsedInstruction([parse(text) for text in texts], "stub", sure, doubts)
 
     return read
 
@@ -111,7 +113,7 @@ TOGETHER = [
 def test_auto_takes_what_is_agreed_on(
     said: str, small: Backend, large: Backend | None, wanted: object, by: str, sure: bool
 ) -> None:
-    read = by_all(small, large)
+    read = combined_backend(small, large)
     if isinstance(wanted, str):
         with pytest.raises(TranslationError, match=wanted):
             read(said)
@@ -141,12 +143,12 @@ BANNED = [
 def test_a_models_formula_heeds_the_bans_that_the_rules_read(
     said: str, formula: str, asked: list[str] | str | None
 ) -> None:
-    read = Read([parse(formula)], "llm")
+    read = ParsedInstruction([parse(formula)], "llm")
     if isinstance(asked, str):
         with pytest.raises(TranslationError, match=asked):
-            heeding(said, read)
+            with_bans(said, read)
         return
-    found = heeding(said, read)
+    found = with_bans(said, read)
     assert found.sure is (asked is None)
     assert [str(one) for one in found.formulas] == (asked or [formula])
 

@@ -17,12 +17,12 @@ from edge.cli.main import main
 from edge.geometry import SE2, Grid
 from edge.host import resources
 from edge.lab.bench import choices
-from edge.lab.bench.frames import Frames
+from edge.lab.bench.frames import BenchFrames
 from edge.lab.sim.base import FloorPlan, WorldObject
 from edge.models import pull
 from edge.perception.runtime.card_types import ChoiceCard
 from edge.perception.runtime.cards import all_cards, load_card
-from edge.perception.scoring.choice.question import Mark, View
+from edge.perception.scoring.choice.question import Mark, MarkedView
 from edge.types import Observation
 
 MARKS = tuple(Mark(i, 0.0, 0.0, bearing, 3.0) for i, bearing in enumerate((0.5, 0.0, -0.5)))
@@ -195,11 +195,11 @@ class Corridor:
 )
 def test_right_is_the_mark_from_which_the_least_is_left_to_drive(yaw_rad, thing, expected):
     world, pose = Corridor(thing), SE2(0.0, 0.0, yaw_rad)
-    pictures = Frames("one", [], (), None, world, (pose,))
-    view = View(Observation(0, 0, np.eye(4)), "bed", MARKS)
+    pictures = BenchFrames("one", [], (), None, world, (pose,))
+    view = MarkedView(Observation(0, 0, np.eye(4)), "bed", MARKS)
     left_m = np.array([choices._left_m(pictures, view)])
     assert choices.right_of(left_m).tolist() == [expected]
-    blind = Frames("one", [], (), None)
+    blind = BenchFrames("one", [], (), None)
     assert not choices.right_of(np.array([choices._left_m(blind, view)])).any()
 
 

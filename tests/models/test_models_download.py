@@ -9,18 +9,18 @@ import resource
 
 import pytest
 
-from edge.models.download import Limits, download, read_small, shown
-from edge.models.part import FetchError, Part
+from edge.models.download import DownloadLimits, download, printable_url, read_small
+from edge.models.partial_file import FetchError, PartialFile
 from edge.perception.runtime.model_file import ModelError
 
 CONTENT = bytes(range(256)) * 400
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
-LIMITS = Limits(tries=3, small_bytes=1000)
-HASTY = Limits(answer_s=0.2, slow_s=0.2, tries=2)
+LIMITS = DownloadLimits(tries=3, small_bytes=1000)
+HASTY = DownloadLimits(answer_s=0.2, slow_s=0.2, tries=2)
 
 
 def part(tmp_path, sha256=SHA256, size=None):
-    return Part(tmp_path / "w.pt", sha256, size)
+    return PartialFile(tmp_path / "w.pt", sha256, size)
 
 
 def left(tmp_path):
@@ -142,7 +142,7 @@ def test_a_server_that_stalls_is_given_up(server, tmp_path, cut):
 def test_a_server_that_trickles_is_given_up(server, tmp_path):
     server.put("/w.pt", CONTENT, cut=1, stall=True)
     with pytest.raises(FetchError, match=r"only [01] bytes came in 0 s"):
-        fetch(server, tmp_path, limits=Limits(slow_s=0.0, slow_bytes=2, tries=1))
+        fetch(server, tmp_path, limits=DownloadLimits(slow_s=0.0, slow_bytes=2, tries=1))
 
 
 def test_a_redirect_is_followed_without_the_password(server, tmp_path):
@@ -153,7 +153,7 @@ def test_a_redirect_is_followed_without_the_password(server, tmp_path):
     assert "authorization" in first.asked[0]
     assert "authorization" not in second.asked[0]
     assert (tmp_path / "w.pt").read_bytes() == CONTENT
-    assert shown("https://me:secret@host:8/x?y=1") == "https://host:8/x?***"
+    assert printable_url("https://me:secret@host:8/x?y=1") == "https://host:8/x?***"
 
 
 def test_two_at_one_file_do_not_mix(tmp_path):
@@ -169,7 +169,7 @@ def test_a_place_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with (
         pytest.raises(ModelError, match="cannot be written"),
-        Part(tmp_path / "file" / "w", SHA256),
+        PartialFile(tmp_path / "file" / "w", SHA256),
     ):
         pass
 
@@ -222,7 +222,7 @@ def test_a_proxy_that_cannot_be_used_is_told(monkeypatch, server, tmp_path):
 
 
 def test_a_log_is_told_how_far_it_is(server, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("edge.host.bars.LOG_PERIOD_S", 0.0)
+    monkeypatch.setattr("edge.host.progress.LOG_PERIOD_S", 0.0)
     server.put("/w.pt", CONTENT)
     fetch(server, tmp_path)
     assert "w.pt: 100%|##########| 102k/102k [" in capsys.readouterr().err

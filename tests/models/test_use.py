@@ -9,7 +9,7 @@ import pytest
 
 from edge.bus.client import RequestError
 from edge.cli.main import main
-from edge.models.use import follow
+from edge.models.use import follow_swap
 
 
 class Service:
@@ -31,7 +31,7 @@ def followed(service: Service, patience: int = 100) -> list[tuple[str, str]]:
     left = iter(range(patience))
     return [
         (s["state"], s["detail"])
-        for s in follow(service, "new", True, lambda: next(left, None) is not None, 0.0)
+        for s in follow_swap(service, "new", True, lambda: next(left, None) is not None, 0.0)
     ]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.geometry import CameraModel, optical, se3
+from edge.geometry import CameraModel, se3, to_optical
 from edge.types import Observation
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `twins`, `tiny_clip`
@@ -35,7 +35,7 @@ def make_observation():
             stamp_ns=seq * 100_000_000 if stamp_ns is None else stamp_ns,
             T_map_base=T,
             camera=CameraModel.from_hfov(hw[1], hw[0], 1.3),
-            T_base_camera=optical(se3(0.0, 0.0, 0.6)),
+            T_base_camera=to_optical(se3(0.0, 0.0, 0.6)),
             **arrays,
         )
 

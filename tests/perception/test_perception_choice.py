@@ -18,15 +18,15 @@ from patience import PATIENCE_S
 
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
-from edge.geometry import SE2, CameraModel, optical, se3
+from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.perception.scoring.choice import server as scorer
 from edge.perception.scoring.choice.picture import draw, place, visible_marks
 from edge.perception.scoring.choice.question import (
     MAX_MARKS,
-    Choice,
+    DetectedObject,
+    FrontierChoice,
     Mark,
-    Sighting,
-    View,
+    MarkedView,
     describe,
     direction_question,
     scene_question,
@@ -80,7 +80,7 @@ def test_no_frontiers_or_no_camera_no_marks(make_observation):
 def test_the_ray_through_a_mark_meets_the_floor_at_its_frontier():
     """Also for a camera that is turned, pitched and beside the robot's middle."""
     camera = CameraModel.from_hfov(80, 64, 1.3)
-    T_base_camera = optical(se3(0.1, 0.2, 0.6, pitch_rad=0.3))
+    T_base_camera = to_optical(se3(0.1, 0.2, 0.6, pitch_rad=0.3))
     T_map_base = SE2(2.0, -1.0, 0.7).matrix(z_m=0.4)
     seen = Observation(0, 0, T_map_base, camera=camera, T_base_camera=T_base_camera)
     points = np.random.default_rng(0).uniform(-6, 6, (300, 2))
@@ -200,8 +200,8 @@ def test_the_questions_are_the_papers(n, letters):
 
 def view(make_observation, **arrays):
     marks = (Mark(7, 20.0, 40.0, 0.5, 2.04), Mark(9, 60.0, 40.0, -0.1, 4.0))
-    seen = (Sighting("bed", 0.21, 1.0), Sighting("tv", -0.3, 3.25))
-    return View(make_observation(seq=3, **arrays), "lamp", marks, seen)
+    seen = (DetectedObject("bed", 0.21, 1.0), DetectedObject("tv", -0.3, 3.25))
+    return MarkedView(make_observation(seq=3, **arrays), "lamp", marks, seen)
 
 
 def test_a_view_in_words(make_observation):
@@ -210,12 +210,12 @@ def test_a_view_in_words(make_observation):
         "The robot sees:\n- bed, left, 1.0 m\n- tv, right, 3.2 m\n"
         "It can go on in these directions:\n- A: left, 2.0 m\n- B: ahead, 4.0 m"
     )
-    empty = View(shown.observation, "lamp", shown.marks)
+    empty = MarkedView(shown.observation, "lamp", shown.marks)
     assert describe(empty).startswith("The robot sees:\n- nothing that it knows\nIt can")
 
 
 def test_the_value_of_a_frontier_is_scene_times_direction():
-    choice = Choice(0, "bed", (1, 2), np.array([0.5, 0.25], np.float32), 0.25, 0.4)
+    choice = FrontierChoice(0, "bed", (1, 2), np.array([0.5, 0.25], np.float32), 0.25, 0.4)
     np.testing.assert_allclose(choice.value, [0.2, 0.1])
 
 

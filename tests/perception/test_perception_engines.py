@@ -27,7 +27,12 @@ from edge.host import resources
 from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
 from edge.perception.runtime import binding, cuda, engines, tensorrt
-from edge.perception.runtime.engines import EngineOptions, folder_name, obtain, telling
+from edge.perception.runtime.engines import (
+    EngineOptions,
+    folder_name,
+    get_or_build,
+    report_progress,
+)
 from edge.perception.runtime.model_file import TRUST_CACHE, ModelError
 from edge.perception.runtime.sessions import open_session
 from edge.perception.runtime.tensorrt import make_monitor
@@ -53,10 +58,10 @@ def quiet(health):
 
 def test_an_engine_is_built_once(tmp_path):
     build, cache = Builds(), tmp_path / "a" / "engines"
-    folder = obtain(KEY, cache, build, quiet)
+    folder = get_or_build(KEY, cache, build, quiet)
     assert (folder / "model.engine").read_bytes() == b"engine"
     assert folder.stat().st_mode & 0o777 == 0o755
-    assert obtain(KEY, cache, build, quiet) == folder
+    assert get_or_build(KEY, cache, build, quiet) == folder
     assert build.count == 1
     assert {p.name for p in cache.iterdir()} == {folder.name, f"{folder.name}.lock"}
     assert json.loads((folder / "engine.json").read_text())["key"]["sm"] == "8.7"
@@ -75,10 +80,10 @@ def test_an_engine_is_built_once(tmp_path):
 )
 def test_a_damaged_engine_is_built_again_with_one_line(tmp_path, caplog, harm):
     build = Builds()
-    folder = obtain(KEY, tmp_path, build, quiet)
+    folder = get_or_build(KEY, tmp_path, build, quiet)
     harm(folder)
     with caplog.at_level(logging.WARNING):
-        assert obtain(KEY, tmp_path, build, quiet) == folder
+        assert get_or_build(KEY, tmp_path, build, quiet) == folder
     assert build.count == 2
     assert len(caplog.records) == 1
     assert "it is built again" in caplog.text
@@ -90,12 +95,12 @@ def test_a_damaged_engine_that_cannot_be_removed_is_an_error_before_the_build(
 ):
     """As another user's is, whose folder may be read but not written to."""
     build = Builds()
-    folder = obtain(KEY, tmp_path, build, quiet)
+    folder = get_or_build(KEY, tmp_path, build, quiet)
     (folder / "model.engine").write_bytes(b"engin")
     monkeypatch.setattr(engines.shutil, "rmtree", lambda path, ignore_errors: None)
     says = r"unusable \(model.engine is damaged\) and cannot be removed; .*engine_cache$"
     with pytest.raises(ModelError, match=says):
-        obtain(KEY, tmp_path, build, quiet)
+        get_or_build(KEY, tmp_path, build, quiet)
     assert build.count == 1
 
 
@@ -105,23 +110,23 @@ def test_a_build_that_fails_or_dies_leaves_nothing_behind(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        obtain(KEY, tmp_path, dies, quiet)
+        get_or_build(KEY, tmp_path, dies, quiet)
     assert [p.name for p in tmp_path.iterdir()] == [f"{folder_name(KEY)}.lock"]
     killed = tmp_path / f".{folder_name(KEY)}.killed"
     killed.mkdir()
-    obtain(KEY, tmp_path, Builds(), quiet)
+    get_or_build(KEY, tmp_path, Builds(), quiet)
     assert not killed.exists()
 
 
 def test_a_build_without_an_engine_and_a_full_disk_are_one_line(tmp_path):
     with pytest.raises(ModelError, match="the build left no engine"):
-        obtain(KEY, tmp_path, lambda folder: None, quiet)
+        get_or_build(KEY, tmp_path, lambda folder: None, quiet)
 
     def fills_the_disk(folder):
         raise OSError(28, "No space left on device")
 
     with pytest.raises(ModelError, match=r"cannot be saved \(No space left"):
-        obtain(KEY, tmp_path, fills_the_disk, quiet)
+        get_or_build(KEY, tmp_path, fills_the_disk, quiet)
 
 
 def file_in_the_way(path):
@@ -140,7 +145,7 @@ def below_a_file(path):
 def test_a_cache_of_no_use_is_an_error_before_the_build(tmp_path, place):
     build = Builds()
     with pytest.raises(ModelError, match=r"cannot hold engines .*engine_cache") as error:
-        obtain(KEY, place(tmp_path / "x"), build, quiet)
+        get_or_build(KEY, place(tmp_path / "x"), build, quiet)
     assert build.count == 0
     assert "\n" not in str(error.value)
 
@@ -149,24 +154,24 @@ def test_a_full_cache_is_an_error_before_the_build(tmp_path, monkeypatch):
     usage = type("Usage", (), {"free": 5 << 20})
     monkeypatch.setattr(engines.shutil, "disk_usage", lambda path: usage)
     with pytest.raises(ModelError, match="5 MB free"):
-        obtain(KEY, tmp_path, Builds(), quiet)
+        get_or_build(KEY, tmp_path, Builds(), quiet)
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC])
 def test_an_engine_that_is_there_is_found_where_nothing_can_be_written(
     tmp_path, monkeypatch, number
 ):
-    folder = obtain(KEY, tmp_path, Builds(), quiet)
+    folder = get_or_build(KEY, tmp_path, Builds(), quiet)
 
     def fail(*_, **__):
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(engines.tempfile, "NamedTemporaryFile", fail)
     monkeypatch.setattr(engines, "_locked", fail)
-    assert obtain(KEY, tmp_path, Builds(), quiet) == folder
+    assert get_or_build(KEY, tmp_path, Builds(), quiet) == folder
     (folder / "model.engine").unlink()
     with pytest.raises(ModelError, match="cannot hold engines"):
-        obtain(KEY, tmp_path, Builds(), quiet)
+        get_or_build(KEY, tmp_path, Builds(), quiet)
 
 
 def test_two_at_once_build_one_engine(tmp_path):
@@ -174,7 +179,7 @@ def test_two_at_once_build_one_engine(tmp_path):
     with (tmp_path / f"{folder_name(KEY)}.lock").open("a") as file:
         fcntl.flock(file, fcntl.LOCK_EX)  # as the other process does that builds
         waits = threading.Thread(
-            target=lambda: results.append(obtain(KEY, tmp_path, build, told.append))
+            target=lambda: results.append(get_or_build(KEY, tmp_path, build, told.append))
         )
         waits.start()
         eventually(lambda: told, "it did not say that it waits")
@@ -191,7 +196,7 @@ def test_two_at_once_build_one_engine(tmp_path):
 
 def test_a_build_is_told_of_while_it_goes_on():
     told = []
-    with telling("tiny", told.append, every_s=0.001) as note:
+    with report_progress("tiny", told.append, every_s=0.001) as note:
         eventually(lambda: told)
         note("45% of building engine")
         eventually(lambda: "45%" in told[-1].detail)
@@ -379,7 +384,7 @@ def test_no_engine_is_built_of_a_damaged_file(
     gpu.context = OnnxContext
     first = tiny(card={"precision": "fp32"})
     card, on_gpu = first.card, first.config.model_copy(update={"providers": ("tensorrt",)})
-    settings = config.Perception(detector=on_gpu)
+    settings = config.PerceptionConfig(detector=on_gpu)
     at = card.path.read_bytes().index(BOXES.tobytes()) + 1
     flip_a_byte(card.path, at)
     with pytest.raises(ModelError, match=r"tiny\.onnx: damaged or another model"):

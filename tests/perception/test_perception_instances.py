@@ -5,8 +5,8 @@ import pytest
 
 from edge import config
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.lift import POINTS, Lifted
-from edge.perception.tracking.sightings import SightingTracker
+from edge.perception.tracking.lift import POINTS, BackProjectedBoxes
+from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Detections
 
 
@@ -14,7 +14,9 @@ class Scene:
     """Feeds a tracker with things at known places, one frame after the other."""
 
     def __init__(self, make_observation, **settings):
-        self.tracker = InstanceTracker(config.Perception(detector=config.DetectorSim(), **settings))
+        self.tracker = InstanceTracker(
+            config.PerceptionConfig(detector=config.DetectorSim(), **settings)
+        )
         self.make, self.seq = make_observation, 0
 
     def see(self, *things, x_m=0.0, y_m=0.0, size_m=0.1, seed=0, rival=0.0):
@@ -41,7 +43,7 @@ class Scene:
         )
         full = np.full(n, POINTS, np.int32)
         points = (places[:, None] + spread).astype(np.float32)
-        return Lifted(detections, places, points, full, full, np.ones(n, np.bool_))
+        return BackProjectedBoxes(detections, places, points, full, full, np.ones(n, np.bool_))
 
     def expire(self, observation, prompts=("chair", "desk")):
         return self.tracker.expire(observation, prompts)
@@ -156,7 +158,7 @@ def test_mistakes_in_partial_views_do_not_confirm(scene, places):
 def test_a_refuted_thing_is_never_chased_again(scene):
     s = scene(refute_radius_m=0.6, min_hits=1)
     (chair,) = s.see(("chair", 2, 0, 0.6))
-    s.tracker.refute(chair.id)
+    s.tracker.reject(chair.id)
     for _ in range(5):
         s.see(("chair", 2.3, 0.2, 0.9))
     assert len(s.tracker) == 1
@@ -171,7 +173,7 @@ def test_a_refuted_thing_is_never_chased_again(scene):
 def test_refuting_takes_its_doubles_along(scene):
     s = scene(merge_m=0.3, refute_radius_m=0.7)
     s.see(("chair", 2, 0, 0.6), ("chair", 2.6, 0, 0.6), ("sofa", 2.3, 0, 0.6))
-    s.tracker.refute(1)
+    s.tracker.reject(1)
     assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "refuted"), ("sofa", "seen")]
 
 
@@ -192,7 +194,7 @@ def test_the_weakest_give_way_but_never_a_protected_one(scene, monkeypatch):
     monkeypatch.setattr("edge.perception.tracking.instances.MAX_INSTANCES", 2)
     s = scene()
     s.see(("chair", 2, 0, 0.4))
-    s.tracker.refute(1)
+    s.tracker.reject(1)
     s.see(("chair", 2, 4, 0.5), ("chair", 2, -4, 0.9), ("chair", 5, 0, 0.6))
     assert [i.id for i in s.tracker.all] == [1, 2]
     assert s.tracker.get(2).score == pytest.approx(0.9)
@@ -215,7 +217,7 @@ def test_another_mission_may_find_again_what_the_last_one_reached_or_refuted(sce
     s = scene(min_hits=1)
     s.see(("chair", 2, 0, 0.6), ("sofa", 4, 0, 0.6), ("desk", 6, 0, 0.6))
     s.tracker.mark_reached(1)
-    s.tracker.refute(2)
+    s.tracker.reject(2)
     s.tracker.forget_verdicts()
     assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "confirmed"), ("desk", "seen")]
     s.see(("sofa", 4, 0, 0.6))
@@ -225,9 +227,9 @@ def test_another_mission_may_find_again_what_the_last_one_reached_or_refuted(sce
 def test_what_was_refuted_may_be_found_again_where_nothing_else_is_left(scene):
     s = scene(min_hits=1)
     s.see(("couch", 2, 0, 0.6), ("chair", 4, 0, 0.6))
-    s.tracker.refute(1)
-    s.tracker.refute(2)
-    s.tracker.forget_refuted("sofa")
+    s.tracker.reject(1)
+    s.tracker.reject(2)
+    s.tracker.forget_rejected("sofa")
     assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "refuted")]
 
 
@@ -236,7 +238,7 @@ class Memory(Scene):
 
     def __init__(self, make_observation, **settings):
         super().__init__(make_observation, **settings)
-        self.sightings = SightingTracker(self.tracker.config)
+        self.sightings = ObjectTracker(self.tracker.config)
         self.tracker = InstanceTracker(self.tracker.config, self.sightings)
 
     def look(self, *things, around=()):

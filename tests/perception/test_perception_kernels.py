@@ -105,7 +105,7 @@ def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
     against = np.zeros(10, np.float32)
     competes = random.random((2, targets, targets + rest)) < 0.5
     cut = random.random(10) < 0.5
-    kernels.strongest_rivals(
+    kernels.competing_scores(
         boxes, scores, competes, TAU, top, anchor, label, keep, k, cut, 0.5, against
     )
     expected = strongest_rivals(
@@ -122,7 +122,7 @@ def test_fold_agrees_with_its_twin(seed, n, names):
     bad = random.random(scores.shape) < 0.3
     scores[bad] = random.choice(np.float32([np.nan, 1e30, 1 + 2**-23, -(2**-24), 1.01]), bad.sum())
     ours = np.zeros((n, len(names)), np.float32)
-    kernels.fold(scores, thing, ours)
+    kernels.best_per_class(scores, thing, ours)
     np.testing.assert_array_equal(ours, fold(scores, thing))
 
 
@@ -227,7 +227,7 @@ def test_going_on_agrees_with_its_twin(seed):
     T = np.eye(4)
     T[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
     low, high = np.sort(random.uniform(-3, 3, 2))
-    ours = lift_kernels.going_on(beside, n, low, high, T, -0.5)
+    ours = lift_kernels.share_beyond_box(beside, n, low, high, T, -0.5)
     strips = [beside[k, : n[k]].astype(np.float64) for k in range(4)]
     assert ours == pytest.approx(going_on(strips, low, high, T, -0.5))
 

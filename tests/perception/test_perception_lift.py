@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from edge import config
 from edge.geometry import CameraModel, invert
 from edge.perception.tracking import lift_kernels as kernels
-from edge.perception.tracking.lift import Lifter
+from edge.perception.tracking.lift import BackProjector
 from edge.types import MASK_SIDE, ContextBoxes, Detections, Observation
 
-SIMULATED = config.Perception(detector=config.DetectorSim())
+SIMULATED = config.PerceptionConfig(detector=config.DetectorSim())
 
 
 def detect(observation, *boxes, score=0.9):
@@ -31,7 +31,7 @@ def detect(observation, *boxes, score=0.9):
 
 
 def lift(observation, *boxes, **settings):
-    lifter = Lifter(config.Perception(detector=config.DetectorSim(), **settings))
+    lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), **settings))
     return lifter.lift(detect(observation, *boxes))[0]
 
 
@@ -85,7 +85,7 @@ def test_the_floor_in_front_is_not_the_thing(make_observation, base_m):
     seen = dataclasses.replace(
         seen, T_map_base=seen.T_map_base @ legs, T_base_camera=invert(legs) @ seen.T_base_camera
     )
-    out, _ = Lifter(SIMULATED).lift(detect(seen, (28, 22, 52, 63)), -base_m)
+    out, _ = BackProjector(SIMULATED).lift(detect(seen, (28, 22, 52, 63)), -base_m)
     np.testing.assert_allclose(out.center_m[0][:2], [2.0, 0.0], atol=0.1)
     assert 0.05 < out.surface_m(0)[:, 2].min() < 0.3
     assert out.surface_m(0)[:, 0].min() > 1.8
@@ -132,12 +132,12 @@ def test_cloud_and_depth_agree(make_observation):
 def test_what_is_lacking_is_counted_and_told_once(make_observation, change, way, message, caplog):
     """A LiDAR or depth camera that falls silent must not end the loop."""
     seen = dataclasses.replace(make_observation(depth_m=wall_with_thing()), **change)
-    lifter = Lifter(config.Perception(detector=config.DetectorSim(), lift=way))
+    lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), lift=way))
     for _ in range(2):
         lifted, _ = lifter.lift(detect(seen, BOX))
         assert len(lifted) == 1
         assert not lifted.valid.any()
-    assert lifter.unliftable == 2
+    assert lifter.skipped == 2
     assert [message in record.getMessage() for record in caplog.records] == [True]
 
 
@@ -196,7 +196,7 @@ def test_things_of_a_real_lidar_scan(shared_dir):
     if not folder.is_dir():
         pytest.skip(f"not there: {folder.name}")
     settings = {"lift": "cloud", "lift_max_range_m": 60.0, "lift_min_points": 4}
-    lifter = Lifter(config.Perception(detector=config.DetectorSim(), **settings))
+    lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), **settings))
     gaps = {TRUCK: [], TRUNK: [], POLE: []}
     for frame in (0, 2, 4, 6, 8):
         seen, semantic = kitti(folder, frame)
@@ -292,7 +292,7 @@ def test_what_fits_another_box_better_is_not_the_things(make_observation, around
         n = len(boxes)
         others = ContextBoxes(boxes, np.ones(n, np.float32), np.zeros(n, np.int32), ("cabinet",))
         seen = dataclasses.replace(seen, context=others)
-    out, beside = Lifter(SIMULATED).lift(seen)
+    out, beside = BackProjector(SIMULATED).lift(seen)
     assert out.center_m[0, 0] == pytest.approx(x_m, abs=0.1)
     assert (beside is None) == (around is None)
     if around and around[0] == CABINET:
@@ -305,12 +305,12 @@ def test_a_bed_behind_a_lamp_is_not_the_lamp(make_observation):
     depth[31:48, 20:60] = 4.5
     depth[2:20, 28:52] = depth[20:64, 32:38] = 0.6  # its shade and its stem
     seen = detect(make_observation(depth_m=depth), (20, 24, 56, 48), score=0.6)
-    alone, _ = Lifter(SIMULATED).lift(seen)
+    alone, _ = BackProjector(SIMULATED).lift(seen)
     assert alone.center_m[0, 0] == pytest.approx(4.5, abs=0.1)
     boxes = np.array([[6, 1, 74, 60], [36, 32, 59, 50]], np.float32)
     scores, words = np.array([0.7, 0.3], np.float32), ("lamp", "coffee table")
     around = ContextBoxes(boxes, scores, np.arange(2, dtype=np.int32), words)
-    out, beside = Lifter(SIMULATED).lift(dataclasses.replace(seen, context=around))
+    out, beside = BackProjector(SIMULATED).lift(dataclasses.replace(seen, context=around))
     assert beside.center_m[:, 0] == pytest.approx([0.6, 4.5], abs=0.1)
     assert not out.valid[0]
 
@@ -354,7 +354,7 @@ def test_only_what_lies_on_the_mask_is_the_thing(make_observation, shown_m, x_m,
     found = detect(seen, SHELF)
     if shown_m is not None:
         found = dataclasses.replace(found, mask=mask_over(SHELF, depth == np.float32(shown_m)))
-    lifter = Lifter(config.Perception(detector=config.DetectorSim(), lift=way))
+    lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), lift=way))
     out, _ = lifter.lift(found)
     assert out.valid.tolist() == [True]
     assert out.center_m[0, 0] == pytest.approx(x_m, abs=0.1)

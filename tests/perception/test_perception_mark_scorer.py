@@ -11,7 +11,7 @@ from simulated import simulated
 
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
 
-from edge.config import ChoiceOnnx, Perception
+from edge.config import ChoiceOnnx, PerceptionConfig
 from edge.perception.embedding.text import PromptError
 from edge.perception.runtime.card_types import MARK_FIELDS, MarksCard
 from edge.perception.runtime.cards import load_card_of, verify_model
@@ -25,7 +25,7 @@ from edge.perception.scoring.choice.mark_scorer import (
     letterboxed,
 )
 from edge.perception.scoring.choice.process import ProcessMarks
-from edge.perception.scoring.choice.question import MAX_MARKS, Mark, View, Ways
+from edge.perception.scoring.choice.question import MAX_MARKS, Mark, MarkCosts, MarkedView
 from edge.types import Observation
 
 NAME = "mini-house-choice"
@@ -36,16 +36,16 @@ def mark(id_: int, u_px: float, v_px: float = 128.0, bearing_rad: float = 0.0, a
     return Mark(id_, u_px, v_px, bearing_rad, away_m)
 
 
-def ways(*marks: Mark) -> Ways:
+def ways(*marks: Mark) -> MarkCosts:
     """Twice as far as straight on, a square metre at the end of each, and two others."""
     path_m = np.array([2.0 * mark.distance_m for mark in marks], np.float32)
-    return Ways(path_m, np.ones_like(path_m), np.array([2.0, 5.0, 9.0], np.float32))
+    return MarkCosts(path_m, np.ones_like(path_m), np.array([2.0, 5.0, 9.0], np.float32))
 
 
-def view(*marks: Mark, rgb: np.ndarray | None = None, target: str = "bed") -> View:
+def view(*marks: Mark, rgb: np.ndarray | None = None, target: str = "bed") -> MarkedView:
     image = np.full((*HW, 3), 90, np.uint8) if rgb is None else rgb
     seen = Observation(1, 7, np.eye(4), rgb=image)
-    return View(seen, target, tuple(marks), ways=ways(*marks))
+    return MarkedView(seen, target, tuple(marks), ways=ways(*marks))
 
 
 # -- what the network gets ------------------------------------------------------------------------
@@ -155,7 +155,7 @@ def test_what_cannot_be_used_is_an_error_of_one_line(monkeypatch, session, says)
 def test_without_an_image_or_a_map_and_for_an_unknown_target_it_says_so(monkeypatch):
     scorer = scorer_of(monkeypatch, FakeSession([0.0] * 9))
     for rgb, says in ((None, "image"), (np.zeros((*HW, 3), np.uint8), "map with paths")):
-        blind = View(Observation(3, 7, np.eye(4), rgb=rgb), "bed", (mark(1, 1.0),))
+        blind = MarkedView(Observation(3, 7, np.eye(4), rgb=rgb), "bed", (mark(1, 1.0),))
         with pytest.raises(ModelError, match=f"observation 3: no {says}"):
             scorer.look(blind)
     with pytest.raises(PromptError, match="unicorn"):
@@ -216,7 +216,7 @@ def test_tensorrt_by_itself_is_refused():
 
 
 def test_in_a_process_of_its_own_it_says_the_same(shipped):
-    perception = Perception.model_validate(
+    perception = PerceptionConfig.model_validate(
         {
             "isolation": "process",
             "process": {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S},

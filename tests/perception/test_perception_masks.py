@@ -232,4 +232,4 @@ def test_masks_go_with_their_boxes(seen):
     masks = np.zeros((2, MASK_SIDE, MASK_SIDE), np.bool_)
     masks[1] = True
     found = dataclasses.replace(found, mask=masks, rival=np.array([1, 0], np.float32))
-    assert made(found.without_rivals().mask) == [True]
+    assert made(found.without_suppressed().mask) == [True]

@@ -82,14 +82,14 @@ def tiny(tmp_path, monkeypatch, vocabulary):
         detector = config.DetectorOnnx(
             model="tiny", vocabulary=str(vocabulary), threads=1, **settings
         )
-        return make_detector(config.Perception(detector=detector), prompts)
+        return make_detector(config.PerceptionConfig(detector=detector), prompts)
 
     return make
 
 
 def test_damage_under_an_unchanged_time_of_change_keeps_a_model_from_starting(tiny):
     detector = tiny()
-    settings = config.Perception(detector=detector.config)
+    settings = config.PerceptionConfig(detector=detector.config)
     path = detector.card.path
     flip_a_byte(path, path.read_bytes().index(BOXES.tobytes()) + 1)
     with pytest.raises(ModelError, match=r"tiny\.onnx: damaged or another model"):
@@ -101,10 +101,12 @@ def test_a_trusted_cache_starts_it_all_the_same(tiny, monkeypatch):
     detector = tiny()
     path = detector.card.path
     monkeypatch.setattr(model_file, "sha256_of", lambda path: pytest.fail("hashed again"))
-    assert make_detector(config.Perception(detector=detector.config), ("chair",)).name == "tiny"
+    assert (
+        make_detector(config.PerceptionConfig(detector=detector.config), ("chair",)).name == "tiny"
+    )
     os.utime(path, ns=(1, 1))
     with pytest.raises(BaseException, match="hashed again"):
-        make_detector(config.Perception(detector=detector.config), ("chair",))
+        make_detector(config.PerceptionConfig(detector=detector.config), ("chair",))
 
 
 def image(h=64, w=64):
@@ -139,13 +141,13 @@ def test_prompts_change_at_run_time(tiny, make_observation):
 def test_a_background_that_fits_better_is_a_boxs_rival(tiny, make_observation):
     seen = make_observation(rgb=image())
     alone = tiny(prompts=("sofa",)).detect(seen)
-    assert alone.unrivalled().tolist() == [True]
+    assert alone.not_suppressed().tolist() == [True]
     assert alone.rival.tolist() == [0.0]
     found = tiny(prompts=("sofa",), background=("chair",)).detect(seen)
     assert found.prompts == ("sofa",)
     assert list(found.class_id) == [0]
     assert found.rival[0] > found.score[0]
-    assert found.unrivalled().tolist() == [False]
+    assert found.not_suppressed().tolist() == [False]
 
 
 def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny, make_observation):
@@ -154,7 +156,7 @@ def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny
     found = tiny(prompts=("sofa", "chair")).detect(seen)
     assert [found.prompts[k] for k in found.class_id] == ["chair", "sofa"]
     assert found.rival.tolist() == pytest.approx(found.score[::-1].tolist())
-    assert found.unrivalled().tolist() == [True, False]
+    assert found.not_suppressed().tolist() == [True, False]
     found = tiny(prompts=("easy chair", "chair")).detect(seen)
     assert found.rival.max() == 0.0
 

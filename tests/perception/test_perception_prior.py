@@ -14,7 +14,7 @@ from edge import names
 from edge.config import DetectorOnnx
 from edge.perception.prior import cooccurrence, rooms, table
 from edge.perception.prior.nearby import nearby
-from edge.perception.prior.words import Words, make_words
+from edge.perception.prior.words import PriorWordIndex, make_words
 
 BED, LAMP, TOILET = range(3)
 DATA = {
@@ -93,18 +93,18 @@ def test_small_counts_are_drawn_towards_one(both, lift):
 )
 def test_what_stands_near(target, near, lift):
     out = np.empty(1, np.float32)
-    cooccurrence.lift(TABLE, target, np.array([near], np.float32), out)
+    cooccurrence.likelihood_ratio(TABLE, target, np.array([near], np.float32), out)
     assert out[0] == pytest.approx(lift, rel=1e-5)
 
 
 def test_a_room_is_what_it_holds():
-    chance, prior = rooms.chances(TABLE), rooms.average(TABLE)
+    chance, prior = rooms.object_given_room(TABLE), rooms.room_prior(TABLE)
     assert prior == pytest.approx([0.4, 0.6])
     # 4 rooms more, of which (50 + 0.5) / 101 have a bed.
     assert chance[0, BED] == pytest.approx(4 * 50.5 / 101 / 44)
     held = np.zeros((3, 3), np.float32)
     held[1, TOILET] = held[2, BED] = 1
-    belief = rooms.beliefs(TABLE, chance, held)
+    belief = rooms.room_posterior(TABLE, chance, held)
     np.testing.assert_allclose(belief.sum(1), 1)
     assert belief[0] == pytest.approx(prior)
     by_bayes = prior * chance[:, TOILET]
@@ -118,11 +118,11 @@ def test_where_nothing_was_seen_the_room_next_door_tells():
     so a bedroom may lie beside a bedroom."""
     data = {**DATA["kinds"], "doors": [[0, 90], [90, 0]], "pairs": [[200, 100], [100, 200]]}
     t = table.parse({**DATA, "kinds": data})
-    chance, prior = rooms.chances(t), rooms.average(t)
+    chance, prior = rooms.object_given_room(t), rooms.room_prior(t)
     nothing, toilet = np.zeros((1, 3), np.float32), np.eye(3, dtype=np.float32)[None, TOILET]
-    own = rooms.at_places(t, chance, toilet, nothing)
-    beside = rooms.at_places(t, chance, nothing, toilet)
-    assert rooms.at_places(t, chance, nothing, nothing)[0] == pytest.approx(prior)
+    own = rooms.room_posterior_at(t, chance, toilet, nothing)
+    beside = rooms.room_posterior_at(t, chance, nothing, toilet)
+    assert rooms.room_posterior_at(t, chance, nothing, nothing)[0] == pytest.approx(prior)
     assert own[0, 0] > 0.9
     assert prior[1] < beside[0, 1] < 0.9
     assert t.neighbours[0, 0] == 1
@@ -132,8 +132,8 @@ def test_rooms_lift():
     chance = np.array([[0.1, 0.1, 0.8], [0.8, 0.3, 0.2]])
     prior = np.array([0.5, 0.5])
     belief = np.array([[1.0, 0.0], [0.5, 0.5]])
-    assert rooms.lift(chance, prior, TOILET, belief) == pytest.approx([1.6, 1.0])
-    assert rooms.lift(chance, prior, -1, belief).tolist() == [1, 1]
+    assert rooms.likelihood_ratio(chance, prior, TOILET, belief) == pytest.approx([1.6, 1.0])
+    assert rooms.likelihood_ratio(chance, prior, -1, belief).tolist() == [1, 1]
 
 
 @given(seed=st.integers(0, 2**31))
@@ -182,8 +182,8 @@ VOCABULARY = (
     ],
 )
 def test_words(word, row, by_embedding):
-    assert Words(TABLE).row(word) == row
-    assert Words(TABLE, VOCABULARY).row(word) == by_embedding
+    assert PriorWordIndex(TABLE).row(word) == row
+    assert PriorWordIndex(TABLE, VOCABULARY).row(word) == by_embedding
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from edge.host import resources
 from edge.perception.detection import process as process_detector
 from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
-from edge.perception.process import kept, link, wire
+from edge.perception.process import link, supervised, wire
 from edge.perception.process.wire import ModelProcessError
 from edge.perception.runtime.cards import ModelError, card_names
 from edge.perception.runtime.health import Health, log_progress
@@ -38,21 +38,21 @@ SMALL = "mini-house-256x320-int8-cpu"
 
 @pytest.fixture(autouse=True)
 def _again_at_once(monkeypatch):
-    monkeypatch.setattr(kept, "BACKOFF_S", 0.01)
-    monkeypatch.setattr(kept, "MOST_ENDS", 1000)
+    monkeypatch.setattr(supervised, "BACKOFF_S", 0.01)
+    monkeypatch.setattr(supervised, "MOST_ENDS", 1000)
 
 
 @pytest.fixture
 def once(monkeypatch):
     """One restart, and no more for a long time."""
-    monkeypatch.setattr(kept, "MOST_ENDS", 1)
-    monkeypatch.setattr(kept, "WINDOW_S", 1e6)
+    monkeypatch.setattr(supervised, "MOST_ENDS", 1)
+    monkeypatch.setattr(supervised, "WINDOW_S", 1e6)
 
 
 def steered(prompts=("chair",), script=None, progress=log_progress, **process):
     chosen = config.DetectorOnnx(model="steered", vocabulary=script and str(script))
-    rules = config.ModelProcess(**{**QUICK, **process})
-    perception = config.Perception(isolation="process", process=rules, detector=chosen)
+    rules = config.ModelProcessConfig(**{**QUICK, **process})
+    perception = config.PerceptionConfig(isolation="process", process=rules, detector=chosen)
     return make_detector(perception, prompts, progress)
 
 
@@ -354,9 +354,9 @@ def test_a_swap_given_up_while_its_process_starts_ends_that(tmp_path, monkeypatc
     monkeypatch.setattr("edge.perception.swap.base.CLOSE_S", PATIENCE_S)
     (tmp_path / "script").write_text("wait")
     old = SimpleNamespace(name="old", prompts=("chair",))
-    perception = config.Perception(
+    perception = config.PerceptionConfig(
         isolation="process",
-        process=config.ModelProcess(start_timeout_s=1e6),
+        process=config.ModelProcessConfig(start_timeout_s=1e6),
         detector=config.DetectorOnnx(model="old", vocabulary=str(tmp_path / "script")),
     )
     worker = SimpleNamespace(model=old, detector=old, uses=lambda detector: False)
@@ -379,7 +379,7 @@ def test_a_process_that_does_not_listen_is_ended_all_the_same(make, monkeypatch)
 def outlive(monkeypatch):
     """Stand-in for a process that the kernel cannot end: nobody's SIGKILL reaches it."""
     monkeypatch.setattr(link.subprocess.Popen, "kill", lambda process: None)
-    for module, limit in ((link, "_STOP_S"), (link, "_KILL_S"), (kept, "_CLOSE_S")):
+    for module, limit in ((link, "_STOP_S"), (link, "_KILL_S"), (supervised, "_CLOSE_S")):
         monkeypatch.setattr(module, limit, 0.01)
 
 
@@ -498,8 +498,8 @@ def tiny(tmp_path, monkeypatch, vocabulary):
 def test_a_made_up_models_boxes_are_the_same_in_a_process(tiny, monkeypatch, make_observation):
     inside = tiny(prompts=("sofa", "chair", "trash can"))
     monkeypatch.setenv("EDGE_TEST_CARDS", str(resources.data_dir("models")))
-    rules = config.ModelProcess(**QUICK)
-    perception = config.Perception(isolation="process", process=rules, detector=inside.config)
+    rules = config.ModelProcessConfig(**QUICK)
+    perception = config.PerceptionConfig(isolation="process", process=rules, detector=inside.config)
     assert compare(inside, perception, noise(make_observation, (64, 64), (48, 80), (64, 64)))
 
 
@@ -510,7 +510,7 @@ def test_the_shipped_models_boxes_are_the_same_in_a_process(monkeypatch, make_ob
         pytest.skip(f"no card {SMALL}")
     monkeypatch.undo()
     chosen = config.DetectorOnnx(model=SMALL, tau_vl=0.01, background=("sofa", "lamp"))
-    inside = make_detector(config.Perception(detector=chosen), ["chair", "bed"])
-    rules = config.ModelProcess(**QUICK)
-    perception = config.Perception(isolation="process", process=rules, detector=chosen)
+    inside = make_detector(config.PerceptionConfig(detector=chosen), ["chair", "bed"])
+    rules = config.ModelProcessConfig(**QUICK)
+    perception = config.PerceptionConfig(isolation="process", process=rules, detector=chosen)
     compare(inside, perception, noise(make_observation, (256, 320), (480, 640)))

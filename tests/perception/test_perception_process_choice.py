@@ -11,7 +11,7 @@ import pytest
 from live_patience import PATIENCE_S, eventually
 from tiny_vlm import publish
 
-from edge.config import ChoiceOnnx, ModelProcess, Perception
+from edge.config import ChoiceOnnx, ModelProcessConfig, PerceptionConfig
 from edge.host import priority, resources
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.scoring.choice.factory import make_choice
@@ -19,7 +19,7 @@ from edge.perception.scoring.choice.onnx_scorer import asked_of, open_model
 from edge.perception.scoring.choice.process import ProcessModel, _decode
 from edge.perception.scoring.choice.question import SYSTEM
 
-RULES = ModelProcess(timeout_s=PATIENCE_S, start_timeout_s=PATIENCE_S)
+RULES = ModelProcessConfig(timeout_s=PATIENCE_S, start_timeout_s=PATIENCE_S)
 ASKED = asked_of(2, "lamp")
 
 
@@ -58,7 +58,7 @@ def test_it_says_the_same_and_comes_back(opened):
     with pytest.raises(ModelError, match=r"tiny: no answer within 0 s .*time_limit_s"):
         model.ask(SYSTEM, view, ASKED, 0.0)
     pid = pid_of(model)
-    assert os.getpriority(os.PRIO_PROCESS, pid) == priority.BESIDE
+    assert os.getpriority(os.PRIO_PROCESS, pid) == priority.BACKGROUND_NICE
     os.kill(pid, signal.SIGKILL)
     eventually(lambda: not psutil.pid_exists(pid))
     eventually(lambda: pid_of(model) not in (None, pid))
@@ -75,7 +75,7 @@ def test_words_go_there_too_where_the_configuration_isolates(tmp_path, monkeypat
     resources.models_dir().mkdir(parents=True)
     publish(resources.models_dir(), "text")
     choice = {"kind": "onnx", "card": "tiny", "threads": 1}
-    perception = Perception.model_validate(
+    perception = PerceptionConfig.model_validate(
         {
             "isolation": "process",
             "process": RULES.model_dump(),

@@ -6,24 +6,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.perception.process import kept
-from edge.perception.process.kept import WINDOW_S, Pause, Restarts
+from edge.perception.process import supervised
+from edge.perception.process.supervised import WINDOW_S, RestartBackoff, RestartDelay
 
 
 @pytest.fixture(autouse=True)
 def _rules(monkeypatch):
-    monkeypatch.setattr(kept, "BACKOFF_S", 1.0)
-    monkeypatch.setattr(kept, "MOST_ENDS", 4)
+    monkeypatch.setattr(supervised, "BACKOFF_S", 1.0)
+    monkeypatch.setattr(supervised, "MOST_ENDS", 4)
 
 
 def pauses(runs):
     """The pause after each end of a process that was ready for so many seconds."""
-    restarts = Restarts()
+    restarts = RestartBackoff()
     return [restarts.after(ran_s) for ran_s in runs]
 
 
 def starts(*seconds):
-    return [Pause(s, False) for s in seconds]
+    return [RestartDelay(s, False) for s in seconds]
 
 
 @pytest.mark.parametrize(
@@ -33,8 +33,11 @@ def starts(*seconds):
         ([0], starts(1)),
         ([0, 0, 2, 0], starts(1, 2, 4, 5)),
         ([0, 0, 6, 0], starts(1, 2, 1, 2)),
-        ([0, 3, 0, 40, 0, 50], [*starts(1, 2, 4, 1), Pause(60, True), Pause(60, True)]),
-        ([0, 0, 0, 0, 0, 61, 0], [*starts(1, 2, 4, 5), Pause(60, True), *starts(1, 2)]),
+        (
+            [0, 3, 0, 40, 0, 50],
+            [*starts(1, 2, 4, 1), RestartDelay(60, True), RestartDelay(60, True)],
+        ),
+        ([0, 0, 0, 0, 0, 61, 0], [*starts(1, 2, 4, 5), RestartDelay(60, True), *starts(1, 2)]),
     ],
     ids=["none", "one", "backoff", "a while of health", "limit", "well again"],
 )
@@ -48,6 +51,6 @@ def test_so_many_ends_in_a_row_reach_the_limit_and_only_a_long_run_lifts_it(runs
         in_a_row = 1
         while in_a_row <= k and runs[k + 1 - in_a_row] <= WINDOW_S:
             in_a_row += 1
-        assert pause.limit == (in_a_row > kept.MOST_ENDS)
-        assert pause.seconds >= (WINDOW_S if pause.limit else kept.BACKOFF_S)
+        assert pause.limit == (in_a_row > supervised.MOST_ENDS)
+        assert pause.seconds >= (WINDOW_S if pause.limit else supervised.BACKOFF_S)
     assert len(made) == len(runs)

@@ -24,7 +24,7 @@ from edge.perception.detection.remote import RemoteDetector
 from edge.perception.embedding.clip import ClipImageEncoder
 from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
-from edge.perception.runtime.card_types import ImageCard, Server
+from edge.perception.runtime.card_types import ImageCard, InferenceServer
 from edge.perception.runtime.cards import ModelError, load_card, verify_model
 from edge.perception.runtime.kserve import ServerError
 from edge.perception.worker import DetectorWorker
@@ -37,7 +37,7 @@ LIMIT_S = 60.0  # of a server that answers
 def card_of(server: KServe | str, time_limit_s: float = LIMIT_S):
     """The card of the small detector, as the server has it."""
     url = server if isinstance(server, str) else server.url
-    told = Server(url=url, model="m", time_limit_s=time_limit_s)
+    told = InferenceServer(url=url, model="m", time_limit_s=time_limit_s)
     return load_card(SMALL).model_copy(update={"server": told, "file": None, "name": "far"})
 
 
@@ -319,7 +319,7 @@ def test_a_model_on_a_server_has_no_process_of_its_own_and_needs_no_server_to_st
 ):
     write_card(tmp_path, monkeypatch, "http://127.0.0.1:1")
     chosen = config.DetectorOnnx(model="far")
-    made = make_detector(config.Perception(detector=chosen, isolation="process"), PROMPTS)
+    made = make_detector(config.PerceptionConfig(detector=chosen, isolation="process"), PROMPTS)
     assert isinstance(made, RemoteDetector)
     made.close()
 

@@ -9,7 +9,7 @@ import tiny_sam
 from edge import config
 from edge.cli.main import main
 from edge.host import resources
-from edge.models.make import with_file
+from edge.models.make import load_single_file_card
 from edge.perception.masks.sam import SamSegmenter
 from edge.perception.masks.segmenter import Deadline
 from edge.perception.runtime.cards import ModelError, load_card
@@ -160,4 +160,4 @@ def test_what_is_not_here_is_pulled_from_its_sources(put, capsys, tmp_path):
 def test_a_command_for_one_file_names_both(put):
     put("nano-sam")
     with pytest.raises(ModelError, match=r"two files, nano-sam-encoder.onnx and nano-sam-decoder"):
-        with_file("nano-sam")
+        load_single_file_card("nano-sam")

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from twins import fuse, match, strongest_rival
 
 from edge import config
-from edge.geometry import invert, optical, se3
+from edge.geometry import invert, se3, to_optical
 from edge.perception.tracking import sighting_kernels as kernels
-from edge.perception.tracking.lift import POINTS, Lifted
+from edge.perception.tracking.lift import POINTS, BackProjectedBoxes
 from edge.perception.tracking.look_kernels import NO_DEPTH
-from edge.perception.tracking.sightings import SightingTracker
+from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Detections
 
 NEAR, FAR = 2.0, 5.0
@@ -21,7 +21,9 @@ class Scene:
     """Feeds a tracker with things at known places, one frame after the other."""
 
     def __init__(self, make_observation, **settings):
-        self.tracker = SightingTracker(config.Perception(detector=config.DetectorSim(), **settings))
+        self.tracker = ObjectTracker(
+            config.PerceptionConfig(detector=config.DetectorSim(), **settings)
+        )
         self.make, self.seq = make_observation, 0
         self.seen = self.tracker.shown
 
@@ -45,7 +47,7 @@ class Scene:
         )  # fmt: skip
         full = np.full(n, POINTS, np.int32)
         points = (places[:, None] + spread).astype(np.float32)
-        return Lifted(
+        return BackProjectedBoxes(
             detections,
             places,
             points,
@@ -192,7 +194,7 @@ def test_the_strongest_rival_agrees_with_its_twin(seed, n):
     against = random.choice((0.0, 0.5, 1.0), 3).astype(np.float32)
     thing = random.uniform(-0.4, 0.4, (random.integers(1, 30), 3)).astype(np.float32)
     given = (thing, centers, points, n_points, word, confidence)
-    assert kernels.strongest_rival(*given, n, against, 0.6) == pytest.approx(
+    assert kernels.competing_confidence(*given, n, against, 0.6) == pytest.approx(
         strongest_rival(*given, against, 0.6), abs=1e-5
     )
 
@@ -202,7 +204,7 @@ def test_a_look_that_shows_a_part_of_a_thing_counts_less(spread_m, weight):
     points = np.zeros((kernels.POINTS, 3), np.float32)
     points[:] = 2.0, 0.0, 0.6
     points[:, 1] += np.linspace(-spread_m, spread_m, kernels.POINTS, dtype=np.float32)
-    T = invert(optical(se3(0.0, 0.0, 0.6)))
+    T = invert(to_optical(se3(0.0, 0.0, 0.6)))
     look = (T, np.array((20.0, 20.0, 16.0, 12.0, 32, 24)), NO_DEPTH, 3.0, 6.0)
     assert kernels.weight_of(2.0, 0.0, 0.6, points, kernels.POINTS, *look) == weight
     assert kernels.weight_of(2.0, 0.0, 0.6, points, 0, *look) == 1.0
@@ -220,7 +222,7 @@ def test_match_and_fuse_agree_with_their_twins(seed, n):
         centers, points, n_points, word, 1, x, y, 2.0
     )
     depth = random.uniform(0.5, 6, (24, 32)).astype(np.float32)
-    T = optical(se3(0.0, 0.0, 0.6))
+    T = to_optical(se3(0.0, 0.0, 0.6))
     view = np.array((20.0, 20.0, 16.0, 12.0, 32, 24))
     look = (invert(T), view, depth, 3.0, 6.0)
     asked = random.random(2) < 0.7

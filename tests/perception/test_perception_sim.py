@@ -25,7 +25,7 @@ def scene(distance_m=2.0):
 
 def make(prompts=("chair",), labels=LABELS, **settings):
     quiet = {"miss_rate": 0.0, "false_positive_rate": 0.0, "score_noise": 0.0} | settings
-    perception = config.Perception(detector=config.DetectorSim(**quiet))
+    perception = config.PerceptionConfig(detector=config.DetectorSim(**quiet))
     seen = Segmentation(ids_and_depth()[0], labels)
     return make_detector(perception, prompts, truth=lambda stamp_ns: seen)
 
@@ -95,7 +95,7 @@ def test_misses_and_false_positives_come_at_their_rates(make_observation):
 @pytest.mark.parametrize("missing", ["segmentation", "simulator", "depth_m"])
 def test_without_a_simulator_it_says_what_to_use(make_observation, missing):
     truth = {"segmentation": lambda stamp_ns: None, "simulator": None}
-    sim = config.Perception(detector=config.DetectorSim())
+    sim = config.PerceptionConfig(detector=config.DetectorSim())
     detector = make() if missing == "depth_m" else make_detector(sim, ["x"], truth=truth[missing])
     seen = {} if missing == "depth_m" else scene()
     with pytest.raises(ValueError, match=r"no segmentation .*kind: onnx"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tiny_clip
 
-from edge.config import Perception
+from edge.config import PerceptionConfig
 from edge.errors import UserError
 from edge.host import resources
 from edge.perception.embedding.text import PromptError
@@ -51,7 +51,7 @@ def write(cards, *data):
 
 def perception(similarity, **detector):
     kind = {"kind": "onnx", "threads": 1, **detector} if detector else {"kind": "sim"}
-    return Perception(similarity=similarity, detector=kind)
+    return PerceptionConfig(similarity=similarity, detector=kind)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from edge.perception.runtime.health import UNSOUND, Health
 from edge.perception.swap import detector as swapped
 from edge.perception.swap.base import SwapError
 from edge.perception.swap.detector import DetectorSwap
-from edge.perception.swap.trial import Sample, boxes_found_again
+from edge.perception.swap.trial import TrialImage, boxes_found_again
 from edge.perception.worker import DetectorWorker
 from edge.types import Detections
 
@@ -144,7 +144,7 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
     b = bench(inline=inline)
     assert b.swap() == ("kept", "5 images, median 5.0 ms")
     assert b.worker.detector is b.new
-    assert b.worker.spare is None
+    assert b.worker.previous is None
     assert b.worker.watch is None
     eventually(lambda: b.old.closed)
     assert (b.old.closed, b.new.closed) == (1, 0)
@@ -225,7 +225,7 @@ def test_a_model_that_does_badly_at_work_is_rolled_back(bench, then, reason, inl
     b = bench(Fake(from_=tried + 1, **then), inline=inline)
     assert b.swap() == ("rolled back", f"{reason}; old runs again")
     assert b.worker.detector is b.old
-    assert b.worker.spare is None
+    assert b.worker.previous is None
     eventually(lambda: b.new.closed)
     assert b.old.closed == 0
     seen = b.old.images
@@ -511,4 +511,4 @@ def detections(boxes, scores, classes, rival=None, prompts=("chair", "bed")):
     ],
 )
 def test_which_boxes_count(was, now, expected):
-    assert boxes_found_again([Sample(SimpleNamespace(), was)], [now], 0.3) == expected
+    assert boxes_found_again([TrialImage(SimpleNamespace(), was)], [now], 0.3) == expected

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from edge.models.make import keep_vocabulary
+from edge.models.make import store_vocabulary
 from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import (
     PromptError,
@@ -20,8 +20,8 @@ def test_an_exports_vocabulary_is_kept_where_the_service_looks(tmp_path, monkeyp
     monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
     source = tmp_path / "words.npz"
     source.write_bytes(b"vocabulary")
-    kept = keep_vocabulary(source)
-    assert find_vocabulary(None) == kept == keep_vocabulary(kept)
+    kept = store_vocabulary(source)
+    assert find_vocabulary(None) == kept == store_vocabulary(kept)
     assert kept.read_bytes() == b"vocabulary"
     assert [p.name for p in kept.parent.iterdir()] == [kept.name]
 

@@ -15,13 +15,17 @@ from onnx import TensorProto, helper, load, save
 from patience import PATIENCE_S, eventually
 from tiny_vlm import F32, HIDDEN, SIDE, Graph, pin, publish, train_tokenizer
 
-from edge.config import Perception
+from edge.config import PerceptionConfig
 from edge.host import resources
 from edge.perception.runtime.cards import ModelError, load_card
 from edge.perception.scoring.choice.factory import make_choice
-from edge.perception.scoring.choice.onnx_scorer import OnnxChoice, asked_of
-from edge.perception.scoring.choice.question import SYSTEM, Mark, Sighting, View
-from edge.perception.scoring.vlm.answers import probabilities, shares, spellings
+from edge.perception.scoring.choice.onnx_scorer import OnnxFrontierScorer, asked_of
+from edge.perception.scoring.choice.question import SYSTEM, DetectedObject, Mark, MarkedView
+from edge.perception.scoring.vlm.answers import (
+    answer_probabilities,
+    answer_token_ids,
+    probabilities,
+)
 from edge.perception.scoring.vlm.files import read_files, vocabulary
 from edge.perception.scoring.vlm.model import LanguageModel
 from edge.perception.scoring.vlm.pictures import make_prepare, positions, smart_resize
@@ -62,7 +66,7 @@ def a_view(model, seed=0):
     ],
 )
 def test_an_answer_is_every_token_that_says_it(tokens, answers, expected):
-    assert [ids.tolist() for ids in spellings(tokens, answers)] == expected
+    assert [ids.tolist() for ids in answer_token_ids(tokens, answers)] == expected
 
 
 @given(st.lists(st.floats(-50, 50, width=32), min_size=5, max_size=5), st.floats(-30, 30))
@@ -70,7 +74,7 @@ def test_eq_4_is_a_softmax_over_the_answers_as_servers_tell_it(logits, shift):
     """Known by all logits or by all log-probabilities, with and without a space before."""
     tokens = ["A", " A", "B", "the", "C"]
     logits = np.array(logits)
-    p = shares((logits + shift).astype(np.float32), spellings(tokens, "ABC"))
+    p = answer_probabilities((logits + shift).astype(np.float32), answer_token_ids(tokens, "ABC"))
     assert p.dtype == np.float32
     assert p.sum() == pytest.approx(1.0, abs=1e-5)
     logprobs = logits - np.logaddexp.reduce(logits)
@@ -206,13 +210,15 @@ def test_places_of_tokens(ids, grid, expected):
 
 def made(**choice):
     choice = {"kind": "onnx", "threads": 1, **choice}
-    perception = Perception.model_validate({"detector": {"kind": "sim"}, "choice": choice})
+    perception = PerceptionConfig.model_validate({"detector": {"kind": "sim"}, "choice": choice})
     return make_choice(perception.choice, perception)
 
 
 def view_of(make_observation, **arrays):
     marks = (Mark(7, 20.0, 40.0, 0.3, 2.0), Mark(9, 60.0, 40.0, -0.3, 4.0))
-    return View(make_observation(seq=3, **arrays), "lamp", marks, (Sighting("bed", 0.5, 1.0),))
+    return MarkedView(
+        make_observation(seq=3, **arrays), "lamp", marks, (DetectedObject("bed", 0.5, 1.0),)
+    )
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -237,11 +243,11 @@ def test_without_marks_nothing_is_asked_and_without_an_image_it_cannot_be(make_o
     class Eyes:
         name, sees = "eyes", True
 
-    asks = OnnxChoice(Eyes(), 640, 1.0)
+    asks = OnnxFrontierScorer(Eyes(), 640, 1.0)
     with pytest.raises(ModelError, match="observation 3: no image for eyes"):
         asks.look(view_of(make_observation))
     seen = view_of(make_observation, rgb=np.zeros((4, 80, 3), np.uint8))
-    assert asks.answer(asks.look(View(seen.observation, "lamp", ()))) is None
+    assert asks.answer(asks.look(MarkedView(seen.observation, "lamp", ()))) is None
 
 
 # -- what goes wrong --------------------------------------------------------------------------

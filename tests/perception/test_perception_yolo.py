@@ -32,7 +32,7 @@ def detector(request, shared_dir):
     if not vocabulary.exists():
         pytest.skip(f"not there: {vocabulary.name}")
     made = config.DetectorOnnx(model=request.param, vocabulary=str(vocabulary))
-    detector = make_detector(config.Perception(detector=made), PROMPTS)
+    detector = make_detector(config.PerceptionConfig(detector=made), PROMPTS)
     yield detector
     detector.close()
 

@@ -47,7 +47,7 @@ def test_the_page_adds_a_policy_without_touching_another_file(written):
     loop.run(60)
     assert loop.service.status.phase == "reached", loop.service.status
     assert len(loop.service.policy.been) > 1
-    loop.service.forget_places(loop.drive.motion.stamp_ns)
+    loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
     assert len(loop.service.policy.been) == 0
 
 
@@ -102,7 +102,7 @@ def test_what_a_policy_sees(written):
 
 
 def test_it_is_told_what_is_void(written):
-    from edge.mission.brief import prepare
+    from edge.mission.spec import prepare
 
     written(SEES)
     data = {**LOCKSTEP, "policy": {"kind": "my_policy:Spy"}}
@@ -112,7 +112,7 @@ def test_it_is_told_what_is_void(written):
     loop.step()
     assert resets == []
     loop.service.begin(prepare(loop.config.mission, "go to the refrigerator"), now_ns)
-    loop.service.forget_places(now_ns)
+    loop.service.on_pose_jump(now_ns)
     assert resets == ["mission", "pose"]
     loop.run(60)
     assert "map rolled" in resets

@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 from edge.config import PolicyHvl, PolicyNearest, PolicySearch
 from edge.geometry import SE2, CameraModel, wrap_angle
 from edge.policies import make_policy
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, Answers, Candidates, Context, scores_of
+from edge.policies.base import (
+    FRONTIER,
+    INSTANCE,
+    LOOK,
+    Candidates,
+    PolicyInput,
+    ScorerOutputs,
+    scores_of,
+)
 from edge.policies.hvl import hvl_scores, relatedness, vl_scores
 from edge.policies.select import ranked
 from edge.types import ContextBoxes, Detections, Observation
@@ -168,7 +176,7 @@ def scores_in(boxes) -> np.ndarray:
 
 def context(
     candidates, targets=("chair",), target="chair", boxes=None, stamp_ns=0, around=None
-) -> Context:
+) -> PolicyInput:
     """Boxes are (bearing, confidence, target) in an image taken at the origin, those of what is
     around (bearing, confidence, word)."""
     seen = Observation(0, stamp_ns, np.eye(4), camera=CAMERA)
@@ -182,8 +190,9 @@ def context(
             things = ContextBoxes(xyxy_of(around), scores_in(around), count, words)
         found = Detections(seen, *arrays, targets, context=things)
     nowhere = (0, 0, 0, 0)
-    return Context(
-        seen, seen.pose, Unknown(), nowhere, candidates.read_only(), found, Answers(), targets,
+    return PolicyInput(
+        seen, seen.pose, Unknown(), nowhere, candidates.read_only(), found, ScorerOutputs(),
+        targets,
         target, 0,
     )  # fmt: skip
 

@@ -14,7 +14,7 @@ from test_policy_scores import candidates_of
 from edge.config import PolicyAdaptive, PolicyDirectional, PolicyVlfm
 from edge.policies import make_policy
 from edge.policies.adaptive import shortest_tour
-from edge.policies.base import FRONTIER, Answers, Context, scores_of
+from edge.policies.base import FRONTIER, PolicyInput, ScorerOutputs, scores_of
 from edge.types import Observation
 
 NOTHING = math.nan
@@ -31,7 +31,7 @@ class Valued:
             told = self.told.get(tuple(xy_m[i].tolist()), NOTHING)
             out[i] = told[channel] if isinstance(told, tuple) else told
 
-    def way_m(self, x_m: float, y_m: float) -> float:
+    def path_m(self, x_m: float, y_m: float) -> float:
         path_m = self.path_m.get((x_m, y_m), math.hypot(x_m, y_m))
         return math.inf if path_m is None else path_m
 
@@ -51,10 +51,10 @@ def scored(policy, seen: Valued, *entries, targets=("bed",), target="bed", block
     candidates = candidates_of(*entries)
     candidates.blocked[list(blocked)] = True
     for i in range(candidates.n):
-        candidates.path_m[i] = seen.way_m(*candidates.xy_m[i].tolist())
+        candidates.path_m[i] = seen.path_m(*candidates.xy_m[i].tolist())
     at = Observation(0, 0, np.eye(4))
-    context = Context(
-        at, at.pose, seen, (0, 0, 0, 0), candidates.read_only(), None, Answers(), targets,
+    context = PolicyInput(
+        at, at.pose, seen, (0, 0, 0, 0), candidates.read_only(), None, ScorerOutputs(), targets,
         target, 0, prior=prior,
     )  # fmt: skip
     return scores_of(make_policy(policy), context).copy()

@@ -20,13 +20,13 @@ from mcap.stream_reader import StreamReader
 from edge.bus import topics
 from edge.recording import commands
 from edge.recording.channels import of_topic
-from edge.recording.file import McapFile, McapReading, RecordingError, is_written, recover
+from edge.recording.file import McapReader, McapWriter, RecordingError, is_being_written, recover
 
 STATUS = of_topic(topics.STATUS)
 
 
 def write(path, n: int, compression: str = "lz4", metadata=None) -> None:
-    with McapFile(path, compression, metadata) as file:
+    with McapWriter(path, compression, metadata) as file:
         for k in range(n):
             file.add(STATUS, k, k, b'{"k": %d, "noise": "%s"}' % (k, os.urandom(40).hex().encode()))
             if k % 5 == 4:
@@ -37,7 +37,7 @@ def write(path, n: int, compression: str = "lz4", metadata=None) -> None:
 def test_what_is_written_is_read(tmp_path, compression):
     path = tmp_path / "a.mcap"
     write(path, 12, compression, {"edge": {"a": "1"}})
-    reading = McapReading(path)
+    reading = McapReader(path)
     read = list(reading)
     assert [m.log_ns for m in read] == list(range(12))
     assert {(m.topic, m.schema, m.encoding) for m in read} == {("/status", "status", "json")}
@@ -59,7 +59,7 @@ def test_wherever_it_is_cut_the_beginning_is_read(tmp_path_factory, whole, share
     path = tmp_path_factory.mktemp("cut") / "a.mcap"
     size = int(share * (len(whole) - 1))
     path.write_bytes(whole[:size])
-    reading = McapReading(path)
+    reading = McapReader(path)
     if size < 40:  # shorter than the magic and the header
         with suppress(RecordingError):
             assert list(reading) == []
@@ -77,7 +77,7 @@ def test_what_is_damaged_is_read_up_to_there(tmp_path_factory, whole, share, fli
     broken = bytearray(whole)
     broken[at] ^= flip
     path.write_bytes(broken)
-    reading = McapReading(path)
+    reading = McapReader(path)
     n = len(list(reading))
     assert n <= 40
     if reading.whole:  # what follows the messages only helps to find them
@@ -91,7 +91,7 @@ def test_what_is_no_recording(tmp_path, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=r"a\.mcap: not an MCAP file"):
-        list(McapReading(path))
+        list(McapReader(path))
     with pytest.raises(RecordingError, match="not an MCAP file"):
         recover(path, tmp_path / "b.mcap")
     assert not (tmp_path / "b.mcap").exists()
@@ -101,9 +101,9 @@ def test_a_partial_file_is_recovered_under_its_own_name(tmp_path, whole):
     path, out = tmp_path / "a.mcap.partial", tmp_path / "a.mcap"
     cut = whole[: len(whole) * 3 // 4]
     path.write_bytes(cut)
-    there = list(McapReading(path))
+    there = list(McapReader(path))
     assert commands.recover(argparse.Namespace(file=path, out=None)) == 0
-    assert list(McapReading(out)) == there != []
+    assert list(McapReader(out)) == there != []
     assert path.read_bytes() == cut
     assert sorted(tmp_path.iterdir()) == [out, path]
 
@@ -118,7 +118,7 @@ def test_nothing_that_is_there_is_written_over(tmp_path, whole):
 
 def test_no_file(tmp_path):
     with pytest.raises(RecordingError, match="No such file"):
-        list(McapReading(tmp_path / "a.mcap"))
+        list(McapReader(tmp_path / "a.mcap"))
 
 
 WRITER = """
@@ -145,11 +145,11 @@ def test_after_a_kill_all_but_the_last_moments_are_there(tmp_path):
     writer = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     told = [int(writer.stdout.readline().split()[0]) for _ in range(8)]
     (path,) = tmp_path.glob("*.partial")
-    assert is_written(path)
+    assert is_being_written(path)
     writer.send_signal(signal.SIGKILL)
     writer.wait()
-    assert not is_written(path)
-    reading = McapReading(path)
+    assert not is_being_written(path)
+    reading = McapReader(path)
     read = [int(m.payload) for m in reading]
     assert read == list(range(len(read)))
     assert len(read) >= told[-1] - 150  # 50 ms of syncing, and as much of writing, on a slow disk

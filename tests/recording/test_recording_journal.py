@@ -16,17 +16,17 @@ from results import result
 
 import edge
 from edge.geometry import SE2, CameraModel, Grid
-from edge.loop.behaviours.draft import Draft
-from edge.loop.journal import Input
+from edge.loop.behaviours.plan_worker import PlanResult
+from edge.loop.input_log import LoopInput
 from edge.loop.prior import Rooms
 from edge.memory import Place, Site
-from edge.mission.brief import prepare
-from edge.perception.scoring.choice.question import Choice
-from edge.policies.base import Similarity
+from edge.mission.spec import prepare
+from edge.perception.scoring.choice.question import FrontierChoice
+from edge.policies.base import ImageSimilarity
 from edge.recording import journal
 from edge.recording.journal import decode_page, encode_page
 from edge.tasks.legs import Leg
-from edge.tasks.refine import Refined
+from edge.tasks.refine import RefinedTrajectory
 from edge.types import MASK_SIDE, ContextBoxes, Detections, GoalStatus, Observation
 
 ROOT = Path(edge.__file__).parents[1]
@@ -36,7 +36,7 @@ NOTED = re.compile(r"\.note\(\s*\"(\w+)\"")
 STOPS = (((1, "car"), (2, "car")), (), ((3, "van"),))
 
 
-def again(*inputs: Input) -> list[Input]:
+def again(*inputs: LoopInput) -> list[LoopInput]:
     return decode_page(encode_page(inputs, result(), None, {})).entries
 
 
@@ -84,11 +84,11 @@ def test_all_that_the_loop_notes_is_written_and_documented():
 )
 def test_an_entry_comes_back(kind, fields):
     if "translation" in fields:
-        assert again(Input(3, kind, fields))[0].fields["translation"].formula == (
+        assert again(LoopInput(3, kind, fields))[0].fields["translation"].formula == (
             fields["translation"].formula
         )
     else:
-        assert again(Input(3, kind, fields)) == [Input(3, kind, fields)]
+        assert again(LoopInput(3, kind, fields)) == [LoopInput(3, kind, fields)]
 
 
 FLOATS = arrays(np.float32, st.integers(0, 4), elements=st.floats(width=32))
@@ -105,7 +105,7 @@ def test_detections_come_back_to_the_last_bit(score, rival, masked):
         None if masked is None
         else np.random.default_rng(masked).random((n, MASK_SIDE, MASK_SIDE)) < 0.5,
     )  # fmt: skip
-    (entry,) = again(Input(0, "found", {"worker": "detector", "what": found}))
+    (entry,) = again(LoopInput(0, "found", {"worker": "detector", "what": found}))
     back = journal.detections_of(entry.fields["what"], seen)
     for name in ("xyxy_px", "score", "class_id"):
         for one, other in ((found, back), (found.context, back.context)):
@@ -123,7 +123,7 @@ def test_recordings_of_before_there_were_masks_are_read():
     one = np.ones(1, np.float32)
     found = Detections(Observation(5, 7, np.eye(4)), np.ones((1, 4), np.float32), one,
                        np.zeros(1, np.int32), ("bed",))  # fmt: skip
-    (entry,) = again(Input(0, "found", {"worker": "detector", "what": found}))
+    (entry,) = again(LoopInput(0, "found", {"worker": "detector", "what": found}))
     del entry.fields["what"]["mask"]
     assert journal.detections_of(entry.fields["what"], found.observation).mask is None
 
@@ -136,11 +136,11 @@ def test_what_was_found_beside_the_loop_comes_back():
     what = {
         "surveyor": values,
         "prior": rooms,
-        "similarity": ("asked", Similarity(stamp, pose, ("a", "b"), values[:2])),
-        "choice": ("asked", Choice(stamp, "a", (3, 1), values[:2], 0.25, 0.5)),
+        "similarity": ("asked", ImageSimilarity(stamp, pose, ("a", "b"), values[:2])),
+        "choice": ("asked", FrontierChoice(stamp, "a", (3, 1), values[:2], 0.25, 0.5)),
     }
     entries = again(
-        *(Input(i, "found", {"worker": w, "what": f}) for i, (w, f) in enumerate(what.items()))
+        *(LoopInput(i, "found", {"worker": w, "what": f}) for i, (w, f) in enumerate(what.items()))
     )
     back = {entry.fields["worker"]: entry.fields["what"] for entry in entries}
     assert journal.survey_of(back["surveyor"]).tobytes() == values.tobytes()
@@ -160,17 +160,19 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
     """Asked for at the end, and asked for again whenever it is planned again."""
     line = np.array([[0.0, 0.0], [1.0, 0.0]])
     poses = np.column_stack([line, np.zeros(2), [0.0, heading_rad or 0.0]])
-    refined = Refined(
+    refined = RefinedTrajectory(
         poses, np.array([0.0, 0.0]), np.array([0.0, 2.0]), np.zeros(2, np.int64),
         (Leg(line, True),), frozenset({2, 1}), heading_rad, 1.0, 0.5, 0.0, ("a note",),
     )  # fmt: skip
     (entry,) = again(
-        Input(
+        LoopInput(
             0,
             "found",
             {
                 "worker": "task",
-                "what": Draft(refined, mistakable=(3, 5), stops_at=(3, "van"), stops=STOPS, upto=2),
+                "what": PlanResult(
+                    refined, mistakable=(3, 5), stops_at=(3, "van"), stops=STOPS, upto=2
+                ),
             },
         )
     )

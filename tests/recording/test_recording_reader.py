@@ -15,12 +15,12 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord, Metadata, Schema
 from recordings import Recording
 
-from edge.recording import beside, commands, reader
+from edge.recording import commands, reader, replay_source
 from edge.recording.channels import JOURNAL
-from edge.recording.file import McapReading, recover
+from edge.recording.file import McapReader, recover
 from edge.recording.journal import MAX_VALUES
 from edge.recording.reader import MAGIC
-from edge.recording.session import RecordingError, Session
+from edge.recording.session import RecordedRun, RecordingError
 from edge.sources.recording import read
 from edge.text import read_json
 
@@ -110,7 +110,7 @@ def test_a_small_file_stays_small(tmp_path, case):
     write(path, chunk(SMALL, len(SMALL)), bomb)
     tracemalloc.start()
     try:
-        reading = McapReading(path)
+        reading = McapReader(path)
         assert [m.payload for m in reading] == [b"{}"]
         assert reading.cut.startswith("damaged: ")
         assert why in reading.cut
@@ -118,7 +118,7 @@ def test_a_small_file_stays_small(tmp_path, case):
             list(read(path))
         assert recover(path, tmp_path / "out.mcap") == (1, reading.cut)
         with pytest.raises(RecordingError, match="no journal to replay"):
-            Session(path)
+            RecordedRun(path)
         assert tracemalloc.get_traced_memory()[1] < MANY / 4
     finally:
         tracemalloc.stop()
@@ -138,7 +138,7 @@ def test_a_chunk_of_the_size_that_it_says_is_read(tmp_path, known):
         struct.pack("<BQ", 0x80, 2) + b"??",
         message(b"z"),
     )
-    reading = McapReading(path)
+    reading = McapReader(path)
     assert [m.payload[:1] for m in reading] == [b"y", b"x", b"z"]
     assert (reading.whole, reading.cut) == (True, "")
 
@@ -148,7 +148,7 @@ def test_what_lies_outside_of_chunks_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(reader, "MAX_RECORD_BYTES", 1 << 10)
     path = tmp_path / "a.mcap"
     write(path, SMALL, struct.pack("<BQ", Opcode.ATTACHMENT, FEW) + bytes(FEW), message(b"z"))
-    assert [m.payload for m in McapReading(path)] == [b"{}", b"z"]
+    assert [m.payload for m in McapReader(path)] == [b"{}", b"z"]
 
 
 def test_json_of_a_million_values_is_not_read():
@@ -160,25 +160,25 @@ def test_json_of_a_million_values_is_not_read():
 
 def test_a_page_of_a_million_values_is_damaged(tmp_path):
     recorded = Recording(tmp_path / "run").steps(1).close()
-    reading = McapReading(recorded)
+    reading = McapReader(recorded)
     list(reading)
     path, bomb = tmp_path / "edge-a.mcap", b'{"entries":[' + b"[]," * MAX_VALUES + b"[]]}"
     said = packed(Metadata("edge-recording", reading.metadata["edge-recording"]))
     channel = packed(Channel(1, JOURNAL.topic, "json", {}, 0))
     write(path, said, channel, *[chunk(zstd(m := message(bomb)), len(m), "zstd")])
     with pytest.raises(RecordingError, match="damaged journal: ValueError: more than"):
-        list(Session(path).moments())
+        list(RecordedRun(path).moments())
 
 
 def test_frames_that_wait_for_detections_are_of_limited_size(tmp_path, monkeypatch):
-    session = Session(Recording(tmp_path).steps(4).close())
+    session = RecordedRun(Recording(tmp_path).steps(4).close())
     seen = [m.observation for m in session.moments() if m.observation is not None]
-    now = beside.Now()
+    now = replay_source.ReplayTick()
     for observation in seen:
         now.see(observation, True)
     assert len(now.frames) == len(seen) == 4
-    size = beside._bytes_of(seen[0])
-    monkeypatch.setattr(beside, "_MOST_FRAMES_BYTES", 2 * size)
+    size = replay_source._bytes_of(seen[0])
+    monkeypatch.setattr(replay_source, "_MOST_FRAMES_BYTES", 2 * size)
     now.see(seen[-1], True)
     assert list(now.frames) == [observation.seq for observation in seen[-2:]]
 

@@ -22,28 +22,28 @@ from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.goal import GoalTracker
-from edge.loop.journal import Journal
+from edge.loop.input_log import InputLog
 from edge.loop.map_checkpoint import SUFFIX
 from edge.loop.scorers import Scorers
 from edge.loop.service import Service
 from edge.memory import Place, Site, Zone
-from edge.mission.brief import prepare
-from edge.perception.scoring.choice.question import Choice
+from edge.mission.spec import prepare
+from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies import make_policy
 from edge.recording import commands
 from edge.recording.channels import DEPTH, JOURNAL, of_json
-from edge.recording.file import McapFile, McapReading, RecordingError
+from edge.recording.file import McapReader, McapWriter, RecordingError
 from edge.recording.journal import config_text
 from edge.recording.replay import ReplayError, replay
 from edge.recording.rolling import files_of
-from edge.recording.session import Session
+from edge.recording.session import RecordedRun
 from edge.sinks.mcap import McapSink
-from edge.tasks.brief import prepare_task
+from edge.tasks.mission_spec import prepare_task
 from edge.types import GoalStatus, Observation
 
 
 def same(path: Path, ticks: int) -> None:
-    session = Session(path)
+    session = RecordedRun(path)
     outcome = replay(session)
     assert (outcome.first, outcome.differing, outcome.ticks) == (None, 0, ticks)
     assert outcome.goals_then == outcome.goals_now
@@ -96,7 +96,7 @@ def test_all_that_can_come_into_the_loop(tmp_path):
     service.idle(now_ns + 1, SE2(0.0, 0.0, 0.0))
     service.pause(False, now_ns)
     recording.steps(3)
-    service.goal_answered(GoalStatus(service.goal.stamp_ns, "failed", "stuck", (1.0, 2.0)))
+    service.on_goal_status(GoalStatus(service.goal.stamp_ns, "failed", "stuck", (1.0, 2.0)))
     recording.steps(3)
     service.begin(prepare(service.config.mission, formula="F sofa & F bed"), now_ns)
     recording.steps(5)
@@ -107,7 +107,7 @@ def test_all_that_can_come_into_the_loop(tmp_path):
     there = prepare(service.config.mission, "go to the dock and come back", site=site)
     service.begin(there, closed.drive.motion.stamp_ns)
     recording.steps(5)
-    service.forget_places(closed.drive.motion.stamp_ns)
+    service.on_pose_jump(closed.drive.motion.stamp_ns)
     recording.steps(4)
     for k in range(12):  # nothing to be seen, until no one drives on
         service.idle(closed.drive.motion.stamp_ns + k * 200_000_000, SE2(0.1, 0.2, 0.3))
@@ -121,7 +121,9 @@ def test_all_that_can_come_into_the_loop(tmp_path):
     service.idle(now_ns, None, broken)
     service.fail("cancelled", now_ns)
     recording.steps(2)
-    kinds = {entry.kind for m in Session(recording.close()).moments() for entry in m.page.entries}
+    kinds = {
+        entry.kind for m in RecordedRun(recording.close()).moments() for entry in m.page.entries
+    }
     assert kinds >= {
         "start",
         "tick",
@@ -187,7 +189,9 @@ class Thinks:
         n = len(view.marks)
         p = np.linspace(1.0, 2.0, n, dtype=np.float32) / np.float32(2.0 * n)
         ids = tuple(mark.id for mark in view.marks)
-        return Choice(view.observation.stamp_ns, view.target, ids, p, 1.0 - float(p.sum()), 0.7)
+        return FrontierChoice(
+            view.observation.stamp_ns, view.target, ids, p, 1.0 - float(p.sum()), 0.7
+        )
 
     def close(self):
         self.told.release()
@@ -207,14 +211,14 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
         "edge.lab.eval.closed_loop.make_scorers",
         lambda config, targets: Scorers(None, thinks, feeds=config.value_source),
     )
-    note, came = Journal.note, Counter()
+    note, came = InputLog.note, Counter()
 
-    def noted(journal: Journal, kind: str, **fields: object) -> None:
+    def noted(journal: InputLog, kind: str, **fields: object) -> None:
         note(journal, kind, **fields)
         if kind == "found":
             came[fields["worker"]] += 1
 
-    monkeypatch.setattr(Journal, "note", noted)
+    monkeypatch.setattr(InputLog, "note", noted)
     recording, ticks = Recording(tmp_path, config, pending_mb=500.0), 0
 
     def all_came() -> bool:
@@ -230,7 +234,7 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
     eventually(all_came, lambda: f"{ticks} ticks, of the workers came {dict(came)}")
     workers = Counter(
         entry.fields["worker"]
-        for moment in Session(recording.close()).moments()
+        for moment in RecordedRun(recording.close()).moments()
         for entry in moment.page.entries
         if entry.kind == "found"
     )
@@ -268,7 +272,7 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     same(recorded, 10)
     monkeypatch.setattr("edge.host.checkpoint.VERSION", 4)
     with pytest.raises(ReplayError, match=r"recording: .* version 3, this program reads version 4"):
-        replay(Session(recorded))
+        replay(RecordedRun(recorded))
 
 
 @pytest.mark.parametrize(
@@ -306,14 +310,14 @@ def test_a_run_that_takes_up_its_map(tmp_path, monkeypatch, localised, boot, els
     for _ in range(5):
         loop.step()
     if localised:
-        loop.service.forget_places(loop.drive.motion.stamp_ns)
+        loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
     for _ in range(5):
         loop.step()
     for one in (loop, sink, checkpoint):
         one.close()
     monkeypatch.setattr("edge.loop.map_checkpoint.boot_id", lambda: "a desk")
     recorded = files_of(tmp_path / "run")[0]
-    entries = [e for m in Session(recorded).moments() for e in m.page.entries]
+    entries = [e for m in RecordedRun(recorded).moments() for e in m.page.entries]
     assert [e.fields["said"] for e in entries if e.kind == "decided"] == elsewhere
     same(recorded, 11)
 
@@ -324,19 +328,19 @@ def test_a_run_in_several_files(tmp_path):
     files = files_of(tmp_path)
     assert len(files) == 4
     Recording(tmp_path / "other").steps(1).close()
-    assert Session(files[0]).files == files
+    assert RecordedRun(files[0]).files == files
     same(files[0], 4)
     with pytest.raises(RecordingError, match=r"begins in the middle of a run \(it is file 3\)"):
-        replay(Session(files[2]))
+        replay(RecordedRun(files[2]))
     files[2].unlink()
-    assert Session(files[0]).files == files[:2]
+    assert RecordedRun(files[0]).files == files[:2]
     same(files[0], 2)
 
 
 def test_a_run_that_was_cut_off(drive, tmp_path):
     path = tmp_path / "edge-a.mcap.partial"
     path.write_bytes(drive.read_bytes()[: drive.stat().st_size // 2])
-    session = Session(path)
+    session = RecordedRun(path)
     outcome = replay(session)
     assert 0 < outcome.ticks < 30
     assert outcome.first is None
@@ -345,10 +349,10 @@ def test_a_run_that_was_cut_off(drive, tmp_path):
 
 def copied(path: Path, out: Path, change, head=None) -> Path:
     """A recording again, with each message as `change` makes it of (topic, payload); None: none."""
-    reading = McapReading(path)
+    reading = McapReader(path)
     messages = list(reading)
     metadata = {"edge-recording": {**reading.metadata["edge-recording"], **(head or {})}}
-    with McapFile(out, "lz4", metadata) as file:
+    with McapWriter(out, "lz4", metadata) as file:
         for m in messages:
             payload = change(m.topic, m.payload)
             if payload is not None:
@@ -378,7 +382,7 @@ def test_a_frame_without_its_time_is_damage(drive, tmp_path, stamp_ns):
             told["observation"]["stamp_ns"] = stamp_ns
 
     with pytest.raises(RecordingError, match="damaged journal: ValueError: stamp_ns: "):
-        replay(Session(copied(drive, tmp_path / "edge-a.mcap", page(change))))
+        replay(RecordedRun(copied(drive, tmp_path / "edge-a.mcap", page(change))))
 
 
 def test_another_goal_then_is_a_difference_at_its_tick(drive, tmp_path, capsys):
@@ -390,7 +394,7 @@ def test_another_goal_then_is_a_difference_at_its_tick(drive, tmp_path, capsys):
             told["said"]["goal"]["pose"][0] += 1e-12
 
     path = copied(drive, tmp_path / "edge-a.mcap", page(change))
-    outcome = replay(Session(path))
+    outcome = replay(RecordedRun(path))
     assert (outcome.differing, outcome.first.tick) == (1, 8)
     args = argparse.Namespace(file=path, config=None, detect=False)
     assert commands.replay(args) == 1
@@ -407,7 +411,7 @@ def test_another_goal_then_is_a_difference_at_its_tick(drive, tmp_path, capsys):
 )  # fmt: skip
 def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, why):
     path = copied(drive, tmp_path / "edge-a.mcap", change)
-    session = Session(path)
+    session = RecordedRun(path)
     outcome = replay(session)
     assert outcome.ended == session.gap == why
     assert outcome.ticks < 10
@@ -434,14 +438,14 @@ def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, wh
 )  # fmt: skip
 def test_what_cannot_be_replayed_is_one_line(drive, tmp_path, metadata, payload, why):
     if metadata == "good":
-        reading = McapReading(drive)
+        reading = McapReader(drive)
         next(iter(reading))
         metadata = reading.metadata
     path = tmp_path / "edge-a.mcap"
-    with McapFile(path, "lz4", metadata) as file:
+    with McapWriter(path, "lz4", metadata) as file:
         file.add(JOURNAL, 0, 0, payload)
     with pytest.raises(RecordingError, match=re.escape(why)) as caught:
-        replay(Session(path))
+        replay(RecordedRun(path))
     assert "\n" not in str(caught.value)
 
 
@@ -481,7 +485,7 @@ def test_a_recording_runs_no_program_of_its_own(drive, tmp_path, strangers, key)
     """Whoever made it would else choose what runs here."""
     path = rewritten(drive, tmp_path / "edge-a.mcap", small(**STRANGE[key]))
     args = argparse.Namespace(file=path, config=None, detect=False, trust=False)
-    for way in (lambda: replay(Session(path)), lambda: commands.replay(args)):
+    for way in (lambda: replay(RecordedRun(path)), lambda: commands.replay(args)):
         with pytest.raises(RecordingError) as caught:
             way()
         said = str(caught.value)
@@ -489,7 +493,9 @@ def test_a_recording_runs_no_program_of_its_own(drive, tmp_path, strangers, key)
         assert "--config" in said
         assert "--trust" in said
         assert "\n" not in said
-    assert replay(Session(path), small()).first is None  # one's own configuration takes its place
+    assert (
+        replay(RecordedRun(path), small()).first is None
+    )  # one's own configuration takes its place
     assert not strangers.exists()
 
 
@@ -505,8 +511,8 @@ def reloaded(tmp_path_factory) -> Path:
 def test_nor_does_a_reload_that_was_recorded(reloaded, tmp_path, strangers, key):
     path = rewritten(reloaded, tmp_path / "edge-a.mcap", small(), small(**STRANGE[key]))
     with pytest.raises(RecordingError, match=f"{re.escape(key)}: {OWN} is no built-in kind"):
-        replay(Session(path))
-    assert replay(Session(path), small()).ticks == 4
+        replay(RecordedRun(path))
+    assert replay(RecordedRun(path), small()).ticks == 4
     assert not strangers.exists()
 
 
@@ -518,34 +524,34 @@ def test_a_recording_names_no_files(drive, tmp_path, monkeypatch):
     files = {"perception": {"detector": onnx}, "mission": {
         "target": "bed", "checkpoint": str(tmp_path / "checkpoint.json")}}  # fmt: skip
     path = rewritten(drive, tmp_path / "edge-a.mcap", small(**files))
-    replay(Session(path))
+    replay(RecordedRun(path))
     with pytest.raises(ReplayError, match=r"detector\.vocabulary: a recording may name any file"):
-        replay(Session(path), detect=True)
+        replay(RecordedRun(path), detect=True)
     del onnx["vocabulary"]
     path = rewritten(drive, tmp_path / "edge-b.mcap", small(**files))
     made = []
     monkeypatch.setattr("edge.recording.replay.make_detector", lambda p, _: made.append(p) or 1 / 0)
     for trust in (False, True):
         with pytest.raises(RecordingError, match="ZeroDivisionError"):
-            replay(Session(path, trust), detect=True)
+            replay(RecordedRun(path, trust), detect=True)
     assert [p.detector.engine_cache for p in made] == [None, str(folder)]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["edge-a.mcap", "edge-b.mcap"]
 
 
 def test_no_file(tmp_path):
     with pytest.raises(RecordingError, match="No such file"):
-        Session(tmp_path / "a.mcap")
+        RecordedRun(tmp_path / "a.mcap")
 
 
 def test_detecting_anew(drive, tmp_path):
     with pytest.raises(ReplayError, match="sim cannot detect in images"):
-        replay(Session(drive), detect=True)
+        replay(RecordedRun(drive), detect=True)
     onnx = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "threads": 1}
     other = small(perception={"detector": onnx})
-    outcome = replay(Session(drive), other, detect=True)
+    outcome = replay(RecordedRun(drive), other, detect=True)
     assert (outcome.ticks, outcome.unseen) == (30, 0)
     without = Recording(tmp_path, rgb_hz=0.0).steps(3).close()
-    assert replay(Session(without), other, detect=True).unseen == 3
+    assert replay(RecordedRun(without), other, detect=True).unseen == 3
 
 
 def test_a_recording_holds_no_secret(tmp_path):

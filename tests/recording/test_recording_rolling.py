@@ -10,8 +10,8 @@ import pytest
 
 from edge.bus import topics
 from edge.recording.channels import of_topic
-from edge.recording.file import PARTIAL, McapReading
-from edge.recording.rolling import Limits, Rolling, files_of
+from edge.recording.file import PARTIAL, McapReader
+from edge.recording.rolling import RecordingLimits, RollingRecorder, files_of
 
 STATUS = of_topic(topics.STATUS)
 NOISE = os.urandom(100_000)  # does not get smaller
@@ -29,11 +29,13 @@ def clock() -> Clock:
     return Clock()
 
 
-def rolling(folder, clock, **limits: float) -> Rolling:
-    return Rolling(folder, Limits(**limits), "lz4", lambda n: {"t": {"part": str(n)}}, clock)
+def rolling(folder, clock, **limits: float) -> RollingRecorder:
+    return RollingRecorder(
+        folder, RecordingLimits(**limits), "lz4", lambda n: {"t": {"part": str(n)}}, clock
+    )
 
 
-def put(files: Rolling, n: int = 1, payload: bytes = b"{}") -> None:
+def put(files: RollingRecorder, n: int = 1, payload: bytes = b"{}") -> None:
     for _ in range(n):
         files.ready()
         files.add(STATUS, 0, 0, payload)
@@ -64,7 +66,7 @@ def test_a_file_that_is_old_is_followed_by_the_next(tmp_path, clock):
     files.close()
     parts = []
     for path in files_of(tmp_path):
-        reading = McapReading(path)
+        reading = McapReader(path)
         assert len(list(reading)) == 2
         parts.append(reading.metadata["t"]["part"])
     assert parts == ["0", "1", "2"]
@@ -89,7 +91,7 @@ def test_the_oldest_files_make_room_but_never_one_that_is_written(tmp_path, cloc
     assert sum(path.stat().st_size for path in left) <= 3_300_000
     parts = []
     for path in left[1:]:
-        reading = McapReading(path)
+        reading = McapReader(path)
         list(reading)
         parts.append(int(reading.metadata["t"]["part"]))
     assert parts == list(range(6 - len(parts), 6))
@@ -158,6 +160,6 @@ def test_a_disk_that_is_full_for_a_while(tmp_path):
     assert messages + lost == 195
     first, second = files_of(tmp_path)
     assert first.name.endswith(PARTIAL)
-    read = len(list(McapReading(first))), len(list(McapReading(second)))
+    read = len(list(McapReader(first))), len(list(McapReader(second)))
     assert read[0] == 10
     assert sum(read) == messages

@@ -13,14 +13,14 @@ from recordings import Recording
 
 from edge.config import ConfigError
 from edge.errors import UnavailableError
-from edge.host.pages import serve
 from edge.host.ports import free_port
+from edge.host.web_server import serve
 from edge.loop.latency import LatencyRing, Span
 from edge.loop.service import MAP
 from edge.loop.stages import STAGES
 from edge.recording import commands
 from edge.recording.channels import STATUS
-from edge.recording.file import McapFile, RecordingError
+from edge.recording.file import McapWriter, RecordingError
 from edge.recording.trace import TracePage, trace_of
 
 
@@ -81,7 +81,7 @@ def test_a_recording_without_ticks(tmp_path):
     recording.service.idle(1, None)
     with pytest.raises(RecordingError, match="no tick in it"):
         commands.spans_of(recording.close())
-    with McapFile(tmp_path / "bus.mcap") as file:
+    with McapWriter(tmp_path / "bus.mcap") as file:
         file.add(STATUS, 0, 0, b"{}")
     with pytest.raises(RecordingError, match="no journal"):
         commands.spans_of(tmp_path / "bus.mcap")

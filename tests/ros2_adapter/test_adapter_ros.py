@@ -19,20 +19,20 @@ from ros_peer_facts import ABORTED, ENDLESS, MOUNTED, PIXELS, REACHED, REJECTED,
 from secure_files import etc_edge, settings_of
 from simulated import simulated
 
-from edge.bus.ros2.node import Subscription, open_node
-from edge.bus.ros2.topics import HEARD, SAID
+from edge.bus.ros2.node import Ros2Subscription, open_node
+from edge.bus.ros2.topics import PUBLISHED, SUBSCRIBED
 from edge.bus.session import zenoh_session
 from edge.bus.wire import messages, transforms
 from edge.config import Config
 from edge.geometry import SE2, Grid
 from edge.host.ports import free_port
-from edge.sinks.navigate import Navigator
+from edge.sinks.navigate import NavigateToPoseClient
 from edge.types import Goal, GoalStatus
 
 HERE = Path(__file__).parent
 PEER = HERE / "ros_peer.py"
 # All that can be said but "goal", which the action takes the place of.
-READY = f"passing up to {len(HEARD)} topics in and {len(SAID) - 1} out"
+READY = f"passing up to {len(SUBSCRIBED)} topics in and {len(PUBLISHED) - 1} out"
 
 
 @pytest.fixture(scope="module")
@@ -68,13 +68,13 @@ class Service:
         self.node = open_node(config, session, "test")
         self.told: list[GoalStatus] = []
         action = config.ros2.topic("navigate_to_pose")
-        self.navigator = Navigator(self.node, action, "map", self.told.append)
+        self.navigator = NavigateToPoseClient(self.node, action, "map", self.told.append)
 
-    def hear(self, name: str, latched: bool = False) -> Subscription:
-        return self.node.subscription(self._settings.topic(name), (HEARD[name],), 8, latched)
+    def hear(self, name: str, latched: bool = False) -> Ros2Subscription:
+        return self.node.subscription(self._settings.topic(name), (SUBSCRIBED[name],), 8, latched)
 
     def say(self, name: str, payload: bytes, latched: bool = False) -> None:
-        self.node.publisher(self._settings.topic(name), SAID[name], latched).put(payload)
+        self.node.publisher(self._settings.topic(name), PUBLISHED[name], latched).put(payload)
 
     def drive(self, stamp_ns: int, x_m: float) -> None:
         place = SE2(x_m, -1.0, 0.5)
@@ -98,7 +98,7 @@ def service(config) -> Iterator[Service]:
 
 
 @pytest.fixture
-def odometry(service) -> Iterator[Subscription]:
+def odometry(service) -> Iterator[Ros2Subscription]:
     """As long as the service hears it, somebody looks where the robot goes."""
     subscription = service.hear("odom")
     yield subscription
@@ -124,7 +124,7 @@ def adapter(config, etc, service, robot, ros_environ) -> Iterator[Process]:
         yield process
 
 
-def payload_of(subscription: Subscription) -> bytes:
+def payload_of(subscription: Ros2Subscription) -> bytes:
     return eventually(subscription.take)[0][1].to_bytes()
 
 

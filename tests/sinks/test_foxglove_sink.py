@@ -88,8 +88,8 @@ def test_nobody_looks_and_nothing_is_encoded(sink):
 
 def test_a_client_sees_what_it_subscribed_to_and_no_more(sink):
     with client(sink) as foxglove:
-        eventually(lambda: foxglove.read() or len(foxglove.advertised) == len(channels.TOLD))
-        assert foxglove.advertised.keys() == {channel.topic for channel in channels.TOLD}
+        eventually(lambda: foxglove.read() or len(foxglove.advertised) == len(channels.VISUAL))
+        assert foxglove.advertised.keys() == {channel.topic for channel in channels.VISUAL}
         depth = foxglove.advertised["/camera/depth"]
         assert (depth["encoding"], depth["schemaName"]) == ("cdr", "sensor_msgs/msg/Image")
         assert depth["schema"] == channels.DEPTH.schema_text

@@ -20,9 +20,9 @@ from edge.errors import ConfigError
 from edge.geometry import SE2, CameraModel
 from edge.loop.result import Event
 from edge.recording import channels
-from edge.recording.file import McapReading
+from edge.recording.file import McapReader
 from edge.recording.rolling import files_of
-from edge.recording.session import Session
+from edge.recording.session import RecordedRun
 from edge.sinks import find_sinks
 from edge.sinks.mcap import McapSink
 from edge.types import Goal, Observation
@@ -88,7 +88,7 @@ def test_the_schemas_say_what_every_message_is(run):
 def test_json_says_what_foxglove_asks_for(run):
     said: dict[str, dict] = {}
     schemas = {}
-    for m in McapReading(run):
+    for m in McapReader(run):
         if m.encoding == "json":
             said[m.topic], schemas[m.topic] = json.loads(m.payload), m.schema
     assert schemas["/events"] == "foxglove.Log"
@@ -106,7 +106,7 @@ def test_a_trajectory_is_recorded_when_it_changes_and_every_five_seconds(make, t
     for now_s, task in at_s.items():
         sink.tick(tick(seen(10 * now_s), task=lambda task=task: task))
     sink.close()
-    told = [m for m in McapReading(files_of(tmp_path)[0]) if m.topic == "/trajectory"]
+    told = [m for m in McapReader(files_of(tmp_path)[0]) if m.topic == "/trajectory"]
     paths = [from_ros(m.payload, "nav_msgs/msg/Path") for m in told]
     n = len(written()[1].poses)
     assert [(p.header.stamp.sec, len(p.poses)) for p in paths] == [(2, n), (8, n), (9, 0)]
@@ -129,9 +129,9 @@ def test_depth_comes_back_to_the_last_bit(make, tmp_path, depth_m, encoding):
     sink.tick(tick(seen(1, depth_m)))
     sink.close()
     path = files_of(tmp_path)[0]
-    (payload,) = [m.payload for m in McapReading(path) if m.topic == "/camera/depth"]
+    (payload,) = [m.payload for m in McapReader(path) if m.topic == "/camera/depth"]
     assert encoding in payload
-    (moment,) = Session(path).moments()
+    (moment,) = RecordedRun(path).moments()
     np.testing.assert_array_equal(moment.observation.depth_m, depth_m)
     assert moment.observation.T_map_base.tobytes() == seen(1).T_map_base.tobytes()
     assert moment.observation.camera == CAMERA
@@ -143,9 +143,9 @@ def test_a_cloud_comes_back_with_its_beams_that_met_nothing(make, tmp_path):
     sink.tick(tick(seen(1, cloud_m=cloud_m)))
     sink.close()
     path = files_of(tmp_path)[0]
-    (payload,) = [m.payload for m in McapReading(path) if m.topic == "/lidar/points"]
+    (payload,) = [m.payload for m in McapReader(path) if m.topic == "/lidar/points"]
     assert not from_ros(payload, "sensor_msgs/msg/PointCloud2").is_dense
-    (moment,) = Session(path).moments()
+    (moment,) = RecordedRun(path).moments()
     np.testing.assert_array_equal(moment.observation.cloud_m, cloud_m)
 
 
@@ -156,7 +156,7 @@ def test_what_the_source_writes_over_was_copied(make, tmp_path):
         sink.tick(tick(seen(k, depth_m)))
     depth_m[:] = 0.0
     sink.close()
-    moments = Session(files_of(tmp_path)[0]).moments()
+    moments = RecordedRun(files_of(tmp_path)[0]).moments()
     assert [float(m.observation.depth_m[0, 0]) for m in moments] == [1.0, 2.0, 3.0]
 
 
@@ -173,7 +173,7 @@ def test_a_disk_that_hangs_costs_pictures_but_no_memory(make, tmp_path):
     eventually(lambda: sink._pending_bytes == 0)
     sink.tick(tick(seen(31, depth_m)))
     sink.close()
-    session = Session(files_of(tmp_path)[0])
+    session = RecordedRun(files_of(tmp_path)[0])
     assert len(list(session.moments())) == 21
     assert session.gap == "the next frame's depth was dropped while recording"
     written = [m.sequence for m in session.messages() if m.topic == "/camera/depth"]
@@ -188,7 +188,7 @@ def test_moments_between_observations_are_told_together(make, tmp_path):
     goal = Goal(5, SE2(1.0, 2.0, 0.5), "frontier", 7, (1.0, 2.5), 0.4, "chair")
     sink.tick(result(10**9 + 1, goals=(goal,)))
     sink.close()
-    topics = [m.topic for m in McapReading(files_of(tmp_path)[0])]
+    topics = [m.topic for m in McapReader(files_of(tmp_path)[0])]
     assert topics.count("/journal") == 3
     assert (topics.count("/events"), topics.count("/goal")) == (1, 1)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edge.sinks.pace import Pace
+from edge.sinks.rate_limiter import RateLimiter
 
 
 @pytest.mark.parametrize(
@@ -16,7 +16,7 @@ from edge.sinks.pace import Pace
     ],
 )
 def test_each_is_due_as_often_as_it_may_be(times_s, due):
-    pace = Pace(map=2.0, status=1e-3)
+    pace = RateLimiter(map=2.0, status=1e-3)
     assert [pace.is_due("map", int(1e9 * t)) for t in times_s] == due
     assert pace.is_due("status", 0)
     assert not pace.is_due("status", 10**9)

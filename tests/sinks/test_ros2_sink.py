@@ -17,10 +17,10 @@ from task_facts import written
 
 from edge.bus.ros2 import names
 from edge.bus.ros2.names import BRIDGE, RMW_ZENOH, dialect_of
-from edge.bus.ros2.node import Node
+from edge.bus.ros2.node import Ros2Node
 from edge.geometry import SE2
 from edge.sinks import navigate
-from edge.sinks.ros2 import Ros2Sink, Way
+from edge.sinks.ros2 import PathRing, Ros2Sink
 from edge.sources.goal_status import GoalStatusInbox
 from edge.types import Goal, GoalStatus
 
@@ -266,7 +266,7 @@ def test_what_is_no_answer_is_counted_and_asked_for_again(
 def test_a_goal_on_a_topic_is_sent_once_to_who_hears_it(make, theirs):
     sink = make(goals="topic", map_frame="odom")
     sink.tick(driving(7, x_m=4.0))
-    node = Node(theirs, 0, "planner")
+    node = Ros2Node(theirs, 0, "planner")
     planner = node.subscription("/goal_pose", ("geometry_msgs/msg/PoseStamped",), 8)
     ((type_name, payload),) = eventually(planner.take)
     message = from_ros(payload.to_bytes(), type_name)
@@ -278,7 +278,7 @@ def test_a_goal_on_a_topic_is_sent_once_to_who_hears_it(make, theirs):
 def test_map_and_drawings(make, theirs):
     sink = make(map_frame="world")
     sink.tick(result(10**9, pose=SE2(1.0, 2.0, 0.0), frontiers=lambda: np.ones((2, 2), np.float32)))
-    node = Node(theirs, 0, "rviz")
+    node = Ros2Node(theirs, 0, "rviz")
     late = node.subscription("/edge/occupancy", ("nav_msgs/msg/OccupancyGrid",), 8, latched=True)
     ((type_name, payload),) = eventually(late.take)
     grid = from_ros(payload.to_bytes(), type_name)
@@ -305,7 +305,7 @@ def test_a_trajectory_is_there_for_who_comes_late(make, theirs):
     sink = make(map_frame="world")
     for now_ns in (10**9, 2 * 10**9):
         sink.tick(result(now_ns, task=driven_task))
-    node = Node(theirs, 0, "rviz")
+    node = Ros2Node(theirs, 0, "rviz")
     late = node.subscription("/edge/task_path", ("nav_msgs/msg/Path",), 8, latched=True)
     ((type_name, payload),) = eventually(late.take)
     path, poses = from_ros(payload.to_bytes(), type_name), written()[1].poses
@@ -319,7 +319,7 @@ def test_a_trajectory_is_there_for_who_comes_late(make, theirs):
 
 @pytest.mark.parametrize(("n", "kept"), [(0, 0), (3, 3), (4, 4), (11, 4)])
 def test_the_way_is_as_long_as_it_may_be(n, kept):
-    way = Way(4, 0.1)
+    way = PathRing(4, 0.1)
     for i in range(n):
         way.add(SE2(float(i), 0.0, math.pi))
         way.add(SE2(i + 0.05, 0.0, 0.0))  # too near

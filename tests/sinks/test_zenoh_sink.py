@@ -16,11 +16,11 @@ from task_facts import driving, looking, written
 from edge.bus import topics
 from edge.bus.session import open_session
 from edge.bus.wire import messages
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.geometry import SE2
 from edge.host.ports import free_port
 from edge.loop.latency import LatencyRing
-from edge.loop.status import status_of
+from edge.loop.status import status_message
 from edge.sinks import zenoh as zenoh_sink
 from edge.sinks.zenoh import ZenohSink
 from edge.types import Goal, GoalStatus, MissionStatus
@@ -38,7 +38,7 @@ class Ears:
     def __init__(self, session: zenoh.Session) -> None:
         self._subscribers = {
             topic.key: session.declare_subscriber(
-                Zenoh().key(topic.key), zenoh.handlers.RingChannel(1000)
+                ZenohConfig().key(topic.key), zenoh.handlers.RingChannel(1000)
             )
             for topic in topics.ALL
             if topic.writer == "service"
@@ -76,7 +76,7 @@ def clock(monkeypatch) -> Clock:
 @pytest.fixture
 def session():
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with open_session(Zenoh(endpoint=endpoint), "listen") as s:
+    with open_session(ZenohConfig(endpoint=endpoint), "listen") as s:
         yield s
 
 
@@ -104,7 +104,7 @@ def test_a_first_tick_says_everything_once(sink, ears):
     stamp_ns, grid = messages.decode_occupancy_grid(ears.hear("map"))
     assert (stamp_ns, grid.origin_xy_m, grid.resolution_m) == (10**9, (-1.0, 2.0), 0.05)
     assert grid.cells.tolist() == [[-1, 0], [100, 0]]
-    assert json.loads(ears.hear("status")) == json.loads(json.dumps(status_of(result())))
+    assert json.loads(ears.hear("status")) == json.loads(json.dumps(status_message(result())))
     assert json.loads(ears.hear("latency")) == LatencyRing().report().as_dict()
     mission = json.loads(ears.hear("mission"))
     assert (mission["target"], mission["phase"]) == ("chair", "searching")

@@ -8,7 +8,7 @@ from ros_robots import ROBOTS, ready, ready_config, transforms_of
 
 from edge.config import parse
 from edge.sources.synchronizer import streams_of
-from edge.sources.tf import Frames
+from edge.sources.tf import RobotFrames
 
 TOPICS = {
     # depthai_ros_driver (rgb, stereo), rplidar_ros, create3
@@ -40,7 +40,7 @@ def test_topics_are_those_of_the_drivers(name):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_sensors_sit_where_tf_says(name):
     config, body = ready_config(name), ROBOTS[name]
-    frames = Frames(config)
+    frames = RobotFrames(config)
     frames.take(transforms_of(body.tree), static=True)
     mounted = config.sensors.camera.T_base_camera()
     np.testing.assert_allclose(frames.mount_at(body.camera, 0).T, mounted, atol=1e-3)

@@ -27,7 +27,7 @@ from ros_router import kept, ours, router, zenoh_settings
 from simulated import simulated
 
 from edge.bus.ros2.names import RMW_ZENOH, dialect_of
-from edge.bus.ros2.node import Node
+from edge.bus.ros2.node import Ros2Node
 from edge.bus.wire import messages
 from edge.bus.wire.transforms import Transform, encode_transforms
 from edge.config import Config
@@ -47,7 +47,7 @@ class Robot:
     """Publishes a camera, odometry and tf in a graph of ROS 2."""
 
     def __init__(self, session, dialect) -> None:
-        self.node = node = Node(session, 0, "robot", dialect)
+        self.node = node = Ros2Node(session, 0, "robot", dialect)
         self._static = (
             node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
             if dialect.has_tokens
@@ -83,7 +83,7 @@ def record(
     """Record while a robot sends, until `ENOUGH` messages of each topic were heard."""
     stop, heard = threading.Event(), Counter()
 
-    class File(recording.McapFile):
+    class File(recording.McapWriter):
         def add(self, channel, *message) -> None:
             super().add(channel, *message)
             heard[channel.topic] += 1

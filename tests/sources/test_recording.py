@@ -10,10 +10,10 @@ from rosbags.highlevel import AnyReader
 
 from edge.bus import topics
 from edge.bus.wire import messages
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.geometry import SE2
 from edge.sources import recording
-from edge.sources.recording import McapFile, RecordingError, read, record_messages
+from edge.sources.recording import McapWriter, RecordingError, read, record_messages
 
 
 def drive(n: int):
@@ -76,7 +76,7 @@ def test_files_that_cannot_be_used(tmp_path):
         list(read(tmp_path / "absent.mcap"))
     with (
         pytest.raises(RecordingError, match="cannot be written"),
-        McapFile(tmp_path / "no" / "folder.mcap"),
+        McapWriter(tmp_path / "no" / "folder.mcap"),
     ):
         pass
 
@@ -108,7 +108,7 @@ def test_playing_sends_what_sensors_sent_with_stamps_of_now(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(4))
     tape = Tape()
-    played = recording.play(tape, Zenoh(), path, rate=10.0)
+    played = recording.play(tape, ZenohConfig(), path, rate=10.0)
     assert played.messages == 8
     assert [key for key, _ in tape.puts[:2]] == ["edge/odom", "edge/camera/rgb"]
     stamps = [messages.peek_stamp_ns(payload) for _, payload in tape.puts]
@@ -127,7 +127,7 @@ def test_what_the_simulator_knows_is_played_with_the_pictures(tmp_path):
     said = [(topics.LABELS, 5, b'["bed"]'), *((topic, 5, picture) for topic in shot)]
     record_messages(path, said)
     tape = Tape()
-    recording.play(tape, Zenoh(topics={"sim/labels": "names"}), path)
+    recording.play(tape, ZenohConfig(topics={"sim/labels": "names"}), path)
     assert tape.puts[0] == ("edge/names", b'["bed"]')
     assert [key for key, _ in tape.puts[1:]] == [f"edge/{topic.key}" for topic in shot]
     assert tape.puts[1][1] == tape.puts[2][1] != picture
@@ -137,7 +137,7 @@ def test_playing_as_it_was(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(2))
     tape = Tape()
-    recording.play(tape, Zenoh(), path, rate=10.0, restamp=False)
+    recording.play(tape, ZenohConfig(), path, rate=10.0, restamp=False)
     assert [p for _, p in tape.puts] == [p for t, _, p in drive(2) if t.writer == "sensors"]
 
 
@@ -145,7 +145,7 @@ def test_a_loop_plays_until_it_is_stopped(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(2))
     tape = Tape(9)
-    played = recording.play(tape, Zenoh(), path, rate=100.0, loop=True, stop=tape.full)
+    played = recording.play(tape, ZenohConfig(), path, rate=100.0, loop=True, stop=tape.full)
     assert played.messages == len(tape.puts) == 9
     stamps = [messages.peek_stamp_ns(payload) for key, payload in tape.puts if "odom" in key]
     assert all(np.diff(stamps) > 0)
@@ -155,4 +155,4 @@ def test_a_loop_over_nothing_is_an_error(tmp_path):
     path = tmp_path / "empty.mcap"
     record_messages(path, [])
     with pytest.raises(RecordingError, match="no message of a sensor in it"):
-        recording.play(Tape(), Zenoh(), path, loop=True)
+        recording.play(Tape(), ZenohConfig(), path, loop=True)

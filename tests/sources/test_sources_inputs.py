@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from test_sources_synchronizer import FRAME_NS, MS, Robot
 
-from edge.loop.source import InputRow, inputs_status, lacking
+from edge.loop.source import InputStatus, inputs_status, missing_inputs
 
 
-def rows(robot: Robot) -> dict[str, InputRow]:
+def rows(robot: Robot) -> dict[str, InputStatus]:
     return {row.name: row for row in robot.synchronizer.inputs.rows()}
 
 
@@ -40,7 +40,7 @@ def test_before_anything_came_everything_is_missing_and_named_as_it_is_listened_
     inputs = robot.synchronizer.inputs
     inputs.listen("camera/rgb", "/camera/color/image_raw")
     inputs.listen("odom", "edge/odom")
-    assert lacking(inputs.rows()) == (
+    assert missing_inputs(inputs.rows()) == (
         "no message yet on camera/rgb (/camera/color/image_raw), camera/depth, camera/info, "
         "edge/odom"
     )
@@ -63,7 +63,7 @@ def test_before_anything_came_everything_is_missing_and_named_as_it_is_listened_
 )  # fmt: skip
 def test_the_one_input_that_never_came_is_named(without, said):
     robot = driven(Robot(), 3, without)
-    assert lacking(robot.synchronizer.inputs.rows()) == said
+    assert missing_inputs(robot.synchronizer.inputs.rows()) == said
 
 
 @pytest.mark.parametrize("without", ["camera/rgb", "camera/depth", "odom"])
@@ -72,8 +72,8 @@ def test_the_one_input_that_comes_no_more_is_named_until_it_is_back(without):
     row = rows(robot)[without]
     assert (row.state, row.hz) == ("silent", 0.0)
     assert row.age_s == pytest.approx(3.0, abs=0.01)
-    assert f"no more messages on {without}" in lacking(robot.synchronizer.inputs.rows())
-    assert lacking(driven(robot, 3).synchronizer.inputs.rows()) == ""
+    assert f"no more messages on {without}" in missing_inputs(robot.synchronizer.inputs.rows())
+    assert missing_inputs(driven(robot, 3).synchronizer.inputs.rows()) == ""
 
 
 @pytest.mark.parametrize(
@@ -108,5 +108,5 @@ def test_poses_that_are_old_are_told_for_as_long_as_they_are_used():
         "ok", "mapped with poses 167 ms old; odom comes 700 ms after camera/depth of its stamp, "
         "and source.wait_s is 0.5",
     )  # fmt: skip
-    assert lacking(robot.synchronizer.inputs.rows()) == ""
+    assert missing_inputs(robot.synchronizer.inputs.rows()) == ""
     assert rows(driven(robot, 3))["odom"].why == ""

@@ -13,7 +13,7 @@ from edge.bus.wire.transforms import Transform, encode_transforms
 from edge.geometry import se2_of, se3
 from edge.sources.decoder import CdrDecoder
 from edge.sources.synchronizer import TimeSynchronizer
-from edge.sources.tf import Frames
+from edge.sources.tf import RobotFrames
 
 BEGIN_NS = 10**12
 PAN_RADPS, MAP_RADPS = 1.0, -0.8
@@ -31,7 +31,7 @@ class Head:
     def __init__(self, late_ms: dict[str, int], hz: dict[str, int], data: dict = ONNX) -> None:
         config = simulated({**data, "source": {"kind": "ros2"}})
         self.now_ns, clock = BEGIN_NS, lambda: self.now_ns
-        self.frames = Frames(config)
+        self.frames = RobotFrames(config)
         self.synchronizer = TimeSynchronizer(config, clock, self.frames.mount_at)
         self.decoder = CdrDecoder(self.synchronizer, clock, self.frames)
         self._leads_cloud = "mapping" in data

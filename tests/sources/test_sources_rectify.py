@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge import config
-from edge.geometry import SE2, CameraModel, Lens, optical, se3
+from edge.geometry import SE2, CameraModel, Lens, se3, to_optical
 from edge.mapping.grid import RollingMap
 from edge.sources.messages import DepthImage, Image
 from edge.sources.rectify import MODELS, Rectifier, is_rectified
@@ -138,10 +138,10 @@ def test_what_the_model_would_show_a_second_time_is_not_shown():
 @pytest.mark.parametrize("name", ["plumb_bob", "equidistant"])
 def test_a_thing_stays_in_its_place_on_the_map(name):
     lens, camera = LENSES[name]
-    T = SE2(0.0, 0.0, 0.0).matrix() @ optical(se3(0.0, 0.0, CAMERA_Z_M))
+    T = SE2(0.0, 0.0, 0.0).matrix() @ to_optical(se3(0.0, 0.0, CAMERA_Z_M))
 
     def mapped(depth: np.ndarray) -> set[tuple[int, int]]:
-        grid = RollingMap(config.Mapping(range_m=3.0, extent_m=9.0, inflation_m=0.0))
+        grid = RollingMap(config.MappingConfig(range_m=3.0, extent_m=9.0, inflation_m=0.0))
         grid.update_depth(depth, camera, np.eye(4), T)
         found = grid.snapshot(inflated=0)
         rows, columns = np.nonzero(found.cells == 100)

@@ -16,7 +16,7 @@ from edge.geometry import CameraModel
 from edge.host.ports import free_port
 from edge.launch import open_service
 from edge.loop.runner import loop
-from edge.loop.status import status_of
+from edge.loop.status import status_message
 from edge.sources import find_source
 from edge.sources.zenoh import ZenohSource
 from edge.types import Observation
@@ -70,7 +70,7 @@ def test_a_source_of_ones_own_drives_the_loop(monkeypatch):
     with open_service(config, []) as running:
         loop(running, stop, each=lambda: ticks.append(1) or (len(ticks) == 10 and stop.set()))
         assert running.service.latency.report().tick.count == 10
-        status = status_of(running.service.result())
+        status = status_message(running.service.result())
     assert (status["loop"]["failed"], status["loop"]["overruns"]["sensors"]) == (0, 0)
     assert status["inputs"] == {"state": "ok", "detail": "", "topics": {}}, "it has no table"
 

@@ -15,10 +15,10 @@ from ros_router import kept, ours, router, zenoh_settings
 from simulated import simulated
 
 from edge.bus.ros2.names import RMW_ZENOH, dialect_of
-from edge.bus.ros2.node import Node
+from edge.bus.ros2.node import Ros2Node
 from edge.bus.wire import messages
 from edge.geometry import R_BODY_OPTICAL, SE2, CameraModel
-from edge.loop.source import lacking
+from edge.loop.source import missing_inputs
 from edge.sources.ros2 import Ros2Source
 
 CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
@@ -65,7 +65,7 @@ class Robot:
     """Publishes as a robot does, in the graph of a router."""
 
     def __init__(self, session, dialect=RMW_ZENOH) -> None:
-        self.node = Node(session, 0, "robot", dialect)
+        self.node = Ros2Node(session, 0, "robot", dialect)
         publish = self.node.publisher
         if dialect.has_tokens:
             self.tf_static = publish("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
@@ -227,7 +227,9 @@ def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):
         source.wait(0.2)
         assert source.poll() is None
         dropped = "every message on /odom is dropped: no_transform (no transform from 'odom' to "
-        return f"{dropped}'nowhere' in tf, which has no 'nowhere')" in lacking(source.input_table())
+        return f"{dropped}'nowhere' in tf, which has no 'nowhere')" in missing_inputs(
+            source.input_table()
+        )
 
     eventually(missed)
 

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated import simulated
 
-from edge.bus.wire.messages import Odometry
+from edge.bus.wire.messages import OdometryMessage
 from edge.bus.wire.transforms import MOST_TRANSFORMS, Transform, encode_transforms
 from edge.geometry import invert, se2_of, se3
 from edge.sources.odometry import RESET_AFTER
-from edge.sources.tf import Frames, TfBuffer
+from edge.sources.tf import RobotFrames, TfBuffer
 
 MS = 1_000_000
 WAIT_NS = 500 * MS
@@ -138,7 +138,7 @@ def test_a_flood_of_frames_is_bounded():
 
 @pytest.mark.parametrize(("parent", "child"), [("", "a"), ("a", ""), ("a", "a")])
 def test_a_transform_that_joins_no_two_frames_is_named(parent, child):
-    frames = Frames(simulated())
+    frames = RobotFrames(simulated())
     assert frames.take(encode_transforms([Transform(0, "a", "b", A)]), static=False) == ""
     payload = encode_transforms([Transform(0, parent, child, A)])
     assert (
@@ -148,8 +148,8 @@ def test_a_transform_that_joins_no_two_frames_is_named(parent, child):
 
 
 @pytest.fixture
-def frames() -> Frames:
-    found = Frames(simulated())
+def frames() -> RobotFrames:
+    found = RobotFrames(simulated())
     edges = [("map", "odom", A), ("base_footprint", "base_link", B), ("base_link", "eye", C)]
     found.take(encode_transforms([Transform(0, *edge) for edge in edges]), static=True)
     return found
@@ -174,7 +174,7 @@ def frames() -> Frames:
     ],
 )  # fmt: skip
 def test_odometry_is_taken_into_the_map(frames, frame_id, child_frame_id, expected):
-    got = frames.base_in_map(Odometry(0, C, 0.0, 0.0, frame_id, child_frame_id))
+    got = frames.base_in_map(OdometryMessage(0, C, 0.0, 0.0, frame_id, child_frame_id))
     if isinstance(expected, str):
         assert (got.T, got.why) == (None, expected)
     else:

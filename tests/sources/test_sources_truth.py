@@ -11,7 +11,7 @@ from simulated import simulated
 
 from edge.bus.wire import messages
 from edge.perception.detection.sim import Segmentation
-from edge.sources.truth import TruthInbox, parse_labels
+from edge.sources.truth import SegmentationInbox, parse_labels
 
 MS = 1_000_000
 LABELS = b'["chair", "bed"]'
@@ -34,17 +34,17 @@ def picture(stamp_ms: int, value: int = 1) -> bytes:
     return messages.encode_image(stamp_ms * MS, "camera", np.full((2, 3), value, np.uint16))
 
 
-def at(inbox: TruthInbox, stamp_ms: int) -> int | None:
+def at(inbox: SegmentationInbox, stamp_ms: int) -> int | None:
     found = inbox.at(stamp_ms * MS)
     return None if found is None else int(found.ids[0, 0])
 
 
 def test_there_is_nothing_before_anything_came():
-    assert TruthInbox(simulated(), Simulator()).at(0) is None
+    assert SegmentationInbox(simulated(), Simulator()).at(0) is None
 
 
 def test_the_newest_are_kept_and_a_look_ends_under_a_flood():
-    inbox = TruthInbox(simulated(), Simulator(picture(100 * k, k) for k in range(10**9)))
+    inbox = SegmentationInbox(simulated(), Simulator(picture(100 * k, k) for k in range(10**9)))
     assert at(inbox, 700) == 7
     assert at(inbox, 1500) == 15
     assert at(inbox, 700) is None
@@ -52,7 +52,7 @@ def test_the_newest_are_kept_and_a_look_ends_under_a_flood():
 
 def test_labels_and_nonsense():
     pictures = [b"", b"junk", picture(100)[:-1], b"\0\1\0\0" + b"\xff" * 40, picture(200)]
-    inbox = TruthInbox(simulated(), Simulator(pictures, [b"{}", LABELS]))
+    inbox = SegmentationInbox(simulated(), Simulator(pictures, [b"{}", LABELS]))
     assert at(inbox, 200) == 1
     found = inbox.at(200 * MS)
     assert isinstance(found, Segmentation)

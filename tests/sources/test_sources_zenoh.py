@@ -10,7 +10,7 @@ from fake_zenoh import Flooded
 from simulated import simulated
 
 from edge.bus.wire import messages
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.zenoh import ZenohSource
 
@@ -34,12 +34,14 @@ def test_a_look_takes_no_more_odometry_than_the_ring_holds(ring):
 
 def test_a_look_takes_no_more_answers_than_the_ring_holds():
     accepted = b'{"stamp": %d, "state": "accepted"}'
-    inbox = GoalStatusInbox(Flooded("edge/goal_status", (accepted % n for n in count(1))), Zenoh())
+    inbox = GoalStatusInbox(
+        Flooded("edge/goal_status", (accepted % n for n in count(1))), ZenohConfig()
+    )
     assert [answer.stamp_ns for answer in inbox.poll()] == list(range(1, 65))
     assert [answer.stamp_ns for answer in inbox.poll()] == list(range(65, 129))
 
 
 def test_a_flood_of_no_answers_is_as_bounded():
-    inbox = GoalStatusInbox(Flooded("edge/goal_status", repeat(b"[]")), Zenoh())
+    inbox = GoalStatusInbox(Flooded("edge/goal_status", repeat(b"[]")), ZenohConfig())
     assert inbox.poll() == []
     assert inbox.malformed == 64

@@ -28,7 +28,7 @@ from edge.config import Config
 from edge.config.yaml_text import parse_yaml
 from edge.geometry import CameraModel
 from edge.host.ports import free_port
-from edge.loop.source import lacking
+from edge.loop.source import missing_inputs
 from edge.sources import find_source
 from edge.sources.zmq import ZmqSource, parse_header
 from edge.types import Observation
@@ -118,14 +118,14 @@ def test_what_a_camera_lacks_is_named_with_its_address(parts, said):
     with source_of(configured(where), standing()) as source:
         source.poll()
         every = ", ".join(f"camera/{name} ({where})" for name in ("rgb", "depth", "info"))
-        assert lacking(source.input_table()) == f"no message yet on {every}"
+        assert missing_inputs(source.input_table()) == f"no message yet on {every}"
         with camera_at(where) as send:
 
             def told() -> bool:
                 send(*parts)
                 source.wait(0.05)
                 source.poll()
-                return said.format(where) in lacking(source.input_table())
+                return said.format(where) in missing_inputs(source.input_table())
 
             eventually(told)
 

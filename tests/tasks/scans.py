@@ -7,11 +7,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from edge.geometry import CameraModel, optical, se3
+from edge.geometry import CameraModel, se3, to_optical
 from edge.types import Detections, Observation
 
 LIDAR = se3(0.0, 0.0, 1.7)
-CAMERA = optical(se3(0.2, 0.0, 1.5))
+CAMERA = to_optical(se3(0.2, 0.0, 1.5))
 MODEL = CameraModel.from_hfov(400, 240, 1.5)
 GROUND = -1
 SKY = -2

@@ -6,12 +6,12 @@ import numpy as np
 
 from edge.geometry import SE2, Grid
 from edge.tasks.scene import Region, Scene
-from edge.tasks.value_map import Body
+from edge.tasks.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 CELL_M = 0.1
 LIMITS = MotionLimits(speed_mps=1.0, turn_radps=1.0, accel_mps2=0.8, turn_accel_radps2=3.0)
-BODY = Body(clearance_m=0.4, tube_m=1.0)
+BODY = PathMargins(clearance_m=0.4, tube_m=1.0)
 START = SE2(-7.0, 0.0, 0.0)
 Box = tuple[float, float, float, float]
 
@@ -29,5 +29,5 @@ def scene(*obstacles: Box, pose: SE2 = START, road: Box = (-9.0, -9.0, 9.0, 9.0)
 
 
 def fill(grid: Grid, box: Box, value: int) -> None:
-    (c0, r0), (c1, r1) = np.rint(grid.of_metres(np.reshape(box, (2, 2)))).astype(int)
+    (c0, r0), (c1, r1) = np.rint(grid.to_cells(np.reshape(box, (2, 2)))).astype(int)
     grid.cells[max(r0, 0) : max(r1, 0), max(c0, 0) : max(c1, 0)] = value

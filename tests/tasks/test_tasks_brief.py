@@ -6,7 +6,7 @@ import pytest
 from simulated import simulated
 
 from edge.errors import UserError
-from edge.tasks.brief import prepare_task, prepared
+from edge.tasks.mission_spec import prepare_mission, prepare_task
 
 RULES = simulated({"mission": {"target": "bed", "max_targets": 3}})
 MODEL = simulated({"tasks": {"planner": {"kind": "model"}}, "mission": {"target": "bed"}})
@@ -59,5 +59,5 @@ def test_what_is_no_task_is_refused_in_one_line(config, task, said):
 
 
 def test_without_a_task_it_is_a_mission():
-    assert prepared(RULES).steps is None
-    assert prepared(RULES, formula="F sofa").targets == ("sofa",)
+    assert prepare_mission(RULES).steps is None
+    assert prepare_mission(RULES, formula="F sofa").targets == ("sofa",)

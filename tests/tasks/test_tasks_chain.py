@@ -7,7 +7,13 @@ import pytest
 
 from edge import config
 from edge.perception.detection.sim import Segmentation
-from edge.tasks.chain import Chain, boxes_alone, in_tiles, open_chain, see
+from edge.tasks.pipeline import (
+    PerceptionPipeline,
+    boxes_as_masks,
+    in_tiles,
+    open_pipeline,
+    run_pipeline,
+)
 from edge.types import MASK_SIDE, Detections, Observation
 
 
@@ -28,9 +34,9 @@ def chain_of(*boxes, **parts):
     given = {
         "tags": lambda observation: ("car", "tree"),
         "boxes": lambda observation, tags: detections(observation, boxes, tags),
-        "masks": boxes_alone,
+        "masks": boxes_as_masks,
     }
-    return Chain(**{**given, **parts})
+    return PerceptionPipeline(**{**given, **parts})
 
 
 def test_each_part_gets_what_the_one_before_it_made():
@@ -57,7 +63,9 @@ def test_each_part_gets_what_the_one_before_it_made():
         return [f"a {found.prompts[found.class_id[0]]}"]
 
     embedding = np.ones((1, 4), np.float32)
-    seen = see(Chain(tags, boxes, masks, captions, lambda found: embedding), observation)
+    seen = run_pipeline(
+        PerceptionPipeline(tags, boxes, masks, captions, lambda found: embedding), observation
+    )
     assert calls == ["tags", "boxes", "masks", "captions"]
     assert seen.caption == ("a van",)
     assert seen.embedding is embedding
@@ -72,7 +80,7 @@ def test_each_part_gets_what_the_one_before_it_made():
 )
 def test_a_part_that_miscounts_is_told(part, answers, words):
     with pytest.raises(ValueError, match=words):
-        see(chain_of((0, 0, 5, 5), **{part: answers}), observe())
+        run_pipeline(chain_of((0, 0, 5, 5), **{part: answers}), observe())
 
 
 def looker(things, seen):
@@ -127,12 +135,12 @@ def test_a_configured_chain_takes_the_detectors_boxes():
     ids = np.zeros((20, 40), np.uint16)
     ids[5:15, 10:30] = 1
     truth = Segmentation(ids, ("chair",))
-    perception = config.Perception(
+    perception = config.PerceptionConfig(
         detector=config.DetectorSim(miss_rate=0.0, false_positive_rate=0.0), tau_det=0.1
     )
     observation = replace(observe(), depth_m=np.full((20, 40), 2.0, np.float32))
-    with open_chain(perception, ("chair", "sofa"), lambda stamp_ns: truth) as chain:
-        seen = see(chain, observation)
+    with open_pipeline(perception, ("chair", "sofa"), lambda stamp_ns: truth) as chain:
+        seen = run_pipeline(chain, observation)
     assert [seen.found.prompts[k] for k in seen.found.class_id] == ["chair"]
     assert seen.caption == ("black chair",)
     np.testing.assert_allclose(seen.found.xyxy_px[0], [10, 5, 30, 15], atol=1.0)

@@ -10,18 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from task_facts import by_a_model, looking, written
 
-from edge.tasks.facts import same_words, thinned
+from edge.tasks.facts import same_text, thinned
 
 
 def test_no_task_is_the_same_as_none():
-    assert same_words(None, None)
-    assert not same_words(None, looking())
-    assert not same_words(looking(), None)
+    assert same_text(None, None)
+    assert not same_text(None, looking())
+    assert not same_text(looking(), None)
 
 
 def test_how_far_it_is_driven_changes_no_words():
     task = by_a_model()
-    assert same_words(task, replace(task, index=task.index + 7, coarse_m=task.coarse_m.copy()))
+    assert same_text(task, replace(task, index=task.index + 7, coarse_m=task.coarse_m.copy()))
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_how_far_it_is_driven_changes_no_words():
 )  # fmt: skip
 def test_all_else_does(change):
     task = by_a_model()
-    assert not same_words(task, replace(task, **change))
+    assert not same_text(task, replace(task, **change))
 
 
 @given(st.integers(1, 300), st.integers(1, 500), st.data())

@@ -10,16 +10,16 @@ import pytest
 from ros_messages import from_ros
 from small_scenes import BODY, LIMITS, scene
 
-from edge.config import Mapping
+from edge.config import MappingConfig
 from edge.geometry import SE2
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
 from edge.tasks.follow import blocked_ahead_m, goal_ahead, index_at_goal, path_message
-from edge.tasks.refine import Refined, refine
+from edge.tasks.refine import RefinedTrajectory, refine
 from edge.trajectory.smoothing import resample
 
 
-def line() -> Refined:
+def line() -> RefinedTrajectory:
     """From (-7, 0) to (7, 0)."""
     return refine(scene(), [np.array([[7.0, 0.0]])], {1}, BODY, LIMITS)
 
@@ -48,7 +48,7 @@ def test_the_goal_is_ahead_of_the_robot(robot, look_ahead_m, since_m, goal_x_m):
     assert index >= since
 
 
-def bend(corner_m: tuple[float, float]) -> Refined:
+def bend(corner_m: tuple[float, float]) -> RefinedTrajectory:
     """From (-7, 0) by a corner to (-7, 3)."""
     points = np.array([(-7.0, 0.0), corner_m, (-7.0, 3.0)])
     refined = line()
@@ -126,7 +126,9 @@ def test_a_single_pose_is_its_own_goal():
 
 def mapped(*boxes: tuple[float, float, float, float]) -> MapView:
     """Boxes (x0, y0, x1, y1), seen by a LiDAR at the origin, in a map of what is within 9 m."""
-    grid = RollingMap(Mapping(input="cloud", resolution_m=0.1, extent_m=19.2, inflation_m=0.4))
+    grid = RollingMap(
+        MappingConfig(input="cloud", resolution_m=0.1, extent_m=19.2, inflation_m=0.4)
+    )
     for x0, y0, x1, y1 in boxes:
         x, y = np.meshgrid(np.arange(x0, x1, 0.05), np.arange(y0, y1, 0.05))
         cloud = np.stack((x, y, np.full_like(x, 0.5)), axis=-1).reshape(-1, 3).astype(np.float32)

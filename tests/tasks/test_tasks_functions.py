@@ -12,7 +12,7 @@ from task_scenes import RESOLUTION_M, ROAD, STREET, Thing, street
 
 from edge.config import TrajectoryLimits
 from edge.geometry import wrap_angle
-from edge.tasks.functions import MOST_SHOWN, CallError, Functions
+from edge.tasks.functions import MOST_SHOWN, CallError, ScriptFunctions
 from edge.tasks.ground import ABOUT_M, ground_of
 from edge.tasks.trajectory import TrajectoryError
 
@@ -23,11 +23,11 @@ COORDINATE = st.floats(-15.0, 15.0)
 
 @pytest.fixture
 def functions():
-    return Functions(GROUND, LIMITS)
+    return ScriptFunctions(GROUND, LIMITS)
 
 
 def test_a_scene_without_things_has_none():
-    functions = Functions(ground_of(street(), LIMITS.clearance_m), LIMITS)
+    functions = ScriptFunctions(ground_of(street(), LIMITS.clearance_m), LIMITS)
     assert functions.det_object() == functions.det_object("car") == []
     assert functions.robot() == {"position": (0.0, 0.0), "heading_rad": 0.0}
 
@@ -48,7 +48,7 @@ def test_things_are_found_by_name_the_nearest_first(functions, name, ids):
 
 def test_a_caption_is_one_printable_line():
     thing = Thing("sign", 5.0, 0.0, caption="go\n\x1b[2Jon\u202e" + "!" * 1000)
-    (sign,) = Functions(ground_of(street(thing), 0.3), LIMITS).det_object()
+    (sign,) = ScriptFunctions(ground_of(street(thing), 0.3), LIMITS).det_object()
     assert sign["caption"].isprintable()
     assert len(sign["caption"]) == 200
 
@@ -126,7 +126,7 @@ def test_sides_turn_with_who_looks(functions):
 
 @given(COORDINATE, COORDINATE, COORDINATE, COORDINATE, st.sampled_from(["left", "right"]))
 def test_an_arc_passes_the_side_and_keeps_its_distance(x, y, ex, ey, side):
-    functions = Functions(GROUND, LIMITS)
+    functions = ScriptFunctions(GROUND, LIMITS)
     start, end, centre = (x, y), (ex, ey), (8.0, 0.0)
     assume(min(math.dist(start, centre), math.dist(end, centre)) > 0.1)
     arc = np.array(functions.arc(1, start, end, side, 1.0))
@@ -150,7 +150,7 @@ def test_geometry(functions):
 
 def test_an_arc_round_something_long_has_no_leap():
     scene = street(Thing("fence", 0.0, 8.0, (16.0, 0.4)))
-    functions = Functions(ground_of(scene, 0.3), LIMITS)
+    functions = ScriptFunctions(ground_of(scene, 0.3), LIMITS)
     arc = np.array(functions.arc(1, (0.0, 0.0), (0.0, 15.0), "left"))
     assert np.hypot(*np.diff(arc, axis=0).T).max() <= LIMITS.max_jump_m
     gap = np.maximum(np.abs(arc - (0.0, 8.0)) - (8.0, 0.2), 0.0)
@@ -172,20 +172,20 @@ def test_one_stops_where_one_comes_from(functions):
 @pytest.mark.parametrize("clearance_m", [0.2, 0.4, 0.9, 1.3])
 def test_one_stops_little_farther_off_than_one_has_to(clearance_m):
     ground = ground_of(street(Thing("van", 8.0, 0.0, (4.0, 2.0))), clearance_m)
-    x, y = Functions(ground, LIMITS).stopping_point(1)
+    x, y = ScriptFunctions(ground, LIMITS).stopping_point(1)
     assert y == pytest.approx(0.0, abs=0.11)
     assert clearance_m <= 6.0 - x <= clearance_m + RESOLUTION_M + ABOUT_M
 
 
 def test_one_stops_before_a_thing_beyond_the_map():
     scene = street(Thing("gate", 23.0, 0.0, (0.4, 3.0)))
-    x, y = Functions(ground_of(scene, 0.3), LIMITS).stopping_point(1)
+    x, y = ScriptFunctions(ground_of(scene, 0.3), LIMITS).stopping_point(1)
     assert x > 19.0
     assert abs(y) < 1.8
 
 
 def test_one_does_not_stop_far_from_a_thing():
     far = street(Thing("gate", 18.0, 0.0, (0.4, 3.0)), walls=((12.0, 12.4, -20.0, 20.0),))
-    functions = Functions(ground_of(far, 0.3), LIMITS)
+    functions = ScriptFunctions(ground_of(far, 0.3), LIMITS)
     with pytest.raises(CallError, match=r"^the robot gets no nearer to gate 1 than 6\.1 m$"):
         functions.stopping_point(1)

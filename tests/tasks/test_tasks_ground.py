@@ -12,7 +12,7 @@ from task_scenes import LAWN, RESOLUTION_M, ROAD, STREET, street
 
 from edge.geometry import SE2
 from edge.tasks.ground import ESCAPE_M, ground_of
-from edge.tasks.value_map import Body, value_map
+from edge.tasks.value_map import PathMargins, value_map
 
 CLEAR_M = 0.3
 HOUSE = ((3.0, 8.0, -3.0, -2.6), (3.0, 8.0, 2.6, 3.0), (3.0, 3.4, -3.0, 3.0), (7.6, 8.0, -3.0, 3.0))
@@ -77,7 +77,7 @@ def test_what_is_closed_to_who_writes_is_closed_to_who_refines(seed, clearance_m
     scene.occupancy.cells[:] = rng.choice([-1, 0, 0, 0, 0, 100], scene.occupancy.cells.shape)
     scene.regions_grid.cells[:] = rng.choice([0, ROAD], scene.occupancy.cells.shape)
     grids = scene.occupancy, scene.regions_grid
-    refines = value_map(*grids, {ROAD}, np.empty((0, 2)), Body(clearance_m))
+    refines = value_map(*grids, {ROAD}, np.empty((0, 2)), PathMargins(clearance_m))
     writes = ground_of(scene, clearance_m).costmap
     np.testing.assert_array_equal(writes.weight > 0, refines.weight > 0)
 

@@ -12,10 +12,10 @@ from edge.tasks.objects import (
     ObjectMap,
     box_around,
     clusters,
+    downsample,
     first_in_voxels,
     main_cluster,
-    share_near,
-    thin,
+    overlap_share,
 )
 
 NONE = np.zeros((0, 3), np.float32)
@@ -69,7 +69,7 @@ def test_two_sides_tell_how_a_thing_stands(heading):
 def test_nothing_hangs_together_of_nothing():
     assert len(main_cluster(NONE, np.zeros(3))) == 0
     assert clusters(NONE, 1.0) == []
-    assert thin(NONE).shape == (0, 3)
+    assert downsample(NONE).shape == (0, 3)
 
 
 def test_strays_are_left_out():
@@ -87,11 +87,11 @@ def test_voxels_hold_one_point_each(seed, n):
 
 
 def test_no_more_points_than_there_is_room_for():
-    assert len(thin(block(size=(50, 50, 5), n=20_000))) == MOST_POINTS
+    assert len(downsample(block(size=(50, 50, 5), n=20_000))) == MOST_POINTS
 
 
 def test_of_nothing_no_share_is_near():
-    assert share_near(NONE, block()) == share_near(block(), NONE) == 0.0
+    assert overlap_share(NONE, block()) == overlap_share(block(), NONE) == 0.0
 
 
 def test_too_few_points_are_no_thing():
@@ -164,12 +164,12 @@ def test_a_long_drive_forgets_the_votes_that_are_oldest(monkeypatch):
     first, last = (seen.add("van", points) for points in (places[:20], places[-20:]))
     for _ in range(3):
         seen.vote("van", places[:10], 1)
-    assert len(seen.agreed_m(first)) == 10
+    assert len(seen.confirmed_points_m(first)) == 10
     for begin in range(20, 5000, 20):
         seen.vote("van", places[begin : begin + 20], 1)
         seen.vote("van", places[:10], 1)  # always in view
         assert len(seen._votes) <= 100
-    assert len(seen.agreed_m(first)) == 10
+    assert len(seen.confirmed_points_m(first)) == 10
     seen.vote("van", places[20:-5], 1)
-    assert len(seen.agreed_m(first)) == 20, "of nothing that is known, all is taken"
-    assert len(seen.agreed_m(last)) == 15
+    assert len(seen.confirmed_points_m(first)) == 20, "of nothing that is known, all is taken"
+    assert len(seen.confirmed_points_m(last)) == 15

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import yaml
 
-from edge.config import Tasks, load
+from edge.config import TasksConfig, load
 from edge.errors import UserError
-from edge.lab.eval.trial.views import street_view
-from edge.tasks.chain import see
+from edge.lab.eval.trial.scene_capture import capture_street
 from edge.tasks.functions import NAMES
-from edge.tasks.write import write
+from edge.tasks.pipeline import run_pipeline
+from edge.tasks.write import write_trajectory
 from edge.types import Detections, Observation
 
 PAGE = (Path(__file__).parents[2] / "docs/tasks.md").read_text(encoding="utf-8")
@@ -29,7 +29,7 @@ BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 @cache
 def scene():
-    return street_view(3, load("street")).scene
+    return capture_street(3, load("street")).scene
 
 
 def test_the_page_has_its_tables():
@@ -40,13 +40,13 @@ def test_the_page_has_its_tables():
 
 @pytest.mark.parametrize(("words", "understood"), UNDERSTOOD)
 def test_what_is_understood(words, understood):
-    assert write(words, scene(), load("street").tasks).understood == understood
+    assert write_trajectory(words, scene(), load("street").tasks).understood == understood
 
 
 @pytest.mark.parametrize(("words", "answer"), [row for row in REFUSED if row[0].startswith("go ")])
 def test_what_is_refused(words, answer):
     with pytest.raises(UserError, match=re.escape(answer.strip())):
-        write(words, scene(), load("street").tasks)
+        write_trajectory(words, scene(), load("street").tasks)
 
 
 def test_every_function_is_there():
@@ -57,7 +57,7 @@ def test_every_function_is_there():
 def test_the_configurations_are_ones(text):
     """And what they show beside a model's name and address is what holds anyway."""
     given = yaml.safe_load(text)["tasks"]
-    tasks, default = Tasks.model_validate(given), Tasks()
+    tasks, default = TasksConfig.model_validate(given), TasksConfig()
     assert tasks.trajectory == default.trajectory
     if "planner" in given:
         planner = type(tasks.planner)()
@@ -76,4 +76,4 @@ def test_a_chain_of_ones_own_sees():
 
     names = {"my_detector": my_detector}
     exec(code, names)
-    assert see(names["my_chain"](("sofa",)), picture).caption == ("a person",)
+    assert run_pipeline(names["my_chain"](("sofa",)), picture).caption == ("a person",)

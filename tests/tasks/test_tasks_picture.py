@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from edge.geometry import SE2, CameraModel, Grid
-from edge.tasks.picture import annotated, colour
+from edge.tasks.picture import colour, draw_marks
 from edge.tasks.scene import Scene
 
 EMPTY = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.1)
@@ -21,16 +21,16 @@ GRAY = np.full((120, 160, 3), 90, np.uint8)
 
 
 def test_without_a_picture_there_is_none():
-    assert annotated(scene()) is None
+    assert draw_marks(scene()) is None
 
 
 @pytest.mark.parametrize(("longest_px", "shape"), [(80, (60, 80, 3)), (2000, (720, 960, 3))])
 def test_it_is_no_longer_than_asked(longest_px, shape):
-    assert annotated(scene(GRAY, {1: [SQUARE]}), longest_px).shape == shape
+    assert draw_marks(scene(GRAY, {1: [SQUARE]}), longest_px).shape == shape
 
 
 def test_an_outline_has_its_things_colour_and_lies_where_it_should():
-    image = annotated(scene(GRAY, {7: [SQUARE]}))
+    image = draw_marks(scene(GRAY, {7: [SQUARE]}))
     outlined = (np.abs(image.astype(int) - colour(7)) <= 2).all(axis=2)
     for x, y in (SQUARE * 6).tolist():
         assert outlined[y - 2 : y + 3, x - 2 : x + 3].any()
@@ -41,6 +41,6 @@ def test_an_outline_has_its_things_colour_and_lies_where_it_should():
 def test_every_thing_has_its_number_and_none_hides_another():
     """Many things on one spot: as many black discs beside one another."""
     contours = {i: [SQUARE] for i in range(1, 7)}
-    one = (annotated(scene(GRAY, {1: [SQUARE]})) == 0).all(axis=2).sum()
-    six = (annotated(scene(GRAY, contours)) == 0).all(axis=2).sum()
+    one = (draw_marks(scene(GRAY, {1: [SQUARE]})) == 0).all(axis=2).sum()
+    six = (draw_marks(scene(GRAY, contours)) == 0).all(axis=2).sum()
     assert six > 4 * one

@@ -12,8 +12,8 @@ import numpy as np
 from task_scenes import STREET, Thing, street
 
 from edge.config import TrajectoryLimits
-from edge.tasks.picture import annotated
-from edge.tasks.prompt import MOST_OBJECTS, describe, messages, picture, prompt, version
+from edge.tasks.picture import draw_marks
+from edge.tasks.prompt import MOST_OBJECTS, annotated_jpeg, describe, messages, prompt, version
 
 LIMITS = TrajectoryLimits()
 
@@ -23,7 +23,7 @@ def test_an_empty_scene_is_told_as_one():
     assert lines[-1] == "none"
     assert lines[0] == "Robot: position (0.00, 0.00), heading_rad 0.000."
     assert "Camera: none." in lines
-    assert picture(street()) is None
+    assert annotated_jpeg(street()) is None
 
 
 def test_the_prompt_has_a_version_and_five_parts_in_order():
@@ -79,7 +79,7 @@ def test_the_picture_goes_with_the_words_where_there_is_one():
     head, _, data = image["image_url"]["url"].partition(",")
     assert head == "data:image/jpeg;base64"
     shape = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR).shape
-    assert shape == annotated(scene).shape
+    assert shape == draw_marks(scene).shape
     assert isinstance(messages("go on", scene, LIMITS, with_picture=False)[1]["content"], str)
 
 
@@ -87,5 +87,5 @@ def test_a_large_picture_is_sent_smaller():
     scene = street(*STREET, picture=True)
     big = np.repeat(np.repeat(scene.rgb, 8, axis=0), 8, axis=1)
     contours = {k: [p * 8 for p in polygons] for k, polygons in scene.contours.items()}
-    jpeg = picture(replace(scene, rgb=big, contours=contours))
+    jpeg = annotated_jpeg(replace(scene, rgb=big, contours=contours))
     assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).shape == (800, 1280, 3)

@@ -13,9 +13,9 @@ from small_scenes import BODY, LIMITS, Box, fill, scene
 
 from edge.geometry import SE2
 from edge.tasks.legs import RefineError
-from edge.tasks.refine import CONTROL_M, SPACING_M, Refined, refine, refine_again
+from edge.tasks.refine import CONTROL_M, SPACING_M, RefinedTrajectory, refine, refine_again
 from edge.tasks.scene import Scene
-from edge.tasks.value_map import Body, closed_cells
+from edge.tasks.value_map import PathMargins, closed_cells
 
 HOUSE: Box = (-1.0, -1.0, 1.0, 1.0)
 WALL: Box = (-0.2, -10.0, 0.2, 10.0)
@@ -23,12 +23,16 @@ TO_THE_EAST = [np.array([[7.0, 0.0]])]
 SOUTH_ABOUT = [np.array([[-3.0, -4.0], [3.0, -4.0], [7.0, 0.0]])]
 
 
-def refined(where: Scene, segments=TO_THE_EAST, drivable=(1,), body=BODY, **more) -> Refined:
+def refined(
+    where: Scene, segments=TO_THE_EAST, drivable=(1,), body=BODY, **more
+) -> RefinedTrajectory:
     return refine(where, segments, drivable, body, LIMITS, **more)
 
 
-def is_free(where: Scene, trajectory: Refined, clearance_m: float = BODY.clearance_m) -> bool:
-    cells = np.floor(where.occupancy.of_metres(trajectory.poses[:, :2])).astype(int)
+def is_free(
+    where: Scene, trajectory: RefinedTrajectory, clearance_m: float = BODY.clearance_m
+) -> bool:
+    cells = np.floor(where.occupancy.to_cells(trajectory.poses[:, :2])).astype(int)
     return not closed_cells(where.occupancy, clearance_m)[cells[:, 1], cells[:, 0]].any()
 
 
@@ -156,7 +160,7 @@ def test_nothing_refined_collides(seed, count, clearance_m):
     where = scene(*map(tuple, boxes.tolist()), pose=SE2(-9.0, -9.0, 0.0))
     segments = [rng.uniform(-9.0, 9.0, (rng.integers(1, 6), 2)) for _ in range(3)]
     try:
-        got = refined(where, segments, body=Body(clearance_m, 1.0))
+        got = refined(where, segments, body=PathMargins(clearance_m, 1.0))
     except RefineError:
         return
     assert is_free(where, got, clearance_m)

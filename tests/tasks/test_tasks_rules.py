@@ -14,15 +14,15 @@ from task_scenes import STREET, Thing, street
 
 from edge.config import TrajectoryLimits
 from edge.geometry import SE2, wrap_angle
-from edge.mission.language.words import TranslationError
-from edge.tasks.functions import Functions
+from edge.mission.language.tokens import TranslationError
+from edge.tasks.functions import ScriptFunctions
 from edge.tasks.ground import REACH_M, ground_of
 from edge.tasks.phrases import PHRASES, tokenise
-from edge.tasks.reading import named, read
+from edge.tasks.reading import named_objects, parse_steps
 from edge.tasks.refine import refine, refine_again
-from edge.tasks.rules import carry_out
+from edge.tasks.rules import plan_by_rules
 from edge.tasks.trajectory import TrajectoryError
-from edge.tasks.value_map import Body
+from edge.tasks.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 LIMITS = TrajectoryLimits()
@@ -33,8 +33,8 @@ GROUND = ground_of(SCENE, LIMITS.clearance_m)
 def driven(instruction, scene=SCENE):
     """What was understood, and the trajectory."""
     ground = GROUND if scene is SCENE else ground_of(scene, LIMITS.clearance_m)
-    functions = Functions(ground, LIMITS)
-    steps = carry_out(instruction, functions)
+    functions = ScriptFunctions(ground, LIMITS)
+    steps = plan_by_rules(instruction, functions)
     return "; ".join(map(str, steps)), functions.given
 
 
@@ -55,7 +55,7 @@ def driven(instruction, scene=SCENE):
     ],
 )  # fmt: skip
 def test_what_it_names_is_known_before_anything_is_seen(instruction, things):
-    assert named(instruction) == things
+    assert named_objects(instruction) == things
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_what_it_names_is_known_before_anything_is_seen(instruction, things):
 )  # fmt: skip
 def test_what_is_no_instruction_is_refused_before_anything_is_seen(instruction):
     with pytest.raises(TranslationError, match=r"^instruction, character "):
-        named(instruction)
+        named_objects(instruction)
 
 
 @given(
@@ -76,11 +76,11 @@ def test_what_is_no_instruction_is_refused_before_anything_is_seen(instruction):
 )
 def test_what_is_understood_in_a_scene_is_understood_before(instruction):
     try:
-        steps = read(instruction, SCENE)
+        steps = parse_steps(instruction, SCENE)
     except TranslationError:
         return
     assert len(steps) >= 1
-    assert set(named(instruction)) <= {"van"}
+    assert set(named_objects(instruction)) <= {"van"}
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_what_is_understood_in_a_scene_is_understood_before(instruction):
 def test_instructions_that_are_understood(instruction, understood):
     if understood is None:
         with pytest.raises(TranslationError):
-            read(instruction, SCENE)
+            parse_steps(instruction, SCENE)
         return
     said, coarse = driven(instruction)
     assert said == understood
@@ -285,7 +285,7 @@ SAID_OTHERWISE = {
 )
 def test_what_is_said_in_other_words_means_the_same(instruction, understood):
     assert driven(instruction)[0] == understood
-    named(instruction)
+    named_objects(instruction)
 
 
 PROBES = Path(__file__).parents[3] / "shared" / "nl2ltl" / "probes_tasks.tsv"
@@ -378,9 +378,9 @@ def test_a_way_past_a_side_does_not_turn_back_past_the_other(walls, instruction,
 def test_what_comes_next_is_not_known_before_the_robot_is_past():
     """The corner beside the van is touched, and nothing leads on."""
     scene = street(VAN, GATE, walls=((8.9, 9.3, 0.9, 20.0), (10.3, 10.7, -20.0, 0.9)))
-    functions = Functions(ground_of(scene, LIMITS.clearance_m), LIMITS)
+    functions = ScriptFunctions(ground_of(scene, LIMITS.clearance_m), LIMITS)
     with pytest.raises(TrajectoryError, match="not known yet if the robot can pass the left"):
-        carry_out("go past the left of the van, then stop at the gate", functions, slice(0, 1))
+        plan_by_rules("go past the left of the van, then stop at the gate", functions, slice(0, 1))
 
 
 def test_ground_that_nobody_has_seen_is_not_called_full():
@@ -428,7 +428,7 @@ def test_a_thing_that_cannot_be_got_near_to_is_refused():
 def test_where_it_stops_at_a_thing_the_robot_faces_it_at_last(words, x_m, y_m):
     """Across the way it came too; where it leads to nothing, as it comes."""
     _, coarse = driven(words)
-    body, motion = Body(LIMITS.clearance_m, 1.0), MotionLimits(1.0, 1.0, 0.8, 3.0)
+    body, motion = PathMargins(LIMITS.clearance_m, 1.0), MotionLimits(1.0, 1.0, 0.8, 3.0)
     refined = refine(
         SCENE, coarse.segments, coarse.regions, body, motion, heading_rad=coarse.heading_rad
     )
@@ -450,8 +450,8 @@ def test_sides_are_those_that_the_robot_sees_as_it_comes():
     _, coarse = driven("go behind the van, then go past the left of the van")
     assert coarse.segments[1][:, 1].min() < -1.0
     turned = street(*STREET, pose=SE2(0.0, 0.0, math.pi))
-    assert read("go to the nearest car on the left", turned)[0].things[0].id == 4
-    assert read("go to the van behind you", turned)[0].things[0].id == 1
+    assert parse_steps("go to the nearest car on the left", turned)[0].things[0].id == 4
+    assert parse_steps("go to the van behind you", turned)[0].things[0].id == 1
 
 
 def test_around_goes_on_to_what_comes_next():
@@ -480,7 +480,7 @@ def test_each_phrase_is_one_token(kind):
 @given(st.text(max_size=60))
 def test_any_text_is_read_or_refused(text):
     try:
-        assert read(text, SCENE)
+        assert parse_steps(text, SCENE)
     except TranslationError as error:
         message = str(error)
     else:
@@ -494,9 +494,9 @@ WORDS = st.sampled_from([*PHRASE, "van", "red", "car", "gate", ","])
 
 @given(st.lists(WORDS, min_size=2, max_size=9).map(" ".join))
 def test_what_is_carried_out_is_checked(text):
-    functions = Functions(GROUND, LIMITS)
+    functions = ScriptFunctions(GROUND, LIMITS)
     try:
-        carry_out(text, functions)
+        plan_by_rules(text, functions)
     except (TranslationError, TrajectoryError):
         assert functions.given is None
         return
@@ -511,7 +511,7 @@ def test_left_and_right_are_the_robots(x_m, y_m, yaw_rad):
     scene = street(*STREET, pose=pose)
     for words, sign in (("left", 1.0), ("right", -1.0)):
         try:
-            (step,) = read(f"go to the nearest car on the {words}", scene)
+            (step,) = parse_steps(f"go to the nearest car on the {words}", scene)
         except TranslationError:
             continue
         bearing_rad = wrap_angle(pose.bearing_to(*step.things[0].position_m[:2]))

@@ -12,9 +12,9 @@ from task_scenes import STREET, street
 
 from edge.config import TrajectoryLimits
 from edge.errors import UnavailableError
-from edge.tasks.functions import Functions
+from edge.tasks.functions import ScriptFunctions
 from edge.tasks.ground import ground_of
-from edge.tasks.script import ScriptLimits, run
+from edge.tasks.script import ScriptLimits, run_script
 
 LIMITS = TrajectoryLimits()
 GROUND = ground_of(street(*STREET), LIMITS.clearance_m)
@@ -22,7 +22,7 @@ GROUND = ground_of(street(*STREET), LIMITS.clearance_m)
 
 @pytest.fixture
 def functions():
-    return Functions(GROUND, LIMITS)
+    return ScriptFunctions(GROUND, LIMITS)
 
 
 PASS_THE_VAN = """
@@ -42,7 +42,7 @@ give_trajectory([first, second], [1], speed_mps=0.8)
 
 
 def test_a_script_gives_a_trajectory(functions):
-    outcome = run(PASS_THE_VAN, functions, ScriptLimits())
+    outcome = run_script(PASS_THE_VAN, functions, ScriptLimits())
     assert (outcome.printed.split(), outcome.error) == (["15", "degrees", "5"], "")
     coarse = functions.given
     assert [len(points) > 3 for points in coarse.segments] == [True, True]
@@ -64,7 +64,7 @@ def test_a_script_gives_a_trajectory(functions):
     ],
 )  # fmt: skip
 def test_an_error_is_told_in_one_line_with_its_place(functions, code, error):
-    outcome = run(code, functions, ScriptLimits())
+    outcome = run_script(code, functions, ScriptLimits())
     assert functions.given is None
 
     assert re.match(error, outcome.error), outcome.error
@@ -79,14 +79,16 @@ except ValueError as error:
     print(error)
     give_trajectory([robot()["position"]])
 """
-    outcome = run(code, functions, ScriptLimits())
+    outcome = run_script(code, functions, ScriptLimits())
     assert outcome.error == ""
     assert "is occupied" in outcome.printed
     assert len(functions.given.segments) == 1
 
 
 def test_what_is_printed_is_cut_and_printable(functions):
-    outcome = run("print('\\x1b[2J' + 'x' * 9000)", functions, ScriptLimits(max_printed_chars=50))
+    outcome = run_script(
+        "print('\\x1b[2J' + 'x' * 9000)", functions, ScriptLimits(max_printed_chars=50)
+    )
     assert len(outcome.printed) == 50
     assert outcome.printed.isprintable()
 
@@ -95,25 +97,25 @@ def test_a_fault_of_ours_is_logged_and_not_told(functions, monkeypatch, caplog):
     def broken(self, *_):
         raise KeyError("/home/somebody/secret")
 
-    monkeypatch.setattr(Functions, "distance", broken)
+    monkeypatch.setattr(ScriptFunctions, "distance", broken)
     with caplog.at_level(logging.ERROR):
-        outcome = run("distance((0, 0), (1, 1))", functions, ScriptLimits())
+        outcome = run_script("distance((0, 0), (1, 1))", functions, ScriptLimits())
     assert outcome.error == "line 1: RuntimeError: distance failed; do without it"
     assert "secret" in caplog.text
 
 
 def test_a_script_that_is_too_long_is_not_run(functions):
-    outcome = run("#" * 101, functions, ScriptLimits(max_chars=100))
+    outcome = run_script("#" * 101, functions, ScriptLimits(max_chars=100))
     assert outcome.error == "the script has 101 characters, at most 100"
 
 
 def test_without_the_interpreter_it_says_what_to_install(functions, monkeypatch):
     monkeypatch.setitem(sys.modules, "pydantic_monty", None)
     with pytest.raises(UnavailableError, match=r"pip install 'edge-vln\[tasks\]', or choose "):
-        run("1", functions, ScriptLimits())
+        run_script("1", functions, ScriptLimits())
 
 
 def test_without_its_program_it_says_so(functions, monkeypatch, tmp_path):
     monkeypatch.setenv("MONTY_BIN", str(tmp_path / "none"))
     with pytest.raises(UnavailableError, match="pydantic-monty does not run here: "):
-        run("1", functions, ScriptLimits())
+        run_script("1", functions, ScriptLimits())

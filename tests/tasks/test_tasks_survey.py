@@ -14,13 +14,19 @@ from edge.geometry import SE2, CameraModel, se3, wrap_angle
 from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
-from edge.tasks.chain import Chain, boxes_alone
 from edge.tasks.ground import ground_of
 from edge.tasks.objects import ObjectMap
-from edge.tasks.survey import Survey, add_found, cloud_of, contours_of, scene_of_map
+from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks
+from edge.tasks.scene_builder import (
+    SceneBuilder,
+    add_detections,
+    cloud_of,
+    contours_of,
+    scene_of_map,
+)
 from edge.types import MASK_SIDE, Instance, Observation
 
-MAP = config.Mapping(
+MAP = config.MappingConfig(
     input="cloud", resolution_m=0.2, extent_m=64.0, range_m=30.0, min_range_m=1.0,
     inflation_m=0.1, obstacle_min_m=0.25, obstacle_max_m=2.0,
 )  # fmt: skip
@@ -33,15 +39,15 @@ STREET = (
 
 def perfect(boxes):
     """A chain whose detector sees all boxes exactly."""
-    return Chain(
+    return PerceptionPipeline(
         lambda observation: tuple(box.label for box in boxes),
         lambda observation, tags: found_in(observation, boxes),
-        boxes_alone,
+        boxes_as_masks,
     )
 
 
 def survey_of(boxes, *poses, kinds=None, labels=(), **more):
-    survey = Survey(perfect(boxes), MAP, ground_labels=labels, **more)
+    survey = SceneBuilder(perfect(boxes), MAP, ground_labels=labels, **more)
     for i, T_map_base in enumerate(poses, start=1):
         observation, hit = street(boxes, T_map_base, seq=i)
         survey.add(observation, None if kinds is None else kinds(observation, hit))
@@ -50,7 +56,7 @@ def survey_of(boxes, *poses, kinds=None, labels=(), **more):
 
 def test_no_frame_no_scene():
     with pytest.raises(ValueError, match="no frame was added"):
-        Survey(perfect(()), MAP).scene()
+        SceneBuilder(perfect(()), MAP).scene()
 
 
 @pytest.mark.parametrize("rubbish", [np.nan, np.inf, 3e38, 1e9])
@@ -62,7 +68,7 @@ def test_rubbish_in_a_scan_is_no_point_of_anything(rubbish):
     left = np.arange(len(cloud_m)) % 3 > 0
     scenes = []
     for points_m, of in ((cloud_m, kind), (seen.cloud_m[left], kind[left])):
-        survey = Survey(perfect(STREET), MAP, ground_labels=("road",))
+        survey = SceneBuilder(perfect(STREET), MAP, ground_labels=("road",))
         survey.add(replace(seen, cloud_m=points_m), of)
         scenes.append(survey.scene())
     told, clean = scenes
@@ -77,7 +83,7 @@ def test_what_is_seen_of_the_robot_itself_is_no_ground_of_another_kind():
     seen, hit = street((), np.eye(4), seq=1)
     own_m = np.random.default_rng(0).uniform((-0.6, -0.6, -0.6), (0.6, 0.6, -0.3), (400, 3))
     own_m = own_m[np.linalg.norm(own_m, axis=1) < 1.0].astype(np.float32)
-    survey = Survey(perfect(()), MAP, ground_labels=("road",))
+    survey = SceneBuilder(perfect(()), MAP, ground_labels=("road",))
     cloud_m = np.concatenate((seen.cloud_m, own_m))
     kind = np.concatenate((hit == GROUND, np.zeros(len(own_m), np.bool_))).astype(np.uint8)
     survey.add(replace(seen, cloud_m=cloud_m), kind)
@@ -182,7 +188,9 @@ def test_regions_by_their_kind():
 def test_kinds_are_for_all_points():
     observation, _ = street(())
     with pytest.raises(ValueError, match="3 kinds of ground"):
-        Survey(perfect(()), MAP, ground_labels=("road",)).add(observation, np.zeros(3, np.uint8))
+        SceneBuilder(perfect(()), MAP, ground_labels=("road",)).add(
+            observation, np.zeros(3, np.uint8)
+        )
 
 
 def test_depth_is_a_cloud_too():
@@ -249,9 +257,9 @@ def test_what_is_beside_a_things_box_in_other_pictures_is_not_of_it():
             found, xyxy_px=boxes, score=found.score[:1], class_id=found.class_id[:1],
             prompts=("trash can",),
         )  # fmt: skip
-        add_found(objects, found, 20.0)
+        add_detections(objects, found, 20.0)
         (thing,) = objects.objects.values()
-        reach_m = objects.agreed_m(thing)[:, 1].max()
+        reach_m = objects.confirmed_points_m(thing)[:, 1].max()
         assert (reach_m > -2.2) == (k == 0)
     assert thing.points_m[:, 1].max() > -2.2
 

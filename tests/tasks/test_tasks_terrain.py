@@ -13,7 +13,7 @@ from edge.tasks.terrain import (
     CELL_M,
     SLOPE,
     STEP_M,
-    Ground,
+    GroundHeight,
     height_above,
     regions_of,
     with_blind_spot,
@@ -35,11 +35,11 @@ def around(observation, z_m=0.0):
     T = observation.T_map_base @ LIDAR
     points = (observation.cloud_m @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
     pose = observation.pose
-    return terrain.ground_around(points, pose.x_m, pose.y_m, z_m, 40.0), points
+    return terrain.estimate_ground(points, pose.x_m, pose.y_m, z_m, 40.0), points
 
 
 def test_no_points_no_ground():
-    ground = terrain.ground_around(np.zeros((0, 3), np.float32), 1.0, -2.0, 0.3, 5.0)
+    ground = terrain.estimate_ground(np.zeros((0, 3), np.float32), 1.0, -2.0, 0.3, 5.0)
     assert ground.seen.cells.sum() == 1  # where the robot stands
     assert (ground.height_m.cells == np.float32(0.3)).all()
     assert height_above(ground, np.zeros((0, 3), np.float32)).shape == (0,)
@@ -60,14 +60,16 @@ def test_a_ramp_is_ground_and_a_wall_is_not():
     x, y = (v.ravel() for v in np.meshgrid(np.arange(0, 20, 0.2), np.arange(-3, 3, 0.2)))
     ramp = np.stack((x, y, 0.1 * x), axis=1)
     wall = np.stack((np.full(50, 12.1), np.linspace(-2.4, 2.4, 50), np.full(50, 1.8)), axis=1)
-    ground = terrain.ground_around(np.vstack((ramp, wall)).astype(np.float32), 0.1, 0.0, 0.0, 25.0)
+    ground = terrain.estimate_ground(
+        np.vstack((ramp, wall)).astype(np.float32), 0.1, 0.0, 0.0, 25.0
+    )
     above = height_above(ground, np.vstack((ramp, wall)).astype(np.float32))
     assert np.abs(above[: len(ramp)]).max() < 0.15
     assert (above[len(ramp) :] > 0.4).all()
 
 
 def test_outside_and_without_number_nothing_is_known():
-    ground = Ground(
+    ground = GroundHeight(
         Grid(np.zeros((2, 2), np.float32), (0, 0), 1.0), Grid(np.ones((2, 2)), (0, 0), 1)
     )
     points = np.array([[0.5, 0.5, 1.0], [-0.1, 0, 0], [0, 2.5, 0], [np.nan, 0, 0]], np.float32)
@@ -122,7 +124,7 @@ def test_ground_that_the_robot_has_left_is_not_blind():
 
 
 def kinds(occupancy, xy_m, kind, pose=HERE, n=2):
-    return terrain.kinds_of_cells(
+    return terrain.classify_ground(
         occupancy, pose, np.array(xy_m, np.float64).reshape(-1, 2), np.array(kind, np.int64), n
     )
 
@@ -173,7 +175,7 @@ def nearest_twin(points, regions, allowed):
         rows, columns = np.nonzero((regions.cells == i) & allowed)
         if len(rows):
             middles = regions.centres_m(rows, columns)
-            cells = np.floor(regions.of_metres(points[:, :2])) + 0.5
+            cells = np.floor(regions.to_cells(points[:, :2])) + 0.5
             d = np.linalg.norm(middles[:, None] - regions.to_metres(cells)[None], axis=2).min(1)
             out[int(i)] = d.min()
     return out
@@ -188,7 +190,7 @@ def test_nearest_points_agree_with_their_twin(seed):
     got = terrain.nearest_points(points, regions, allowed)
     expected = nearest_twin(points, regions, allowed)
     assert set(got) == set(expected)
-    cells = regions.to_metres(np.floor(regions.of_metres(points[:, :2])) + 0.5)
+    cells = regions.to_metres(np.floor(regions.to_cells(points[:, :2])) + 0.5)
     for i, (x_m, y_m) in got.items():
         row, column = regions.cell_of(x_m, y_m)
         assert regions.cells[row, column] == i

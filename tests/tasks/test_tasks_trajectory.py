@@ -13,7 +13,7 @@ from task_scenes import STREET, street
 
 from edge.config import TrajectoryLimits
 from edge.tasks.ground import ground_of
-from edge.tasks.trajectory import Coarse, TrajectoryError, check, coarse_of
+from edge.tasks.trajectory import CoarseTrajectory, TrajectoryError, check, coarse_of
 
 LIMITS = TrajectoryLimits()
 GROUND = ground_of(street(*STREET), LIMITS.clearance_m)
@@ -93,7 +93,7 @@ def test_regions_that_are_none(regions):
 def test_what_may_not_be_driven(segments, message):
     whole = segments if isinstance(segments, tuple) else (np.array(segments, float),)
     with pytest.raises(TrajectoryError, match=f"^{message}"):
-        check(Coarse(whole), GROUND, LIMITS)
+        check(CoarseTrajectory(whole), GROUND, LIMITS)
 
 
 def test_a_jump_between_segments_is_one():
@@ -101,7 +101,7 @@ def test_a_jump_between_segments_is_one():
     with pytest.raises(
         TrajectoryError, match=r"^point 1 of segment 2 is 4\.0 m from the point bef"
     ):
-        check(Coarse(segments), GROUND, LIMITS)
+        check(CoarseTrajectory(segments), GROUND, LIMITS)
 
 
 def test_a_leap_through_a_thin_wall_is_seen():
@@ -109,8 +109,8 @@ def test_a_leap_through_a_thin_wall_is_seen():
     ground = ground_of(street(walls=((1.0, 1.2, -3.0, 3.0),)), 0.3)
     way = [*line((0.0, 0.0), (0.4, 0.0)), (1.8, 0.0)]
     with pytest.raises(TrajectoryError, match=r"in between point 3 of segment 1 and the point bef"):
-        check(Coarse((np.array(way),)), ground, LIMITS)
-    check(Coarse((ground.plan((0.0, 0.0), (1.8, 0.0)).path_m,)), ground, LIMITS)
+        check(CoarseTrajectory((np.array(way),)), ground, LIMITS)
+    check(CoarseTrajectory((ground.plan((0.0, 0.0), (1.8, 0.0)).path_m,)), ground, LIMITS)
 
 
 def test_unseen_and_cut_off_ground_are_told_apart():
@@ -120,15 +120,15 @@ def test_unseen_and_cut_off_ground_are_told_apart():
     ground = ground_of(scene, 0.3)
     for x_m, message in ((-18.0, "was never seen to be free"), (15.0, "cannot be reached from")):
         with pytest.raises(TrajectoryError, match=message):
-            check(Coarse((np.array([(x_m, 0.0)]),)), ground, LIMITS)
+            check(CoarseTrajectory((np.array([(x_m, 0.0)]),)), ground, LIMITS)
 
 
 def test_a_robot_may_begin_where_it_stands():
     """Nearer to a wall than it may drive."""
     ground = ground_of(street(walls=((0.4, 0.8, -5.0, 5.0),)), 0.6)
-    check(Coarse((np.array(line((0.0, 0.0), (-3.0, 0.0))),)), ground, LIMITS)
+    check(CoarseTrajectory((np.array(line((0.0, 0.0), (-3.0, 0.0))),)), ground, LIMITS)
     with pytest.raises(TrajectoryError, match="is occupied"):
-        check(Coarse((np.array([(0.5, 0.0)]),)), ground, LIMITS)
+        check(CoarseTrajectory((np.array([(0.5, 0.0)]),)), ground, LIMITS)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_a_robot_may_begin_where_it_stands():
 )
 def test_speeds_that_are_too_high_or_too_low(speed_mps):
     with pytest.raises(TrajectoryError, match=r"is not within 0\.05 to 2 m/s"):
-        check(Coarse((np.zeros((1, 2)),), (), speed_mps), GROUND, LIMITS)
+        check(CoarseTrajectory((np.zeros((1, 2)),), (), speed_mps), GROUND, LIMITS)
 
 
 @pytest.mark.parametrize("value", [0.0, 5e-324, 1e300, math.inf, math.nan])
@@ -149,9 +149,9 @@ def test_limits_that_no_robot_has_are_refused(key, value):
 def test_the_length_and_the_regions_are_bounded():
     there_and_back = np.array(line(*[(0.0, 0.0), (-10.0, 0.0)] * 30))
     with pytest.raises(TrajectoryError, match="the trajectory is 590 m long, at most 500 m"):
-        check(Coarse((there_and_back,)), GROUND, LIMITS)
+        check(CoarseTrajectory((there_and_back,)), GROUND, LIMITS)
     with pytest.raises(TrajectoryError, match=r"there is no region 3 \(there: 1, 2\)"):
-        check(Coarse((np.zeros((1, 2)),), (1, 3)), GROUND, LIMITS)
+        check(CoarseTrajectory((np.zeros((1, 2)),), (1, 3)), GROUND, LIMITS)
 
 
 JUNK = st.recursive(

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import Grid
-from edge.tasks.value_map import CLOSED, DRIVABLE, HIGH, TUBE, Body, value_map
+from edge.tasks.value_map import CLOSED, DRIVABLE, HIGH, TUBE, PathMargins, value_map
 
 LINE = np.array([[0.5, 1.2], [3.0, 1.2]])
-BODY = Body(clearance_m=0.25, tube_m=0.4)
+BODY = PathMargins(clearance_m=0.25, tube_m=0.4)
 
 
 def grids(shape: tuple[int, int] = (30, 40), resolution_m: float = 0.1) -> tuple[Grid, Grid]:
@@ -30,7 +30,9 @@ def weights(occupancy: Grid, regions: Grid, drivable=(1,), coarse_m=LINE, body=B
     return value_map(occupancy, regions, drivable, coarse_m, body).grid.cells
 
 
-def twin(occupancy: Grid, regions: Grid, drivable, coarse_m: np.ndarray, body: Body) -> np.ndarray:
+def twin(
+    occupancy: Grid, regions: Grid, drivable, coarse_m: np.ndarray, body: PathMargins
+) -> np.ndarray:
     """Cell by cell; NaN where a cell's middle is within half a cell of the tube's rim."""
     cells, out = occupancy.cells, np.full(occupancy.cells.shape, float(HIGH))
     closed = np.argwhere(cells >= 50)
@@ -121,7 +123,7 @@ def test_it_agrees_with_the_twin(seed, share, clearance_m, tube_m):
     occupancy = Grid(cells, (-1.0, 0.5), 0.1)
     regions = replace(occupancy, cells=rng.integers(0, 4, cells.shape).astype(np.uint8))
     coarse_m = rng.uniform([-1.2, 0.3], [1.4, 2.6], (4, 2))
-    body = Body(clearance_m, tube_m)
+    body = PathMargins(clearance_m, tube_m)
     wanted = twin(occupancy, regions, {1, 3}, coarse_m, body)
     got = weights(occupancy, regions, {1, 3}, coarse_m, body)
     sure = np.isfinite(wanted)

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 from task_scenes import STREET, street
 
-from edge.config import Robot, Tasks
+from edge.config import RobotConfig, TasksConfig
 from edge.tasks import scan_kernels
 from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import refine, refine_again
-from edge.tasks.survey import add_found
-from edge.tasks.value_map import Body
+from edge.tasks.scene_builder import add_detections
+from edge.tasks.value_map import PathMargins
 from edge.tasks.warmup import room, warm_up
-from edge.tasks.write import write
+from edge.tasks.write import write_trajectory
 from edge.trajectory import kernels
 from edge.trajectory.pursuit import MotionLimits
 from edge.types import MASK_SIDE, Detections
@@ -42,11 +42,11 @@ def test_nothing_is_compiled_after_warmup():
     )
     cloud_m = np.ones((9, 3), np.float32)
     for way in (seen, replace(seen, depth_m=None, cloud_m=cloud_m)):
-        add_found(ObjectMap(), replace(found, observation=way), 10.0)
+        add_detections(ObjectMap(), replace(found, observation=way), 10.0)
     for instruction in ("go around the van", "go past object 2, then stop at the gate"):
         scene = street(*STREET)
-        coarse = write(instruction, scene, Tasks()).coarse
-        body, limits = Body(0.3), MotionLimits.of(Robot())
+        coarse = write_trajectory(instruction, scene, TasksConfig()).coarse
+        body, limits = PathMargins(0.3), MotionLimits.of(RobotConfig())
         refined = refine(scene, coarse.segments, coarse.regions, body, limits)
         refine_again(scene, refined, 1, body, limits)
     assert signatures() == before

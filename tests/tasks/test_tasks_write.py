@@ -12,13 +12,13 @@ from chat_server import completion, recorded, saying, send, sends_100_mb, servin
 from task_scenes import STREET, street
 
 from edge.chat import ChatError
-from edge.config import Tasks, TrajectoryLimits, WriterModel
+from edge.config import TasksConfig, TrajectoryLimits, WriterModel
 from edge.errors import UserError
-from edge.mission.language.words import TranslationError
+from edge.mission.language.tokens import TranslationError
 from edge.tasks import write as writing
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, version
 from edge.tasks.trajectory import check
-from edge.tasks.write import NO_CODE, NO_TRAJECTORY, WriteError, script_in, write
+from edge.tasks.write import NO_CODE, NO_TRAJECTORY, WriteError, script_in, write_trajectory
 
 SCENE = street(*STREET, picture=True)
 INSTRUCTION = "go past the left of the van, then stop at the gate"
@@ -37,23 +37,23 @@ BROKEN = "```python\nimport shapely\n```"
 
 
 def by_model(server, **config):
-    return Tasks(planner=WriterModel(url=server.url, **config))
+    return TasksConfig(planner=WriterModel(url=server.url, **config))
 
 
 @pytest.mark.parametrize("instruction", ["", "  \n"])
 @pytest.mark.parametrize("planner", ["rules", "model"])
 def test_an_empty_instruction_asks_nobody(instruction, planner):
     with serving(saying(BLOCK)) as server:
-        config = by_model(server) if planner == "model" else Tasks()
+        config = by_model(server) if planner == "model" else TasksConfig()
         with pytest.raises(WriteError, match="the instruction is empty"):
-            write(instruction, SCENE, config)
+            write_trajectory(instruction, SCENE, config)
         assert server.requests == []
 
 
 def test_an_instruction_that_is_too_long_is_not_sent():
     with serving(saying(BLOCK)) as server:
         with pytest.raises(WriteError, match="has 2001 characters, the limit is 2000"):
-            write("x" * (MOST_INSTRUCTION_CHARS + 1), SCENE, by_model(server))
+            write_trajectory("x" * (MOST_INSTRUCTION_CHARS + 1), SCENE, by_model(server))
         assert server.requests == []
 
 
@@ -74,18 +74,18 @@ def test_the_last_block_is_the_script(answer, script):
 
 
 def test_the_rules_need_no_server():
-    written = write(INSTRUCTION, SCENE, Tasks())
+    written = write_trajectory(INSTRUCTION, SCENE, TasksConfig())
     assert written.understood == "past the left of van 1; to gate 5"
     assert (written.rounds, written.prompt) == ((), "")
     check(written.coarse, written.ground, TrajectoryLimits())
     with pytest.raises(TranslationError, match="'elephant'"):
-        write("go to the elephant", SCENE, Tasks())
+        write_trajectory("go to the elephant", SCENE, TasksConfig())
 
 
 def test_an_answer_becomes_a_trajectory():
     told = []
     with serving(saying(BLOCK)) as server:
-        written = write(INSTRUCTION, SCENE, by_model(server), told.append)
+        written = write_trajectory(INSTRUCTION, SCENE, by_model(server), told.append)
         ((_, _, request),) = server.requests
     assert request["temperature"] == 0
     assert [message["role"] for message in request["messages"]] == ["system", "user"]
@@ -113,7 +113,7 @@ def test_recorded_answers_lead_where_they_should(instruction, rounds, end):
     """The kinds of OpenNav IV-A: ambiguous, high-level, and a shape of the way; the first answers
     to two of them have a fault that goes back."""
     with serving(recorded(RECORDED)) as server:
-        written = write(instruction, SCENE, by_model(server))
+        written = write_trajectory(instruction, SCENE, by_model(server))
     assert len(written.rounds) == rounds
     assert written.coarse.points_m[-1].tolist() == pytest.approx(end, abs=1e-6)
     check(written.coarse, written.ground, TrajectoryLimits())
@@ -121,7 +121,7 @@ def test_recorded_answers_lead_where_they_should(instruction, rounds, end):
 
 def test_a_recorded_refusal_is_one():
     with serving(recorded(RECORDED)) as server, pytest.raises(WriteError, match="no river is here"):
-        write("swim across the river", SCENE, by_model(server))
+        write_trajectory("swim across the river", SCENE, by_model(server))
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_a_recorded_refusal_is_one():
 )
 def test_what_is_wrong_goes_back_to_the_model(first, goes_back):
     with serving(saying(first, BLOCK)) as server:
-        written = write(INSTRUCTION, SCENE, by_model(server))
+        written = write_trajectory(INSTRUCTION, SCENE, by_model(server))
         assert len(server.requests) == 2
     *before, wrong, wanted = server.requests[1][2]["messages"]
     assert before == server.requests[0][2]["messages"]
@@ -150,7 +150,7 @@ def test_what_is_wrong_goes_back_to_the_model(first, goes_back):
 def test_an_answer_that_was_cut_off_is_not_run():
     answers = [completion(BLOCK, "length"), completion(BLOCK)]
     with serving(lambda handler: send(handler, answers.pop(0))) as server:
-        written = write(INSTRUCTION, SCENE, by_model(server))
+        written = write_trajectory(INSTRUCTION, SCENE, by_model(server))
     assert [answer.error for answer in written.rounds] == [
         "the answer was cut off; write a shorter one", "",
     ]  # fmt: skip
@@ -160,7 +160,7 @@ def test_an_answer_that_was_cut_off_is_not_run():
 def test_after_so_many_rounds_it_gives_up(rounds):
     with serving(saying(THROUGH)) as server:
         with pytest.raises(WriteError) as raised:
-            write(INSTRUCTION, SCENE, by_model(server, rounds=rounds))
+            write_trajectory(INSTRUCTION, SCENE, by_model(server, rounds=rounds))
         assert len(server.requests) == rounds
     assert len(raised.value.rounds) == rounds
     assert f"{server.url}: no trajectory in {rounds} answers, last error: " in str(raised.value)
@@ -172,7 +172,7 @@ def test_a_model_may_refuse():
     answer = "There is no river.\nREFUSED: no river\x1b[2J is here."
     with serving(saying(answer)) as server:
         with pytest.raises(WriteError, match=r"the model refused: no river \[2J is here\.$"):
-            write("go to the river", SCENE, by_model(server))
+            write_trajectory("go to the river", SCENE, by_model(server))
         assert len(server.requests) == 1
 
 
@@ -181,7 +181,7 @@ def test_a_robot_that_stands_in_nothing_known_asks_nobody():
     scene.occupancy.cells[:] = 100
     with serving(saying(BLOCK)) as server:
         with pytest.raises(WriteError, match="no free ground is known around the robot"):
-            write(INSTRUCTION, scene, by_model(server))
+            write_trajectory(INSTRUCTION, scene, by_model(server))
         assert server.requests == []
 
 
@@ -212,7 +212,7 @@ def test_a_server_that_misbehaves_ends_in_one_line(behave, message):
     limit_s = 0.3 if behave is stalls else 60.0
     with serving(behave) as server:
         with pytest.raises(ChatError) as raised:
-            write(INSTRUCTION, SCENE, by_model(server, time_limit_s=limit_s))
+            write_trajectory(INSTRUCTION, SCENE, by_model(server, time_limit_s=limit_s))
         assert len(server.requests) == 1
     assert str(raised.value).startswith(f"{server.url}: ")
     assert message in str(raised.value)
@@ -221,7 +221,9 @@ def test_a_server_that_misbehaves_ends_in_one_line(behave, message):
 
 def test_a_server_that_is_not_there_is_told():
     with pytest.raises(ChatError, match=r"^http://127\.0\.0\.1:1/v1: "):
-        write(INSTRUCTION, SCENE, Tasks(planner=WriterModel(url="http://127.0.0.1:1/v1")))
+        write_trajectory(
+            INSTRUCTION, SCENE, TasksConfig(planner=WriterModel(url="http://127.0.0.1:1/v1"))
+        )
 
 
 def test_all_rounds_share_one_time_limit(monkeypatch):
@@ -234,7 +236,7 @@ def test_all_rounds_share_one_time_limit(monkeypatch):
 
     with serving(behave) as server:
         with pytest.raises(ChatError, match="no whole answer within 120 s; raise time_limit_s"):
-            write(INSTRUCTION, SCENE, by_model(server))
+            write_trajectory(INSTRUCTION, SCENE, by_model(server))
         assert len(server.requests) == 2
 
 
@@ -242,7 +244,9 @@ def test_the_key_goes_to_the_server_and_nowhere_else(monkeypatch, caplog):
     monkeypatch.setenv("TASKS_KEY", "sk-secret-47")
     with caplog.at_level(logging.DEBUG), serving(saying(THROUGH)) as server:
         with pytest.raises(UserError) as raised:
-            write(INSTRUCTION, SCENE, by_model(server, api_key_env="TASKS_KEY", rounds=2))
+            write_trajectory(
+                INSTRUCTION, SCENE, by_model(server, api_key_env="TASKS_KEY", rounds=2)
+            )
         for _, headers, body in server.requests:
             assert headers["Authorization"] == "Bearer sk-secret-47"
             assert "sk-secret" not in json.dumps(body)

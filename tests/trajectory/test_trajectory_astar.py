@@ -51,12 +51,14 @@ def centre(cell: tuple[int, int]) -> tuple[float, float]:
     return cell[1] + 0.5, cell[0] + 0.5
 
 
-def plan_cells(weights: np.ndarray, start: tuple[int, int], goal: tuple[int, int]) -> astar.Plan:
+def plan_cells(
+    weights: np.ndarray, start: tuple[int, int], goal: tuple[int, int]
+) -> astar.GridPath:
     costmap = from_weights(Grid(weights, (0.0, 0.0), 1.0), unit=1)
     return astar.plan(costmap, centre(start), centre(goal), WORKSPACE, escape_m=0.0)
 
 
-def check_path(weights: np.ndarray, plan: astar.Plan) -> None:
+def check_path(weights: np.ndarray, plan: astar.GridPath) -> None:
     """The path walks from neighbour to neighbour over open cells and cuts no corner."""
     cells = np.floor(plan.path_m).astype(int)
     assert (weights[cells[:, 1], cells[:, 0]] > 0).all()

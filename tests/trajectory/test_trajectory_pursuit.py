@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.config import Robot
+from edge.config import RobotConfig
 from edge.geometry import SE2
 from edge.trajectory import pursuit
-from edge.trajectory.pursuit import Command, MotionLimits
+from edge.trajectory.pursuit import MotionLimits, VelocityCommand
 
-LIMITS = MotionLimits.of(Robot())
+LIMITS = MotionLimits.of(RobotConfig())
 coordinates = st.floats(-20, 20)
 angles = st.floats(-math.pi, math.pi)
 ROUNDING = 1 + 1e-9
@@ -35,7 +35,7 @@ def test_pursuit_is_within_limits_and_never_drives_back(x, y, yaw, to_x, to_y, r
     st.floats(-9, 9), st.floats(-9, 9), st.floats(-0.5, 0.5), st.floats(-1, 1), st.floats(0, 0.2)
 )
 def test_ramp_keeps_to_the_accelerations(v, w, last_v, last_w, dt):
-    last = Command(last_v, last_w)
+    last = VelocityCommand(last_v, last_w)
     got = LIMITS.ramp(LIMITS.clip(v, w), last, dt)
     assert abs(got.v_mps - last_v) <= LIMITS.accel_mps2 * dt + 1e-9
     assert abs(got.w_radps - last_w) <= LIMITS.turn_accel_radps2 * dt + 1e-9

@@ -27,7 +27,7 @@ _IDS = itertools.count()  # of nodes and endpoints, in this process
 _POLL_S = 0.2
 
 
-class Node:
+class Ros2Node:
     """A node; for one thread, which must call `look` periodically.
 
     Args:
@@ -66,19 +66,19 @@ class Node:
             for endpoint in self._endpoints:
                 endpoint.settle()
 
-    def publisher(self, topic: str, type_name: str, latched: bool = False) -> Publisher:
-        """Add a publisher; see `Publisher`."""
-        return self._add(Publisher(self, topic, type_name, latched))
+    def publisher(self, topic: str, type_name: str, latched: bool = False) -> Ros2Publisher:
+        """Add a publisher; see `Ros2Publisher`."""
+        return self._add(Ros2Publisher(self, topic, type_name, latched))
 
     def subscription(
         self, topic: str, types: Sequence[str], kept: int, latched: bool = False
-    ) -> Subscription:
-        """Add a subscription; see `Subscription`."""
-        return self._add(Subscription(self, topic, types, kept, latched))
+    ) -> Ros2Subscription:
+        """Add a subscription; see `Ros2Subscription`."""
+        return self._add(Ros2Subscription(self, topic, types, kept, latched))
 
-    def client(self, service: str, type_name: str, timeout_s: float) -> Client:
-        """Add a service client; see `Client`."""
-        return self._add(Client(self, service, type_name, timeout_s))
+    def client(self, service: str, type_name: str, timeout_s: float) -> Ros2Client:
+        """Add a service client; see `Ros2Client`."""
+        return self._add(Ros2Client(self, service, type_name, timeout_s))
 
     def close(self) -> None:
         for endpoint in self._endpoints:
@@ -98,11 +98,11 @@ class Node:
         return endpoint
 
 
-def open_node(config: Config, session: zenoh.Session, part: str) -> Node:
+def open_node(config: Config, session: zenoh.Session, part: str) -> Ros2Node:
     """Open a node as `ros2` of the configuration says; `part` is the suffix of its name."""
     settings = config.ros2
     dialect = dialect_of(settings.via, config.zenoh.prefix)
-    return Node(session, settings.domain, f"{settings.node}_{part}", dialect)
+    return Ros2Node(session, settings.domain, f"{settings.node}_{part}", dialect)
 
 
 class _Declared:
@@ -112,7 +112,7 @@ class _Declared:
         hash: the declared hash of the type; None before it is known.
     """
 
-    def __init__(self, node: Node, kind: Kind, topic: str, type_name: str, qos: str) -> None:
+    def __init__(self, node: Ros2Node, kind: Kind, topic: str, type_name: str, qos: str) -> None:
         self.node, self.topic, self.type = node, topic, type_name
         self.hash: str | None = None
         self._kind, self._qos, self._eid = kind, qos, next(_IDS)
@@ -161,7 +161,7 @@ class _Declared:
             self._token.undeclare()
 
 
-class Publisher(_Declared):
+class Ros2Publisher(_Declared):
     """Publishes payloads of one type.
 
     Args:
@@ -172,7 +172,7 @@ class Publisher(_Declared):
             adapter keep that message themselves, from the first one they receive.
     """
 
-    def __init__(self, node: Node, topic: str, type_name: str, latched: bool) -> None:
+    def __init__(self, node: Ros2Node, topic: str, type_name: str, latched: bool) -> None:
         super().__init__(node, "MP", topic, type_name, names.LATCHED if latched else names.RELIABLE)
         self._latched, self._last = latched, b""
         self._publisher: zenoh.Publisher | ext.AdvancedPublisher | None = None
@@ -217,7 +217,7 @@ class Publisher(_Declared):
             self._publisher = None
 
 
-class Subscription(_Declared):
+class Ros2Subscription(_Declared):
     """The newest messages of a topic, of several types; best effort, as usual for sensors.
 
     Args:
@@ -229,7 +229,7 @@ class Subscription(_Declared):
     """
 
     def __init__(
-        self, node: Node, topic: str, types: Sequence[str], kept: int, latched: bool
+        self, node: Ros2Node, topic: str, types: Sequence[str], kept: int, latched: bool
     ) -> None:
         qos = names.LATCHED if latched else names.BEST_EFFORT
         super().__init__(node, "MS", topic, types[0], qos)
@@ -272,10 +272,10 @@ class _LatchedRing(Ring):
         return ext.declare_advanced_subscriber(session, key, ring, history=history)
 
 
-class Client(_Declared):
+class Ros2Client(_Declared):
     """Calls a service without blocking; the caller polls the answer."""
 
-    def __init__(self, node: Node, service: str, type_name: str, timeout_s: float) -> None:
+    def __init__(self, node: Ros2Node, service: str, type_name: str, timeout_s: float) -> None:
         super().__init__(node, "SC", service, type_name, names.RELIABLE)
         self._timeout_s = timeout_s
         self._querier: zenoh.Querier | None = None
@@ -286,13 +286,15 @@ class Client(_Declared):
             return False
         return self.node.graph is None or bool(self.node.others("SS", self.topic))
 
-    def ask(self, payload: bytes) -> Answer:
+    def ask(self, payload: bytes) -> PendingReply:
         """Send a request. The answer is over at once if the type's hash is unknown."""
         if self._querier is None:
-            return Answer(None)
+            return PendingReply(None)
         # Not a ring: it loses its last replies when the other side finishes.
         channel = zenoh.handlers.FifoChannel(4)
-        return Answer(self._querier.get(channel, payload=payload, attachment=self.attachment()))
+        return PendingReply(
+            self._querier.get(channel, payload=payload, attachment=self.attachment())
+        )
 
     def declare(self) -> None:
         self._undeclare()
@@ -310,7 +312,7 @@ class Client(_Declared):
             self._querier = None
 
 
-class Answer:
+class PendingReply:
     """The pending answer of a service to one request.
 
     Attributes:

@@ -13,9 +13,12 @@ _IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 COMPRESSED_ENDINGS = ("/compressed", "/compressedDepth")
 """Suffixes of compressed image topics of image_transport."""
 
-HEARD: dict[str, str] = {t.key: full_name(t.type) for t in _SENSORS} | {"tf": _TF, "tf_static": _TF}
+SUBSCRIBED: dict[str, str] = {t.key: full_name(t.type) for t in _SENSORS} | {
+    "tf": _TF,
+    "tf_static": _TF,
+}
 """Type of each topic that the robot publishes."""
-SAID: dict[str, str] = {
+PUBLISHED: dict[str, str] = {
     "goal": "geometry_msgs/msg/PoseStamped",
     "map": "nav_msgs/msg/OccupancyGrid",
     "path": "nav_msgs/msg/Path",
@@ -28,14 +31,14 @@ LATCHED = frozenset({"tf_static", "map", "trajectory"})
 NAVIGATE_TO_POSE = "nav2_msgs/action/NavigateToPose"
 
 
-def heard_types(name: str, ros_name: str) -> tuple[str, ...]:
-    """Return the accepted types of a topic of `HEARD`, the most likely first.
+def accepted_types(name: str, ros_name: str) -> tuple[str, ...]:
+    """Return the accepted types of a topic of `SUBSCRIBED`, the most likely first.
 
     Args:
-        name: key in `HEARD`.
+        name: key in `SUBSCRIBED`.
         ros_name: the topic; its suffix shows if images are compressed by image_transport.
     """
-    if HEARD[name] != _IMAGE:
-        return (HEARD[name],)
+    if SUBSCRIBED[name] != _IMAGE:
+        return (SUBSCRIBED[name],)
     is_compressed = ros_name.endswith(COMPRESSED_ENDINGS)
     return (COMPRESSED, _IMAGE) if is_compressed else (_IMAGE, COMPRESSED)

@@ -16,7 +16,7 @@ class DecodeError(ValueError):
     """A payload does not match its topic's type; the message is one line."""
 
 
-class Reader:
+class CdrReader:
     """Reads one payload field by field; a read outside the payload raises DecodeError.
 
     >>> Reader(HEADER + U32.pack(7)).read(U32, 4)
@@ -82,7 +82,7 @@ class Reader:
         return self.stamp_ns(), self.string()
 
 
-class Writer:
+class CdrWriter:
     """Builds one payload.
 
     >>> Writer().write(U32, 4, 7).bytes() == HEADER + U32.pack(7)
@@ -94,30 +94,30 @@ class Writer:
     def __init__(self) -> None:
         self._buffer = bytearray(HEADER)
 
-    def write(self, layout: struct.Struct, align: int, *values: float) -> Writer:
+    def write(self, layout: struct.Struct, align: int, *values: float) -> CdrWriter:
         self._buffer += bytes(-(len(self._buffer) - len(HEADER)) % align)
         self._buffer += layout.pack(*values)
         return self
 
-    def string(self, text: str) -> Writer:
+    def string(self, text: str) -> CdrWriter:
         data = text.encode() + b"\0"
         self.write(U32, 4, len(data))
         self._buffer += data
         return self
 
-    def stamp_ns(self, stamp_ns: int) -> Writer:
+    def stamp_ns(self, stamp_ns: int) -> CdrWriter:
         return self.write(STAMP, 4, *divmod(int(stamp_ns), 1_000_000_000))
 
-    def header(self, stamp_ns: int, frame_id: str) -> Writer:
+    def header(self, stamp_ns: int, frame_id: str) -> CdrWriter:
         return self.stamp_ns(stamp_ns).string(frame_id)
 
-    def block(self, align: int, data: memoryview) -> Writer:
+    def block(self, align: int, data: memoryview) -> CdrWriter:
         """Append items that are already in wire format."""
         self._buffer += bytes(-(len(self._buffer) - len(HEADER)) % align)
         self._buffer += data
         return self
 
-    def floats(self, values: Sequence[float], code: str) -> Writer:
+    def floats(self, values: Sequence[float], code: str) -> CdrWriter:
         """Append a fixed array of `f` (float32) or `d` (float64)."""
         layout = struct.Struct(f"<{len(values)}{code}")
         return self.write(layout, 4 if code == "f" else 8, *values)

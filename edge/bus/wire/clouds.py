@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.bus.wire import kernels
-from edge.bus.wire.cdr import U8, U32, DecodeError, Reader, Writer
+from edge.bus.wire.cdr import U8, U32, CdrReader, CdrWriter, DecodeError
 from edge.geometry import FARTHEST_M
 
 _HEIGHT_WIDTH = struct.Struct("<II")
@@ -29,7 +29,7 @@ def cloud_parts(
     """Return the parts of `encode_point_cloud`. The second is a view of the points if possible."""
     points = np.ascontiguousarray(points_m, dtype=np.float32)
     n = len(points)
-    writer = Writer().header(stamp_ns, frame_id).write(_HEIGHT_WIDTH, 4, 1, n).write(U32, 4, 3)
+    writer = CdrWriter().header(stamp_ns, frame_id).write(_HEIGHT_WIDTH, 4, 1, n).write(U32, 4, 3)
     for i, name in enumerate("xyz"):
         writer.string(name).write(U32, 4, 4 * i).write(U8, 1, _FLOAT32).write(U32, 4, 1)
     writer.write(U8, 1, 0).write(U32, 4, 12).write(U32, 4, 12 * n).write(U32, 4, 12 * n)
@@ -41,7 +41,7 @@ def _at_most(n: int) -> str:
     return f"at most {n} are allowed: raise source.max_cloud_points"
 
 
-def _xyz_offsets(reader: Reader) -> tuple[int, int, int]:
+def _xyz_offsets(reader: CdrReader) -> tuple[int, int, int]:
     """Return the offsets of x, y and z in a point, from the message's list of fields."""
     (count,) = reader.read(U32, 4)
     if count > _MAX_FIELDS:
@@ -75,7 +75,7 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = Fal
     Raises:
         DecodeError: malformed, or more points than `cap`.
     """
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     reader.header()
     height, width = reader.read(_HEIGHT_WIDTH, 4)
     offsets = _xyz_offsets(reader)
@@ -136,7 +136,7 @@ def encode_laser_scan(
     """Encode sensor_msgs/LaserScan of (n,) ranges; `range_max_m` or more means no return."""
     ranges = np.ascontiguousarray(ranges_m, dtype=np.float32)
     last = angle_min_rad + max(len(ranges) - 1, 0) * angle_increment_rad
-    writer = Writer().header(stamp_ns, frame_id)
+    writer = CdrWriter().header(stamp_ns, frame_id)
     writer.write(_SCAN, 4, angle_min_rad, last, angle_increment_rad, 0.0, 0.0, 0.0, range_max_m)
     writer.write(U32, 4, len(ranges))
     no_intensities = U32.pack(0)
@@ -145,7 +145,7 @@ def encode_laser_scan(
 
 def decode_laser_scan(payload: bytes) -> LaserScan:
     """Decode a sensor_msgs/LaserScan without its intensities."""
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     stamp_ns, frame_id = reader.header()
     first, last, increment, _, _, range_min, range_max = reader.read(_SCAN, 4)
     count, begin = reader.sequence(4)

@@ -14,7 +14,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from edge.bus.wire.cdr import U32, DecodeError, Reader, Writer
+from edge.bus.wire.cdr import U32, CdrReader, CdrWriter, DecodeError
 from edge.bus.wire.images import ImageHeader, integers_into
 from edge.host.c_stderr import silenced
 
@@ -68,7 +68,7 @@ def decode_compressed_header(payload: bytes) -> CompressedHeader:
     Raises:
         DecodeError: malformed, neither JPEG nor PNG (such as RVL), or depth that is no 16-bit PNG.
     """
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     stamp_ns, frame_id = reader.header()
     words = reader.string()
     size, begin = reader.sequence(1)
@@ -94,7 +94,7 @@ def encode_jpeg(stamp_ns: int, frame_id: str, rgb: np.ndarray, quality: int) -> 
     """Encode (h, w, 3) uint8 RGB as a JPEG in a sensor_msgs/CompressedImage."""
     bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
     _, jpeg = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, quality))
-    writer = Writer().header(stamp_ns, frame_id).string("jpeg").write(U32, 4, len(jpeg))
+    writer = CdrWriter().header(stamp_ns, frame_id).string("jpeg").write(U32, 4, len(jpeg))
     return writer.bytes(memoryview(jpeg.reshape(-1)))
 
 

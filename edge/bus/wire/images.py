@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from edge.bus.wire import kernels
-from edge.bus.wire.cdr import U8, U32, DecodeError, Reader, Writer
+from edge.bus.wire.cdr import U8, U32, CdrReader, CdrWriter, DecodeError
 
 _HEIGHT_WIDTH = struct.Struct("<II")
 
@@ -69,7 +69,7 @@ def image_parts(stamp_ns: int, frame_id: str, array: np.ndarray) -> tuple[bytes,
         raise ValueError(f"no image encoding for {array.dtype} {array.shape}")
     height, width = array.shape[:2]
     step = width * _LAYOUTS[encoding][0]
-    writer = Writer().header(stamp_ns, frame_id)
+    writer = CdrWriter().header(stamp_ns, frame_id)
     writer.write(_HEIGHT_WIDTH, 4, height, width).string(encoding)
     writer.write(U8, 1, 0).write(U32, 4, step).write(U32, 4, height * step)
     pixels = np.ascontiguousarray(array).reshape(-1)
@@ -78,7 +78,7 @@ def image_parts(stamp_ns: int, frame_id: str, array: np.ndarray) -> tuple[bytes,
 
 def decode_image_header(payload: bytes) -> ImageHeader:
     """Decode the header of a sensor_msgs/Image and check that the pixels are in the payload."""
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     stamp_ns, frame_id = reader.header()
     height, width = reader.read(_HEIGHT_WIDTH, 4)
     encoding = reader.string()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from edge.bus.wire.cdr import STAMP, U8, U32, Writer
+from edge.bus.wire.cdr import STAMP, U8, U32, CdrWriter
 from edge.geometry import SE2, quaternion_of
 
 _IDS = struct.Struct("<iii")
@@ -49,7 +49,7 @@ class Marker:
 
 def encode_markers(stamp_ns: int, frame_id: str, markers: Sequence[Marker]) -> bytes:
     """Encode a visualization_msgs/MarkerArray that replaces all markers sent before."""
-    writer = Writer().write(U32, 4, 1 + len(markers))
+    writer = CdrWriter().write(U32, 4, 1 + len(markers))
     clear = Marker("", 0, ARROW, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
     _write(writer, stamp_ns, frame_id, clear, _DELETE_ALL)
     for marker in markers:
@@ -57,7 +57,7 @@ def encode_markers(stamp_ns: int, frame_id: str, markers: Sequence[Marker]) -> b
     return writer.bytes()
 
 
-def _write(writer: Writer, stamp_ns: int, frame_id: str, marker: Marker, action: int) -> None:
+def _write(writer: CdrWriter, stamp_ns: int, frame_id: str, marker: Marker, action: int) -> None:
     T = marker.pose.matrix(marker.z_m)
     writer.header(stamp_ns, frame_id).string(marker.group)
     writer.write(_IDS, 4, marker.id, marker.kind, action)

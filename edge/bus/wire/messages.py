@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.bus.wire.cdr import STAMP, U32, DecodeError, Reader, Writer
+from edge.bus.wire.cdr import STAMP, U32, CdrReader, CdrWriter, DecodeError
 from edge.bus.wire.clouds import (
     LaserScan,
     decode_laser_scan,
@@ -44,11 +44,11 @@ from edge.text import one_line
 __all__ = [
     "BASE_FRAME",
     "MAP_FRAME",
-    "Calibration",
+    "CameraCalibration",
     "DecodeError",
     "ImageHeader",
     "LaserScan",
-    "Odometry",
+    "OdometryMessage",
     "decode_camera_info",
     "decode_image_header",
     "decode_image_into",
@@ -92,12 +92,12 @@ _IDENTITY_3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 def peek_stamp_ns(payload: bytes) -> int:
     """Return the stamp of any message that begins with a std_msgs/Header."""
-    return Reader(payload).stamp_ns()
+    return CdrReader(payload).stamp_ns()
 
 
 def peek_header(payload: bytes) -> tuple[int, str]:
     """Return (stamp_ns, frame_id) of any message that begins with a std_msgs/Header."""
-    return Reader(payload).header()
+    return CdrReader(payload).header()
 
 
 def _finite(values: tuple[float, ...], what: str) -> tuple[float, ...]:
@@ -106,12 +106,12 @@ def _finite(values: tuple[float, ...], what: str) -> tuple[float, ...]:
     return values
 
 
-def write_pose(writer: Writer, T: np.ndarray) -> Writer:
+def write_pose(writer: CdrWriter, T: np.ndarray) -> CdrWriter:
     """Write a (4, 4) transform as geometry_msgs/Pose."""
     return writer.write(_POSE, 8, *T[:3, 3], *quaternion_of(T))
 
 
-def read_pose(reader: Reader) -> np.ndarray:
+def read_pose(reader: CdrReader) -> np.ndarray:
     """Read a geometry_msgs/Pose as a (4, 4) transform."""
     values = _finite(reader.read(_POSE, 8), "pose")
     if max(map(abs, values[:3])) >= _FARTHEST_M:
@@ -126,7 +126,7 @@ def read_pose(reader: Reader) -> np.ndarray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Odometry:
+class OdometryMessage:
     """nav_msgs/Odometry: pose of the base in `map`, and twist in the base frame.
 
     `frame_id` and `child_frame_id` are the message's own names and may differ: see
@@ -143,45 +143,45 @@ class Odometry:
 
 def encode_odometry(stamp_ns: int, T_map_base: np.ndarray, v_mps: float, w_radps: float) -> bytes:
     """Encode nav_msgs/Odometry with zero covariances (unknown)."""
-    writer = Writer().header(stamp_ns, MAP_FRAME).string(BASE_FRAME)
+    writer = CdrWriter().header(stamp_ns, MAP_FRAME).string(BASE_FRAME)
     write_pose(writer, T_map_base).write(_COVARIANCE, 8, *(0.0,) * 36)
     writer.write(_TWIST, 8, v_mps, 0.0, 0.0, 0.0, 0.0, w_radps)
     return writer.write(_COVARIANCE, 8, *(0.0,) * 36).bytes()
 
 
-def decode_odometry(payload: bytes) -> Odometry:
+def decode_odometry(payload: bytes) -> OdometryMessage:
     """Decode nav_msgs/Odometry; of the twist, only forward speed and turn rate."""
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     stamp_ns, frame_id = reader.header()
     child_frame_id = reader.string()
     T = read_pose(reader)
     reader.skip(_COVARIANCE.size, 8)
     twist = _finite(reader.read(_TWIST, 8), "twist")
     reader.skip(_COVARIANCE.size, 8)
-    return Odometry(stamp_ns, T, twist[0], twist[5], frame_id, child_frame_id)
+    return OdometryMessage(stamp_ns, T, twist[0], twist[5], frame_id, child_frame_id)
 
 
 def encode_pose_stamped(stamp_ns: int, pose: SE2, frame_id: str = MAP_FRAME) -> bytes:
     """Encode geometry_msgs/PoseStamped with z = 0."""
-    return write_pose(Writer().header(stamp_ns, frame_id), pose.matrix()).bytes()
+    return write_pose(CdrWriter().header(stamp_ns, frame_id), pose.matrix()).bytes()
 
 
 def decode_pose_stamped(payload: bytes) -> tuple[int, SE2]:
     """Decode geometry_msgs/PoseStamped as (stamp_ns, planar pose)."""
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     stamp_ns, _ = reader.header()
     return stamp_ns, se2_of(read_pose(reader))
 
 
 def encode_twist_stamped(stamp_ns: int, v_mps: float, w_radps: float) -> bytes:
     """Encode geometry_msgs/TwistStamped in the base frame."""
-    writer = Writer().header(stamp_ns, BASE_FRAME)
+    writer = CdrWriter().header(stamp_ns, BASE_FRAME)
     return writer.write(_TWIST, 8, v_mps, 0.0, 0.0, 0.0, 0.0, w_radps).bytes()
 
 
 def decode_twist_stamped(payload: bytes) -> tuple[int, float, float]:
     """Decode geometry_msgs/TwistStamped as (stamp_ns, forward m/s, turn rad/s)."""
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     stamp_ns, _ = reader.header()
     twist = _finite(reader.read(_TWIST, 8), "twist")
     return stamp_ns, twist[0], twist[5]
@@ -190,7 +190,7 @@ def decode_twist_stamped(payload: bytes) -> tuple[int, float, float]:
 def encode_camera_info(stamp_ns: int, frame_id: str, camera: CameraModel) -> bytes:
     """Encode sensor_msgs/CameraInfo of a camera without distortion."""
     fx, fy, cx, cy = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
-    writer = Writer().header(stamp_ns, frame_id)
+    writer = CdrWriter().header(stamp_ns, frame_id)
     writer.write(_HEIGHT_WIDTH, 4, camera.height_px, camera.width_px).string("plumb_bob")
     writer.write(U32, 4, 5).floats((0.0,) * 5, "d")
     writer.floats((fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0), "d").floats(_IDENTITY_3, "d")
@@ -199,7 +199,7 @@ def encode_camera_info(stamp_ns: int, frame_id: str, camera: CameraModel) -> byt
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class CameraCalibration:
     """sensor_msgs/CameraInfo for the images as they are sent, with binning and roi applied.
 
     Attributes:
@@ -214,9 +214,9 @@ class Calibration:
     cut: str
 
 
-def decode_camera_info(payload: bytes) -> Calibration:
+def decode_camera_info(payload: bytes) -> CameraCalibration:
     """Decode a sensor_msgs/CameraInfo."""
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     stamp_ns, _ = reader.header()
     height, width = reader.read(_HEIGHT_WIDTH, 4)
     model = reader.string()
@@ -253,13 +253,13 @@ def decode_camera_info(payload: bytes) -> Calibration:
     lens = Lens(one_line(model, 40), d, pinhole(*raw)) if bent else None
     whole = (step_x, step_y, roi_width, roi_height) == (1, 1, width, height)
     cut = f"binning {step_x}x{step_y}, roi {roi_width}x{roi_height} at ({x}, {y})"
-    return Calibration(stamp_ns, camera, lens, "" if whole else cut)
+    return CameraCalibration(stamp_ns, camera, lens, "" if whole else cut)
 
 
 def encode_occupancy_grid(stamp_ns: int, grid: Grid, frame_id: str = MAP_FRAME) -> bytes:
     """Encode nav_msgs/OccupancyGrid of an int8 grid."""
     h, w = grid.cells.shape
-    writer = Writer().header(stamp_ns, frame_id).stamp_ns(stamp_ns)
+    writer = CdrWriter().header(stamp_ns, frame_id).stamp_ns(stamp_ns)
     writer.write(_GRID_INFO, 4, grid.resolution_m, w, h)
     writer.write(_POSE, 8, *grid.origin_xy_m, 0.0, 0.0, 0.0, 0.0, 1.0)
     writer.write(U32, 4, h * w)
@@ -272,7 +272,7 @@ def decode_occupancy_grid(payload: bytes) -> tuple[int, Grid]:
     The int8 cells are a read-only view of the payload. The resolution is the shortest decimal of
     its float32 (0.05, not 0.0500000007), so that cell positions do not drift.
     """
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     stamp_ns, _ = reader.header()
     reader.skip(STAMP.size, 4)
     resolution, width, height = reader.read(_GRID_INFO, 4)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from edge.bus.wire.cdr import STAMP, U8, U32, DecodeError, Reader, Writer
+from edge.bus.wire.cdr import STAMP, U8, U32, CdrReader, CdrWriter, DecodeError
 from edge.bus.wire.messages import MAP_FRAME, read_pose, write_pose
 from edge.geometry import SE2, se2_of
 
@@ -29,13 +29,13 @@ def encode_send_goal(
     goal_id: bytes, stamp_ns: int, pose: SE2, frame_id: str = MAP_FRAME, tree: str = ""
 ) -> bytes:
     """Encode NavigateToPose_SendGoal_Request; `tree`: behavior tree, "" for Nav2's default."""
-    writer = Writer().write(_UUID, 1, goal_id).header(stamp_ns, frame_id)
+    writer = CdrWriter().write(_UUID, 1, goal_id).header(stamp_ns, frame_id)
     return write_pose(writer, pose.matrix()).string(tree).bytes()
 
 
 def decode_send_goal(payload: bytes) -> tuple[bytes, int, SE2, str]:
     """Decode NavigateToPose_SendGoal_Request as (goal_id, stamp_ns, pose, frame_id)."""
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     (goal_id,) = reader.read(_UUID, 1)
     stamp_ns, frame_id = reader.header()
     return goal_id, stamp_ns, se2_of(read_pose(reader)), frame_id
@@ -43,13 +43,13 @@ def decode_send_goal(payload: bytes) -> tuple[bytes, int, SE2, str]:
 
 def decode_send_goal_answer(payload: bytes) -> bool:
     """Return True if the goal was accepted."""
-    (accepted,) = Reader(payload).read(U8, 1)
+    (accepted,) = CdrReader(payload).read(U8, 1)
     return bool(accepted)
 
 
 def encode_get_result(goal_id: bytes) -> bytes:
     """Encode NavigateToPose_GetResult_Request."""
-    return Writer().write(_UUID, 1, goal_id).bytes()
+    return CdrWriter().write(_UUID, 1, goal_id).bytes()
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def decode_result(payload: bytes) -> Result:
     Humble's result is empty, later ones have an error code, the newest also a message. The length
     shows which it is.
     """
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     (status,) = reader.read(_I8, 1)
     if reader.left < 3:
         return Result(status)
@@ -77,22 +77,22 @@ def decode_result(payload: bytes) -> Result:
 
 def encode_cancel(goal_id: bytes) -> bytes:
     """Encode action_msgs/CancelGoal_Request of one goal."""
-    return Writer().write(_UUID, 1, goal_id).write(STAMP, 4, 0, 0).bytes()
+    return CdrWriter().write(_UUID, 1, goal_id).write(STAMP, 4, 0, 0).bytes()
 
 
 def decode_cancel_answer(payload: bytes) -> tuple[int, list[bytes]]:
     """Decode (return code, goals being cancelled); code 0: accepted."""
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     (code,) = reader.read(_I8, 1)
     return code, [goal_id for goal_id, _ in _goals(reader, status=False)]
 
 
 def decode_goal_statuses(payload: bytes) -> list[tuple[bytes, int]]:
     """Decode action_msgs/GoalStatusArray as (goal_id, status) of each goal."""
-    return _goals(Reader(payload), status=True)
+    return _goals(CdrReader(payload), status=True)
 
 
-def _goals(reader: Reader, status: bool) -> list[tuple[bytes, int]]:
+def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
     (count,) = reader.read(U32, 4)
     if count > _MOST_GOALS:
         raise DecodeError(f"{count} goals")
@@ -117,7 +117,7 @@ class Feedback:
 
 def decode_feedback(payload: bytes) -> Feedback:
     """Decode NavigateToPose_FeedbackMessage without fields that later distributions append."""
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     (goal_id,) = reader.read(_UUID, 1)
     reader.header()
     pose = se2_of(read_pose(reader))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.bus.wire.cdr import HEADER, U32, DecodeError, Reader, Writer
+from edge.bus.wire.cdr import HEADER, U32, CdrReader, CdrWriter, DecodeError
 from edge.geometry import quaternion_of, se3_from_quaternion
 
 _TRANSFORM = struct.Struct("<7d")
@@ -29,7 +29,7 @@ class Transform:
 
 def decode_transforms(payload: bytes) -> list[Transform]:
     """Decode tf2_msgs/TFMessage; the leading slash of a frame (ROS 1) is removed."""
-    reader = Reader(payload)
+    reader = CdrReader(payload)
     (count,) = reader.read(U32, 4)
     if count > min(MOST_TRANSFORMS, len(payload) // _SMALLEST):
         raise DecodeError(f"{count} transforms in {len(payload)} bytes")
@@ -38,14 +38,14 @@ def decode_transforms(payload: bytes) -> list[Transform]:
 
 def encode_transforms(transforms: Sequence[Transform]) -> bytes:
     """Encode tf2_msgs/TFMessage."""
-    writer = Writer().write(U32, 4, len(transforms))
+    writer = CdrWriter().write(U32, 4, len(transforms))
     for t in transforms:
         writer.header(t.stamp_ns, t.parent).string(t.child)
         writer.write(_TRANSFORM, 8, *t.T[:3, 3], *quaternion_of(t.T))
     return writer.bytes()
 
 
-def _read_transform(reader: Reader) -> Transform:
+def _read_transform(reader: CdrReader) -> Transform:
     stamp_ns, parent = reader.header()
     child = reader.string()
     values = reader.read(_TRANSFORM, 8)
@@ -70,7 +70,7 @@ def encode_path(
         z_m: height, one for all or (n,).
     """
     n = len(poses)
-    writer = Writer().header(stamp_ns, frame_id).write(U32, 4, n)
+    writer = CdrWriter().header(stamp_ns, frame_id).write(U32, 4, n)
     if n == 0:
         return writer.bytes()
     values = np.zeros((n, 7))
@@ -78,7 +78,7 @@ def encode_path(
     values[:, 5], values[:, 6] = np.sin(0.5 * poses[:, 2]), np.cos(0.5 * poses[:, 2])
     first = writer.header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
     # A pose ends at a multiple of eight bytes, so all later poses have the same layout.
-    again = Writer().header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
+    again = CdrWriter().header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
     rest = np.tile(np.frombuffer(again[len(HEADER) :], np.uint8), (n - 1, 1))
     rest[:, -_TRANSFORM.size :] = values[1:].astype("<f8", copy=False).view(np.uint8)
     return first + rest.tobytes()

@@ -19,7 +19,7 @@ NO, KIND, NAMED = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class DetectedBoxes:
     """Boxes of one image, highest score first.
 
     Attributes:
@@ -34,7 +34,7 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class GroundTruthBoxes:
     """Ground truth of one image.
 
     Attributes:
@@ -80,7 +80,7 @@ def _ratio(part: float, whole: int) -> float | None:
     return round(part / whole, 4) if whole else None
 
 
-def judge(xyxy_px: np.ndarray, truth: Truth, how: np.ndarray) -> Tally:
+def match_to_truth(xyxy_px: np.ndarray, truth: GroundTruthBoxes, how: np.ndarray) -> Tally:
     """Match the boxes of one prompt in one image with the ground truth.
 
     A box is a hit if it overlaps a free object with the prompt's name by `MATCH_IOU`; it takes the
@@ -108,7 +108,7 @@ def judge(xyxy_px: np.ndarray, truth: Truth, how: np.ndarray) -> Tally:
     return Tally(int(wanted.sum()), counted, hits)
 
 
-def agree(reference: Found, candidate: Found) -> Tally:
+def match_to_reference(reference: DetectedBoxes, candidate: DetectedBoxes) -> Tally:
     """Match one image's boxes with those of another model: same prompt, IoU >= `MATCH_IOU`."""
     iou, _ = overlaps(candidate.xyxy_px, reference.xyxy_px)
     iou[candidate.class_id[:, None] != reference.class_id[None]] = 0.0
@@ -122,14 +122,16 @@ def agree(reference: Found, candidate: Found) -> Tally:
     return Tally(len(reference.score), len(candidate.score), hits, error)
 
 
-def agreement(reference: list[Found], candidate: list[Found]) -> dict[str, Any]:
+def agreement(reference: list[DetectedBoxes], candidate: list[DetectedBoxes]) -> dict[str, Any]:
     """Compare a variant's boxes with those of its FP32 model, frame by frame.
 
     Returns:
         `recall`, `precision`, `score_error` (mean relative difference of the hits' scores) and
         `boxes` (number of reference boxes).
     """
-    tally = sum(itertools.starmap(agree, zip(reference, candidate, strict=True)), Tally())
+    tally = sum(
+        itertools.starmap(match_to_reference, zip(reference, candidate, strict=True)), Tally()
+    )
     return {
         **tally.shares(),
         "score_error": _ratio(tally.error, tally.hits),
@@ -138,7 +140,10 @@ def agreement(reference: list[Found], candidate: list[Found]) -> dict[str, Any]:
 
 
 def against_truth(
-    found: list[Found], truth: list[Truth], answers: np.ndarray, prompts: Sequence[str]
+    found: list[DetectedBoxes],
+    truth: list[GroundTruthBoxes],
+    answers: np.ndarray,
+    prompts: Sequence[str],
 ) -> dict[str, Any]:
     """Return recall and precision against the ground truth.
 
@@ -155,7 +160,7 @@ def against_truth(
     by_prompt = {
         prompt: sum(
             (
-                judge(boxes.xyxy_px[boxes.class_id == k], real, answers[:, k])
+                match_to_truth(boxes.xyxy_px[boxes.class_id == k], real, answers[:, k])
                 for boxes, real in zip(found, truth, strict=True)
             ),
             Tally(),

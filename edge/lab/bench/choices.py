@@ -22,14 +22,14 @@ from edge import names
 from edge.config import ChoiceOnnx
 from edge.host import machine, resources
 from edge.host.files import save
-from edge.lab.bench.alone import run_alone
-from edge.lab.bench.frames import Frames
+from edge.lab.bench.frames import BenchFrames
+from edge.lab.bench.isolated import run_isolated
 from edge.lab.bench.variants import PROVIDERS, providers_here, runs_on
 from edge.lab.eval import geodesic
 from edge.perception.runtime.card_types import DirectionsCard
-from edge.perception.runtime.cards import all_cards, how_to_get
-from edge.perception.scoring.choice.question import Mark, Sighting, View, Ways
-from edge.text import aligned
+from edge.perception.runtime.cards import all_cards, install_hint
+from edge.perception.scoring.choice.question import DetectedObject, Mark, MarkCosts, MarkedView
+from edge.text import format_table
 from edge.types import Observation
 
 MEASURE = "edge.lab.bench.measure_choice"
@@ -51,15 +51,15 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Job:
+class ChoiceJob:
     """Job of a measuring process: the views to show to one model."""
 
     choice: ChoiceOnnx
-    views: list[View]
+    views: list[MarkedView]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class ChoiceMeasurement:
     """Result of a measuring process.
 
     Attributes:
@@ -76,7 +76,7 @@ class Measured:
     memory_mb: float
 
 
-Results = list[tuple[DirectionsCard, str, Union[Measured, str]]]
+Results = list[tuple[DirectionsCard, str, Union[ChoiceMeasurement, str]]]
 
 
 def families() -> list[str]:
@@ -84,7 +84,7 @@ def families() -> list[str]:
     return sorted({card.family for card in all_cards() if isinstance(card, DirectionsCard)})
 
 
-def run(family: str, args: argparse.Namespace, pictures: Frames) -> int:
+def run(family: str, args: argparse.Namespace, pictures: BenchFrames) -> int:
     """Compare the models of a family without detectors, print the table and save it.
 
     Returns:
@@ -103,7 +103,7 @@ def run(family: str, args: argparse.Namespace, pictures: Frames) -> int:
     return 0 if any_ran(rows) else 1
 
 
-def compare(family: str, args: argparse.Namespace, pictures: Frames) -> list[Row]:
+def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> list[Row]:
     """Return one row for each model of a family on each provider.
 
     Args:
@@ -139,7 +139,7 @@ def _asked(card: DirectionsCard, on: str) -> dict[str, object]:
     return {"card": card.name, "providers": PROVIDERS[on]}
 
 
-def views_of(pictures: Frames) -> list[View]:
+def views_of(pictures: BenchFrames) -> list[MarkedView]:
     """Return one view of each image: letters, known objects, and a target not in the image."""
     views = []
     for k, rgb in enumerate(pictures.rgb):
@@ -147,25 +147,25 @@ def views_of(pictures: Frames) -> list[View]:
         marks = tuple(Mark(i, u * w, v * h, b, d) for i, (u, v, b, d) in enumerate(_AT))
         truth = None if pictures.truth is None else pictures.truth[k]
         labels = [] if truth is None else [pictures.labels[i] for i in truth.label[truth.counts]]
-        seen = tuple(Sighting(label, 0.0, 1.0 + i) for i, label in enumerate(labels[:_SEEN]))
+        seen = tuple(DetectedObject(label, 0.0, 1.0 + i) for i, label in enumerate(labels[:_SEEN]))
         turn = k % len(_TARGETS)
         targets = _TARGETS[turn:] + _TARGETS[:turn]
-        unseen = (t for t in targets if not any(names.same(label, t) for label in labels))
+        unseen = (t for t in targets if not any(names.same_name(label, t) for label in labels))
         target = next(unseen, targets[0])
         straight_m = np.array([mark.distance_m for mark in marks], np.float32)
-        ways = Ways(straight_m, np.ones_like(straight_m), np.zeros(3, np.float32))
-        views.append(View(Observation(k, k, np.eye(4), rgb), target, marks, seen, ways=ways))
+        ways = MarkCosts(straight_m, np.ones_like(straight_m), np.zeros(3, np.float32))
+        views.append(MarkedView(Observation(k, k, np.eye(4), rgb), target, marks, seen, ways=ways))
     return views
 
 
-def _left_m(pictures: Frames, view: View) -> list[float]:
+def _left_m(pictures: BenchFrames, view: MarkedView) -> list[float]:
     """Return the true remaining distance [m] to the view's target, for each of its marks.
 
     The distance counts from the mark, or from the last free point on the straight line to it. It is
     inf if the world is unknown or there is no path.
     """
     world = pictures.world
-    things = [o for o in world.objects if names.same(o.label, view.target)] if world else []
+    things = [o for o in world.objects if names.same_name(o.label, view.target)] if world else []
     if not things:
         return [math.inf] * len(view.marks)
     plan, pose = world.plan, pictures.poses[view.observation.seq]
@@ -176,7 +176,7 @@ def _left_m(pictures: Frames, view: View) -> list[float]:
         for away_m in np.arange(0.0, mark.distance_m, _STEP_M):
             x_m = pose.x_m + away_m * math.cos(yaw_rad)
             y_m = pose.y_m + away_m * math.sin(yaw_rad)
-            if math.isinf(here_m := geodesic.at(plan, field, x_m, y_m)):
+            if math.isinf(here_m := geodesic.value_at(plan, field, x_m, y_m)):
                 break
             left_m = here_m
         found.append(left_m)
@@ -200,21 +200,28 @@ def right_of(left_m: np.ndarray) -> np.ndarray:
     return right & ~right.all(axis=1, keepdims=True)
 
 
-def _measured(card: DirectionsCard, settings: ChoiceOnnx, views: list[View]) -> Measured | str:
+def _measured(
+    card: DirectionsCard, settings: ChoiceOnnx, views: list[MarkedView]
+) -> ChoiceMeasurement | str:
     """Return the measurement, or one line of text that says why there is none."""
     if not card.is_here():
-        return f"not here: {how_to_get(card)}"
-    return run_alone(MEASURE, Job(settings, views), _LOAD_S + _VIEW_S * len(views))
+        return f"not here: {install_hint(card)}"
+    return run_isolated(MEASURE, ChoiceJob(settings, views), _LOAD_S + _VIEW_S * len(views))
 
 
 def _row(
-    card: DirectionsCard, on: str, found: Measured | str, results: Results, right: np.ndarray
+    card: DirectionsCard,
+    on: str,
+    found: ChoiceMeasurement | str,
+    results: Results,
+    right: np.ndarray,
 ) -> Row:
     row: Row = {"name": card.name, "on": on}
     if isinstance(found, str):
         return {**row, "why": found}
     reference = next(
-        (f for c, _, f in results if c.precision == REFERENCE and isinstance(f, Measured)), None
+        (f for c, _, f in results if c.precision == REFERENCE and isinstance(f, ChoiceMeasurement)),
+        None,
     )
     agreed = None if reference in (None, found) else agreement(reference.p, found.p)
     return {
@@ -235,7 +242,7 @@ def against_truth(right: np.ndarray, p: np.ndarray) -> dict[str, float]:
 
     Args:
         right: see `right_of`.
-        p: see `Measured`.
+        p: see `ChoiceMeasurement`.
 
     >>> right = np.array([[True, False], [False, True], [False, False]])
     >>> against_truth(right, np.array([[0.7, 0.2, 0.1, 0.5], [0.6, 0.4, 0, 0.5], [1, 0, 0, 1]]))
@@ -264,7 +271,7 @@ def agreement(reference: np.ndarray, p: np.ndarray) -> dict[str, float]:
     return {"same": round(float(same.mean()), 3), "difference": round(float(difference), 4)}
 
 
-def as_text(family: str, rows: Sequence[Row], pictures: Frames) -> str:
+def as_text(family: str, rows: Sequence[Row], pictures: BenchFrames) -> str:
     """Return the table; below it, the reason for each variant without figures."""
     ran = [row for row in rows if "why" not in row]
     cells = [
@@ -281,7 +288,7 @@ def as_text(family: str, rows: Sequence[Row], pictures: Frames) -> str:
         f"right: a letter with the shortest remaining path, in {scored['of_views']} views "
         f"where the letters differ; by chance {scored['at_random']:.2f}"
     ]  # fmt: skip
-    table = aligned([_HEADINGS, *cells], left=2)
+    table = format_table([_HEADINGS, *cells], left=2)
     return "\n".join([f"{family}, directions: {views}", table, *missing, *note])
 
 

@@ -15,19 +15,19 @@ from edge.config import Config, DetectorOnnx, load
 from edge.errors import UserError
 from edge.host import machine
 from edge.lab.bench import boxes, choices, frames, report
-from edge.lab.bench.alone import run_alone
-from edge.lab.bench.frames import Frames
-from edge.lab.bench.measure import Job, Measured
+from edge.lab.bench.frames import BenchFrames
+from edge.lab.bench.isolated import run_isolated
+from edge.lab.bench.measure import DetectorJob, DetectorMeasurement
 from edge.lab.bench.report import Report
 from edge.lab.bench.variants import PROVIDERS, Variant, families, providers_here, variants
 from edge.perception.embedding.encoders import make_text_encoder
-from edge.perception.runtime.cards import how_to_get, load_detector_card
+from edge.perception.runtime.cards import install_hint, load_detector_card
 from edge.perception.runtime.model_file import remembered_sha256
 from edge.perception.swap.base import LOAD_TIMEOUT_S
 
 log = logging.getLogger(__name__)
 
-Results = list[tuple[Variant, Union[Measured, str]]]
+Results = list[tuple[Variant, Union[DetectorMeasurement, str]]]
 MEASURE = "edge.lab.bench.measure"
 VERSION = 1
 STAGES = ("pre", "session", "post")
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _pictures(
     args: argparse.Namespace, config: Config, inputs_hw: Sequence[tuple[int, int]] = ()
-) -> Frames:
+) -> BenchFrames:
     """Return the frames that the command line asks for; `inputs_hw`: see `frames.from_world`."""
     if args.images is not None:
         return frames.from_folder(args.images, args.frames)
@@ -109,20 +109,20 @@ class Bench:
         limit_s: a process is killed after this time.
     """
 
-    job: Job
+    job: DetectorJob
     limit_s: float
 
-    def run(self, variant: Variant) -> Measured | str:
+    def run(self, variant: Variant) -> DetectorMeasurement | str:
         """Return the measurement, or one line of text that says why there is none."""
         if not variant.card.is_here():
-            return f"not here: {how_to_get(variant.card)}"
+            return f"not here: {install_hint(variant.card)}"
         asked = {"model": variant.card.name, "providers": PROVIDERS[variant.on]}
         detector = self.job.detector.model_copy(update=asked)
-        return run_alone(MEASURE, replace(self.job, detector=detector), self.limit_s, _LIMIT)
+        return run_isolated(MEASURE, replace(self.job, detector=detector), self.limit_s, _LIMIT)
 
 
 def compare(
-    config: Config, todo: Sequence[Variant], pictures: Frames, settings: DetectorOnnx
+    config: Config, todo: Sequence[Variant], pictures: BenchFrames, settings: DetectorOnnx
 ) -> Report:
     """Run all variants and compute the figures.
 
@@ -151,7 +151,7 @@ def compare(
     tau_det = config.perception.tau_det
     limit_s = LOAD_TIMEOUT_S + _FRAME_S * len(pictures.rgb)
     before = machine.describe()
-    bench = Bench(Job(settings, prompts, pictures.rgb, tau_det), limit_s)
+    bench = Bench(DetectorJob(settings, prompts, pictures.rgb, tau_det), limit_s)
     results = _run_all(bench, todo)
     again = _again(bench, results)
     return {
@@ -186,9 +186,9 @@ def _run_all(bench: Bench, todo: Sequence[Variant]) -> Results:
 
 def _row(
     variant: Variant,
-    result: Measured | str,
+    result: DetectorMeasurement | str,
     results: Results,
-    pictures: Frames,
+    pictures: BenchFrames,
     prompts: tuple[str, ...],
 ) -> dict[str, Any]:
     row = {"name": variant.card.name, "on": variant.on}
@@ -236,11 +236,13 @@ def latency_ms(stages_ns: np.ndarray) -> dict[str, dict[str, float]]:
     }
 
 
-def _agreement(variant: Variant, result: Measured, results: Results) -> dict[str, Any] | None:
+def _agreement(
+    variant: Variant, result: DetectorMeasurement, results: Results
+) -> dict[str, Any] | None:
     """Compare with FP32 of the same size, on the first provider where it ran; None for itself."""
     for other, reference in results:
         alike = other.card.precision == "fp32" and other.card.input == variant.card.input
-        if alike and isinstance(reference, Measured):
+        if alike and isinstance(reference, DetectorMeasurement):
             itself = reference is result
             return None if itself else boxes.agreement(reference.found, result.found)
     return None
@@ -248,7 +250,9 @@ def _agreement(variant: Variant, result: Measured, results: Results) -> dict[str
 
 def _again(bench: Bench, results: Results) -> dict[str, Any] | None:
     """Measure the first variant again, to see if the machine has become slower or faster."""
-    ran = [(variant, result) for variant, result in results if isinstance(result, Measured)]
+    ran = [
+        (variant, result) for variant, result in results if isinstance(result, DetectorMeasurement)
+    ]
     if len(ran) < 2:
         return None
     variant, first = ran[0]

@@ -16,7 +16,7 @@ from edge.config import Config
 from edge.errors import UserError
 from edge.geometry import SE2, invert
 from edge.host.c_stderr import silenced
-from edge.lab.bench.boxes import KIND, NAMED, NO, Truth
+from edge.lab.bench.boxes import KIND, NAMED, NO, GroundTruthBoxes
 from edge.lab.sim.base import World, WorldObject, free_poses
 from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
@@ -34,7 +34,7 @@ _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 
 
 @dataclass(frozen=True, slots=True)
-class Frames:
+class BenchFrames:
     """Images, and their ground truth if it is known.
 
     Attributes:
@@ -49,7 +49,7 @@ class Frames:
     source: str
     rgb: list[np.ndarray]
     labels: tuple[str, ...]
-    truth: list[Truth] | None
+    truth: list[GroundTruthBoxes] | None
     world: World | None = None
     poses: tuple[SE2, ...] = ()
 
@@ -59,7 +59,7 @@ class Frames:
         return sum(int(t.counts.sum()) for t in self.truth or ())
 
 
-def from_world(config: Config, count: int, inputs_hw: Sequence[tuple[int, int]]) -> Frames:
+def from_world(config: Config, count: int, inputs_hw: Sequence[tuple[int, int]]) -> BenchFrames:
     """Render views of the configured world from random free poses, repeatably.
 
     The camera is the configured one, scaled up to the largest model input, so that no model gets an
@@ -91,7 +91,7 @@ def from_world(config: Config, count: int, inputs_hw: Sequence[tuple[int, int]])
         rgb.append(rig.rgb.copy())
         T_camera_map = invert(pose.matrix() @ rig.T_base_camera)
         truth.append(_truth(rig, world, labels, T_camera_map, MIN_SIDE_PX * scale))
-    return Frames(f"{world.name}, seed {SEED}", rgb, labels, truth, world, poses)
+    return BenchFrames(f"{world.name}, seed {SEED}", rgb, labels, truth, world, poses)
 
 
 def _truth(
@@ -100,7 +100,7 @@ def _truth(
     labels: tuple[str, ...],
     T_camera_map: np.ndarray,
     min_side_px: float,
-) -> Truth:
+) -> GroundTruthBoxes:
     """Return the visible part of each object in the rig's last image.
 
     An object's id in `rig.ids` is its index + 1.
@@ -116,7 +116,7 @@ def _truth(
     )
     index = {label: k for k, label in enumerate(labels)}
     label = np.array([index[world.objects[k].label] for k in seen], np.int32)
-    return Truth(box[seen].astype(np.float32), label, counts)
+    return GroundTruthBoxes(box[seen].astype(np.float32), label, counts)
 
 
 def whole_area_px(item: WorldObject, T_camera_map: np.ndarray, rig: CameraRig) -> float:
@@ -131,7 +131,7 @@ def whole_area_px(item: WorldObject, T_camera_map: np.ndarray, rig: CameraRig) -
     return float(width * height)
 
 
-def from_folder(folder: Path, count: int) -> Frames:
+def from_folder(folder: Path, count: int) -> BenchFrames:
     """Read the first `count` images of a folder, by name; their ground truth is unknown.
 
     Raises:
@@ -147,7 +147,7 @@ def from_folder(folder: Path, count: int) -> Frames:
         if image is None:
             raise UserError(f"{path}: not a readable image: remove it from the folder")
         rgb.append(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
-    return Frames(str(folder), rgb, tuple(names.ALIASES), None)
+    return BenchFrames(str(folder), rgb, tuple(names.ALIASES), None)
 
 
 def prompts_for(
@@ -159,7 +159,7 @@ def prompts_for(
     table).
     """
     words = words_for(labels, resolve)
-    known = tuple(label for label, word in words.items() if names.same(word, label))
+    known = tuple(label for label, word in words.items() if names.same_name(word, label))
     return known, tuple(label for label in labels if label not in known)
 
 
@@ -180,7 +180,7 @@ def answers_of(labels: Sequence[str], prompts: Sequence[str]) -> np.ndarray:
     answers = np.full((len(labels), len(prompts)), NO, np.uint8)
     for i, label in enumerate(labels):
         for j, prompt in enumerate(prompts):
-            if names.same(label, prompt):
+            if names.same_name(label, prompt):
                 answers[i, j] = NAMED
             elif names.is_kind_of(label, prompt):
                 answers[i, j] = KIND

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.config import DetectorOnnx, Perception
+from edge.config import DetectorOnnx, PerceptionConfig
 from edge.host import machine
-from edge.lab.bench import alone
-from edge.lab.bench.boxes import Found
+from edge.lab.bench import isolated
+from edge.lab.bench.boxes import DetectedBoxes
 from edge.lab.bench.service import resident_mb
 from edge.perception.factory import make_detector
 from edge.perception.runtime.cuda import gpu_of
@@ -24,7 +24,7 @@ WARM_FRAMES = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class DetectorJob:
     """Job of a measuring process.
 
     Attributes:
@@ -41,7 +41,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class DetectorMeasurement:
     """Result of a measuring process.
 
     Attributes:
@@ -56,7 +56,7 @@ class Measured:
     """
 
     stages_ns: np.ndarray
-    found: list[Found]
+    found: list[DetectedBoxes]
     load_s: float
     memory_mb: float
     gpu_memory_mb: float | None
@@ -65,22 +65,22 @@ class Measured:
     gpu: str | None
 
 
-def measure(job: Job) -> Measured:
+def measure(job: DetectorJob) -> DetectorMeasurement:
     """Run the model over all frames."""
     seen = [Observation(k, k * 100_000_000, np.eye(4), rgb) for k, rgb in enumerate(job.rgb)]
     warmup()  # compile first: the time does not belong to the model
     before_mb, gpu_before_mb = resident_mb(), machine.gpu_memory_mb()
     began = time.perf_counter()
-    detector = make_detector(Perception(detector=job.detector), job.prompts, _print_health)
+    detector = make_detector(PerceptionConfig(detector=job.detector), job.prompts, _print_health)
     for observation in seen[:WARM_FRAMES]:
         detector.detect(observation)
     load_s = time.perf_counter() - began
     stages_ns, found, since = [], [], _clocks()
     for observation in seen:
-        found.append(strong(detector.detect(observation), job.tau_det))
+        found.append(usable_boxes(detector.detect(observation), job.tau_det))
         stages_ns.append(detector.stages_ns)  # type: ignore[attr-defined]
     others_cores = _others_cores(since, _clocks())
-    return Measured(
+    return DetectorMeasurement(
         stages_ns=np.array(stages_ns, np.int64),
         found=found,
         load_s=load_s,
@@ -102,10 +102,12 @@ def used_gpu(settings: DetectorOnnx) -> str | None:
     return None if on_cpu else gpu_of(settings.device_id)[0]
 
 
-def strong(detections: Detections, tau_det: float) -> Found:
+def usable_boxes(detections: Detections, tau_det: float) -> DetectedBoxes:
     """Return the boxes that the service would make instances of."""
-    kept = (detections.score > tau_det) & detections.unrivalled()
-    return Found(detections.xyxy_px[kept], detections.score[kept], detections.class_id[kept])
+    kept = (detections.score > tau_det) & detections.not_suppressed()
+    return DetectedBoxes(
+        detections.xyxy_px[kept], detections.score[kept], detections.class_id[kept]
+    )
 
 
 def _clocks() -> tuple[float | None, float, float]:
@@ -130,4 +132,4 @@ def _print_health(health: Health) -> None:
 if __name__ == "__main__":
     from edge.lab.bench import measure as module  # pickles name its types by this module
 
-    sys.exit(alone.main(sys.argv[1:], module.measure))
+    sys.exit(isolated.main(sys.argv[1:], module.measure))

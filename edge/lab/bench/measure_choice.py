@@ -8,13 +8,13 @@ import time
 import numpy as np
 
 from edge.errors import UserError
-from edge.lab.bench import alone
-from edge.lab.bench.choices import Job, Measured
+from edge.lab.bench import isolated
+from edge.lab.bench.choices import ChoiceJob, ChoiceMeasurement
 from edge.lab.bench.service import resident_mb
 from edge.perception.scoring.choice.factory import open_choice
 
 
-def measure(job: Job) -> Measured:
+def measure(job: ChoiceJob) -> ChoiceMeasurement:
     """Show all views to a model; the time is from the image to both answers."""
     before_mb, began = resident_mb(), time.perf_counter()
     scorer = open_choice(job.choice)
@@ -27,8 +27,8 @@ def measure(job: Job) -> Measured:
             raise UserError(f"view {view.observation.seq}: no room for letters: use larger images")
         p.append([*found.p, found.elsewhere, found.scene])
     memory_mb = resident_mb() - before_mb
-    return Measured(np.array(took_ms), np.array(p, np.float32), load_s, memory_mb)
+    return ChoiceMeasurement(np.array(took_ms), np.array(p, np.float32), load_s, memory_mb)
 
 
 if __name__ == "__main__":
-    sys.exit(alone.main(sys.argv[1:], measure))
+    sys.exit(isolated.main(sys.argv[1:], measure))

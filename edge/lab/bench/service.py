@@ -99,12 +99,12 @@ def run_bench(
     """
     began = time.perf_counter() - started_s  # imports are part of getting ready
     from edge.lab.bench import swap as swap_bench
-    from edge.launch import on_a_free_port, open_service
+    from edge.launch import open_service, with_free_port
     from edge.loop.runner import loop
     from edge.sources.played import Playback
     from edge.sources.recording import player
 
-    config = on_a_free_port(config).model_copy(
+    config = with_free_port(config).model_copy(
         update={
             # The mission must outlast the recording.
             "mission": config.mission.model_copy(update={"time_limit_s": 1e6, "path_limit_m": 1e6}),
@@ -227,7 +227,7 @@ def ensure_recording(
     key = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]
     path = resources.cache_dir() / "recordings" / f"house-{key}.mcap"
     if not path.exists():
-        from edge.lab.eval.tour import tour
+        from edge.lab.eval.house_drive import house_drive
 
         log.info("making the recording %s (once)", path)
         try:
@@ -235,7 +235,7 @@ def ensure_recording(
         except OSError as error:
             raise RecordingError(f"{path.parent}: {error.strerror}") from None
         began = time.perf_counter()
-        record_messages(path, _with_progress(tour(config, seconds), seconds, stop))
+        record_messages(path, _with_progress(house_drive(config, seconds), seconds, stop))
         size_mb, took_s = path.stat().st_size / 1e6, time.perf_counter() - began
         log.info("recorded %g s: %.0f MB, made in %.0f s", seconds, size_mb, took_s)
     return path

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from edge.errors import UserError
-from edge.perception.swap.base import OVER
+from edge.perception.swap.base import FINAL_STATES
 
 if TYPE_CHECKING:
-    from edge.loop.runner import Running
+    from edge.loop.runner import RunningService
 
 
 _ROWS = {
@@ -37,7 +37,7 @@ counts observations that a newer one replaced before a tick used them.
 class SwapBench:
     """Requests the swap at half time and follows it; call `beat` after every loop iteration."""
 
-    def __init__(self, running: Running, model: str, seconds: float) -> None:
+    def __init__(self, running: RunningService, model: str, seconds: float) -> None:
         from edge.perception.runtime.cards import load_detector_card
 
         self._running = running
@@ -67,7 +67,7 @@ class SwapBench:
                 self._before = self._end(now_ns)
                 self._begin(now_ns)
                 swapper.request(self._model, False, now_ns)
-        elif swapper.state in OVER:
+        elif swapper.state in FINAL_STATES:
             self._during = self._end(now_ns)
 
     def figures(self) -> dict[str, Any]:

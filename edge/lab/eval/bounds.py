@@ -14,11 +14,11 @@ import numpy as np
 
 from edge.config import PolicySearch
 from edge.lab.eval import geodesic
+from edge.lab.eval.ground_truth import SAME_M, named
 from edge.lab.eval.metrics import REACHED_M
-from edge.lab.eval.witness import SAME_M, named
 from edge.lab.sim.base import Room, World, WorldObject
-from edge.policies.base import INSTANCE, LOOK, Candidates, Context, Why
-from edge.policies.search import Search
+from edge.policies.base import INSTANCE, LOOK, Candidates, PolicyInput, Why
+from edge.policies.search import SearchPolicy
 
 FAR_M = 1e3
 """Distance if there is no path."""
@@ -42,7 +42,7 @@ class KnownPlace:
         self._world, self._radius_m = world, robot_radius_m
         self._left_m: dict[str, np.ndarray] = {}
 
-    def score(self, context: Context) -> np.ndarray:
+    def score(self, context: PolicyInput) -> np.ndarray:
         """See `Policy.score`."""
         candidates, target = context.candidates, context.target
         if target not in self._left_m:
@@ -67,7 +67,7 @@ class KnownPlace:
             if room is not None:
                 close &= inside(self._world, [room])
             near = close if near is None else near | close
-        return everywhere(self._world, near, self._radius_m)
+        return cost_to_goal_m(self._world, near, self._radius_m)
 
 
 class KnownRoom:
@@ -85,10 +85,10 @@ class KnownRoom:
         if not world.rooms:
             raise ValueError(f"{world.name}: the world has no room data")
         self._world, self._radius_m = world, robot_radius_m
-        self._search = Search(PolicySearch())
+        self._search = SearchPolicy(PolicySearch())
         self._left_m: dict[str, np.ndarray] = {}
 
-    def score(self, context: Context) -> np.ndarray:
+    def score(self, context: PolicyInput) -> np.ndarray:
         """See `Policy.score`."""
         candidates, target = context.candidates, context.target
         if target not in self._left_m:
@@ -111,10 +111,10 @@ class KnownRoom:
         """
         held = {room_of(self._world, thing) for thing in named(self._world, target)} - {None}
         free = self._world.plan.clearance_m > self._radius_m
-        return everywhere(self._world, inside(self._world, sorted(held)) & free, self._radius_m)
+        return cost_to_goal_m(self._world, inside(self._world, sorted(held)) & free, self._radius_m)
 
 
-def everywhere(world: World, goal: np.ndarray | None, robot_radius_m: float) -> np.ndarray:
+def cost_to_goal_m(world: World, goal: np.ndarray | None, robot_radius_m: float) -> np.ndarray:
     """Return the driving distance from every cell to the nearest goal cell.
 
     A cell where the robot does not fit, such as one next to a wall, gets the distance of the
@@ -133,7 +133,7 @@ def everywhere(world: World, goal: np.ndarray | None, robot_radius_m: float) -> 
     cells = np.full(free.shape, np.inf)
     if goal is not None:
         cells[goal] = 0.0
-    while geodesic.sweep(free, cells):
+    while geodesic.relax(free, cells):
         pass
     known = np.isfinite(cells)
     if not known.any():
@@ -164,7 +164,7 @@ def inside(world: World, rooms: list[Room]) -> np.ndarray:
     grid = world.plan.grid
     found = np.zeros(grid.cells.shape, bool)
     for x0, y0, x1, y1 in (rectangle for room in rooms for rectangle in room):
-        (left, bottom), (right, top) = grid.of_metres((x0, y0)), grid.of_metres((x1, y1))
+        (left, bottom), (right, top) = grid.to_cells((x0, y0)), grid.to_cells((x1, y1))
         rows = slice(max(round(bottom), 0), max(round(top), 0))
         found[rows, max(round(left), 0) : max(round(right), 0)] = True
     return found
@@ -177,12 +177,12 @@ def _path_m(candidates: Candidates) -> np.ndarray:
 
 def _at(world: World, left_m: np.ndarray, candidates: Candidates) -> np.ndarray:
     """Return the field at each candidate, (n,) float64; outside the plan, at its edge."""
-    cells = world.plan.grid.of_metres(candidates.xy_m[: candidates.n].astype(np.float64))
+    cells = world.plan.grid.to_cells(candidates.xy_m[: candidates.n].astype(np.float64))
     col, row = np.floor(cells).astype(int).T
     return left_m[np.clip(row, 0, len(left_m) - 1), np.clip(col, 0, left_m.shape[1] - 1)]
 
 
-def _instances_first(world: World, context: Context, score: np.ndarray) -> np.ndarray:
+def _instances_first(world: World, context: PolicyInput, score: np.ndarray) -> np.ndarray:
     """Set the scores of instance candidates, in place: 1 / (1 + path) for a true target, else 0."""
     candidates, path_m = context.candidates, _path_m(context.candidates)
     things = named(world, context.target)

@@ -8,7 +8,7 @@ from time import perf_counter_ns
 
 import numpy as np
 
-from edge.config import Config, PolicyOwn
+from edge.config import Config, PolicyPlugin
 from edge.geometry import SE2
 from edge.lab.motion.controller import Controller
 from edge.lab.sim.base import World
@@ -24,13 +24,13 @@ from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
-from edge.tasks.brief import prepared
+from edge.tasks.mission_spec import prepare_mission
 from edge.types import Goal, GoalStatus, Observation
 
 START_NS = 1_000_000_000
 
 
-class Notes:
+class RunLog:
     """Sink that collects the goals, events and goal statuses of a run."""
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class ClosedLoop:
         world: the world, already loaded with `config`; None: load `sim.world`.
         colour: False: render only depth and object ids, which is faster. Only for detectors and
             scorers that need no colour (see `wants_colour`).
-        task: replaces the configuration's mission (`edge.tasks.brief`).
+        task: replaces the configuration's mission (`edge.tasks.mission_spec`).
         site: places and zones at the start.
 
     Raises:
@@ -77,7 +77,7 @@ class ClosedLoop:
     """
 
     config: Config
-    notes: Notes = field(default_factory=Notes)
+    notes: RunLog = field(default_factory=RunLog)
     sinks: Sequence[Sink] = ()
     world: World | None = None
     colour: bool = True
@@ -92,7 +92,7 @@ class ClosedLoop:
         self.rig = CameraRig(config, world, self.colour)
         self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
         self.labels = tuple(o.label for o in world.objects)
-        brief = prepared(config, self.task, self.site)
+        brief = prepare_mission(config, self.task, self.site)
         masker = make_masker(config.perception, timed=False)
         detector = make_detector(config.perception, brief.prompts, truth=self.truth)
         self.worker = DetectorWorker(detector, True, masker)
@@ -144,7 +144,7 @@ class ClosedLoop:
             answers += self.controller.on_goal(goal.stamp_ns, goal.pose)
         command, more = self.controller.step(motion.odometry, motion.v_mps, motion.w_radps, now_ns)
         for answer in answers + more:
-            self.service.goal_answered(answer)
+            self.service.on_goal_status(answer)
         self.drive.step(self.config.sim.step_s, command.v_mps, command.w_radps)
 
     @property
@@ -177,7 +177,7 @@ def wants_colour(config: Config) -> bool:
     perception = config.perception
     scored = perception.similarity is not None or perception.choice.kind in ("openai", "onnx")
     # A plugin may use the image. The policies of `edge` (`edge.lab.eval.bounds`) do not.
-    own = isinstance(config.policy, PolicyOwn) and not config.policy.kind.startswith("edge.")
+    own = isinstance(config.policy, PolicyPlugin) and not config.policy.kind.startswith("edge.")
     masked = perception.segmenter.kind != "none"
     return scored or masked or own or perception.detector.kind != "sim"
 

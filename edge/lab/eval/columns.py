@@ -22,7 +22,7 @@ Data = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class ExperimentArm:
     """An experiment arm: one configuration to run episodes with.
 
     Attributes:
@@ -44,7 +44,7 @@ class Column:
 _NOT_HASHED = {"path": True, "zenoh": True, "sim": {"world", "start", "lockstep"}}
 
 
-def make_columns(config: Config, columns: Mapping[str, Data]) -> list[Column]:
+def make_arms(config: Config, columns: Mapping[str, Data]) -> list[ExperimentArm]:
     """Check and build the arms.
 
     Args:
@@ -59,7 +59,7 @@ def make_columns(config: Config, columns: Mapping[str, Data]) -> list[Column]:
     return [_column(name, config, dict(settings)) for name, settings in columns.items()]
 
 
-def _column(name: str, config: Config, settings: Data) -> Column:
+def _column(name: str, config: Config, settings: Data) -> ExperimentArm:
     other = settings.pop("config", None)
     base = config if other is None else load(str(other))
     data, path = data_of(base), base.path
@@ -68,7 +68,7 @@ def _column(name: str, config: Config, settings: Data) -> Column:
     for key in ("target", "instruction", "checkpoint"):
         del content["mission"][key]
     code = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
-    return Column(name, data, settings, code, path)
+    return ExperimentArm(name, data, settings, code, path)
 
 
 def data_of(config: Config) -> Data:
@@ -100,7 +100,7 @@ def merged(*parts: Mapping[str, Any]) -> Data:
 # -- from files and options -----------------------------------------------------------------------
 
 
-def read_columns(path: Path) -> dict[str, Data]:
+def read_arms(path: Path) -> dict[str, Data]:
     """Read arms from a YAML file: a section of settings for each name.
 
     Raises:
@@ -115,7 +115,7 @@ def read_columns(path: Path) -> dict[str, Data]:
     return {str(name): settings or {} for name, settings in data.items()}
 
 
-def parse_column(words: Sequence[str]) -> tuple[str, Data]:
+def parse_arm(words: Sequence[str]) -> tuple[str, Data]:
     """Parse an arm written as `NAME KEY=VALUE …`: keys with dots, values in YAML.
 
     >>> parse_column(["search", "policy.kind=search", "perception.detector={kind: sim}"])

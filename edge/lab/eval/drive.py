@@ -16,13 +16,13 @@ from edge.config import Config, parse
 from edge.errors import Stopped, UserError
 from edge.lab.eval import geodesic, world_list
 from edge.lab.eval.closed_loop import ClosedLoop, wants_colour
-from edge.lab.eval.columns import Column, Data, merged
+from edge.lab.eval.columns import Data, ExperimentArm, merged
 from edge.lab.eval.episodes import Episode
+from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger, named
 from edge.lab.eval.metrics import REACHED_M
-from edge.lab.eval.outcome import Outcome, crashed
-from edge.lab.eval.witness import Truth, Witness, named
+from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcome
 from edge.lab.report.page import write_report
-from edge.lab.report.recorder import Recorder
+from edge.lab.report.recorder import ReportRecorder
 from edge.lab.sim.base import World
 from edge.loop.latency import LatencyReport
 from edge.loop.warmup import warm_up
@@ -30,12 +30,14 @@ from edge.loop.warmup import warm_up
 if TYPE_CHECKING:
     import zenoh
 
-SPARE = 1.1  # factor on the mission's time limit after which every episode ends
+TIME_LIMIT_FACTOR = 1.1  # factor on the mission's time limit after which every episode ends
 _LATE_S = 5.0  # longest wait for the simulator's ground truth, over Zenoh
 _POLL_S = 0.001
 _KEPT = 64
 
-Drive = Callable[[Config, World, Path | None, threading.Event], tuple[Witness, LatencyReport]]
+EpisodeDriver = Callable[
+    [Config, World, Path | None, threading.Event], tuple[GroundTruthLogger, LatencyReport]
+]
 """Runs an episode to its end or until the event is set. Writes a report if a folder is given.
 
 Raises:
@@ -44,12 +46,12 @@ Raises:
 
 
 def run_episode(
-    column: Column,
+    column: ExperimentArm,
     episode: Episode,
-    drive: Drive,
+    drive: EpisodeDriver,
     page: Path | None = None,
     stop: threading.Event | None = None,
-) -> Outcome:
+) -> EpisodeOutcome:
     """Run one episode with one arm. An error during the run gives a "crashed" outcome.
 
     Args:
@@ -72,10 +74,10 @@ def run_episode(
         raise
     except Exception as error:
         why = str(error) if isinstance(error, UserError) else repr(error)
-        return crashed(column, episode, why, time.monotonic() - began_s)
+        return crashed_outcome(column, episode, why, time.monotonic() - began_s)
 
 
-def config_of(column: Column, episode: Episode) -> Config:
+def config_of(column: ExperimentArm, episode: Episode) -> Config:
     """Return the configuration of an episode with an arm.
 
     It runs in lockstep, with every model in the service's process and on one thread, so that the
@@ -103,17 +105,17 @@ _LOCKSTEP: Data = {
 
 def in_process(
     config: Config, world: World, page: Path | None, stop: threading.Event
-) -> tuple[Witness, LatencyReport]:
-    """Run an episode in one thread, without Zenoh. See `Drive`."""
+) -> tuple[GroundTruthLogger, LatencyReport]:
+    """Run an episode in one thread, without Zenoh. See `EpisodeDriver`."""
     _warmed(config.policy.model_dump_json(), config)
-    witness = Witness(config, world, lambda stamp_ns: _truth_of(loop))
-    recorder = None if page is None else Recorder(config)
+    witness = GroundTruthLogger(config, world, lambda stamp_ns: _truth_of(loop))
+    recorder = None if page is None else ReportRecorder(config)
     sinks = [witness] if recorder is None else [witness, recorder]
     colour = recorder is not None or wants_colour(config)
     loop = ClosedLoop(config, sinks=sinks, world=world, colour=colour)
     service = loop.service
     try:
-        for _ in range(int(SPARE * config.mission.time_limit_s / config.sim.step_s)):
+        for _ in range(int(TIME_LIMIT_FACTOR * config.mission.time_limit_s / config.sim.step_s)):
             if service.status.done:
                 break
             if stop.is_set():
@@ -136,10 +138,10 @@ def _warmed(policy: str, config: Config) -> None:
         _ready.add(policy)
 
 
-def _truth_of(loop: ClosedLoop) -> Truth:
+def _truth_of(loop: ClosedLoop) -> GroundTruth:
     motion = loop.drive.motion
     where = motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad
-    return Truth(*where, motion.path_m, motion.collisions, loop.rig.ids)
+    return GroundTruth(*where, motion.path_m, motion.collisions, loop.rig.ids)
 
 
 # -- over Zenoh -----------------------------------------------------------------------------------
@@ -147,23 +149,23 @@ def _truth_of(loop: ClosedLoop) -> Truth:
 
 def over_zenoh(
     config: Config, world: World, page: Path | None, stop: threading.Event
-) -> tuple[Witness, LatencyReport]:
-    """Run an episode with simulator and controller as two child processes. See `Drive`."""
-    from edge.launch import children, on_a_free_port, open_service
+) -> tuple[GroundTruthLogger, LatencyReport]:
+    """Run an episode with simulator and controller as two child processes. See `EpisodeDriver`."""
+    from edge.launch import child_processes, open_service, with_free_port
     from edge.loop.runner import loop
 
-    config = on_a_free_port(config)
-    witness = Witness(config, world, lambda stamp_ns: truth.at(stamp_ns))
-    recorder = Recorder(config)
+    config = with_free_port(config)
+    witness = GroundTruthLogger(config, world, lambda stamp_ns: truth.at(stamp_ns))
+    recorder = ReportRecorder(config)
     with open_service(config, [witness, recorder], stop=stop) as running:
-        truth = TrueMotion(running.session, config)
+        truth = GroundTruthReader(running.session, config)
         over = threading.Event()  # also set if a child ends by itself
 
         def check_stop() -> None:
             if stop.is_set():
                 over.set()
 
-        with children(config, over, ("sim", "--no-motion"), ("sim", "--motion-only")):
+        with child_processes(config, over, ("sim", "--no-motion"), ("sim", "--motion-only")):
             loop(running, over, once=True, each=check_stop)
         if stop.is_set():
             raise Stopped("stopped on request")
@@ -173,19 +175,19 @@ def over_zenoh(
         return witness, running.service.latency.report()
 
 
-class TrueMotion:
+class GroundTruthReader:
     """Ground truth from the simulator over Zenoh: the robot's pose and the object ids, by stamp."""
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
         from edge.bus import topics
         from edge.bus.session import Ring
-        from edge.sources.truth import TruthInbox
+        from edge.sources.truth import SegmentationInbox
 
         self._ring = Ring(session, config.zenoh.key(topics.GROUND_TRUTH.key), _KEPT)
-        self._pictures = TruthInbox(config, session)
+        self._pictures = SegmentationInbox(config, session)
         self._heard: dict[int, dict[str, Any]] = {}
 
-    def at(self, stamp_ns: int) -> Truth:
+    def at(self, stamp_ns: int) -> GroundTruth:
         """Wait for the ground truth of a stamp and return it.
 
         Raises:
@@ -206,21 +208,21 @@ class TrueMotion:
             time.sleep(_POLL_S)
         data = self._heard[stamp_ns]
         self._heard = {t: heard for t, heard in self._heard.items() if t >= stamp_ns}
-        return Truth(*data["pose"], data["path_m"], data["collisions"], picture.ids)
+        return GroundTruth(*data["pose"], data["path_m"], data["collisions"], picture.ids)
 
 
 # -- the outcome ----------------------------------------------------------------------------------
 
 
 def _outcome(
-    column: Column,
+    column: ExperimentArm,
     episode: Episode,
     config: Config,
     world: World,
-    witness: Witness,
+    witness: GroundTruthLogger,
     latency: LatencyReport,
     began_s: float,
-) -> Outcome:
+) -> EpisodeOutcome:
     """Judge a finished run.
 
     Raises:
@@ -235,10 +237,10 @@ def _outcome(
     failure, sight = witness.failure(status.target), witness.first_sight()
     away_m = left_m = None
     if episode.target is not None:
-        away_m = witness.away_m(episode.target, now.x_m, now.y_m)
-        left_m = left_to(config, world, episode.target, now.x_m, now.y_m)
+        away_m = witness.distance_to_target_m(episode.target, now.x_m, now.y_m)
+        left_m = remaining_m(config, world, episode.target, now.x_m, now.y_m)
     score = latency.stage("score")
-    return Outcome(
+    return EpisodeOutcome(
         episode.id, column.name, column.id, world.name, str(episode.world["kind"]),
         episode.target, episode.instruction, episode.start, episode.shortest_m,
         failure is None, _reason(witness, config), failure,
@@ -251,7 +253,7 @@ def _outcome(
         first_sight_s=None if sight is None else sight.seconds,
         first_sight_path_m=None if sight is None else sight.path_m,
         wrong_stops=len(witness.wrong_stops),
-        false_confirmations=len(witness.mistaken),
+        false_confirmations=len(witness.false_confirmed),
         revisited_m2=witness.revisited_m2,
         goals=len(witness.goals),
         tick_ms={key: getattr(latency.tick, f"{key}_ms") for key in ("p50", "p95", "max")},
@@ -261,10 +263,10 @@ def _outcome(
     )  # fmt: skip
 
 
-def _reason(witness: Witness, config: Config) -> str:
+def _reason(witness: GroundTruthLogger, config: Config) -> str:
     status = witness.status
     if status is None or not status.done:
-        return f"no end after {SPARE * config.mission.time_limit_s:g} s"
+        return f"no end after {TIME_LIMIT_FACTOR * config.mission.time_limit_s:g} s"
     for label, away_m in witness.wrong_stops[:1]:
         return f"declared reached {away_m:.1f} m from the nearest {label}"
     if status.phase == "reached" and len(witness.stops) == 1:
@@ -272,10 +274,10 @@ def _reason(witness: Witness, config: Config) -> str:
     return status.reason
 
 
-def left_to(config: Config, world: World, target: str, x_m: float, y_m: float) -> float | None:
+def remaining_m(config: Config, world: World, target: str, x_m: float, y_m: float) -> float | None:
     """Return the metres left to drive from a place to a target; None if there is no path."""
     field = _field(world, target, config.robot.radius_m)
-    left_m = geodesic.at(world.plan, field, x_m, y_m)
+    left_m = geodesic.value_at(world.plan, field, x_m, y_m)
     return left_m if np.isfinite(left_m) else None
 
 

@@ -20,8 +20,8 @@ import numpy as np
 from edge import names
 from edge.config import Config, parse
 from edge.errors import FileError, UserError
-from edge.host.bars import counted
 from edge.host.files import read_regular, save
+from edge.host.progress import with_progress
 from edge.lab.eval import geodesic, missions, world_list
 from edge.lab.eval.columns import data_of, merged
 from edge.lab.eval.metrics import REACHED_M
@@ -32,7 +32,7 @@ from edge.text import one_line, read_json_object
 log = logging.getLogger("edge.lab.eval.episodes")
 MAX_BYTES = 1 << 28
 
-COMMON = (
+COMMON_TARGETS = (
     "bed", "chair", "house plant", "sofa", "television", "toilet",
     "dining table", "chest of drawers", "refrigerator", "countertop", "trash can", "tv stand",
     "floor lamp", "armchair", "shelf", "side table",
@@ -94,7 +94,7 @@ def make_episode(
     return Episode(f"{name}/{what}/{code}", world, start, target, instruction, shortest_m, sensing)
 
 
-def sensing_of(config: Config) -> dict[str, Any]:
+def sensing_settings(config: Config) -> dict[str, Any]:
     """Return the settings that all arms share: the robot, its sensors, and their noise."""
     sensing = config.model_dump(mode="json", include={"robot", "sensors", "sim"})
     for key in ("world", "start", "lockstep"):
@@ -108,7 +108,7 @@ def objects_of(world: World, target: str) -> list[WorldObject]:
     Raises:
         UserError: there are none; the message lists what there is.
     """
-    found = [o for o in world.objects if names.same(o.label, target)]
+    found = [o for o in world.objects if names.same_name(o.label, target)]
     if not found:
         labels = ", ".join(sorted({o.label for o in world.objects}))
         raise UserError(f"{world.name}: has no {target!r} (there are: {labels})")
@@ -145,7 +145,7 @@ def plan(
         if not worlds:
             return _in_world(where, targets, starts, seed, min_distance_m, strict=True)
         labels = [o.label for o in where.world.objects]
-        present = [t for t in targets if any(names.same(label, t) for label in labels)]
+        present = [t for t in targets if any(names.same_name(label, t) for label in labels)]
         try:
             found = _in_world(where, present, starts, seed, min_distance_m, strict=False)
         except WorldError as error:
@@ -200,7 +200,7 @@ def plan_missions(
     return episodes
 
 
-class Where(NamedTuple):
+class WorldSetup(NamedTuple):
     """A loaded world, its section of the configuration, the sensing settings, the robot radius."""
 
     world: World
@@ -209,20 +209,20 @@ class Where(NamedTuple):
     radius_m: float
 
 
-def _places(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[Where]:
+def _places(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[WorldSetup]:
     """Load the worlds of these sections, or the configuration's own if there are none."""
-    sensing, radius_m = sensing_of(config), config.robot.radius_m
+    sensing, radius_m = sensing_settings(config), config.robot.radius_m
     if not worlds:
         section = config.sim.world.model_dump(mode="json")
-        yield Where(load_world(config), section, sensing, radius_m)
-    for section in counted("worlds", worlds) if worlds else ():
+        yield WorldSetup(load_world(config), section, sensing, radius_m)
+    for section in with_progress("worlds", worlds) if worlds else ():
         data = merged(data_of(config), {"sim": {"world": section, "start": None}})
         world = world_list.load(parse(data, f"{config.path} with --worlds"))
-        yield Where(world, section, sensing, radius_m)
+        yield WorldSetup(world, section, sensing, radius_m)
 
 
 def _in_world(
-    where: Where,
+    where: WorldSetup,
     targets: Sequence[str],
     starts: int,
     seed: int,
@@ -232,13 +232,13 @@ def _in_world(
     """Plan episodes in one world. With `strict`, every target must have `starts` starts."""
     world, section, sensing, radius_m = where
     episodes: list[Episode] = []
-    for k, target in enumerate(counted("targets", targets) if strict else targets):
+    for k, target in enumerate(with_progress("targets", targets) if strict else targets):
         wanted = objects_of(world, target)
         field = geodesic.distance_field(world.plan, wanted, radius_m, REACHED_M)
         poses = free_poses(world, 50 * starts, seed + 1000 * k, radius_m)
         found = []
         for pose in poses:
-            shortest_m = geodesic.at(world.plan, field, pose.x_m, pose.y_m)
+            shortest_m = geodesic.value_at(world.plan, field, pose.x_m, pose.y_m)
             if min_distance_m <= shortest_m < math.inf and len(found) < starts:
                 start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
                 shortest_m = round(shortest_m, 4)

@@ -23,7 +23,7 @@ def distance_field(
     """
     free = plan.clearance_m > robot_radius_m
     distance = np.where(near(plan, objects, robot_radius_m, within_m), 0.0, np.inf)
-    while sweep(free, distance):
+    while relax(free, distance):
         pass
     return distance * plan.grid.resolution_m
 
@@ -39,8 +39,8 @@ def near(
     found = np.zeros(free.shape, bool)
     for item in objects:
         reach_m = within_m + 0.5 * math.hypot(*item.size_m[:2]) + cell_m
-        low = plan.grid.of_metres(np.array(item.center_m[:2]) - reach_m)
-        high = plan.grid.of_metres(np.array(item.center_m[:2]) + reach_m)
+        low = plan.grid.to_cells(np.array(item.center_m[:2]) - reach_m)
+        high = plan.grid.to_cells(np.array(item.center_m[:2]) + reach_m)
         left, bottom = np.maximum(low.astype(int), 0)
         right, top = np.maximum(high.astype(int) + 1, 0)
         row, col = np.nonzero(free[bottom:top, left:right])
@@ -57,7 +57,7 @@ def _is_near(item: WorldObject, xy_m: np.ndarray, within_m: float) -> np.ndarray
     return np.array([item.distance_m(x, y) <= within_m for x, y in xy_m.tolist()], bool)
 
 
-def at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> float:
+def value_at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> float:
     """Return the value of a field on the plan's raster at a point; inf outside."""
     cell = plan.grid.cell_of(x_m, y_m)
     return math.inf if cell is None else float(field[cell])
@@ -86,7 +86,7 @@ def any_within(xy_m, points_m, within_m):
 
 
 @njit(nogil=True, cache=True)
-def sweep(free, distance):
+def relax(free, distance):
     """Relax every free cell from its neighbours, in both directions. Return True if any changed.
 
     Args:

@@ -19,11 +19,11 @@ from edge.errors import UserError
 from edge.geometry import FARTHEST_M, CameraModel, invert
 from edge.host.c_stderr import silenced
 from edge.host.files import read_regular
-from edge.tasks.chain import Chain
-from edge.tasks.objects import clusters, share_near, thin
+from edge.tasks.objects import clusters, downsample, overlap_share
+from edge.tasks.pipeline import PerceptionPipeline
 from edge.tasks.projection import in_picture
 from edge.tasks.scene import Scene
-from edge.tasks.survey import OUTDOORS, Survey, usable
+from edge.tasks.scene_builder import OUTDOORS, SceneBuilder, plausible_points
 from edge.types import MASK_SIDE, Detections, Observation
 
 LIDAR_HEIGHT_M = 1.73
@@ -61,7 +61,7 @@ class KittiError(UserError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class KittiFrame:
     """One instant of a sequence.
 
     Attributes:
@@ -103,7 +103,7 @@ def frames_in(folder: Path, labelled: bool = True) -> list[int]:
     return numbers
 
 
-def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
+def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
     """Read a frame with its camera, scan, labels and pose.
 
     Args:
@@ -139,7 +139,7 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
         label = _array(folder / "labels" / f"{number:06d}.label", np.uint32, 1)
     if len(scan) != len(label):
         raise KittiError(f"{folder}: frame {number}: {len(scan)} points, but {len(label)} labels")
-    fine = usable(scan[:, :3])
+    fine = plausible_points(scan[:, :3])
     scan, label = scan[fine], label[fine]
     P2 = calibration["P2"]
     height, width = bgr.shape[:2]
@@ -165,10 +165,12 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
         cloud_m=np.ascontiguousarray(scan[:, :3]),
         T_base_lidar=T_base_velo,
     )
-    return Frame(observation, (label & 0xFFFF).astype(np.uint16), (label >> 16).astype(np.uint16))
+    return KittiFrame(
+        observation, (label & 0xFFFF).astype(np.uint16), (label >> 16).astype(np.uint16)
+    )
 
 
-def things_in(frame: Frame) -> list[tuple[str, np.ndarray]]:
+def things_in(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
     """Return each labelled object: its name and its points, as indices into the cloud."""
     cloud = frame.observation.cloud_m
     trunks = cloud[frame.semantic == TRUNK]
@@ -190,10 +192,10 @@ def things_in(frame: Frame) -> list[tuple[str, np.ndarray]]:
 def _is_tree(plant_m: np.ndarray, trunks_m: np.ndarray) -> bool:
     high = float(np.ptp(plant_m[:, 2])) >= TREE_M
     flat = np.array([1.0, 1.0, 0.0], np.float32)
-    return high or share_near(thin(trunks_m) * flat, thin(plant_m) * flat) > 0.0
+    return high or overlap_share(downsample(trunks_m) * flat, downsample(plant_m) * flat) > 0.0
 
 
-def solid_m(frames: Sequence[Frame]) -> np.ndarray:
+def solid_m(frames: Sequence[KittiFrame]) -> np.ndarray:
     """Return the points of labelled objects that a robot would hit: (n, 2) float64 in `map`.
 
     Their height over the nearest ground is within the obstacle limits of `OUTDOORS`. Moving objects
@@ -205,7 +207,9 @@ def solid_m(frames: Sequence[Frame]) -> np.ndarray:
         seen = frame.observation
         T = seen.T_map_base @ seen.T_base_lidar
         points_m = seen.cloud_m @ T[:3, :3].T + T[:3, 3]
-        ground.append(thin(points_m[frame.ground_kind > 0].astype(np.float32)).astype(np.float64))
+        ground.append(
+            downsample(points_m[frame.ground_kind > 0].astype(np.float32)).astype(np.float64)
+        )
         solid.append(points_m[things[frame.semantic]])
     floor_m, found_m = np.concatenate(ground), np.concatenate(solid)
     if not len(floor_m):
@@ -216,7 +220,7 @@ def solid_m(frames: Sequence[Frame]) -> np.ndarray:
     return found_m[(height_m >= low_m) & (height_m <= high_m), :2]
 
 
-def oracle(frames: Sequence[Frame]) -> Chain:
+def label_pipeline(frames: Sequence[KittiFrame]) -> PerceptionPipeline:
     """Return a detection pipeline that takes boxes and masks from the frames' labels."""
     by_seq = {frame.observation.seq: frame for frame in frames}
 
@@ -224,15 +228,15 @@ def oracle(frames: Sequence[Frame]) -> Chain:
         return true_boxes(by_seq[observation.seq])
 
     words = tuple(dict.fromkeys((*THINGS.values(), "tree")))
-    return Chain(lambda observation: words, boxes, lambda found: found)
+    return PerceptionPipeline(lambda observation: words, boxes, lambda found: found)
 
 
-def things_shown(frame: Frame) -> list[tuple[str, np.ndarray]]:
+def things_shown(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
     """Return the objects of `things_in` that are in the picture."""
     return [(name, points) for name, points, _, _ in _in_picture(frame)]
 
 
-def _in_picture(frame: Frame) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+def _in_picture(frame: KittiFrame) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
     """Yield (name, points, (k, 2) pixels of the points in the picture, their bounding box)."""
     seen = frame.observation
     T = invert(seen.T_base_camera) @ seen.T_base_lidar
@@ -246,7 +250,7 @@ def _in_picture(frame: Frame) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.
             yield name, points, dots, box
 
 
-def true_boxes(frame: Frame) -> Detections:
+def true_boxes(frame: KittiFrame) -> Detections:
     """Return the labelled objects in the picture as detections, with masks from their returns."""
     seen = frame.observation
     boxes, names, masks = [], [], []
@@ -264,14 +268,17 @@ def true_boxes(frame: Frame) -> Detections:
 
 
 def kitti_scene(
-    folder: Path, numbers: Sequence[int], chain: Chain | None = None, by_labels: bool = True
+    folder: Path,
+    numbers: Sequence[int],
+    chain: PerceptionPipeline | None = None,
+    by_labels: bool = True,
 ) -> Scene:
     """Build the scene of some frames of a sequence, at the time of the last.
 
     Args:
         folder: of the sequence.
         numbers: of the frames.
-        chain: finds the objects; None: take them from the labels (`oracle`).
+        chain: finds the objects; None: take them from the labels (`label_pipeline`).
         by_labels: True: regions by the labels' kinds of ground; False: regions that are flat and
             connected.
 
@@ -279,10 +286,10 @@ def kitti_scene(
         KittiError: see `read_frame`; or `numbers` is empty.
     """
     frames = read_frames(folder, numbers)
-    return scene_of(frames, chain or oracle(frames), CAR_RADIUS_M, by_labels)
+    return scene_of(frames, chain or label_pipeline(frames), CAR_RADIUS_M, by_labels)
 
 
-def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> list[Frame]:
+def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> list[KittiFrame]:
     """Read some frames of a sequence; see `read_frame`.
 
     Raises:
@@ -295,17 +302,17 @@ def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> 
 
 
 def scene_of(
-    frames: Sequence[Frame], chain: Chain, radius_m: float, by_labels: bool = True
+    frames: Sequence[KittiFrame], chain: PerceptionPipeline, radius_m: float, by_labels: bool = True
 ) -> Scene:
     """Build the scene of some frames, at the time of the last.
 
     Args:
         frames: the frames.
         chain: finds the objects.
-        radius_m: radius of the robot that drives there; see `Survey`.
+        radius_m: radius of the robot that drives there; see `SceneBuilder`.
         by_labels: see `kitti_scene`.
     """
-    survey = Survey(chain, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
+    survey = SceneBuilder(chain, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
     for frame in frames:
         survey.add(frame.observation, frame.ground_kind if by_labels else None)
     return survey.scene()

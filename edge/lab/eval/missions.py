@@ -18,7 +18,7 @@ import numpy as np
 from edge import names
 from edge.lab.eval import geodesic
 from edge.lab.eval.metrics import REACHED_M
-from edge.lab.eval.planning.lifted import compiled
+from edge.lab.eval.planning.delexicalised import compiled
 from edge.lab.eval.planning.templates import Family, draws, formula_of, sentence_of, worth_doing
 from edge.lab.sim.base import World, free_poses
 from edge.mission.logic.automaton import NOTHING, Automaton
@@ -39,7 +39,7 @@ _POSES = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Mission:
+class GeneratedMission:
     """A sentence and its formula. `family` is the name of one of `FAMILIES`."""
 
     family: str
@@ -51,7 +51,7 @@ class Mission:
 class PlannedMission:
     """A mission, its start (x and y [m], yaw [rad]) and its shortest path."""
 
-    mission: Mission
+    mission: GeneratedMission
     start: tuple[float, float, float]
     shortest_m: float
 
@@ -79,13 +79,13 @@ def plan_missions(
         Missions in the order of their draws; fewer than `count`, or none, if the world has too few
         different objects.
     """
-    fields = Fields(world, robot_radius_m)
+    fields = MissionCostFields(world, robot_radius_m)
     here = [target for target in targets if fields.has(target)]
     found: list[PlannedMission] = []
     for k, mission in enumerate(draw_missions(here, count, seed)):
-        field = fields.to_go_m(compiled(mission.formula))
+        field = fields.cost_to_go_m(compiled(mission.formula))
         for pose in free_poses(world, _POSES, seed + 1000 * k, robot_radius_m):
-            shortest_m = geodesic.at(world.plan, field, pose.x_m, pose.y_m)
+            shortest_m = geodesic.value_at(world.plan, field, pose.x_m, pose.y_m)
             if min_distance_m <= shortest_m < math.inf:
                 start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
                 found.append(PlannedMission(mission, start, round(shortest_m, 4)))
@@ -93,12 +93,12 @@ def plan_missions(
     return found
 
 
-def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[Mission]:
+def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[GeneratedMission]:
     """Draw satisfiable missions with different formulas for these targets, at most `count`."""
     things = sorted({names.canonical(target) for target in targets})
     if len(things) < TARGETS[0]:
         return []
-    missions: dict[Formula, Mission] = {}
+    missions: dict[Formula, GeneratedMission] = {}
     rng = random.Random(seed)
     drawn = draws(rng, FAMILIES, things)
     for (family, template, objects), _ in zip(drawn, range(_MOST_DRAWS), strict=False):
@@ -110,11 +110,11 @@ def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[Mission
         formula = formula_of(template, objects)
         if formula not in missions and worth_doing(formula):
             sentence = sentence_of(template, objects)
-            missions[formula] = Mission(family.name, sentence, formula)
+            missions[formula] = GeneratedMission(family.name, sentence, formula)
     return list(missions.values())
 
 
-class Fields:
+class MissionCostFields:
     """Cost-to-go fields of the missions in a world."""
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
@@ -132,12 +132,12 @@ class Fields:
     def near(self, target: str) -> np.ndarray:
         """Return (rows, columns) bool: True where this object counts as reached."""
         if target not in self._near:
-            things = [o for o in self._world.objects if names.same(o.label, target)]
+            things = [o for o in self._world.objects if names.same_name(o.label, target)]
             near = geodesic.near(self._world.plan, things, self._radius_m, REACHED_M)
             self._near[target] = near & self._reachable
         return self._near[target]
 
-    def to_go_m(self, automaton: Automaton) -> np.ndarray:
+    def cost_to_go_m(self, automaton: Automaton) -> np.ndarray:
         """Return the distance to drive from each place until a new mission is fulfilled.
 
         It is the least over all traces that the automaton accepts, and over the places where their
@@ -147,11 +147,11 @@ class Fields:
             (rows, columns) float64 in metres; inf if there is no path.
         """
         near = {letter: self.near(letter) for letter in automaton.letters}
-        cells = cells_to_go(automaton, near, self._free)
+        cells = cost_to_go_cells(automaton, near, self._free)
         return cells * self._world.plan.grid.resolution_m
 
 
-def cells_to_go(
+def cost_to_go_cells(
     automaton: Automaton, near: Mapping[str, np.ndarray], free: np.ndarray
 ) -> np.ndarray:
     """Return Dijkstra's distances over places and states, from the automaton's initial state.
@@ -180,7 +180,7 @@ def cells_to_go(
             shorter = steps_off & (left[after] < left[s])
             if shorter.any():
                 left[s][shorter] = left[after][shorter]
-                while geodesic.sweep(free, left[s]):
+                while geodesic.relax(free, left[s]):
                     pass
                 if s not in queue:
                     queue.append(s)

@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from edge.lab.eval.columns import Column
+from edge.lab.eval.columns import ExperimentArm
 from edge.lab.eval.episodes import Episode
-from edge.lab.eval.line_file import LineFile
+from edge.lab.eval.json_lines_file import JsonLinesFile
 from edge.text import one_line
 
 NAME = "outcomes.jsonl"
@@ -22,7 +22,7 @@ FAILURES = ("never seen", "seen, not confirmed", "wrong thing", "stuck", "budget
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class EpisodeOutcome:
     """The end of an episode, judged by the simulator's ground truth.
 
     Attributes:
@@ -50,7 +50,7 @@ class Outcome:
         wrong_stops: number of `reached` reports that were wrong.
         false_confirmations: number of confirmed instances that are not the target.
         revisited_m2: floor that a mission's searches saw again after an earlier leg
-            (`edge.lab.eval.legs`); None for one target.
+            (`edge.lab.eval.revisits`); None for one target.
         goals: number of goals sent.
         tick_ms: p50, p95 and max of the tick.
         score_ms: p95 of the stage that scores the candidates.
@@ -93,19 +93,21 @@ class Outcome:
         return self.episode, self.column_id
 
 
-def crashed(column: Column, episode: Episode, why: str, wall_s: float = 0.0) -> Outcome:
+def crashed_outcome(
+    column: ExperimentArm, episode: Episode, why: str, wall_s: float = 0.0
+) -> EpisodeOutcome:
     """Build the outcome of an episode that could not be run to its end."""
     world = str(
         episode.world.get("name") or episode.world.get("house") or episode.world.get("mesh")
     )
-    return Outcome(
+    return EpisodeOutcome(
         episode.id, column.name, column.id, world, str(episode.world.get("kind")), episode.target,
         episode.instruction, episode.start, episode.shortest_m, False, f"crashed: {one_line(why)}",
         "crashed", wall_s=wall_s,
     )  # fmt: skip
 
 
-def line(outcome: Outcome) -> bytes:
+def to_json_line(outcome: EpisodeOutcome) -> bytes:
     """Encode an outcome as one line of JSON. A number that is not finite becomes null."""
     return json.dumps(_plain(asdict(outcome)), separators=(",", ":")).encode() + b"\n"
 
@@ -135,18 +137,18 @@ class OutcomeFile:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._file = LineFile(
-            folder / NAME, lambda data: Outcome(**_tupled(data)), "an outcome", MAX_BYTES
+        self._file = JsonLinesFile(
+            folder / NAME, lambda data: EpisodeOutcome(**_tupled(data)), "an outcome", MAX_BYTES
         )
         self.known = {outcome.key: outcome for outcome in self._file.found}
 
-    def append(self, outcome: Outcome) -> None:
+    def append(self, outcome: EpisodeOutcome) -> None:
         """Append an outcome.
 
         Raises:
             FileError: the disk is full, or the folder is gone.
         """
-        self._file.append(line(outcome))
+        self._file.append(to_json_line(outcome))
         self.known[outcome.key] = outcome
 
 

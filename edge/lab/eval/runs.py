@@ -14,31 +14,31 @@ from edge.host.signals import stop_on_signals
 from edge.lab.eval import columns as cols
 from edge.lab.eval import episodes as eps
 from edge.lab.eval import world_list
-from edge.lab.eval.columns import Column
-from edge.lab.eval.comparison.run import told
+from edge.lab.eval.columns import ExperimentArm
+from edge.lab.eval.comparison.run import summary_text
 from edge.lab.eval.episodes import Episode
-from edge.lab.eval.outcome import Outcome, OutcomeFile
-from edge.lab.eval.workers import Task, outcomes_of
+from edge.lab.eval.outcome import EpisodeOutcome, OutcomeFile
+from edge.lab.eval.workers import EpisodeJob, outcomes_of
 from edge.lab.report.page import prepare
 
 EPISODES_NAME = "episodes.jsonl"
 TARGETS = "trash can,sofa,chair,bed,desk"
 
-Tell = Callable[[int, int, Outcome], None]
+OnOutcome = Callable[[int, int, EpisodeOutcome], None]
 """Called with each outcome as it comes: its number, the total number to come, and the outcome."""
 
 
 def run_all(
-    columns: Sequence[Column],
+    columns: Sequence[ExperimentArm],
     episodes: Sequence[Episode],
     out: Path | None = None,
     *,
     workers: int = 1,
     processes: bool = False,
     pages: Path | None = None,
-    tell: Tell = lambda number, total, outcome: None,
+    tell: OnOutcome = lambda number, total, outcome: None,
     stop: threading.Event | None = None,
-) -> list[Outcome]:
+) -> list[EpisodeOutcome]:
     """Run every arm on every episode. Outcomes go to `out` as they come.
 
     Args:
@@ -65,7 +65,7 @@ def run_all(
     have = {key: o for key, o in known.items() if o.failure != "crashed"}
     pairs = [(episode, column) for episode in episodes for column in columns]
     tasks = [
-        Task(column, episode, processes, pages and pages / _page_name(episode, column))
+        EpisodeJob(column, episode, processes, pages and pages / _page_name(episode, column))
         for episode, column in pairs
         if (episode.id, column.id) not in have
     ]
@@ -79,7 +79,7 @@ def run_all(
     return [have[e.id, c.id] for e, c in pairs if (e.id, c.id) in have]
 
 
-def changed(columns: Sequence[Column], out: Path) -> dict[str, int]:
+def changed(columns: Sequence[ExperimentArm], out: Path) -> dict[str, int]:
     """Count the outcomes in a folder whose arm has the same name but other settings, by name."""
     ids = {column.name: column.id for column in columns}
     counts: dict[str, int] = {}
@@ -98,7 +98,7 @@ def _keep(path: Path, episodes: Sequence[Episode]) -> None:
         eps.write(path, [*known, *new])
 
 
-def _page_name(episode: Episode, column: Column) -> str:
+def _page_name(episode: Episode, column: ExperimentArm) -> str:
     return f"{episode.id.replace('/', '-')}-{column.name}"
 
 
@@ -110,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         prepare(args.report)
     config = load(args.config)
-    columns = cols.make_columns(config, _columns(args))
+    columns = cols.make_arms(config, _columns(args))
     episodes = _episodes(config, args)
     if args.plan is not None:
         eps.write(args.plan, episodes)
@@ -126,14 +126,14 @@ def run(args: argparse.Namespace) -> int:
         pages=args.report, tell=lambda *news: print(_line(*news), flush=True),
         stop=stop_on_signals(),
     )  # fmt: skip
-    print(f"\n{told(outcomes)}")
+    print(f"\n{summary_text(outcomes)}")
     return 0
 
 
 def _columns(args: argparse.Namespace) -> dict[str, cols.Data]:
-    given = {} if args.columns is None else cols.read_columns(args.columns)
+    given = {} if args.columns is None else cols.read_arms(args.columns)
     for words in args.column or ():
-        name, settings = cols.parse_column(words)
+        name, settings = cols.parse_arm(words)
         if name in given:
             raise UserError(f"--column {name}: this name is used twice; choose another")
         given[name] = settings
@@ -145,7 +145,7 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
         return eps.read(args.episodes)[: args.limit]
     worlds = world_list.sections(args.worlds or ())
     asked = args.targets or ("common" if worlds else TARGETS)
-    targets = eps.COMMON if asked == "common" else [t.strip() for t in asked.split(",")]
+    targets = eps.COMMON_TARGETS if asked == "common" else [t.strip() for t in asked.split(",")]
     targets = [target for target in targets if target]
     if not targets:
         raise UserError("--targets: name at least one, such as --targets sofa,bed")
@@ -160,7 +160,7 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     return planned[: args.limit]
 
 
-def _line(number: int, total: int, o: Outcome) -> str:
+def _line(number: int, total: int, o: EpisodeOutcome) -> str:
     verdict = "ok  " if o.success else "FAIL"
     return (
         f"{number:3}/{total} {verdict} {o.column:12} {o.world:18} "

@@ -20,7 +20,7 @@ _jit = {"nogil": True, "cache": True}
 
 
 @dataclass(frozen=True, slots=True)
-class Likeness:
+class TrajectoryScores:
     """The scores of a trajectory against its reference.
 
     Attributes:
@@ -38,9 +38,9 @@ class Likeness:
     contacts: int
 
 
-def likeness(
+def trajectory_scores(
     path_m: np.ndarray, reference_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0
-) -> Likeness:
+) -> TrajectoryScores:
     """Return all of OpenNav's scores of one trajectory (tables I and II).
 
     Args:
@@ -50,7 +50,7 @@ def likeness(
         clearance_m: distance that counts as a collision; the robot's radius.
     """
     error_m = navigation_error_m(path_m, reference_m)
-    return Likeness(
+    return TrajectoryScores(
         success=error_m <= REACHED_M,
         error_m=error_m,
         frechet_m=frechet_m(path_m, reference_m),
@@ -105,11 +105,11 @@ def ndtw(path_m: np.ndarray, reference_m: np.ndarray, within_m: float = REACHED_
         >>> ndtw(path, path)
         1.0
     """
-    path, reference = (evenly(_points(p), SPACING_M) for p in (path_m, reference_m))
+    path, reference = (resample_evenly(_points(p), SPACING_M) for p in (path_m, reference_m))
     return math.exp(-_warp(reference, path) / (len(reference) * within_m))
 
 
-def evenly(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
+def resample_evenly(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
     """Resample a path (n, 2) at equal distances of at most `spacing_m`: (k, 2).
 
     The ends stay. A corner between two samples is lost.
@@ -127,7 +127,7 @@ def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> i
     Outside the map, nothing is occupied.
     """
     points = resample(_points(path_m), 0.25 * occupancy.resolution_m)
-    cells = np.floor(occupancy.of_metres(points)).astype(np.int64)
+    cells = np.floor(occupancy.to_cells(points)).astype(np.int64)
     inside = ((cells >= 0) & (cells < occupancy.cells.shape[::-1])).all(axis=1)
     touches = np.zeros(len(points) + 1, bool)
     columns, rows = cells[inside].T

@@ -29,9 +29,9 @@ from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorLlm, TranslatorModel
 from edge.config.mission import SMALL_TRANSLATOR
 from edge.errors import UserError
-from edge.host.bars import counted
 from edge.host.files import open_regular, save
-from edge.lab.eval.languages import difference, satisfiable, with_weak_untils
+from edge.host.progress import with_progress
+from edge.lab.eval.equivalence import distinguishing_trace, satisfiable, with_weak_untils
 from edge.lab.eval.planning.templates import generate
 from edge.mission.logic.ltl import (
     FALSE,
@@ -46,9 +46,14 @@ from edge.mission.logic.ltl import (
     renamed,
     to_text,
 )
-from edge.mission.translate import AmbiguousError, TranslationError, Translator, make_translator
+from edge.mission.translate import (
+    AmbiguousInstructionError,
+    TranslationError,
+    Translator,
+    make_translator,
+)
 from edge.perception.runtime.cards import load_card
-from edge.text import aligned, one_line
+from edge.text import format_table, one_line
 
 _TASKS = 2000
 _SHOWN_FAILURES = 5
@@ -56,7 +61,7 @@ _SHOWN_CHARS = 400
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class TranslationCase:
     """An instruction with the formula that it should give.
 
     Attributes:
@@ -75,7 +80,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class TranslationScore:
     """The result of one case.
 
     Attributes:
@@ -86,18 +91,20 @@ class Score:
         witness: a shortest trace on which reference and translation differ.
     """
 
-    case: Case
+    case: TranslationCase
     outcome: str
     got: str
-    witness: tuple[str, ...] = ()
+    distinguishing_trace: tuple[str, ...] = ()
 
 
 OUTCOMES = ("right", "right if weak", "wrong", "asked", "refused")
 
 
-def benchmark_cases(n: int, seed: int = 0) -> list[Case]:
+def benchmark_cases(n: int, seed: int = 0) -> list[TranslationCase]:
     """Return the tasks of the benchmark."""
-    return [Case(task.template, task.sentence, task.formula) for task in generate(n, seed)]
+    return [
+        TranslationCase(task.template, task.sentence, task.formula) for task in generate(n, seed)
+    ]
 
 
 @contextmanager
@@ -116,19 +123,19 @@ def _table(path: Path, what: str) -> Iterator[io.TextIOWrapper]:
         raise UserError(f"{path}: not readable as {what}: {error!r}") from error
 
 
-def lang2ltl_cases(path: Path) -> tuple[list[Case], Counter[str]]:
+def lang2ltl_cases(path: Path) -> tuple[list[TranslationCase], Counter[str]]:
     """Read the utterances whose formulas a mission can fulfil, and count the others by pattern.
 
     Raises:
         UserError: the file cannot be read or has another form.
     """
-    cases: list[Case] = []
+    cases: list[TranslationCase] = []
     left_out: Counter[str] = Counter()
     with _table(path, "Lang2LTL's table") as file:
         for row in csv.DictReader(file):
             formula = from_prefix(row["ltl_formula"])
             if satisfiable(formula, silent_end=True):
-                cases.append(Case(row["pattern_type"], row["utterance"], formula, True))
+                cases.append(TranslationCase(row["pattern_type"], row["utterance"], formula, True))
             else:
                 left_out[row["pattern_type"]] += 1
     return cases, left_out
@@ -143,7 +150,7 @@ _ROOM = re.compile(
 )
 
 
-def clean_up_cases(path: Path) -> tuple[list[Case], Counter[str]]:
+def clean_up_cases(path: Path) -> tuple[list[TranslationCase], Counter[str]]:
     """Read the sentences that name the rooms of their formulas, and count the others by pattern.
 
     "The blue" becomes "the blue room". The others name other rooms, or an object to carry.
@@ -151,7 +158,7 @@ def clean_up_cases(path: Path) -> tuple[list[Case], Counter[str]]:
     Raises:
         UserError: the file cannot be read or has another form.
     """
-    cases: list[Case] = []
+    cases: list[TranslationCase] = []
     left_out: Counter[str] = Counter()
     with _table(path, "the clean-up table") as file:
         for line in file:
@@ -165,14 +172,14 @@ def clean_up_cases(path: Path) -> tuple[list[Case], Counter[str]]:
                 continue
             formula = renamed(from_prefix(" ".join(prefix)), "{} room".format)
             sentence = _ROOM.sub(lambda found: f"{found[1].lower()} room", row["natural"])
-            cases.append(Case(part, sentence, formula, True))
+            cases.append(TranslationCase(part, sentence, formula, True))
     return cases, left_out
 
 
 TO_READ, MAY_REFUSE = "to be read", "may be refused or asked about"
 
 
-def own_cases(path: Path) -> tuple[list[Case], Counter[str]]:
+def custom_cases(path: Path) -> tuple[list[TranslationCase], Counter[str]]:
     """Read a user's own sentences from a table with tabs, and count those that are left out.
 
     A row is a sentence in double quotes, as in JSON, and a JSON list of the correct formulas. An
@@ -182,7 +189,7 @@ def own_cases(path: Path) -> tuple[list[Case], Counter[str]]:
     Raises:
         UserError: the file cannot be read or has another form.
     """
-    cases: list[Case] = []
+    cases: list[TranslationCase] = []
     left_out: Counter[str] = Counter()
     with _table(path, "a table of sentences") as file:
         next(file, None)
@@ -194,7 +201,9 @@ def own_cases(path: Path) -> tuple[list[Case], Counter[str]]:
             part = MAY_REFUSE if [] in right else TO_READ
             formulas = tuple(parse(text) for text in right if text)
             cases.append(
-                Case(part, sentence, formulas[0] if formulas else FALSE, others=formulas[1:])
+                TranslationCase(
+                    part, sentence, formulas[0] if formulas else FALSE, others=formulas[1:]
+                )
             )
     return cases, left_out
 
@@ -227,7 +236,7 @@ def from_prefix(text: str) -> Formula:
     return done[0]
 
 
-def score(case: Case, translator: Translator) -> Score:
+def score(case: TranslationCase, translator: Translator) -> TranslationScore:
     """Translate one case and compare it with the reference.
 
     Raises:
@@ -236,21 +245,23 @@ def score(case: Case, translator: Translator) -> Score:
     """
     try:
         formula = translator.translate(case.sentence).formula
-    except AmbiguousError as error:
-        return Score(case, "asked", str(error))
+    except AmbiguousInstructionError as error:
+        return TranslationScore(case, "asked", str(error))
     except (TranslationError, FormulaError) as error:
-        return Score(case, "refused", str(error))
-    witness = difference(formula, case.formula, case.endless)
-    if witness is None or any(difference(formula, other) is None for other in case.others):
-        return Score(case, "right", to_text(formula))
+        return TranslationScore(case, "refused", str(error))
+    witness = distinguishing_trace(formula, case.formula, case.endless)
+    if witness is None or any(
+        distinguishing_trace(formula, other) is None for other in case.others
+    ):
+        return TranslationScore(case, "right", to_text(formula))
     weak = with_weak_untils(case.formula)
     outcome = "wrong"
-    if weak != case.formula and difference(formula, weak, case.endless) is None:
+    if weak != case.formula and distinguishing_trace(formula, weak, case.endless) is None:
         outcome = "right if weak"
-    return Score(case, outcome, to_text(formula), witness)
+    return TranslationScore(case, outcome, to_text(formula), witness)
 
 
-def summary(scores: Sequence[Score], left_out: Counter[str]) -> dict[str, Any]:
+def summary(scores: Sequence[TranslationScore], left_out: Counter[str]) -> dict[str, Any]:
     """Count outcomes by part and in total."""
     parts = dict.fromkeys([*(s.case.part for s in scores), *left_out])
     return {
@@ -263,7 +274,7 @@ def summary(scores: Sequence[Score], left_out: Counter[str]) -> dict[str, Any]:
     }
 
 
-def _counts(scores: Sequence[Score], left_out: int) -> dict[str, int]:
+def _counts(scores: Sequence[TranslationScore], left_out: int) -> dict[str, int]:
     outcomes = Counter(s.outcome for s in scores)
     return {**{outcome: outcomes[outcome] for outcome in OUTCOMES}, "not_expressible": left_out}
 
@@ -275,10 +286,10 @@ def table(title: str, counts: dict[str, Any]) -> str:
     rows.append(["all", [counts[c] for c in columns]])
     head = [title, "cases", *OUTCOMES, "not expressible"]
     lines = [head, *([name, sum(cells[:-1]), *cells] for name, cells in rows)]
-    return aligned(lines, left=1)
+    return format_table(lines, left=1)
 
 
-def failure_lines(scores: Iterable[Score], translator: str) -> Iterator[str]:
+def failure_lines(scores: Iterable[TranslationScore], translator: str) -> Iterator[str]:
     """Yield each failure as a line of JSON."""
     for s in scores:
         if s.outcome != "right":
@@ -289,7 +300,7 @@ def failure_lines(scores: Iterable[Score], translator: str) -> Iterator[str]:
                 "outcome": s.outcome,
                 "expected": to_text(s.case.formula),
                 "got": s.got,
-                "differ_on": list(s.witness),
+                "differ_on": list(s.distinguishing_trace),
             }, ensure_ascii=False)  # fmt: skip
 
 
@@ -309,7 +320,7 @@ def run(args: argparse.Namespace) -> int:
     if args.clean_up is not None:
         sets[CLEAN_UP] = clean_up_cases(args.clean_up)
     if args.own is not None:
-        sets["Own"] = own_cases(args.own)
+        sets["Own"] = custom_cases(args.own)
     result: dict[str, Any] = {"seed": args.seed}
     failed: list[str] = []
     stopped_by: BaseException | None = None
@@ -366,7 +377,7 @@ def overview(result: dict[str, Any], not_seen: dict[str, dict[str, dict[str, int
                 for name, counts in not_seen.get(title, {}).items()
                 if name in by
             ]
-    return aligned(rows)
+    return format_table(rows)
 
 
 def _shares(title: str, name: str, counts: dict[str, Any], note: str) -> list[str]:
@@ -386,15 +397,15 @@ def _not_seen() -> dict[str, dict[str, dict[str, int]]]:
 
 
 def _scored(
-    title: str, cases: Sequence[Case], translator: Translator
-) -> tuple[list[Score], BaseException | None]:
+    title: str, cases: Sequence[TranslationCase], translator: Translator
+) -> tuple[list[TranslationScore], BaseException | None]:
     """Score cases until one fails; return the scores and the error that stopped it.
 
     After a failure of the server no more is asked: each case could take the whole time limit.
     """
-    scores: list[Score] = []
+    scores: list[TranslationScore] = []
     try:
-        for case in counted(title, cases):
+        for case in with_progress(title, cases):
             scores.append(score(case, translator))
     except UserError as error:
         done = f"{len(scores)} of {len(cases)}"
@@ -412,7 +423,7 @@ def _shown(lines: Sequence[str]) -> Iterator[str]:
         yield f"  … and {len(lines) - _SHOWN_FAILURES} more (--failures FILE lists them all)"
 
 
-def _sample(cases: Sequence[Case], limit: int | None) -> Sequence[Case]:
+def _sample(cases: Sequence[TranslationCase], limit: int | None) -> Sequence[TranslationCase]:
     """Return `limit` evenly spaced cases, so that a small sample has every part."""
     if limit is None or limit >= len(cases):
         return cases

@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 import cv2
 
 from edge.errors import Stopped
-from edge.lab.eval.columns import Column
+from edge.lab.eval.columns import ExperimentArm
 from edge.lab.eval.drive import in_process, over_zenoh, run_episode
 from edge.lab.eval.episodes import Episode
-from edge.lab.eval.outcome import Outcome, crashed
+from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcome
 
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -32,7 +32,7 @@ _LOOK_S = 0.5
 _END_S = 5.0
 
 
-class Task(NamedTuple):
+class EpisodeJob(NamedTuple):
     """An episode with an arm.
 
     Attributes:
@@ -42,13 +42,13 @@ class Task(NamedTuple):
         page: folder for a report; None: no report.
     """
 
-    column: Column
+    column: ExperimentArm
     episode: Episode
     processes: bool = False
     page: Path | None = None
 
 
-def run_task(task: Task, stop: threading.Event | None = None) -> Outcome:
+def run_job(task: EpisodeJob, stop: threading.Event | None = None) -> EpisodeOutcome:
     """Run a task in this process.
 
     Raises:
@@ -58,13 +58,13 @@ def run_task(task: Task, stop: threading.Event | None = None) -> Outcome:
     return run_episode(task.column, task.episode, drive, task.page, stop)
 
 
-def one_by_one(tasks: Iterable[Task], stop: threading.Event) -> Iterator[Outcome]:
+def run_in_process(tasks: Iterable[EpisodeJob], stop: threading.Event) -> Iterator[EpisodeOutcome]:
     """Run the tasks in this process, and yield their outcomes."""
     for task in tasks:
         if stop.is_set():
             return
         try:
-            yield run_task(task, stop)
+            yield run_job(task, stop)
         except Stopped:
             return
 
@@ -78,13 +78,13 @@ class _Worker:
 
     process: Any
     pipe: connection.Connection
-    task: Task | None = None
+    task: EpisodeJob | None = None
 
-    def give(self, task: Task) -> None:
+    def give(self, task: EpisodeJob) -> None:
         self.task = task
         self.pipe.send(task)
 
-    def take(self) -> Outcome:
+    def take(self) -> EpisodeOutcome:
         """Return the outcome of its task; "crashed" if the process ended."""
         task, self.task = self.task, None
         assert task is not None
@@ -93,12 +93,14 @@ class _Worker:
         except (EOFError, OSError):
             self.process.join(_END_S)
             code = self.process.exitcode
-            return crashed(
+            return crashed_outcome(
                 task.column, task.episode, f"its worker process ended (exit code {code})"
             )
 
 
-def by_workers(tasks: Iterable[Task], count: int, stop: threading.Event) -> Iterator[Outcome]:
+def run_in_workers(
+    tasks: Iterable[EpisodeJob], count: int, stop: threading.Event
+) -> Iterator[EpisodeOutcome]:
     """Run the tasks in `count` processes of one thread each; yield outcomes as they are done.
 
     If `stop` is set, unfinished tasks have no outcome.
@@ -159,9 +161,11 @@ def _serve(pipe: connection.Connection) -> None:
             task = pipe.recv()
         except EOFError:
             return
-        pipe.send(run_task(task))
+        pipe.send(run_job(task))
 
 
-def outcomes_of(tasks: Sequence[Task], workers: int, stop: threading.Event) -> Iterator[Outcome]:
+def outcomes_of(
+    tasks: Sequence[EpisodeJob], workers: int, stop: threading.Event
+) -> Iterator[EpisodeOutcome]:
     """Run tasks in several processes, or in this one."""
-    return by_workers(tasks, workers, stop) if workers > 1 else one_by_one(tasks, stop)
+    return run_in_workers(tasks, workers, stop) if workers > 1 else run_in_process(tasks, stop)

@@ -18,7 +18,7 @@ from edge.lab.sim.worlds import load_world
 Section = dict[str, Any]
 """`sim.world` of a configuration."""
 
-KNOWN = "FILE.jsonl.gz[0:75], generated[1000:1050], house:NAME, MESH.glb,OBJECTS.json"
+WORLD_FORMS = "FILE.jsonl.gz[0:75], generated[1000:1050], house:NAME, MESH.glb,OBJECTS.json"
 _SPEC = re.compile(r"^(?P<name>.+?)(?:\[(?P<first>\d*)(?P<to>:(?P<end>\d*))?\])?$")
 _MAX_SEEDS = 100_000
 _LOADED = 2
@@ -28,8 +28,8 @@ def sections(specs: Sequence[str]) -> list[Section]:
     """Return the worlds that `--worlds` names, in its order.
 
     Args:
-        specs: each has a form of `KNOWN`: houses of a ProcTHOR file by position, generated houses
-            by seed, a built-in house or a house's file, or a mesh with its objects.
+        specs: each has a form of `WORLD_FORMS`: houses of a ProcTHOR file by position, generated
+            houses by seed, a built-in house or a house's file, or a mesh with its objects.
 
     Raises:
         UserError: a spec has another form, or its range is empty.
@@ -55,7 +55,7 @@ def _sections(spec: str) -> list[Section]:
     mesh, comma, objects = name.partition(",")
     if comma and objects and not ranged:
         return [{"kind": "mesh", "mesh": mesh, "objects": objects}]
-    raise UserError(f"--worlds {spec}: not understood (forms: {KNOWN})")
+    raise UserError(f"--worlds {spec}: not understood (forms: {WORLD_FORMS})")
 
 
 def _range(spec: str, matched: re.Match[str], length: int | None) -> range:

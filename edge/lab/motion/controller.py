@@ -14,19 +14,19 @@ import numpy as np
 
 from edge import config
 from edge.geometry import SE2, Grid, wrap_angle
-from edge.lab.motion.progress import Contact, Progress
-from edge.lab.motion.recovery import Recovery, Trail
+from edge.lab.motion.progress import ContactDetector, ProgressMonitor
+from edge.lab.motion.recovery import BacktrackPath, Recovery
 from edge.stuck import STUCK_M, StuckDetector
 from edge.trajectory import astar, costmap, smoothing
 from edge.trajectory.pursuit import (
     STOP,
-    Command,
     MotionLimits,
+    VelocityCommand,
     index_ahead,
     length_m,
     nearest_index,
     pursue,
-    turn,
+    turn_by,
     turn_to,
 )
 from edge.types import GoalStatus
@@ -77,10 +77,10 @@ class Controller:
         self._workspace = astar.Workspace()
         self._map: costmap.CostMap | None = None
         self._stuck = StuckDetector(settings.motion.stuck_s)
-        self._contact = Contact(CONTACT_M, STUCK_M)
-        self._progress = Progress(6 * settings.motion.stuck_s)
+        self._contact = ContactDetector(CONTACT_M, STUCK_M)
+        self._progress = ProgressMonitor(6 * settings.motion.stuck_s)
         self._radius_m = settings.robot.radius_m
-        self._trail = Trail()
+        self._trail = BacktrackPath()
         self._now_ns: int | None = None
         self._last = STOP
         self._goal: SE2 | None = None
@@ -153,7 +153,7 @@ class Controller:
 
     def step(
         self, pose: SE2, v_mps: float, w_radps: float, now_ns: int
-    ) -> tuple[Command, list[GoalStatus]]:
+    ) -> tuple[VelocityCommand, list[GoalStatus]]:
         """Run one control step.
 
         Args:
@@ -204,7 +204,9 @@ class Controller:
 
     # -- driving --------------------------------------------------------------------------------
 
-    def _drive(self, goal: SE2, pose: SE2, still: bool, dt_s: float, now_ns: int) -> Command:
+    def _drive(
+        self, goal: SE2, pose: SE2, still: bool, dt_s: float, now_ns: int
+    ) -> VelocityCommand:
         if self._recovery is not None:
             command = self._recovery.step(pose, now_ns)
             if command is not None:
@@ -230,7 +232,7 @@ class Controller:
         self._arrived = pose.distance_to(*self._target) <= tolerance
         return self._arrived
 
-    def _align(self, goal: SE2, pose: SE2, still: bool) -> Command:
+    def _align(self, goal: SE2, pose: SE2, still: bool) -> VelocityCommand:
         error = abs(wrap_angle(goal.yaw_rad - pose.yaw_rad))
         if still and error <= YAW_TOLERANCE_RAD:
             self._finish("reached")
@@ -240,7 +242,7 @@ class Controller:
             STOP if error <= 0.5 * YAW_TOLERANCE_RAD else turn_to(pose, goal.yaw_rad, self._limits)
         )
 
-    def _travel(self, pose: SE2, now_ns: int) -> Command:
+    def _travel(self, pose: SE2, now_ns: int) -> VelocityCommand:
         if self._is_plan_due(pose, now_ns):
             self._plan(pose, now_ns)
         if self._goal is None or not len(self._path):
@@ -251,7 +253,7 @@ class Controller:
             return STOP
         return self._follow(pose, remaining)
 
-    def _follow(self, pose: SE2, remaining_m: float) -> Command:
+    def _follow(self, pose: SE2, remaining_m: float) -> VelocityCommand:
         """Aim as far along the path as a straight line is free."""
         here = (pose.x_m, pose.y_m)
         escaping = not self._map.is_free(*here)
@@ -268,11 +270,11 @@ class Controller:
         # Every arc touches an obstacle: face the nearest aim, then creep towards it.
         bearing = pose.bearing_to(*aim)
         if abs(bearing) > FACING_RAD:
-            return turn(bearing, self._limits)
+            return turn_by(bearing, self._limits)
         scale = CAREFUL_MPS / max(command.v_mps, CAREFUL_MPS)
-        return Command(command.v_mps * scale, command.w_radps * scale)
+        return VelocityCommand(command.v_mps * scale, command.w_radps * scale)
 
-    def _is_clear(self, pose: SE2, command: Command) -> bool:
+    def _is_clear(self, pose: SE2, command: VelocityCommand) -> bool:
         """Return True if the arc of a command stays on free cells at all times of `CLEAR_S`."""
         for t_s in CLEAR_S:
             yaw = pose.yaw_rad + 0.5 * command.w_radps * t_s
@@ -347,7 +349,7 @@ class Controller:
         elif now_ns - self._no_path_since_ns >= GIVE_UP_NS:
             self._finish("failed", reason)
 
-    def _unstick(self, pose: SE2, again_m: float, now_ns: int) -> Command:
+    def _unstick(self, pose: SE2, again_m: float, now_ns: int) -> VelocityCommand:
         """Back up or turn once; fail at a second standstill within `again_m`."""
         if self._last.v_mps != 0.0:
             self._blocked = pose.ahead(math.copysign(self._radius_m, self._last.v_mps))

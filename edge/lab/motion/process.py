@@ -24,10 +24,10 @@ from edge.bus.topics import Topic
 from edge.bus.wire import messages
 from edge.config import Config
 from edge.geometry import SE2, Grid, se2_of
-from edge.host.interruptible import unless_stopped
+from edge.host.interruptible import run_unless_stopped
 from edge.lab.motion.controller import Controller
 from edge.text import bounded_repr, read_json_object
-from edge.trajectory.pursuit import STOP, Command
+from edge.trajectory.pursuit import STOP, VelocityCommand
 from edge.types import GoalStatus
 
 log = logging.getLogger("edge.lab.motion")
@@ -42,7 +42,7 @@ _MAX_JSON = 4096
 
 def main(config: Config, stop: threading.Event) -> int:
     """Run until `stop` is set; return the exit status."""
-    unless_stopped(partial(warm_up, config), stop)
+    run_unless_stopped(partial(warm_up, config), stop)
     with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
         bus = Bus(session, config)
         controller = Controller(config)
@@ -106,7 +106,7 @@ class Bus:
         if self.malformed[topic.key] == 1:
             log.warning("%s: unreadable message: %s; more are only counted", topic.key, error)
 
-    def command(self, command: Command, stamp_ns: int) -> None:
+    def command(self, command: VelocityCommand, stamp_ns: int) -> None:
         self._commands.put(messages.encode_twist_stamped(stamp_ns, command.v_mps, command.w_radps))
 
     def answer(self, answers: list[GoalStatus]) -> None:
@@ -190,8 +190,8 @@ def run_lockstep(bus: Bus, controller: Controller, stop: threading.Event) -> Non
     The service sends a tick after the map and the goal of that tick, so ticks are read first. A
     stamp that comes again (its answer was lost) gets the same command again.
     """
-    last: tuple[Command, int] | None = None
-    waiting: dict[int, messages.Odometry] = {}
+    last: tuple[VelocityCommand, int] | None = None
+    waiting: dict[int, messages.OdometryMessage] = {}
     tick_ns: int | None = None
     while not stop.wait(_PAUSE_S):
         ticks = bus.read(topics.TICK, parse_tick)
@@ -210,7 +210,9 @@ def run_lockstep(bus: Bus, controller: Controller, stop: threading.Event) -> Non
             del waiting[next(iter(waiting))]
 
 
-def _step(bus: Bus, controller: Controller, odometry: messages.Odometry) -> tuple[Command, int]:
+def _step(
+    bus: Bus, controller: Controller, odometry: messages.OdometryMessage
+) -> tuple[VelocityCommand, int]:
     """Step and send the answers; return the command and its stamp for the caller to send."""
     pose = se2_of(odometry.T_map_base)
     command, answers = controller.step(pose, odometry.v_mps, odometry.w_radps, odometry.stamp_ns)

@@ -8,7 +8,7 @@ NEARER_M = 0.1
 DETOURS = 8
 
 
-class Progress:
+class ProgressMonitor:
     """Checks that the remaining path keeps getting shorter.
 
     A longer path is a detour that a newer map has forced: it restarts the wait. At most `DETOURS`
@@ -34,7 +34,7 @@ class Progress:
         return now_ns - self._since_ns < self._wait_ns
 
 
-class Contact:
+class ContactDetector:
     """Checks if the robot pushes against something: commanded to drive, it does not move.
 
     Args:

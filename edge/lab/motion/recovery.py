@@ -7,7 +7,7 @@ from collections import deque
 
 from edge.geometry import SE2, wrap_angle
 from edge.trajectory.costmap import CostMap
-from edge.trajectory.pursuit import TURN_GAIN, Command, MotionLimits, turn
+from edge.trajectory.pursuit import TURN_GAIN, MotionLimits, VelocityCommand, turn_by
 
 BACK_MPS = 0.12
 BACK_M = 0.3
@@ -18,7 +18,7 @@ FACING_RAD = 0.5  # if the trail lies farther to the side, turn to it before dri
 STEP_M, JUMP_M, STEPS = 0.05, 0.5, 40
 
 
-class Trail:
+class BacktrackPath:
     """The last metres that the robot drove, without loops.
 
     Attributes:
@@ -72,7 +72,12 @@ class Recovery:
     """
 
     def __init__(
-        self, pose: SE2, costmap: CostMap | None, trail: Trail, limits: MotionLimits, now_ns: int
+        self,
+        pose: SE2,
+        costmap: CostMap | None,
+        trail: BacktrackPath,
+        limits: MotionLimits,
+        now_ns: int,
     ) -> None:
         self._start, self._since_ns, self._limits = pose, now_ns, limits
         self._way = trail.back_from(pose)
@@ -86,13 +91,13 @@ class Recovery:
         """Return True if it drove in reverse and the robot has not moved."""
         return self._drove_back and pose.distance_to(self._start.x_m, self._start.y_m) < HELD_M
 
-    def step(self, pose: SE2, now_ns: int) -> Command | None:
+    def step(self, pose: SE2, now_ns: int) -> VelocityCommand | None:
         """Return the command for now; None if the attempt is over."""
         if not 0 <= now_ns - self._since_ns < TIME_NS:
             return None
         if self._turns:
             left = TURN_RAD - abs(wrap_angle(pose.yaw_rad - self._start.yaw_rad))
-            return None if left <= 0.05 else turn(left, self._limits)
+            return None if left <= 0.05 else turn_by(left, self._limits)
         while self._way and pose.distance_to(*self._way[0]) < STEP_M:
             self._way.pop(0)
         if not self._way or pose.distance_to(self._start.x_m, self._start.y_m) >= BACK_M:
@@ -102,6 +107,6 @@ class Recovery:
         if reverse:
             error = wrap_angle(error + math.pi)
         if abs(error) > FACING_RAD:
-            return turn(error, self._limits)
+            return turn_by(error, self._limits)
         self._drove_back = reverse
         return self._limits.clip(-BACK_MPS if reverse else BACK_MPS, TURN_GAIN * error)

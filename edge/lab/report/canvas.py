@@ -23,7 +23,7 @@ PNG_SCALE = 2.0
 _MAX_ALT = 4000  # characters of a drawing's alternative text
 
 
-class Style(NamedTuple):
+class LineStyle(NamedTuple):
     """Look of a line: colour, marker and dash pattern.
 
     The colours are those of Okabe and Ito, which colour-blind readers can tell apart, and four
@@ -43,10 +43,12 @@ _MARKS = "osD^vP*X"
 _DASHES: tuple[str | tuple, ...] = ("-", (0, (5, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
 
 
-def style_of(index: int) -> Style:
+def style_of(index: int) -> LineStyle:
     """Return the look of a line by its index; after twelve, the colours repeat."""
     k, turn = index % len(_COLOURS), index // len(_COLOURS)
-    return Style(_COLOURS[k], _MARKS[(k + turn) % len(_MARKS)], _DASHES[(k + turn) % len(_DASHES)])
+    return LineStyle(
+        _COLOURS[k], _MARKS[(k + turn) % len(_MARKS)], _DASHES[(k + turn) % len(_DASHES)]
+    )
 
 
 def page(width_px: float, height_px: float) -> Axes:

@@ -9,9 +9,9 @@ import numpy as np
 
 from edge.geometry import Grid
 from edge.lab.report import raster
-from edge.lab.report.album import MAX_FRAME_PX
 from edge.lab.report.document import data_url
-from edge.lab.report.record import Asked, RunRecord
+from edge.lab.report.keyframes import MAX_FRAME_PX
+from edge.lab.report.record import ChoiceFrame, RunRecord
 from edge.loop.result import TickResult
 from edge.perception.scoring.choice.picture import draw, visible_marks
 from edge.perception.scoring.choice.question import LETTERS
@@ -22,7 +22,7 @@ MAX_VALUE_PX = 640
 _FIRST_NS = 2_000_000_000
 
 
-class Choices:
+class ChoiceFrameBuffer:
     """At most `capacity` answers, spread over the run.
 
     When the buffer is full, every second answer is dropped, and the least time between answers
@@ -31,7 +31,7 @@ class Choices:
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
-        self._kept: list[Asked] = []
+        self._kept: list[ChoiceFrame] = []
         self._apart_ns, self._last_ns = _FIRST_NS, 0
 
     def offer(self, result: TickResult) -> None:
@@ -53,13 +53,15 @@ class Choices:
         shares = tuple((a, p[m.id]) for a, m in zip(LETTERS, lettered, strict=False))
         self._last_ns = choice.stamp_ns
         self._kept.append(
-            Asked(choice.stamp_ns, image, choice.target, shares, choice.elsewhere, choice.scene)
+            ChoiceFrame(
+                choice.stamp_ns, image, choice.target, shares, choice.elsewhere, choice.scene
+            )
         )
         if len(self._kept) > self._capacity:
             del self._kept[1::2]
             self._apart_ns *= 2
 
-    def kept(self) -> tuple[Asked, ...]:
+    def kept(self) -> tuple[ChoiceFrame, ...]:
         """Return the answers in order of time."""
         return tuple(self._kept)
 
@@ -77,7 +79,7 @@ def section(record: RunRecord) -> str:
     )
 
 
-def _figure(asked: Asked, record: RunRecord) -> str:
+def _figure(asked: ChoiceFrame, record: RunRecord) -> str:
     h, w = asked.rgb.shape[:2]
     shares = " · ".join(f"{letter} {p:.2f}" for letter, p in asked.letters)
     words = (

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from edge.lab.report.drawing import CURRENT, STYLES
-from edge.live.scene import in_words, ways_on
+from edge.lab.report.automaton_graph import CURRENT, STYLES
+from edge.live.automaton_graph import in_words, transitions_from
 from edge.mission.logic.automaton import Automaton
 
 
@@ -36,7 +36,7 @@ def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] =
             attributes.update(style="filled", fillcolor=CURRENT, fontcolor="white")
         lines.append(f"  {s} [{_looks(attributes)}];")
     for s in range(automaton.n_states):
-        for to, letters in ways_on(automaton, s).items():
+        for to, letters in transitions_from(automaton, s).items():
             attributes = {"label": in_words(letters, automaton.letters)}
             if automaton.dead(to):
                 attributes.update(color="gray60", fontcolor="gray60", style="dashed")

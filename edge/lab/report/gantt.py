@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from edge.lab.report import canvas, palette
 from edge.lab.report.record import RunRecord
 from edge.text import shorten
-from edge.types import Step
+from edge.types import MissionEvent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +30,7 @@ MARKS = {
 TICKS_S = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 18000, 36000)
 
 
-class Span(NamedTuple):
+class PursuitInterval(NamedTuple):
     """Time in which one target was pursued.
 
     `settled` is True if the target was reached or failed in that time, and for the last span.
@@ -43,10 +43,10 @@ class Span(NamedTuple):
     reason: str
 
 
-def spans(record: RunRecord) -> list[Span]:
+def spans(record: RunRecord) -> list[PursuitInterval]:
     """Return the spans of the pursued targets, in order of time."""
-    done: list[Span] = []
-    pursued: Step | None = None
+    done: list[PursuitInterval] = []
+    pursued: MissionEvent | None = None
     settled = False
     for step in record.steps:
         if step.kind in ("target", "end"):
@@ -57,11 +57,13 @@ def spans(record: RunRecord) -> list[Span]:
     return done + _span(record, pursued, _last_s(record), True)
 
 
-def _span(record: RunRecord, step: Step | None, end_s: float, settled: bool) -> list[Span]:
+def _span(
+    record: RunRecord, step: MissionEvent | None, end_s: float, settled: bool
+) -> list[PursuitInterval]:
     if step is None:
         return []
     start_s = record.seconds(step.stamp_ns)
-    return [Span(step.label, start_s, max(start_s, end_s), settled, step.text)]
+    return [PursuitInterval(step.label, start_s, max(start_s, end_s), settled, step.text)]
 
 
 def _last_s(record: RunRecord) -> float:
@@ -124,7 +126,7 @@ def _frame(chart: Axes, rows: dict[str, int], targets: Sequence[str]) -> None:
 
 
 def _bars(
-    chart: Axes, pursued: Sequence[Span], rows: dict[str, int], targets: Sequence[str]
+    chart: Axes, pursued: Sequence[PursuitInterval], rows: dict[str, int], targets: Sequence[str]
 ) -> None:
     """Draw the bars; a switch before the target was reached is an arrow to the next bar."""
     least_s = (chart.get_xlim()[1] - chart.get_xlim()[0]) / 400

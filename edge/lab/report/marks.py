@@ -11,7 +11,7 @@ from edge import names
 from edge.lab.report import palette, raster
 from edge.lab.report.record import RunRecord
 from edge.text import shorten
-from edge.types import Instance, Step
+from edge.types import Instance, MissionEvent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,7 +84,7 @@ def _order_reached(record: RunRecord) -> dict[int, str]:
     If several instances of a name were reached, the one nearest to the robot at that time counts.
     """
     numbers: dict[int, str] = {}
-    if record.simple:
+    if record.has_single_target:
         return numbers
     for number, step in enumerate(record.reached, start=1):
         there = [i for i in record.instances if i.state == "reached" and _named(i, step.label)]
@@ -96,10 +96,10 @@ def _order_reached(record: RunRecord) -> dict[int, str]:
 
 
 def _named(instance: Instance, label: str) -> bool:
-    return names.same(instance.label, label)
+    return names.same_name(instance.label, label)
 
 
-def _distance_m(record: RunRecord, step: Step, instance: Instance) -> float:
+def _distance_m(record: RunRecord, step: MissionEvent, instance: Instance) -> float:
     if not len(record.trajectory):
         return 0.0
     last = len(record.trajectory) - 1

@@ -128,7 +128,7 @@ def _tiles(record: RunRecord) -> str:
 
 
 def _reached(record: RunRecord) -> list[tuple[str, str]]:
-    if record.simple:
+    if record.has_single_target:
         return []
     return [(f"{len(record.reached)}", "reached")]
 

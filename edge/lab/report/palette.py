@@ -34,6 +34,6 @@ def outcome_colour(phase: str) -> str:
 def target_colour(label: str, targets: Sequence[str]) -> str:
     """Return the colour of an object by its label: one for each target, one for all others."""
     for k, target in enumerate(targets):
-        if names.same(label, target):
+        if names.same_name(label, target):
             return TARGETS[k % len(TARGETS)]
     return INSTANCE

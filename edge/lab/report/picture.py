@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from edge.geometry import thin
+from edge.geometry import downsample
 from edge.lab.report import key, marks, palette, raster, tasks, way
 from edge.lab.report.canvas import content
 from edge.lab.report.record import RunRecord
@@ -22,7 +22,7 @@ LEFT_IN, TOP_IN, BOTTOM_IN, SIDE_IN, MIN_HEIGHT_IN = 0.4, 1.0, 0.45, 3.0, 6.8
 INCHES_PER_M = 0.55
 
 
-class Layout(NamedTuple):
+class MapLayout(NamedTuple):
     """Sizes in inches; the map's shape decides the picture's.
 
     Attributes:
@@ -71,7 +71,7 @@ def png(record: RunRecord) -> bytes:
     return content(figure, "png")
 
 
-def _layout(box: raster.Box) -> Layout:
+def _layout(box: raster.Box) -> MapLayout:
     shape = (box[3] - box[2]) / (box[1] - box[0])
     width, height = MAP_IN
     if shape * width > height:
@@ -81,7 +81,7 @@ def _layout(box: raster.Box) -> Layout:
     whole = max(TOP_IN + height + BOTTOM_IN, MIN_HEIGHT_IN)
     per_m = min(width / (box[1] - box[0]), height / (box[3] - box[2]))
     scale = min(1.0, max(0.3, per_m / INCHES_PER_M))
-    return Layout(LEFT_IN + width + SIDE_IN, whole, width, height, scale)
+    return MapLayout(LEFT_IN + width + SIDE_IN, whole, width, height, scale)
 
 
 def _view(record: RunRecord) -> raster.Box:
@@ -132,7 +132,7 @@ def _map(axes: Axes, record: RunRecord) -> None:
             0.5, 0.5, "nothing mapped", transform=axes.transAxes, ha="center", color=palette.MUTED
         )
         return
-    thinned = thin(known, raster.MAX_SIDE_PX)
+    thinned = downsample(known, raster.MAX_SIDE_PX)
     image, extent = raster.colour(thinned.cells), thinned.extent_m
     axes.imshow(image, origin="lower", extent=extent, interpolation="nearest", zorder=0)
 
@@ -157,7 +157,7 @@ def _scale_bar(axes: Axes, box: raster.Box) -> None:
     axes.annotate(f"{length_m:g} m", (ends[1], y_m), offset, textcoords="offset points", **style)
 
 
-def _title(figure: Figure, record: RunRecord, layout: Layout) -> None:
+def _title(figure: Figure, record: RunRecord, layout: MapLayout) -> None:
     def y(from_top: float) -> float:
         return 1.0 - from_top / layout.height
 

@@ -12,8 +12,8 @@ from edge import names
 from edge.geometry import Grid
 from edge.loop.latency import LatencyReport
 from edge.loop.result import MissionFacts
-from edge.tasks.facts import TaskFacts
-from edge.types import Goal, Instance, MissionStatus, Step
+from edge.tasks.facts import TaskStatus
+from edge.types import Goal, Instance, MissionEvent, MissionStatus
 
 _NS = 1e-9
 
@@ -55,7 +55,7 @@ class Keyframe:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
+class ChoiceFrame:
     """A model's answer about directions, with its image.
 
     Attributes:
@@ -63,8 +63,8 @@ class Asked:
         rgb: (h, w, 3) uint8, with letters.
         target: object that the question was about.
         letters: (letter, P of ViTL eq. 4) of the marks that still exist.
-        elsewhere: see `Choice`.
-        scene: see `Choice`.
+        elsewhere: see `FrontierChoice`.
+        scene: see `FrontierChoice`.
     """
 
     stamp_ns: int
@@ -108,31 +108,31 @@ class RunRecord:
     goals: tuple[Goal, ...] = ()
     instances: tuple[Instance, ...] = ()
     frames: tuple[Keyframe, ...] = ()
-    asked: tuple[Asked, ...] = ()
+    asked: tuple[ChoiceFrame, ...] = ()
     values: Mapping[str, Grid] = field(default_factory=dict)
     events: tuple[tuple[float, str], ...] = ()
     counters: Mapping[str, float] = field(default_factory=dict)
     config: Mapping[str, Any] = field(default_factory=dict)
     machine: str = ""
-    story: MissionFacts | None = None
-    task: TaskFacts | None = None
-    driven: tuple[TaskFacts, ...] = ()
+    mission_facts: MissionFacts | None = None
+    task: TaskStatus | None = None
+    driven: tuple[TaskStatus, ...] = ()
 
     @property
-    def simple(self) -> bool:
+    def has_single_target(self) -> bool:
         """True if the mission was only to reach one object, as far as is known."""
-        if self.story is None:
+        if self.mission_facts is None:
             return True
-        automaton = self.story.brief.automaton
+        automaton = self.mission_facts.brief.automaton
         return len(automaton.letters) <= 1 and automaton.n_states <= 2
 
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[MissionEvent, ...]:
         """Steps of the mission, in order of time."""
-        return () if self.story is None else self.story.steps
+        return () if self.mission_facts is None else self.mission_facts.steps
 
     @property
-    def trajectories(self) -> tuple[TaskFacts, ...]:
+    def trajectories(self) -> tuple[TaskStatus, ...]:
         """The task at the start of each trajectory; at the end of the run for the last one."""
         last = self.task
         if last is None or last.refined is None:
@@ -140,7 +140,7 @@ class RunRecord:
         return (*(one for one in self.driven if one.refined is not last.refined), last)
 
     @property
-    def reached(self) -> tuple[Step, ...]:
+    def reached(self) -> tuple[MissionEvent, ...]:
         """Steps in which a target was reached."""
         return tuple(step for step in self.steps if step.kind == "reached")
 

@@ -10,15 +10,15 @@ from typing import Generic, TypeVar
 
 from edge.config import Config
 from edge.host.machine import this_cpu
-from edge.lab.report.album import FRAMES, Album
-from edge.lab.report.choices import Choices
+from edge.lab.report.choices import ChoiceFrameBuffer
+from edge.lab.report.keyframes import FRAMES, KeyframeBuffer
 from edge.lab.report.record import RunRecord
-from edge.live.trail import Trail
+from edge.live.trail import DrivenPath
 from edge.loop.result import VALUE_LAYER, Event, TickResult
 from edge.mission.translate import Translation
-from edge.tasks.facts import TaskFacts
-from edge.tasks.refine import Refined
-from edge.text import shorten, without_secrets
+from edge.tasks.facts import TaskStatus
+from edge.tasks.refine import RefinedTrajectory
+from edge.text import redact, shorten
 from edge.types import Goal, MissionStatus
 
 MAX_TITLE = 160
@@ -28,7 +28,7 @@ _NS = 1e-9
 T = TypeVar("T")
 
 
-class Ends(Generic[T]):
+class HeadTailBuffer(Generic[T]):
     """The first and the last items of a sequence of any length."""
 
     def __init__(self, first: int = 100, last: int = 400) -> None:
@@ -52,18 +52,18 @@ class Ends(Generic[T]):
         return (*self._first, *self._last)
 
 
-class Recorder:
+class ReportRecorder:
     """Sink that keeps data for the report of a run; every call is cheap."""
 
     def __init__(self, config: Config, frames: int = FRAMES) -> None:
         self._config = config
-        self._trail = Trail()
-        self._album = Album(frames)
-        self._choices = Choices(frames)
-        self._goals: Ends[Goal] = Ends()
-        self._events: Ends[Event] = Ends()
-        self._driven: Ends[TaskFacts] = Ends(20, 80)
-        self._refined: Refined | None = None
+        self._trail = DrivenPath()
+        self._album = KeyframeBuffer(frames)
+        self._choices = ChoiceFrameBuffer(frames)
+        self._goals: HeadTailBuffer[Goal] = HeadTailBuffer()
+        self._events: HeadTailBuffer[Event] = HeadTailBuffer()
+        self._driven: HeadTailBuffer[TaskStatus] = HeadTailBuffer(20, 80)
+        self._refined: RefinedTrajectory | None = None
         self._start_ns: int | None = None
 
     def tick(self, result: TickResult) -> None:
@@ -83,7 +83,7 @@ class Recorder:
         if observation is not None:
             self._trail.append(observation.stamp_ns, observation.pose)
 
-    def _keep_trajectory(self, task: TaskFacts | None) -> None:
+    def _keep_trajectory(self, task: TaskStatus | None) -> None:
         """Keep a task's trajectory if it is a new one."""
         refined = None if task is None else task.refined
         if task is not None and refined is not None and refined is not self._refined:
@@ -128,9 +128,9 @@ class Recorder:
             values={n: make() for n, make in end.layers().items() if n.startswith(VALUE_LAYER)},
             events=tuple(sorted(events, key=lambda event: event[0])),
             counters={**more, **counters},
-            config=without_secrets(self._config.model_dump(mode="json")),
+            config=redact(self._config.model_dump(mode="json")),
             machine=machine(),
-            story=story,
+            mission_facts=story,
             task=end.task(),
             driven=self._driven.items(),
         )

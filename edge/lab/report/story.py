@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from html import escape
 
-from edge.lab.report import canvas, drawing, gantt
+from edge.lab.report import automaton_graph, canvas, gantt
 from edge.lab.report.record import RunRecord
-from edge.live.scene import make_scene
+from edge.live.automaton_graph import make_automaton_graph
 from edge.loop.result import MissionFacts
 from edge.text import shorten
 
@@ -15,11 +15,11 @@ MAX_TEXT = 4000
 
 def section(record: RunRecord) -> str:
     """Return the mission's HTML; empty if the run was only asked to find one target."""
-    story = record.story
+    story = record.mission_facts
     if story is None:
         return ""
     translation, automaton = story.brief.translation, story.brief.automaton
-    if record.simple and translation.backend == "target":
+    if record.has_single_target and translation.backend == "target":
         return ""
     pairs = [
         ("asked", translation.instruction),
@@ -32,7 +32,7 @@ def section(record: RunRecord) -> str:
     rows = "".join(
         f"<dt>{escape(k)}</dt><dd{_class(k)}>{escape(shorten(v, MAX_TEXT))}</dd>" for k, v in pairs
     )
-    drawings = "" if record.simple else _timeline(record) + _automaton(story)
+    drawings = "" if record.has_single_target else _timeline(record) + _automaton(story)
     return f'<section><h2>Mission</h2><dl class="story">{rows}</dl>{drawings}</section>'
 
 
@@ -54,11 +54,12 @@ def _timeline(record: RunRecord) -> str:
 
 def _automaton(story: MissionFacts) -> str:
     automaton = story.brief.automaton
-    scene = make_scene(automaton, story.state, _to_come(story), story.word)
+    scene = make_automaton_graph(automaton, story.state, _to_come(story), story.word)
     title = f"Automaton with {automaton.n_states} states, now in state {story.state}"
     words = "; ".join([title, *(part.title for part in (*scene.arrows, *scene.nodes))])
+    drawing = canvas.img(automaton_graph.draw(scene), words)
     return (
-        f'<h2>Automaton</h2><div class="drawing">{canvas.img(drawing.draw(scene), words)}</div>'
+        f'<h2>Automaton</h2><div class="drawing">{drawing}</div>'
         '<p class="note">Blue disc: the '
         "state at the end. Green: the way there. Blue arrows: the plan from there. Double ring: "
         "the mission is fulfilled. The robot follows an arrow by reaching an object named on it."

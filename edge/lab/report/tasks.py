@@ -13,11 +13,11 @@ from edge.geometry import SE2, Grid
 from edge.lab.report import palette, raster
 from edge.lab.report.record import RunRecord
 from edge.lab.report.view3d import Line, coarse_and_refined, scene_page
-from edge.tasks.facts import TaskFacts, lengths_m
+from edge.tasks.facts import TaskStatus, lengths_m
 from edge.tasks.objects import box_around
 from edge.tasks.scene import Region, Scene, SceneObject
-from edge.tasks.write import Round
-from edge.text import one_line, shorten, some_lines
+from edge.tasks.write import PlanAttempt
+from edge.text import bounded_lines, one_line, shorten
 from edge.types import Instance
 
 if TYPE_CHECKING:
@@ -55,15 +55,15 @@ def section(record: RunRecord, linked: bool) -> str:
     rounds = "".join(_round(number, said) for number, said in enumerate(task.rounds, start=1))
     prompt = ""
     if task.prompt:
-        prompt = _folded("Prompt", f"<pre>{escape(some_lines(task.prompt, MAX_PROMPT))}</pre>")
+        prompt = _folded("Prompt", f"<pre>{escape(bounded_lines(task.prompt, MAX_PROMPT))}</pre>")
     return (
         f'<section><h2>Task</h2><dl class="story">{rows}</dl>{link}{rounds}{prompt}</section>'
     )  # fmt: skip
 
 
-def _written(record: RunRecord) -> list[list[TaskFacts]]:
+def _written(record: RunRecord) -> list[list[TaskStatus]]:
     """Return the coarse trajectories in order of time: each with all its refinements."""
-    found: list[list[TaskFacts]] = []
+    found: list[list[TaskStatus]] = []
     for one in record.trajectories:
         if found and found[-1][-1].coarse_m is one.coarse_m:
             found[-1].append(one)
@@ -72,7 +72,7 @@ def _written(record: RunRecord) -> list[list[TaskFacts]]:
     return found
 
 
-def _described(written: Sequence[Sequence[TaskFacts]]) -> list[tuple[str, str]]:
+def _described(written: Sequence[Sequence[TaskStatus]]) -> list[tuple[str, str]]:
     """Return each trajectory as text, and its notes, as (name, text)."""
     pairs = []
     for number, refined in enumerate(written, start=1):
@@ -84,7 +84,7 @@ def _described(written: Sequence[Sequence[TaskFacts]]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _in_words(written: Sequence[TaskFacts]) -> str:
+def _in_words(written: Sequence[TaskStatus]) -> str:
     """Return the trajectory's first length, and how often the rest of it was refined again."""
     first, last = written[0], written[-1]
     assert first.refined is not None
@@ -100,16 +100,16 @@ def _in_words(written: Sequence[TaskFacts]) -> str:
     return words
 
 
-def _round(number: int, said: Round) -> str:
+def _round(number: int, said: PlanAttempt) -> str:
     """Return one answer of a model as HTML; its text if it has no code."""
     outcome = '<span class="over">refused</span>' if said.error else '<span class="ok">used</span>'
     parts = []
     if said.error:
         parts.append(f'<p class="over">{escape(one_line(said.error, MAX_TEXT))}</p>')
     text = said.code or said.answer
-    parts.append(f"<pre>{escape(some_lines(text, MAX_CODE if said.code else MAX_TEXT))}</pre>")
+    parts.append(f"<pre>{escape(bounded_lines(text, MAX_CODE if said.code else MAX_TEXT))}</pre>")
     if said.printed:
-        printed = escape(some_lines(said.printed, MAX_TEXT))
+        printed = escape(bounded_lines(said.printed, MAX_TEXT))
         parts.append(f'<p class="note">printed</p><pre>{printed}</pre>')
     return _folded(f"Answer {number}: {outcome}", "".join(parts))
 

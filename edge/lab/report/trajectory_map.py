@@ -12,7 +12,7 @@ from edge.geometry import Grid
 from edge.lab.report import canvas, palette
 from edge.lab.report.view3d import UNKNOWN_RGB, ground_colours
 from edge.tasks.picture import colour
-from edge.tasks.refine import Refined
+from edge.tasks.refine import RefinedTrajectory
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.value_map import DRIVABLE, HIGH, TUBE
 from edge.trajectory.costmap import CostMap
@@ -41,7 +41,10 @@ _Box = tuple[float, float, float, float]
 
 
 def png(
-    scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None, costmap: CostMap | None
+    scene: Scene,
+    coarse_m: np.ndarray | None,
+    refined: RefinedTrajectory | None,
+    costmap: CostMap | None,
 ) -> bytes:
     """Return the content of a PNG file: the scene and, next to it, the value map.
 
@@ -83,7 +86,7 @@ def png(
     return canvas.content(figure, "png")
 
 
-def _shown(scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None) -> _Box:
+def _shown(scene: Scene, coarse_m: np.ndarray | None, refined: RefinedTrajectory | None) -> _Box:
     """Return the shown area (x_min, x_max, y_min, y_max): the trajectory with a margin.
 
     Without a trajectory it is all objects around the robot.
@@ -125,7 +128,9 @@ def _image(axes: Axes, grid: Grid, rgb: np.ndarray) -> None:
         )  # fmt: skip
 
 
-def _lines(axes: Axes, scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None) -> None:
+def _lines(
+    axes: Axes, scene: Scene, coarse_m: np.ndarray | None, refined: RefinedTrajectory | None
+) -> None:
     if coarse_m is not None:
         axes.plot(*coarse_m.T, color=COARSE, lw=1.4, ls=(0, (3, 1.5)), marker=".", ms=3.5, zorder=4)
     if refined is not None:
@@ -161,7 +166,7 @@ def _thing(axes: Axes, thing: SceneObject, box: _Box) -> None:
 
 
 def _keys(
-    scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None, box: _Box
+    scene: Scene, coarse_m: np.ndarray | None, refined: RefinedTrajectory | None, box: _Box
 ) -> tuple[list[Artist], list[Artist]]:
     """Return the legend's handles of each panel."""
     from matplotlib.lines import Line2D

@@ -19,7 +19,7 @@ import numpy as np
 
 from edge.lab.report import palette
 from edge.lab.report.document import document
-from edge.tasks.refine import Refined
+from edge.tasks.refine import RefinedTrajectory
 from edge.tasks.scene import Scene, SceneObject
 
 VOXEL_M = 0.1
@@ -70,7 +70,7 @@ class Line:
     breadth_px: float = 3.0
 
 
-def coarse_and_refined(coarse_m: np.ndarray, refined: Refined) -> tuple[Line, Line]:
+def coarse_and_refined(coarse_m: np.ndarray, refined: RefinedTrajectory) -> tuple[Line, Line]:
     """Return the two lines that every task has."""
     return (
         Line("coarse", coarse_m, "#f08c00", 2.0),
@@ -84,7 +84,7 @@ def scene_page(
     lines: Sequence[Line],
     machine: str,
     *,
-    refined: Refined | None = None,
+    refined: RefinedTrajectory | None = None,
     cloud_m: np.ndarray | None = None,
     facts: Sequence[tuple[str, str]] = (),
     ground_m: float = 0.0,
@@ -201,7 +201,7 @@ def _line(line: Line, ground_m: float) -> dict[str, object]:
     }
 
 
-def _drive(refined: Refined | None) -> tuple[list[list[float]], list[str]]:
+def _drive(refined: RefinedTrajectory | None) -> tuple[list[list[float]], list[str]]:
     if refined is None:
         return [], []
     when = [

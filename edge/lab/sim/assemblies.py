@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.lab.sim.boxworld import Part
+from edge.lab.sim.boxworld import Primitive
 from edge.lab.sim.category import RGB, Category
 from edge.lab.sim.furniture import FURNITURE
 from edge.lab.sim.household import HOUSEHOLD
@@ -35,7 +35,7 @@ FIXED: dict[str, RGB] = {
 }
 
 
-def build(category: str, size_m: RGB, color: RGB) -> list[Part]:
+def build(category: str, size_m: RGB, color: RGB) -> list[Primitive]:
     """Return the primitives of an object that stands at the origin and faces +x.
 
     Raises:
@@ -52,5 +52,5 @@ def build(category: str, size_m: RGB, color: RGB) -> list[Part]:
     for shape, center, size, material, *texture in CATEGORIES[category].rows:
         x, y, z = (float(v) for v in scale * center)
         a, b, c = (float(v) for v in scale * size)
-        parts.append(Part(shape, (x, y, z), (a, b, c), materials[material], *texture))
+        parts.append(Primitive(shape, (x, y, z), (a, b, c), materials[material], *texture))
     return parts

@@ -62,7 +62,7 @@ class WorldObject:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fan:
+class LidarRays:
     """Rays of a rotating LiDAR in its own frame.
 
     Attributes:
@@ -79,7 +79,7 @@ class Fan:
     range_m: float
 
     @classmethod
-    def of(cls, lidar: Lidar) -> Fan:
+    def of(cls, lidar: Lidar) -> LidarRays:
         """Return the rays of a configured LiDAR; a single ring lies at elevation 0."""
         vfov = math.radians(lidar.vfov_deg)
         single = lidar.rings == 1
@@ -153,7 +153,7 @@ class World(Protocol):
         shaded, which takes half the time; depth and ids are the same.
         """
 
-    def cast(self, fan: Fan, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
+    def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
         """Fill (rings, columns) float32 with ranges [m]; NaN for no return."""
 
 

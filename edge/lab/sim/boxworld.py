@@ -9,7 +9,7 @@ import numpy as np
 
 from edge.geometry import SE2, CameraModel, Grid
 from edge.lab.sim import kernels, shading
-from edge.lab.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, Room, WorldError, WorldObject
+from edge.lab.sim.base import FLOOR_CLEARANCE_M, FloorPlan, LidarRays, Room, WorldError, WorldObject
 
 CELL_M = 0.025
 _MARGIN_M = 0.5
@@ -17,7 +17,7 @@ _SKY = np.array([205, 222, 238], np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class Primitive:
     """One primitive solid.
 
     Attributes:
@@ -36,7 +36,7 @@ class Part:
     texture: int = shading.PLAIN
     yaw_rad: float = 0.0
 
-    def placed(self, x_m: float, y_m: float, z_m: float, yaw_rad: float) -> Part:
+    def placed(self, x_m: float, y_m: float, z_m: float, yaw_rad: float) -> Primitive:
         """Return this primitive of an object that stands at a pose."""
         c, s = math.cos(yaw_rad), math.sin(yaw_rad)
         x, y, z = self.center_m
@@ -50,8 +50,8 @@ class BoxWorld:
     def __init__(
         self,
         name: str,
-        structure: list[Part],
-        furniture: list[tuple[WorldObject, list[Part]]],
+        structure: list[Primitive],
+        furniture: list[tuple[WorldObject, list[Primitive]]],
         start: SE2,
         robot_height_m: float,
         depth_range_m: tuple[float, float],
@@ -96,7 +96,7 @@ class BoxWorld:
             )  # fmt: skip
         kernels.name_hits(self._prim, self.owner, *self._depth_range_m, out_depth_m, out_ids)
 
-    def cast(self, fan: Fan, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
+    def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
         rays = (fan.directions, fan.el_min_rad, fan.el_step_rad)
         kernels.cast_fan(self.shape, self.pose, T_map_lidar, *rays, out_ranges_m)
         out_ranges_m[out_ranges_m > fan.range_m] = np.nan
@@ -131,6 +131,6 @@ class BoxWorld:
         kernels.rasterise(self.shape, self.pose, *heights, origin_m, CELL_M, occupied)
 
 
-def _pose_row(part: Part) -> list[float]:
+def _pose_row(part: Primitive) -> list[float]:
     half = [0.5 * extent for extent in part.size_m]
     return [*part.center_m, *half, math.cos(part.yaw_rad), math.sin(part.yaw_rad)]

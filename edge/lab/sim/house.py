@@ -22,7 +22,7 @@ from edge.host import resources
 from edge.host.files import read_regular
 from edge.lab.sim import assemblies, kernels, shading
 from edge.lab.sim.base import WorldError, WorldObject
-from edge.lab.sim.boxworld import BoxWorld, Part
+from edge.lab.sim.boxworld import BoxWorld, Primitive
 from edge.text import bounded_repr
 
 HOUSES = Path(__file__).resolve().parent / "houses"
@@ -65,7 +65,7 @@ class Wall(Section):
     openings: tuple[Opening, ...] = ()
 
 
-class Thing(Section):
+class HouseObject(Section):
     category: str
     at: Point
     z_m: float = 0.0
@@ -90,7 +90,7 @@ class House(Section):
     ceiling: bool = True
     rooms: tuple[Room, ...] = ()
     walls: tuple[Wall, ...] = ()
-    objects: tuple[Thing, ...] = ()
+    objects: tuple[HouseObject, ...] = ()
 
 
 def read_house(path: Path) -> House:
@@ -148,32 +148,32 @@ def build_house(house: House, config: Config) -> BoxWorld:
     )
 
 
-def _room_parts(room: Room, house: House) -> list[Part]:
+def _room_parts(room: Room, house: House) -> list[Primitive]:
     x0, y0, x1, y1 = room.rect
     center, size = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), (x1 - x0, y1 - y0, _SLAB_M)
     floor = (*center, -0.5 * _SLAB_M)
-    parts = [Part(kernels.BOX, floor, size, room.color, FLOORS[room.floor])]
+    parts = [Primitive(kernels.BOX, floor, size, room.color, FLOORS[room.floor])]
     if house.ceiling:
         above = (*center, house.wall_height_m + 0.5 * _SLAB_M)
-        parts.append(Part(kernels.BOX, above, size, (244.0, 243.0, 240.0), shading.PAINT))
+        parts.append(Primitive(kernels.BOX, above, size, (244.0, 243.0, 240.0), shading.PAINT))
     return parts
 
 
-def _wall_parts(wall: Wall, house: House) -> list[Part]:
+def _wall_parts(wall: Wall, house: House) -> list[Primitive]:
     """Return the solid parts of a wall: between, above and below its openings."""
     (x0, y0), (x1, y1) = wall.start, wall.end
     length, yaw = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
-    parts: list[Part] = []
+    parts: list[Primitive] = []
 
     def stretch(a: float, b: float, z0: float, z1: float) -> None:
         if b - a < 1e-6 or z1 - z0 < 1e-6:
             return
         mid = (0.5 * (a + b), 0.0, 0.5 * (z0 + z1))
         size = (b - a, house.wall_thickness_m, z1 - z0)
-        parts.append(Part(kernels.BOX, mid, size, wall.color, shading.PAINT))
+        parts.append(Primitive(kernels.BOX, mid, size, wall.color, shading.PAINT))
         if z0 == 0.0:
             foot = (b - a, house.wall_thickness_m + 0.02, 0.08)
-            parts.append(Part(kernels.BOX, (mid[0], 0.0, 0.04), foot, _SKIRTING))
+            parts.append(Primitive(kernels.BOX, (mid[0], 0.0, 0.04), foot, _SKIRTING))
 
     # The ends extend by half a thickness, so that corners close.
     at = -0.5 * house.wall_thickness_m
@@ -187,7 +187,7 @@ def _wall_parts(wall: Wall, house: House) -> list[Part]:
     return [part.placed(x0, y0, 0.0, yaw) for part in parts]
 
 
-def _furnish(object_id: int, thing: Thing) -> tuple[WorldObject, list[Part]]:
+def _furnish(object_id: int, thing: HouseObject) -> tuple[WorldObject, list[Primitive]]:
     category = assemblies.CATEGORIES[thing.category]
     size = thing.size or category.size_m
     yaw = math.radians(thing.yaw_deg)

@@ -17,7 +17,7 @@ from edge.geometry import SE2, CameraModel, Grid
 from edge.host import resources
 from edge.host.files import read_regular
 from edge.lab.sim import kernels, mesh_kernels
-from edge.lab.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, Room, WorldError, WorldObject
+from edge.lab.sim.base import FLOOR_CLEARANCE_M, FloorPlan, LidarRays, Room, WorldError, WorldObject
 
 CELL_M = 0.025
 _MARGIN_M = 0.5
@@ -151,17 +151,19 @@ def read_faces(scene: Any) -> Faces:
 
 def _faces_of(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.ndarray, ...]:
     """Return the columns of `Faces` up to `node`, for one placed geometry."""
-    count = len(mesh.faces)
+    count = len(mesh.has_clear_view_of)
     corners = mesh.vertices @ T[:3, :3].T + T[:3, 3]
-    triangles = corners[mesh.faces]
-    normals = _vertex_normals(triangles, mesh.faces, len(corners))[mesh.faces]
+    triangles = corners[mesh.has_clear_view_of]
+    normals = _vertex_normals(triangles, mesh.has_clear_view_of, len(corners))[
+        mesh.has_clear_view_of
+    ]
     material = getattr(mesh.visual, "material", None)
     image, uv = getattr(material, "baseColorTexture", None), getattr(mesh.visual, "uv", None)
     if image is None or uv is None:
         image, uv = None, np.zeros((len(mesh.vertices), 2))
     first, levels = atlas.add(image)
     # trimesh flips glTF's t, so that it counts upwards.
-    uvs = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)[mesh.faces]
+    uvs = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)[mesh.has_clear_view_of]
     factor = getattr(material, "baseColorFactor", None)
     tint = np.ones(3) if factor is None else np.asarray(factor[:3]) / 255.0
     _, height, width = atlas.levels[first]
@@ -246,7 +248,7 @@ class MeshWorld:
             face, self._owner, *self._depth_range_m, out_depth_m.reshape(-1), out_ids.reshape(-1)
         )
 
-    def cast(self, fan: Fan, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
+    def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
         _, hit = self._first_hits(fan.directions.reshape(-1, 3), T_map_lidar)
         ranges = np.where(hit["primID"] >= 0, hit["tfar"], np.nan)
         ranges[ranges > fan.range_m] = np.nan

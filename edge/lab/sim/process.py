@@ -21,7 +21,7 @@ from edge.bus.session import Ring, declare_publisher, zenoh_session
 from edge.bus.wire import messages
 from edge.config import Config
 from edge.lab.sim.base import World
-from edge.lab.sim.robot import DriveTrain, Motion
+from edge.lab.sim.robot import DriveTrain, MotionState
 from edge.lab.sim.sensors import Message, Rig, make_rigs, odometry_message, truth_message
 from edge.lab.sim.worlds import load_world
 
@@ -72,7 +72,7 @@ class SimBus:
         for topic, payload in batch:
             self._publishers[topic.key].put(payload)
 
-    def commands(self) -> Iterable[tuple[int, float, float]]:
+    def take_commands(self) -> Iterable[tuple[int, float, float]]:
         """Yield (stamp_ns, v, w) of the commands since the last call; count malformed ones."""
         for sample in self._commands.take():
             try:
@@ -108,7 +108,7 @@ def _move(config: Config, drive: DriveTrain, bus: SimBus, stop: threading.Event)
     next_s = time.monotonic()
     while not stop.is_set():
         now_s = time.monotonic()
-        for _, v, w in bus.commands():
+        for _, v, w in bus.take_commands():
             command, heard_s = (v, w), now_s
         if now_s - heard_s > COMMAND_TIMEOUT_S:
             command = (0.0, 0.0)
@@ -167,7 +167,7 @@ def run_lockstep(
 
 
 def _ask(
-    motion: Motion, rigs: list[Rig], bus: SimBus, stop: threading.Event
+    motion: MotionState, rigs: list[Rig], bus: SimBus, stop: threading.Event
 ) -> tuple[float, float] | None:
     """Send one instant, repeatedly, until a command has its stamp; None once `stop` is set."""
     stamp_ns, begun_s, sent_s, warned = motion.stamp_ns, time.monotonic(), 0.0, False
@@ -180,7 +180,7 @@ def _ask(
                 bus.send(rig.description(stamp_ns))
             for rig in rigs:
                 bus.send(rig.messages(stamp_ns))
-        for answered_ns, v, w in bus.commands():
+        for answered_ns, v, w in bus.take_commands():
             if answered_ns == stamp_ns:
                 return v, w
         if now_s - begun_s > WARN_AFTER_S and not warned:

@@ -19,7 +19,7 @@ from edge.host import resources
 from edge.host.files import open_regular
 from edge.lab.sim import kernels, shading
 from edge.lab.sim.base import WorldError, WorldObject
-from edge.lab.sim.boxworld import BoxWorld, Part
+from edge.lab.sim.boxworld import BoxWorld, Primitive
 
 _WALL_M = 0.1
 _SLAB_M = 0.1
@@ -80,15 +80,15 @@ def build_procthor(house: dict[str, Any], config: Config) -> BoxWorld:
     return BoxWorld(house["name"], structure, furniture, start, height_m, depths, rooms)
 
 
-def _room_parts(room: dict[str, Any], height_m: float) -> list[Part]:
+def _room_parts(room: dict[str, Any], height_m: float) -> list[Primitive]:
     """Return floor and ceiling of a polygon with sides along x and y, cut into strips."""
     color, texture = _FLOORS.get(room["category"], _WOOD)
     parts = []
     for x0, y0, x1, y1 in rectangles(room["polygon"]):
         center, size = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), (x1 - x0, y1 - y0, _SLAB_M)
         below, above = (*center, -0.5 * _SLAB_M), (*center, height_m + 0.5 * _SLAB_M)
-        parts.append(Part(kernels.BOX, below, size, color, texture))
-        parts.append(Part(kernels.BOX, above, size, (244.0, 243.0, 240.0), shading.PAINT))
+        parts.append(Primitive(kernels.BOX, below, size, color, texture))
+        parts.append(Primitive(kernels.BOX, above, size, (244.0, 243.0, 240.0), shading.PAINT))
     return parts
 
 
@@ -106,16 +106,16 @@ def rectangles(polygon: list[list[float]]) -> list[tuple[float, float, float, fl
     return out
 
 
-def _wall(wall: list[float]) -> Part:
+def _wall(wall: list[float]) -> Primitive:
     x0, y0, x1, y1, z0, z1 = wall
     length = math.hypot(x1 - x0, y1 - y0) + _WALL_M * (z0 == 0.0)
     center = (0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (z0 + z1))
     yaw = math.atan2(y1 - y0, x1 - x0)
     color = (224.0, 220.0, 210.0)
-    return Part(kernels.BOX, center, (length, _WALL_M, z1 - z0), color, shading.PAINT, yaw)
+    return Primitive(kernels.BOX, center, (length, _WALL_M, z1 - z0), color, shading.PAINT, yaw)
 
 
-def _box(object_id: int, item: dict[str, Any]) -> tuple[WorldObject, list[Part]]:
+def _box(object_id: int, item: dict[str, Any]) -> tuple[WorldObject, list[Primitive]]:
     category, yaw = item["category"], float(item["yaw"])
     center, size = tuple(map(float, item["center"])), tuple(map(float, item["size"]))
     # One colour for each category, on every computer.
@@ -124,4 +124,4 @@ def _box(object_id: int, item: dict[str, Any]) -> tuple[WorldObject, list[Part]]
     thing = WorldObject(
         object_id, str(item["id"]), names.canonical(category), category, center, size, yaw
     )
-    return thing, [Part(kernels.BOX, center, size, color, shading.FABRIC, yaw)]
+    return thing, [Primitive(kernels.BOX, center, size, color, shading.FABRIC, yaw)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge.config import Robot, Sim
+from edge.config import RobotConfig, SimConfig
 from edge.geometry import SE2, wrap_angle
 from edge.lab.sim.base import World, WorldError
 
@@ -17,7 +17,7 @@ AWAY_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class MotionState:
     """State of the robot at one instant.
 
     Attributes:
@@ -51,7 +51,9 @@ class DriveTrain:
         WorldError: the start is not free.
     """
 
-    def __init__(self, robot: Robot, sim: Sim, world: World, start: SE2, stamp_ns: int = 0) -> None:
+    def __init__(
+        self, robot: RobotConfig, sim: SimConfig, world: World, start: SE2, stamp_ns: int = 0
+    ) -> None:
         clearance = world.plan.clearance_at(start.x_m, start.y_m)
         if clearance < robot.radius_m:
             raise WorldError(
@@ -63,9 +65,9 @@ class DriveTrain:
         self._scale = 1.0 + sim.drift_m_per_m * rng.standard_normal()
         self._turn_scale = 1.0 + sim.drift_rad_per_rad * rng.standard_normal()
         self._bumped_at = start
-        self.motion = Motion(stamp_ns, start, start, 0.0, 0.0, 0, False, 0.0)
+        self.motion = MotionState(stamp_ns, start, start, 0.0, 0.0, 0, False, 0.0)
 
-    def step(self, dt_s: float, v_cmd_mps: float, w_cmd_radps: float) -> Motion:
+    def step(self, dt_s: float, v_cmd_mps: float, w_cmd_radps: float) -> MotionState:
         """Drive towards a commanded speed and turn rate for `dt_s`."""
         count = max(1, math.ceil(dt_s / SUBSTEP_S - 1e-9))
         now = self.motion
@@ -75,7 +77,7 @@ class DriveTrain:
         self.motion = replace(now, stamp_ns=now.stamp_ns + round(dt_s * 1e9))
         return self.motion
 
-    def _substep(self, now: Motion, dt_s: float, v_cmd: float, w_cmd: float) -> Motion:
+    def _substep(self, now: MotionState, dt_s: float, v_cmd: float, w_cmd: float) -> MotionState:
         robot = self._robot
         v = _towards(now.v_mps, v_cmd, robot.max_speed_mps, robot.max_accel_mps2 * dt_s)
         w = _towards(now.w_radps, w_cmd, robot.max_turn_radps, robot.max_turn_accel_radps2 * dt_s)
@@ -90,7 +92,7 @@ class DriveTrain:
             pose = _advance(now.pose, 0.0, w * dt_s)
         elif bumped and pose.distance_to(self._bumped_at.x_m, self._bumped_at.y_m) > AWAY_M:
             bumped = False
-        return Motion(
+        return MotionState(
             stamp_ns=now.stamp_ns,
             pose=pose,
             odometry=_advance(now.odometry, v * dt_s * self._scale, w * dt_s * self._turn_scale),

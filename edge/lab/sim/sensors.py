@@ -14,8 +14,8 @@ from edge.bus.topics import Topic
 from edge.bus.wire import messages
 from edge.config import Config
 from edge.geometry import SE2
-from edge.lab.sim.base import Fan, World, WorldError
-from edge.lab.sim.robot import Motion
+from edge.lab.sim.base import LidarRays, World, WorldError
+from edge.lab.sim.robot import MotionState
 
 CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
 Message = tuple[Topic, bytes]
@@ -83,7 +83,7 @@ class LidarRig:
         lidar = config.sensors.lidar
         assert lidar is not None
         _over_the_floor(config, "sensors.lidar.z_m", lidar.z_m)
-        self._world, self._fan, self._noise_m = world, Fan.of(lidar), lidar.noise_m
+        self._world, self._fan, self._noise_m = world, LidarRays.of(lidar), lidar.noise_m
         self.rate_hz = lidar.rate_hz
         self.T_base_lidar = lidar.T_base_mount()
         self.ranges_m = np.empty(self._fan.directions.shape[:2], np.float32)
@@ -126,14 +126,14 @@ def make_rigs(config: Config, world: World) -> list[Rig]:
     return [*lidar, CameraRig(config, world)]
 
 
-def odometry_message(motion: Motion) -> Message:
+def odometry_message(motion: MotionState) -> Message:
     """Return the pose by odometry as a message."""
     T_map_base = motion.odometry.matrix()
     payload = messages.encode_odometry(motion.stamp_ns, T_map_base, motion.v_mps, motion.w_radps)
     return topics.ODOMETRY, payload
 
 
-def truth_message(motion: Motion) -> Message:
+def truth_message(motion: MotionState) -> Message:
     """Return the true pose and the collisions as a message."""
     truth = {
         "stamp_ns": motion.stamp_ns,

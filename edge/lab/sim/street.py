@@ -16,8 +16,8 @@ from edge.config import Config, WorldStreet
 from edge.geometry import SE2
 from edge.lab.sim import kernels, shading
 from edge.lab.sim.base import WorldObject
-from edge.lab.sim.boxworld import BoxWorld, Part
-from edge.lab.sim.generator.draws import Dice, Rect
+from edge.lab.sim.boxworld import BoxWorld, Primitive
+from edge.lab.sim.generator.rng import PortableRng, Rect
 
 RGB = tuple[float, float, float]
 BEHIND_M, AHEAD_M = 14.0, 50.0
@@ -47,7 +47,7 @@ _WINDOW, _TYRE, _WOOD = (58, 70, 82), (28, 28, 32), (150, 104, 62)
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class GroundArea:
     """A rectangle of drivable ground; pieces with the same id form one region."""
 
     id: int
@@ -56,7 +56,7 @@ class Ground:
 
 
 @dataclass(frozen=True, slots=True)
-class Thing:
+class StreetObject:
     """An object in the street.
 
     Attributes:
@@ -76,7 +76,7 @@ class Thing:
     y_m: float
     yaw_rad: float
     size_m: tuple[float, float, float]
-    parts: tuple[Part, ...]
+    parts: tuple[Primitive, ...]
 
     @property
     def rect(self) -> Rect:
@@ -102,8 +102,8 @@ class Street:
     name: str
     start: SE2
     width_m: float
-    grounds: tuple[Ground, ...]
-    things: tuple[Thing, ...]
+    grounds: tuple[GroundArea, ...]
+    things: tuple[StreetObject, ...]
 
     def to_map(self, x_m: float, y_m: float, yaw_rad: float = 0.0) -> SE2:
         """Transform a pose from the road's frame to `map`, whose origin is the start."""
@@ -124,24 +124,24 @@ def street(*key: int) -> Street:
     area. Houses stand behind, cars at the kerbs and sometimes in the lane, and trees, poles, bins
     and benches. The robot starts in its lane or on a sidewalk, turned by up to 12 degrees.
     """
-    dice = Dice(_KEY, *key)
+    dice = PortableRng(_KEY, *key)
     half_m, walk_m, yard_m = dice.between(3.6, 4.4), dice.between(2.2, 3.2), dice.between(3.0, 6.0)
     outer_m = half_m + walk_m
     grounds = [
-        Ground(1, "road", Rect(-BEHIND_M, -half_m, AHEAD_M, half_m)),
-        Ground(2, "sidewalk", Rect(-BEHIND_M, half_m, AHEAD_M, outer_m)),
-        Ground(3, "sidewalk", Rect(-BEHIND_M, -outer_m, AHEAD_M, -half_m)),
+        GroundArea(1, "road", Rect(-BEHIND_M, -half_m, AHEAD_M, half_m)),
+        GroundArea(2, "sidewalk", Rect(-BEHIND_M, half_m, AHEAD_M, outer_m)),
+        GroundArea(3, "sidewalk", Rect(-BEHIND_M, -outer_m, AHEAD_M, -half_m)),
     ]
     breaks: list[tuple[int, float, float]] = []  # (side, from x, to x) without houses and kerbs
     if dice.chance(0.5):
         side, x_m, width_m = dice.pick((-1, 1)), dice.between(16.0, 30.0), dice.between(5.5, 7.0)
-        grounds.append(Ground(1, "road", _beside(side, x_m, x_m + width_m, half_m, 40.0)))
+        grounds.append(GroundArea(1, "road", _beside(side, x_m, x_m + width_m, half_m, 40.0)))
         breaks.append((side, x_m, x_m + width_m))
     if dice.chance(0.4):
         side, x_m = dice.pick((-1, 1)), dice.between(4.0, 12.0)
         park = _beside(side, x_m, x_m + 9.0, outer_m, outer_m + 6.0)
         if not any(park.meets(ground.rect.grown(1.0)) for ground in grounds[3:]):
-            grounds.append(Ground(4, "parking", park))
+            grounds.append(GroundArea(4, "parking", park))
             breaks.append((side, x_m, x_m + 9.0))
     start = _start(dice, half_m, walk_m)
     things = _Things(dice, start, breaks)
@@ -157,11 +157,13 @@ def street(*key: int) -> Street:
 
 def solids(
     drawn: Street,
-) -> tuple[list[Part], list[tuple[Thing, list[Part]]]]:
+) -> tuple[list[Primitive], list[tuple[StreetObject, list[Primitive]]]]:
     """Return the ground, and each object with its primitives, in `map`; z = 0 on the ground."""
     length_m, middle_m = AHEAD_M + BEHIND_M, 0.5 * (AHEAD_M - BEHIND_M)
     lawn = drawn.to_map(middle_m, 0.0)
-    slab = Part(kernels.BOX, (0.0, 0.0, -0.5 * SLAB_M), (length_m, drawn.width_m, SLAB_M), _LAWN)
+    slab = Primitive(
+        kernels.BOX, (0.0, 0.0, -0.5 * SLAB_M), (length_m, drawn.width_m, SLAB_M), _LAWN
+    )
     floor = [slab.placed(lawn.x_m, lawn.y_m, 0.0, lawn.yaw_rad)]
     for k, ground in enumerate(drawn.grounds, start=1):
         rect = ground.rect
@@ -169,7 +171,7 @@ def solids(
         # Each one is a film higher, so that later ones are visible.
         high_m = 0.001 * k
         colour = GROUND_COLOURS[ground.label]
-        film = Part(
+        film = Primitive(
             kernels.BOX, (0.0, 0.0, 0.5 * high_m), (rect.width_m, rect.depth_m, high_m), colour
         )
         floor.append(film.placed(at.x_m, at.y_m, 0.0, at.yaw_rad))
@@ -206,12 +208,14 @@ def load_street(section: WorldStreet, config: Config) -> BoxWorld:
 class _Things:
     """Objects placed so far; refuses overlaps, the robot's start and gaps in the kerb."""
 
-    def __init__(self, dice: Dice, start: SE2, breaks: list[tuple[int, float, float]]) -> None:
+    def __init__(
+        self, dice: PortableRng, start: SE2, breaks: list[tuple[int, float, float]]
+    ) -> None:
         self.dice, self.breaks = dice, breaks
-        self.stood: list[Thing] = []
+        self.stood: list[StreetObject] = []
         self._taken = [Rect(start.x_m - 2.0, start.y_m - 1.5, start.x_m + 4.0, start.y_m + 1.5)]
 
-    def stand(self, thing: Thing, apart_m: float = _APART_M) -> bool:
+    def stand(self, thing: StreetObject, apart_m: float = _APART_M) -> bool:
         side = 1 if thing.y_m > 0 else -1
         rect = thing.rect
         gone = any(s == side and rect.x0 < x1 and rect.x1 > x0 for s, x0, x1 in self.breaks)
@@ -227,7 +231,7 @@ def _beside(side: int, x0: float, x1: float, inner_m: float, outer_m: float) -> 
     return Rect(x0, low, x1, high)
 
 
-def _start(dice: Dice, half_m: float, walk_m: float) -> SE2:
+def _start(dice: PortableRng, half_m: float, walk_m: float) -> SE2:
     lane = dice.chance(0.6)
     y_m = -0.5 * half_m if lane else dice.pick((-1, 1)) * (half_m + 0.5 * walk_m)
     return SE2(0.0, y_m, math.radians(dice.between(-12.0, 12.0)))
@@ -246,7 +250,7 @@ def _houses(things: _Things, side: int, y_m: float) -> None:
             ),
         )  # fmt: skip
         at = x_m + 0.5 * size[0], side * (y_m + 0.5 * size[1])
-        things.stand(Thing("house", colour, *at, 0.0, size, parts))
+        things.stand(StreetObject("house", colour, *at, 0.0, size, parts))
         x_m += size[0] + dice.between(3.0, 7.0)
 
 
@@ -271,7 +275,7 @@ def _walk(things: _Things, side: int, half_m: float, outer_m: float) -> None:
         things.stand(make(dice, dice.between(5.0, 40.0), side * (outer_m - 0.45), side))
 
 
-def _car(dice: Dice, x_m: float, y_m: float, yaw_rad: float) -> Thing:
+def _car(dice: PortableRng, x_m: float, y_m: float, yaw_rad: float) -> StreetObject:
     """Return a car or a van; a van is a closed box behind a short bonnet."""
     is_van = dice.chance(0.2)
     low, high = _VAN_M if is_van else _CAR_M
@@ -289,38 +293,40 @@ def _car(dice: Dice, x_m: float, y_m: float, yaw_rad: float) -> Thing:
             for x in (-0.31, 0.31) for y in (-0.41, 0.41)
         ),
     )  # fmt: skip
-    return Thing("van" if is_van else "car", colour, x_m, y_m, yaw_rad, size, parts)
+    return StreetObject("van" if is_van else "car", colour, x_m, y_m, yaw_rad, size, parts)
 
 
-def _tree(dice: Dice, x_m: float, y_m: float) -> Thing:
+def _tree(dice: PortableRng, x_m: float, y_m: float) -> StreetObject:
     height, crown = dice.between(4.5, 7.5), dice.between(2.4, 3.6)
-    trunk = Part(kernels.CYLINDER, (0, 0, 0.3 * height), (0.4, 0.4, 0.6 * height), _BARK)
+    trunk = Primitive(kernels.CYLINDER, (0, 0, 0.3 * height), (0.4, 0.4, 0.6 * height), _BARK)
     middle = (0.0, 0.0, height - 0.55 * crown)
-    leaves = Part(kernels.ELLIPSOID, middle, (crown, crown, 1.1 * crown), _LEAF, shading.FOLIAGE)
-    return Thing("tree", "", x_m, y_m, 0.0, (0.4, 0.4, height), (trunk, leaves))
+    leaves = Primitive(
+        kernels.ELLIPSOID, middle, (crown, crown, 1.1 * crown), _LEAF, shading.FOLIAGE
+    )
+    return StreetObject("tree", "", x_m, y_m, 0.0, (0.4, 0.4, height), (trunk, leaves))
 
 
-def _pole(x_m: float, y_m: float) -> Thing:
-    post = Part(kernels.CYLINDER, (0, 0, 2.5), (0.18, 0.18, 5.0), _STEEL)
-    return Thing("pole", "", x_m, y_m, 0.0, (0.18, 0.18, 5.0), (post,))
+def _pole(x_m: float, y_m: float) -> StreetObject:
+    post = Primitive(kernels.CYLINDER, (0, 0, 2.5), (0.18, 0.18, 5.0), _STEEL)
+    return StreetObject("pole", "", x_m, y_m, 0.0, (0.18, 0.18, 5.0), (post,))
 
 
-def _bin(dice: Dice, x_m: float, y_m: float, side: int) -> Thing:
+def _bin(dice: PortableRng, x_m: float, y_m: float, side: int) -> StreetObject:
     colour, size = dice.pick(tuple(BIN_COLOURS)), (0.6, 0.6, 1.1)
     lid = _box((0, 0, 1.06), (0.64, 0.64, 0.08), _TYRE)
     body = _box((0, 0, 0.51), (0.6, 0.6, 1.02), BIN_COLOURS[colour])
-    return Thing("trash can", colour, x_m, y_m, 0.0, size, (body, lid))
+    return StreetObject("trash can", colour, x_m, y_m, 0.0, size, (body, lid))
 
 
-def _bench(dice: Dice, x_m: float, y_m: float, side: int) -> Thing:
+def _bench(dice: PortableRng, x_m: float, y_m: float, side: int) -> StreetObject:
     """Return a bench that faces the road."""
     parts = (
         _box((0, 0, 0.43), (0.45, 1.6, 0.06), _WOOD),
         _box((-0.2, 0, 0.68), (0.06, 1.6, 0.4), _WOOD),
         *(_box((0, y, 0.2), (0.4, 0.08, 0.4), _STEEL) for y in (-0.7, 0.7)),
     )
-    return Thing("bench", "", x_m, y_m, -side * 0.5 * math.pi, (0.45, 1.6, 0.88), parts)
+    return StreetObject("bench", "", x_m, y_m, -side * 0.5 * math.pi, (0.45, 1.6, 0.88), parts)
 
 
-def _box(center: tuple, size: tuple, colour: RGB) -> Part:
-    return Part(kernels.BOX, tuple(map(float, center)), tuple(map(float, size)), colour)
+def _box(center: tuple, size: tuple, colour: RGB) -> Primitive:
+    return Primitive(kernels.BOX, tuple(map(float, center)), tuple(map(float, size)), colour)

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from edge.config import Config
-from edge.policies.base import Context
-from edge.tasks.facts import TaskFacts
+from edge.policies.base import PolicyInput
+from edge.tasks.facts import TaskStatus
 from edge.types import Goal, Instance
 
 
@@ -17,7 +17,7 @@ class Behaviour(Protocol):
     """A way to carry out one mission. The loop's thread calls it.
 
     A behaviour keeps the mission, the semantic map and the goal tracker, but no sensor data. The
-    observation of each tick comes in the `Context`.
+    observation of each tick comes in the `PolicyInput`.
     """
 
     @property
@@ -27,7 +27,7 @@ class Behaviour(Protocol):
     def gather(self) -> Sequence[Instance]:
         """Stage 5: return the objects that are candidates in this tick, like the frontiers."""
 
-    def plan(self, context: Context, images: int) -> None:
+    def plan(self, context: PolicyInput, images: int) -> None:
         """Stage 7: handle the detections and the goal's progress; advance the mission.
 
         Args:
@@ -35,7 +35,7 @@ class Behaviour(Protocol):
             images: Number of images that the detector has processed so far.
         """
 
-    def select(self, context: Context, scores: np.ndarray, images: int) -> Goal | None:
+    def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Stage 8: return the goal of this tick, or None to stand still. The mission is active.
 
         Args:
@@ -44,7 +44,7 @@ class Behaviour(Protocol):
             images: Number of images that the detector has processed so far.
         """
 
-    def facts(self) -> TaskFacts | None:
+    def facts(self) -> TaskStatus | None:
         """Return the state of the trajectory; None for a behaviour without one."""
 
     def reconfigure(self, config: Config) -> None:

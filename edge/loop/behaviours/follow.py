@@ -24,18 +24,26 @@ import numpy as np
 from edge.config import Config, WriterModel
 from edge.geometry import SE2
 from edge.host.worker import Worker
-from edge.loop.behaviours.draft import AGAIN_M, Draft, Look, Order, carried_out, let_go, told
+from edge.loop.behaviours.plan_worker import (
+    AGAIN_M,
+    ObjectMapUpdate,
+    PlanRequest,
+    PlanResult,
+    log_line,
+    release_frame,
+    run_request,
+)
 from edge.loop.behaviours.search import newest_ids
 from edge.loop.goal import MIN_IMAGES, GoalTracker
-from edge.loop.journal import TASK, Journal
+from edge.loop.input_log import TASK, InputLog
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
 from edge.mission.task_step import TaskStep
-from edge.policies.base import Context
-from edge.tasks.facts import StepFacts, StepState, TaskFacts, TaskPhase
+from edge.policies.base import PolicyInput
+from edge.tasks.facts import StepState, StepStatus, TaskPhase, TaskStatus
 from edge.tasks.follow import blocked_ahead_m, end_of, goal_ahead, index_at_goal, leg_end
 from edge.tasks.objects import ObjectMap
-from edge.tasks.refine import Refined
+from edge.tasks.refine import RefinedTrajectory
 from edge.text import one_line
 from edge.types import Detections, Goal, Instance, Observation
 
@@ -76,12 +84,12 @@ class FollowBehaviour:
         config: Config,
         here: SemanticMap,
         goals: GoalTracker,
-        journal: Journal,
+        journal: InputLog,
     ) -> None:
         self._config = config
         self._mission, self._map, self._goals = mission, here, goals
-        self._side: Worker[Look | Order, Draft] = Worker(
-            "task", carried_out, inline=config.loop.lockstep, drop=let_go
+        self._side: Worker[ObjectMapUpdate | PlanRequest, PlanResult] = Worker(
+            "task", run_request, inline=config.loop.lockstep, drop=release_frame
         )
         self._worker: Any = journal.beside(TASK, self._side)
         self._objects = ObjectMap()  # only the worker uses it
@@ -92,9 +100,9 @@ class FollowBehaviour:
         self.phase: TaskPhase = "looking"
         self._turns = TURNS if self._by_model else 0
         self._turning: SE2 | None = None
-        self._draft = Draft()
+        self._draft = PlanResult()
         self._index = self._refinements = 0
-        self._order: Order | None = None  # request that the worker handles
+        self._order: PlanRequest | None = None  # request that the worker handles
         self._why = ""  # reason why an earlier trajectory was abandoned
         self._refused = ""  # reason why no trajectory can be written with the objects seen so far
         self._unsure: tuple[int, ...] = ()  # instances that an ambiguous name may mean
@@ -148,7 +156,7 @@ class FollowBehaviour:
         found = [self._map.tracker.get(number) for number in self._unsure]
         return [one for one in found if one is not None and one.state == "seen"]
 
-    def plan(self, context: Context, images: int) -> None:
+    def plan(self, context: PolicyInput, images: int) -> None:
         """Advance the task. Slow work is started in the background."""
         mission, goals, now_ns = self._mission, self._goals, context.now_ns
         targets, sure = mission.brief.targets, not self._config.policy.instances
@@ -160,16 +168,16 @@ class FollowBehaviour:
         stuck = goals.judge(self._map.grid, context.pose, mission, images, now_ns)
         self._step(context, stuck)
         if goals.exhausted and self.missed:
-            mission.give_up(goals.why_in_vain(mission, self._map.grid), now_ns)
+            mission.give_up(goals.failure_reason(mission, self._map.grid), now_ns)
 
-    def select(self, context: Context, scores: np.ndarray, images: int) -> Goal | None:
+    def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Choose a goal by score during a search; otherwise move the goal along the trajectory."""
         if self.searching:
             return self._goals.choose(context, self._map.grid, scores, images)
         self._lead(context.pose, context.now_ns)
         return self._goals.goal
 
-    def _step(self, context: Context, stuck: bool) -> None:
+    def _step(self, context: PolicyInput, stuck: bool) -> None:
         """Do one step of the current phase.
 
         Args:
@@ -209,9 +217,9 @@ class FollowBehaviour:
                 _is_at(ahead, refined, end) for end in ends if until is None or end <= until
             )
             apart_m = 0.0 if exact else APART_M
-            self._goals.lead(ahead, self._mission, now_ns, apart_m)
+            self._goals.override(ahead, self._mission, now_ns, apart_m)
         elif self._turning is not None:
-            self._goals.lead(self._turning, self._mission, now_ns, 0.0)
+            self._goals.override(self._turning, self._mission, now_ns, 0.0)
         else:
             self._goals.rest()
 
@@ -229,11 +237,11 @@ class FollowBehaviour:
         self._worker.forget()
         self._worker.stop()
 
-    def facts(self) -> TaskFacts:
+    def facts(self) -> TaskStatus:
         """Return the state of the task; see `edge.loop.result.TickResult.task`."""
         mission, draft, planner = self._mission, self._draft, self._config.tasks.planner
         outcome = mission.status("searching").phase
-        return TaskFacts(
+        return TaskStatus(
             instruction=mission.brief.translation.instruction,
             phase=outcome if outcome in ("reached", "failed") else self.phase,
             writer=f"{planner.model} at {planner.url}" if planner.kind == "model" else planner.kind,
@@ -249,7 +257,7 @@ class FollowBehaviour:
             steps=tuple(self.steps()),
         )
 
-    def steps(self) -> Iterator[StepFacts]:
+    def steps(self) -> Iterator[StepStatus]:
         """Yield the state of each step; for any thread."""
         mission, order, missing = self._mission, self._order, set(self.missing)
         upto = self._draft.upto if order is None else order.ends[0]
@@ -263,7 +271,7 @@ class FollowBehaviour:
                 state = "under way"
             else:
                 state = "to come" if missing.isdisjoint(step.names) else "looked for"
-            yield StepFacts(step.said, state)
+            yield StepStatus(step.said, state)
 
     # -- inside -----------------------------------------------------------------------------
 
@@ -298,16 +306,18 @@ class FollowBehaviour:
         ranged = seen.depth_m is not None or seen.cloud_m is not None
         if len(found) and ranged and seen.camera is not None:
             seen.hold()
-            self._side.submit(Look(found, self._objects, perception.lift_max_range_m), Look)
+            self._side.submit(
+                ObjectMapUpdate(found, self._objects, perception.lift_max_range_m), ObjectMapUpdate
+            )
 
     def _ask(
         self,
         seen: Observation,
         found: Detections | None,
-        before: Draft | None = None,
+        before: PlanResult | None = None,
         nearer_to: tuple[int, str] | None = None,
     ) -> None:
-        """Request a new trajectory, or refine that of `before` again; see `Order`.
+        """Request a new trajectory, or refine that of `before` again; see `PlanRequest`.
 
         The image is copied, so that its frame is not held while a model runs.
         """
@@ -322,7 +332,7 @@ class FollowBehaviour:
         }
         if not self._refused:
             self.phase = "writing"
-        self._order = Order(
+        self._order = PlanRequest(
             self._config,
             self._mission.brief.translation.instruction,
             self._mission.state,
@@ -342,8 +352,8 @@ class FollowBehaviour:
 
     def _take(
         self,
-        draft: Draft,
-        order: Order,
+        draft: PlanResult,
+        order: PlanRequest,
         now_ns: int,
     ) -> None:
         """Start to drive the new trajectory. If there is none, write another or fail."""
@@ -361,7 +371,7 @@ class FollowBehaviour:
             self._refinements += 1
             self._halt = self._next_halt(refined)
             self.phase, self._refused = "driving", ""
-            mission.tell(_line(told(draft, refined, order)), now_ns)
+            mission.tell(_line(log_line(draft, refined, order)), now_ns)
         elif order.nearer_to is not None:
             self._stop(now_ns)
         elif order.before is not None:
@@ -386,7 +396,7 @@ class FollowBehaviour:
         assert refined is not None
         pose, state = observation.pose, None if answer is None else answer.state
         if (driven := self._driven(refined)) > self._mission.state:
-            self._mission.drove(driven, now_ns)
+            self._mission.on_task_steps_driven(driven, now_ns)
         last = len(refined.poses) - 1
         until = last if self._halt is None else self._halt[1]
         if state == "reached" and goal is not None and _is_at(goal.pose, refined, until):
@@ -413,7 +423,7 @@ class FollowBehaviour:
                 why = f"obstacle on the path {away_m:.1f} m ahead"
                 self._refine_again(why, observation, now_ns)
 
-    def _driven(self, refined: Refined) -> int:
+    def _driven(self, refined: RefinedTrajectory) -> int:
         """Return the number of driven steps. The rules write one segment for each step."""
         ahead = refined.legs[refined.leg[self._index] :]
         driven = max(self._draft.upto - sum(leg.ends_segment for leg in ahead), 0)
@@ -421,7 +431,7 @@ class FollowBehaviour:
             driven -= 1
         return driven
 
-    def _next_halt(self, refined: Refined) -> tuple[int, int] | None:
+    def _next_halt(self, refined: RefinedTrajectory) -> tuple[int, int] | None:
         """Return the next step that stops at objects, and the index of the pose of the stop."""
         ends = [k for k, leg in enumerate(refined.legs) if leg.ends_segment]
         upto, stops = self._draft.upto, self._draft.stops
@@ -474,11 +484,11 @@ class FollowBehaviour:
         ):
             if here:  # the object may have got another id
                 number = here[0].id
-            self._map.tracker.refute(number)
+            self._map.tracker.reject(number)
             text = f"{label} {number} was not confirmed from near by, rejected: exploring further"
             self._mission.tell(_line(text), now_ns)
             self._begin()
-            self._goals.set_out(self._mission)
+            self._goals.retarget(self._mission)
 
     def _faces(self, thing: Instance, pose: SE2, stuck: bool) -> bool:
         """Return True if the robot faces an object, or its turn has ended; else turn it, once."""
@@ -506,10 +516,10 @@ class FollowBehaviour:
 
     def _go_on(self, now_ns: int) -> None:
         """Continue with the remaining steps at the end of a trajectory, if there are any."""
-        self._mission.drove(self._draft.upto, now_ns)
+        self._mission.on_task_steps_driven(self._draft.upto, now_ns)
         if not self._mission.done:
             self._begin()
-            self._goals.set_out(self._mission)
+            self._goals.retarget(self._mission)
 
     def _refine_again(self, why: str, observation: Observation, now_ns: int) -> None:
         self._mission.tell(_line(f"{why}: refining the rest again"), now_ns)
@@ -524,7 +534,7 @@ class FollowBehaviour:
         self._mission.tell(_line(f"{why}: writing a new trajectory from here"), now_ns)
 
 
-def _is_at(pose: SE2, refined: Refined, index: int) -> bool:
+def _is_at(pose: SE2, refined: RefinedTrajectory, index: int) -> bool:
     x_m, y_m, _, yaw_rad = refined.poses[index].tolist()
     return pose == SE2(x_m, y_m, yaw_rad)
 

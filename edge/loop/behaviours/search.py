@@ -11,9 +11,9 @@ from edge.geometry import SE2
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
-from edge.mission.surveyor import Surveyor
+from edge.mission.travel_cost import TravelCostEstimator
 from edge.perception.tracking.instances import InstanceTracker
-from edge.policies.base import Context
+from edge.policies.base import PolicyInput
 from edge.types import Goal, Instance
 
 
@@ -36,7 +36,7 @@ class SearchBehaviour:
         config: Config,
         here: SemanticMap,
         goals: GoalTracker,
-        surveyor: Surveyor | None,
+        surveyor: TravelCostEstimator | None,
     ) -> None:
         self._mission, self._config = mission, config
         self._map, self._goals, self._surveyor = here, goals, surveyor
@@ -53,7 +53,7 @@ class SearchBehaviour:
         sure, doubted = not self._config.policy.instances, self._goals.searched
         return self._map.tracker.of(self._mission.target, sure, doubted=doubted)
 
-    def plan(self, context: Context, images: int) -> None:
+    def plan(self, context: PolicyInput, images: int) -> None:
         """Check the goal; fail the target if the search for it is exhausted."""
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
@@ -65,11 +65,11 @@ class SearchBehaviour:
         if goals.follows(mission) and mission.active:
             goals.judge(grid, pose, mission, images, now_ns)
             if goals.exhausted and mission.target in mission.places and self._place is None:
-                mission.arrive(f"{grid.known_m2:.0f} m² are known", now_ns)
+                mission.on_reached(f"{grid.known_m2:.0f} m² are known", now_ns)
             elif goals.exhausted:
-                mission.give_up(goals.why_in_vain(mission, grid), now_ns)
+                mission.give_up(goals.failure_reason(mission, grid), now_ns)
 
-    def select(self, context: Context, scores: np.ndarray, images: int) -> Goal | None:
+    def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Choose the goal by the candidates' scores, or go to the place."""
         if (place := self._place) is not None:
             target, grid = self._mission.target, self._map.grid

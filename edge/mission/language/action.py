@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from edge.mission.language import nouns
-from edge.mission.language.conditions import take_happening
-from edge.mission.language.lexicon import AVOIDING
-from edge.mission.language.routes import PASSING, lead, pass_by, take_exception
-from edge.mission.language.spoken import (
+from edge.mission.language.clause_parts import (
     Clause,
     Condition,
     skip_particles,
     take_mood,
 )
-from edge.mission.language.things import (
-    Memory,
-    Things,
-    starts_things,
-    take_things,
+from edge.mission.language.conditions import take_happening
+from edge.mission.language.lexicon import AVOIDING
+from edge.mission.language.noun_phrases import (
+    Antecedents,
+    NounPhrase,
+    starts_noun_phrase,
+    take_noun_phrase,
 )
-from edge.mission.language.words import REASONS, Reader, Token
+from edge.mission.language.routes import PASSING, lead, pass_by, take_exception
+from edge.mission.language.tokens import REASONS, Token, TokenReader
 
 UP = ("up", "down", "over", "on")
 _MOTION = ("go", "come", "walk", "move", "head", "run", "drive", "travel", "return", "proceed")
 
 
-def is_passing(reader: Reader, ahead: int = 0, any_way: bool = False) -> bool:
+def is_passing(reader: TokenReader, ahead: int = 0, any_way: bool = False) -> bool:
     """Return True if a path without a verb comes: ", then past the sofa".
 
     Args:
@@ -36,15 +36,15 @@ def is_passing(reader: Reader, ahead: int = 0, any_way: bool = False) -> bool:
     if token.text == "back":
         return reader.sees("to", ahead=ahead + 1) or reader.peek(ahead + 1).text in UP
     passes = token.kind == "via" or token.text in PASSING
-    return passes and (any_way or starts_things(reader, ahead + 1))
+    return passes and (any_way or starts_noun_phrase(reader, ahead + 1))
 
 
-def goes_on_to(reader: Reader) -> bool:
+def goes_on_to(reader: TokenReader) -> bool:
     """Return True if "go on the third floor" comes, but not "go on until"."""
-    return reader.peek().text == "go on" and starts_things(reader, 1)
+    return reader.peek().text == "go on" and starts_noun_phrase(reader, 1)
 
 
-def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
+def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> None:
     """Parse a verb and its objects: `go to a`, `avoid a`, `go through a to b`, `do not skip a`.
 
     Raises:
@@ -52,7 +52,9 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     """
     doubly = False
     if clause.negated and reader.sees("avoid") and "anywhere" in reader.peek().text:
-        reader.deny("say what to visit, and what to avoid")  # "don't go anywhere but to a"
+        reader.refuse_finally(
+            "say what to visit, and what to avoid"
+        )  # "don't go anywhere but to a"
     if avoid := reader.take("avoid"):
         doubly = clause.negated  # "do not skip a or b"
         clause.negated = not clause.negated
@@ -62,7 +64,7 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         says = Clause(avoid)
         take_mood(reader, says)
         if says.negated:
-            reader.deny("say it without 'not'", avoid)
+            reader.refuse_finally("say it without 'not'", avoid)
     if goes_on_to(reader):
         clause.verb = "go"
         reader.at += 1
@@ -89,7 +91,7 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         reader.refuse("the robot can only go to objects", last)
     passes = last.text.split(" ")[-1] in PASSING or clause.verb.startswith(_PASSES)
     if clause.negated and clause.verb.split()[:1] in _MANNERS and not passes:
-        reader.deny("how to go cannot be chosen; say only where to go", last)
+        reader.refuse_finally("how to go cannot be chosen; say only where to go", last)
     if reader.sees("only") and is_passing(reader, 1, any_way=True):
         reader.at += 2  # "go only through a"
         clause.only = passes = True
@@ -97,18 +99,18 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         passes = clause.by_way = True
     if (other := take_exception(reader, memory)) is not None:
         if clause.negated:
-            reader.deny("say what to avoid", last)
+            reader.refuse_finally("say what to avoid", last)
         clause.things, clause.negated, clause.elsewhere = other, True, True
         clause.through, clause.only = passes, False
         token = reader.peek()
         if passes and _take_onward(reader):  # "go through any room but a to b"
-            lead(reader, memory, clause, take_things(reader, memory), token)
-    elif starts_things(reader):
+            lead(reader, memory, clause, take_noun_phrase(reader, memory), token)
+    elif starts_noun_phrase(reader):
         take_passed(reader, memory, clause, passes, last)
         if doubly and clause.things:
             clause.things = each_of(clause.things)
         if clause.negated and reader.sees("or") and reader.sees("verb", ahead=1):
-            reader.deny("unclear what is forbidden; use a separate sentence")
+            reader.refuse_finally("unclear what is forbidden; use a separate sentence")
     elif clause.returns and memory.asked and clause.negated:
         clause.things = memory.asked  # "never go back"
     elif not clause.negated or not clause.verb.startswith("stop"):
@@ -135,8 +137,8 @@ _ALL_OF = ("both", "both of", "all of", "all", "every")
 
 
 def take_passed(
-    reader: Reader,
-    memory: Memory,
+    reader: TokenReader,
+    memory: Antecedents,
     clause: Clause,
     passes: bool = True,
     verb: Token | None = None,
@@ -151,29 +153,31 @@ def take_passed(
         verb: the last token before the objects.
     """
     if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
-        reader.deny("unclear: none of them, or not all? say it for each one", reader.peek())
+        reader.refuse_finally(
+            "unclear: none of them, or not all? say it for each one", reader.peek()
+        )
     if clause.negated and verb and verb.text == "from":
-        reader.deny("unclear which one to avoid; say 'avoid …'", verb)
-    things = take_things(reader, memory, banned=clause.negated, way=passes)
+        reader.refuse_finally("unclear which one to avoid; say 'avoid …'", verb)
+    things = take_noun_phrase(reader, memory, banned=clause.negated, way=passes)
     if clause.negated and clause.verb.startswith((*_CARRIES, "move")) and _onto_thing(reader):
-        reader.deny("the robot can only go to objects", verb)
+        reader.refuse_finally("the robot can only go to objects", verb)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
     if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_ALONG):
         reader.refuse("the robot can only follow a path", verb)
     across = verb is not None and verb.text == "across" and reader.sees("to")
     if across and things.names[-1].split()[-1] in _STREETS:
-        reader.deny("'across …' is unclear; say only where to go, or 'through …'", verb)
+        reader.refuse_finally("'across …' is unclear; say only where to go, or 'through …'", verb)
     if verb and verb.text == "from":
-        reader.deny(REASONS["origin"], verb)
+        reader.refuse_finally(REASONS["origin"], verb)
     while _onward(reader, clause):
         token = reader.peek()
         if not _take_onward(reader):
             break
-        further = take_things(reader, memory)
+        further = take_noun_phrase(reader, memory)
         if clause.verb == "pass" and nouns.PEOPLE.intersection(further.names):
             # "pass the cup to the guest"
-            reader.deny("the robot can only go to objects", token)
+            reader.refuse_finally("the robot can only go to objects", token)
         if clause.route and len(clause.things.groups[-1]) > 1:
             reader.refuse("say it in two sentences: 'go through a to b, or through c to d'", token)
         if clause.negated:  # "do not go through a to b"
@@ -183,11 +187,11 @@ def take_passed(
         clause.things = further
 
 
-def _onto_thing(reader: Reader) -> bool:
-    return reader.sees("to") and starts_things(reader, 1)
+def _onto_thing(reader: TokenReader) -> bool:
+    return reader.sees("to") and starts_noun_phrase(reader, 1)
 
 
-def _onward(reader: Reader, clause: Clause) -> bool:
+def _onward(reader: TokenReader, clause: Clause) -> bool:
     """Return True if "to b" may follow here."""
     ahead = 1 if reader.sees("and") else 0
     onto = reader.peek(ahead + (reader.peek(ahead).text == "out")).text in _INTO
@@ -203,7 +207,7 @@ LEADING = nouns.listed(
 )
 
 
-def _refuse_leading(reader: Reader, clause: Clause, ahead: int) -> None:
+def _refuse_leading(reader: TokenReader, clause: Clause, ahead: int) -> None:
     """Refuse `go to the door to the kitchen` and `move the cup to the table` as ambiguous."""
     said = reader.tokens[: reader.at]
     verb = max((i for i, token in enumerate(said) if token.text == clause.verb), default=0)
@@ -211,40 +215,40 @@ def _refuse_leading(reader: Reader, clause: Clause, ahead: int) -> None:
     moved = moves and said[verb + 1].kind in ("article", "word", "quoted")
     carried = moved or clause.verb.startswith(_CARRIES)
     if carried and not all(map(nouns.is_place, clause.things.names)):
-        reader.deny("the robot can only go to objects", reader.peek(ahead))
+        reader.refuse_finally("the robot can only go to objects", reader.peek(ahead))
     if clause.things.names[-1].split()[-1] in LEADING:
-        reader.deny(
+        reader.refuse_finally(
             "unclear: one thing that leads to the other, or both in turn? say 'then to …'",
             said[verb],
         )
 
 
-def _take_onward(reader: Reader) -> bool:
+def _take_onward(reader: TokenReader) -> bool:
     """Skip "to" or "and into" before an object; return False if it does not come."""
     ahead = 1 if reader.sees("and") else 0
     ahead += reader.peek(ahead).text in ("out", "on")
     if reader.peek(ahead).text == "through":
         return False
-    if not reader.sees("to", ahead=ahead) or not starts_things(reader, ahead + 1):
+    if not reader.sees("to", ahead=ahead) or not starts_noun_phrase(reader, ahead + 1):
         return False
     reader.at += ahead + 1
     return True
 
 
-def take_until(reader: Reader, memory: Memory, clause: Clause) -> None:
+def take_until(reader: TokenReader, memory: Antecedents, clause: Clause) -> None:
     """Parse `keep going until you reach a`: the clause asks for a, after the clauses before it."""
     token = reader.take("onward")
     assert token is not None
     if clause.negated:
         reader.refuse("say it without 'not'", token)
-    happening = Condition("until", token, Things(()))
+    happening = Condition("until", token, NounPhrase(()))
     take_happening(reader, memory, happening)
     if happening.denied or happening.count:
         reader.refuse("say where to go", token)
     clause.verb, clause.things = "continue", happening.things
 
 
-def _plainly_named(reader: Reader) -> bool:
+def _plainly_named(reader: TokenReader) -> bool:
     """Return True unless an unknown word without an article follows ("upstairs")."""
     token = reader.peek()
     if token.kind != "word" or len(token.text) == 1 or token.text in PASSING:
@@ -252,6 +256,6 @@ def _plainly_named(reader: Reader) -> bool:
     return nouns.is_noun(token.text) or token.text in nouns.QUALITIES
 
 
-def each_of(things: Things) -> Things:
+def each_of(things: NounPhrase) -> NounPhrase:
     """Return the names as separate groups, so that each of them is meant."""
-    return Things(tuple((name,) for name in things.names))
+    return NounPhrase(tuple((name,) for name in things.names))

@@ -4,15 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from edge.mission.language.conditions import another_participle, take_condition
-from edge.mission.language.routes import (
-    PASSING,
-    bound_ahead,
-    pass_by,
-    take_bound,
-    take_route,
-)
-from edge.mission.language.spoken import (
+from edge.mission.language.clause_parts import (
     CONDITIONS,
     ORDERS,
     Clause,
@@ -21,11 +13,24 @@ from edge.mission.language.spoken import (
     take_count,
     take_mood,
 )
-from edge.mission.language.things import Memory, Things, starts_things, take_things
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.conditions import another_participle, take_condition
+from edge.mission.language.noun_phrases import (
+    Antecedents,
+    NounPhrase,
+    starts_noun_phrase,
+    take_noun_phrase,
+)
+from edge.mission.language.routes import (
+    PASSING,
+    bound_ahead,
+    pass_by,
+    take_bound,
+    take_route,
+)
+from edge.mission.language.tokens import Token, TokenReader
 
 
-def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
+def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool:
     """Parse one more part of the clause; return False at its end."""
     token, start = reader.peek(), reader.at
     if token.kind == "always":
@@ -38,9 +43,9 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.next_step = True
         reader.at += 1
     elif clause.negated and _by_way(reader):
-        reader.deny("to exclude a path, say 'go to … without going through …'", token)
+        reader.refuse_finally("to exclude a path, say 'go to … without going through …'", token)
     elif token.text == "now" and clause.negated:
-        reader.deny("say until when", token)
+        reader.refuse_finally("say until when", token)
     elif token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
         reader.at += 1
     elif take_route(reader, memory, clause):
@@ -71,8 +76,10 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.count = narrower(reader, clause.count, count, token)
         several = clause.things is not None and len(clause.things.groups) > 1
         if several and reader.tokens[reader.at - 1].text.endswith(("in total", "overall")):
-            reader.deny("unclear: this number for each, or for all together?", token)
-    elif token.kind == "first" and not (reader.sees("verb", ahead=1) or starts_things(reader, 1)):
+            reader.refuse_finally("unclear: this number for each, or for all together?", token)
+    elif token.kind == "first" and not (
+        reader.sees("verb", ahead=1) or starts_noun_phrase(reader, 1)
+    ):
         clause.first = True
         reader.at += 1
     elif token.kind == "again":
@@ -117,26 +124,28 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
             return False  # "visit a if you saw b then visit c": of the next clause
         after = condition.kind == "after" and clause.negated
         if (when or after) and reader.sees("verb", "ensure", "you", "avoid"):
-            reader.deny("unclear which part this belongs to; add a comma", condition.token)
+            reader.refuse_finally(
+                "unclear which part this belongs to; add a comma", condition.token
+            )
         clause.conditions.append(condition)
     else:
         return False
     return True
 
 
-def _by_way(reader: Reader) -> bool:
+def _by_way(reader: TokenReader) -> bool:
     """Return True if "through a" or "except through a" comes, which may belong to a ban or not."""
     ahead = 1 if reader.peek().text in ("except", "but") else 0
     token = reader.peek(ahead)
     passes = token.kind == "via" or token.text in PASSING
-    return passes and starts_things(reader, ahead + 1)
+    return passes and starts_noun_phrase(reader, ahead + 1)
 
 
-def _ends_sentence(reader: Reader, ahead: int) -> bool:
+def _ends_sentence(reader: TokenReader, ahead: int) -> bool:
     return reader.sees("comma", "stop", "end", ahead=ahead)
 
 
-def _whichever(reader: Reader) -> bool:
+def _whichever(reader: TokenReader) -> bool:
     """Skip ", whichever you like" after a choice; return False if it does not come."""
     ahead = 1 if reader.sees("comma") else 0
     choice = any(token.kind in ("or", "either") for token in reader.tokens[: reader.at])
@@ -150,7 +159,7 @@ def _of_every(clause: Clause) -> bool:
     return clause.things is not None and clause.things.every != ""
 
 
-def _denied(reader: Reader, count: Count, token: Token) -> Count:
+def _denied(reader: TokenReader, count: Count, token: Token) -> Count:
     """Return the count of a clause that is forbidden: "visiting a more than once is prohibited"."""
     if count.least == count.most:  # "more or less than once"
         return count
@@ -160,7 +169,7 @@ def _denied(reader: Reader, count: Count, token: Token) -> Count:
     return rest
 
 
-def _count_ahead(reader: Reader, clause: Clause) -> bool:
+def _count_ahead(reader: TokenReader, clause: Clause) -> bool:
     """Parse "but at most twice"; return False if it does not come."""
     begin, token = reader.at, reader.peek()
     reader.skip("but", "comma")
@@ -170,13 +179,13 @@ def _count_ahead(reader: Reader, clause: Clause) -> bool:
         reader.at = begin
         return False
     if clause.negated and clause.count:
-        reader.deny("say the counts in two sentences", token)
+        reader.refuse_finally("say the counts in two sentences", token)
     clause.count = narrower(reader, clause.count, count, token)
     clause.count_aside = token.kind == "comma"
     return True
 
 
-def narrower(reader: Reader, old: Count | None, new: Count, token: Token) -> Count:
+def narrower(reader: TokenReader, old: Count | None, new: Count, token: Token) -> Count:
     """Return the intersection of two counts."""
     if old is None:
         return new
@@ -187,7 +196,7 @@ def narrower(reader: Reader, old: Count | None, new: Count, token: Token) -> Cou
     return Count(least, most)
 
 
-def _trails(reader: Reader) -> bool:
+def _trails(reader: TokenReader) -> bool:
     """Return True if "after that" ends this clause instead of beginning the next one."""
     if reader.peek().text in ("then", "and then", "followed by", "finally", "and finally"):
         return False
@@ -198,7 +207,7 @@ def _trails(reader: Reader) -> bool:
     return reader.sees("comma", "and", "but", "stop", "end", "then", ahead=1)
 
 
-def _condition_ahead(reader: Reader, clause: Clause) -> bool:
+def _condition_ahead(reader: TokenReader, clause: Clause) -> bool:
     """Skip to a condition of this clause, also after "but", "only" or "not".
 
     Return False if none comes.
@@ -220,7 +229,7 @@ def _condition_ahead(reader: Reader, clause: Clause) -> bool:
     return True
 
 
-def _leads(reader: Reader, clause: Clause) -> bool:
+def _leads(reader: TokenReader, clause: Clause) -> bool:
     """Return True if this condition belongs to the next clause: "visit a before that visit b"."""
     return (
         reader.sees("before", "after", "until")
@@ -230,7 +239,7 @@ def _leads(reader: Reader, clause: Clause) -> bool:
     )
 
 
-def _avoided_aside(reader: Reader, memory: Memory, clause: Clause) -> bool:
+def _avoided_aside(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool:
     """Parse ", avoiding x," before ", then y"; return False, and take nothing, for anything else.
 
     At the end of a sentence it may belong to all clauses before it.
@@ -251,7 +260,7 @@ def _avoided_aside(reader: Reader, memory: Memory, clause: Clause) -> bool:
 _EVER = ("ever", "at any point", "at any time", "at any point in time", "at all")
 
 
-def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
+def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> None:
     """Parse `while avoiding x`, `without visiting x`, `while not going to x` and the like."""
     token = reader.take("while", "without", "avoid")
     assert token is not None
@@ -270,30 +279,32 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
         says.verb = verb.text
         says.again = says.again or verb.text.startswith(("revisit", "return"))
         skip_particles(reader, says)
-    if says.again and not starts_things(reader):  # "without going back"
+    if says.again and not starts_noun_phrase(reader):  # "without going back"
         clause.each = 1
         return
-    if not starts_things(reader):
+    if not starts_noun_phrase(reader):
         reader.refuse("expected the name of a thing here")
     if token.kind == "without" and reader.peek().text in ("both", "both of"):
-        reader.deny("unclear: none of them, or not both? say it for each one", reader.peek())
+        reader.refuse_finally(
+            "unclear: none of them, or not both? say it for each one", reader.peek()
+        )
     if token.text == "with no" and not says.verb:
-        reader.deny("say 'without …'", token)  # "the room with no window"
-    things = take_things(reader, memory, banned=not clause.negated, way=True)
+        reader.refuse_finally("say 'without …'", token)  # "the room with no window"
+    things = take_noun_phrase(reader, memory, banned=not clause.negated, way=True)
     said = [t.kind for t in reader.tokens[begin : reader.at]]
     if len(things.groups) == 2 and ("comma", "and") in itertools.pairwise(said):
-        reader.deny("unclear if this is to be avoided too; use two sentences", token)
+        reader.refuse_finally("unclear if this is to be avoided too; use two sentences", token)
     while denied and reader.sees("or", "and") and another_participle(reader):
         skip_particles(reader, says)
-        more = take_things(reader, memory, banned=True)
-        things = Things(things.groups + more.groups)  # "without entering a or touching b"
+        more = take_noun_phrase(reader, memory, banned=True)
+        things = NounPhrase(things.groups + more.groups)  # "without entering a or touching b"
     if denied and not things.every and take_count(reader, negated=False) is not None:
-        reader.deny("unclear how often; use a separate sentence", token)
+        reader.refuse_finally("unclear how often; use a separate sentence", token)
     if (reader.take("first") or says.first) and not clause.negated:
         if denied:  # "go to a without visiting b first"
             clause.not_first.append(things)
         elif clause.things is None:
-            reader.deny("say 'first …, then …'", token)
+            reader.refuse_finally("say 'first …, then …'", token)
         else:
             pass_by(reader, clause, things, token)  # "go to a while visiting b first"
         return

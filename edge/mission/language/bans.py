@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from edge.mission.language import grammar
-from edge.mission.language.words import TranslationError
+from edge.mission.language.tokens import TranslationError
 from edge.mission.logic.automaton import CompileError, compile_formula, implies
 from edge.mission.logic.ltl import Formula
 

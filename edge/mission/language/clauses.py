@@ -24,11 +24,7 @@ from edge.mission.language.action import (
     take_until,
 )
 from edge.mission.language.adjuncts import narrower, take_adjunct, take_avoiding
-from edge.mission.language.conditions import STATES, take_condition
-from edge.mission.language.naming import is_indefinite
-from edge.mission.language.orders import refuse_unclear, refuse_what_is_done
-from edge.mission.language.routes import lead
-from edge.mission.language.spoken import (
+from edge.mission.language.clause_parts import (
     AUXILIARIES,
     CONDITIONS,
     MOOD,
@@ -41,27 +37,31 @@ from edge.mission.language.spoken import (
     take_mood,
     take_quota,
 )
-from edge.mission.language.things import (
+from edge.mission.language.conditions import STATES, take_condition
+from edge.mission.language.naming import is_indefinite
+from edge.mission.language.not_commands import refuse_past_tense, refuse_unclear
+from edge.mission.language.noun_phrases import (
     COUNTING,
-    Memory,
-    Things,
-    starts_things,
-    take_things,
+    Antecedents,
+    NounPhrase,
+    starts_noun_phrase,
+    take_noun_phrase,
 )
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.routes import lead
+from edge.mission.language.tokens import Token, TokenReader
 
 Bare = Literal["yes", "known", "no"]
 _PERFORM = ("make", "complete", "perform", "have")
 _OPENINGS = ("no return", "quota", "onward", "opener", "origin", "on the way", "bound", "around")
 
 
-def starts_clause(reader: Reader, ahead: int = 0) -> bool:
+def starts_clause(reader: TokenReader, ahead: int = 0) -> bool:
     """Return True if a clause can begin at that token."""
     if reader.sees("to", ahead=ahead):
         ahead += 1
-    if starts_things(reader, ahead) or is_passing(reader, ahead):
+    if starts_noun_phrase(reader, ahead) or is_passing(reader, ahead):
         return True
-    if reader.peek(ahead).text in ("at", "in") and starts_things(reader, ahead + 1):
+    if reader.peek(ahead).text in ("at", "in") and starts_noun_phrase(reader, ahead + 1):
         return True
     goes_on = reader.peek(ahead).text == "on" or reader.sees("again", ahead=ahead)
     if goes_on and reader.sees("to", ahead=ahead + 1):
@@ -74,7 +74,7 @@ def starts_clause(reader: Reader, ahead: int = 0) -> bool:
     )  # fmt: skip
 
 
-def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
+def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
     """Parse the clause that begins here.
 
     Args:
@@ -108,51 +108,53 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     clause.foretold = any(t.text == "will" or (t.kind == "can" and clause.negated) for t in told)
     clause.agent = next((t.text for t in told if t.kind == "you" and " " in t.text), "")
     said = reader.tokens[begin : reader.at]
-    if said and said[-1].kind == "must" and starts_things(reader):
-        reader.deny("say what to do, as in 'visit the bed'", clause.token)  # "I have a sofa"
+    if said and said[-1].kind == "must" and starts_noun_phrase(reader):
+        reader.refuse_finally(
+            "say what to do, as in 'visit the bed'", clause.token
+        )  # "I have a sofa"
     if reader.peek().text in _PERFORM and _counts(reader, 1):
         reader.at += 1
     count_at = reader.peek()
     if (count := take_count(reader, clause.negated)) is not None:  # "at least two visits to a"
         clause.count = narrower(reader, clause.count, count, count_at)
         reader.skip("to")
-        clause.things = take_things(reader, memory)
+        clause.things = take_noun_phrase(reader, memory)
     elif reader.sees("verb", "avoid") or goes_on_to(reader):
         take_action(reader, memory, clause)
     elif _is_there(reader):
         clause.verb = "be"
         reader.at += 2 if reader.peek().text == "over" else 1
         if clause.negated and reader.sees("all of"):
-            reader.deny("unclear: none of them, or not all? say it for each one")
-        clause.things = take_things(reader, memory, banned=clause.negated)
+            reader.refuse_finally("unclear: none of them, or not all? say it for each one")
+        clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
     elif reader.sees("quota"):
         take_quota(reader, memory, clause)
     elif reader.sees("onward"):
         take_until(reader, memory, clause)
-    elif starts_things(reader):
+    elif starts_noun_phrase(reader):
         _take_passive(reader, memory, clause, bare)
     elif before.kind == "be" and reader.peek().text in _PLACED:
-        reader.deny("this describes a place; say where to go", clause.token)
+        reader.refuse_finally("this describes a place; say where to go", clause.token)
     elif before.text.endswith(("done", "finished")) and reader.peek().text in _PLACED:
-        reader.deny("say 'after …'", before)
-    elif bare == "yes" and reader.peek().text in ("at", "in") and starts_things(reader, 1):
+        reader.refuse_finally("say 'after …'", before)
+    elif bare == "yes" and reader.peek().text in ("at", "in") and starts_noun_phrase(reader, 1):
         reader.at += 1  # "…, and after that at the bank"
-        clause.things = take_things(reader, memory)
+        clause.things = take_noun_phrase(reader, memory)
     elif bare == "yes" and reader.peek().text in ("back", *UP) and starts_clause(reader):
         skip_particles(reader, clause)
-        clause.things = take_things(reader, memory)
+        clause.things = take_noun_phrase(reader, memory)
     elif (bare != "no" or clause.negated) and is_passing(reader):
         reader.at += 1
         take_passed(reader, memory, clause)
-    elif reader.sees("to") and starts_things(reader, 1) and (bare != "no" or clause.negated):
+    elif reader.sees("to") and starts_noun_phrase(reader, 1) and (bare != "no" or clause.negated):
         reader.take("to")
-        clause.things = take_things(reader, memory, banned=clause.negated)
+        clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
     else:
         reader.refuse("expected something to do or to avoid here")
     if said and any(t.text == "been" for t in said[-2:]):
-        refuse_what_is_done(reader, begin, said[-1], clause)
+        refuse_past_tense(reader, begin, said[-1], clause)
     if main is not None and main.kind == "verb":
-        refuse_what_is_done(reader, begin, main, clause)
+        refuse_past_tense(reader, begin, main, clause)
     if clause.things:
         memory.named = clause.things
         if not clause.negated and clause.mood != "can":
@@ -168,7 +170,9 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         for condition in clause.conditions:
             condition.recurring = True
     if clause.always and not (clause.negated or clause.avoiding or clause.conditions):
-        reader.deny("a mission ends, so 'always' is not possible for a visit", clause.always)
+        reader.refuse_finally(
+            "a mission ends, so 'always' is not possible for a visit", clause.always
+        )
     if gerund and not any(t.kind in ("banned", "must") for t in reader.tokens[begin : reader.at]):
         reader.refuse("not an instruction; say for example 'visit the bed'", clause.token)
     refuse_unclear(clause, reader)
@@ -177,7 +181,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         others = [name for name in asked.names if name not in own] if asked else []
         if not others:
             reader.refuse("say 'do not visit … before …'", clause.token)
-        one = Things((tuple(others),))
+        one = NounPhrase((tuple(others),))
         clause.conditions.append(Condition("before", clause.token, one))  # "not b first"
         clause.first = False
     return clause
@@ -186,24 +190,24 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
 _PLACED = ("in", "inside", "at", "on", "near")
 
 
-def _is_over(reader: Reader) -> bool:
+def _is_over(reader: TokenReader) -> bool:
     return reader.sees("comma", "stop", "end", "and", "but", "then")
 
 
-def _is_there(reader: Reader) -> bool:
+def _is_there(reader: TokenReader) -> bool:
     """Return True if a place follows "be", "i want you" or "you are not allowed": "in the hall"."""
     before, token = reader.tokens[reader.at - 1], reader.peek()
     if reader.at and before.text.endswith(" from") and before.kind == "not":
-        return starts_things(reader)
+        return starts_noun_phrase(reader)
     over = 1 if token.text == "over" else 0
-    placed = reader.peek(over).text in _PLACED and starts_things(reader, over + 1)
+    placed = reader.peek(over).text in _PLACED and starts_noun_phrase(reader, over + 1)
     wanted = before.kind == "ensure" and "careful" not in before.text and "care" not in before.text
     asked = before.text in ("be", "been") or wanted or before.kind in ("not", "can")
     asked = asked or (before.kind == "banned" and "ed" in before.text)
     return bool(reader.at) and placed and asked  # "the robot is in the hall" asks for nothing
 
 
-def _take_restriction(memory: Memory, clause: Clause) -> bool:
+def _take_restriction(memory: Antecedents, clause: Clause) -> bool:
     """Turn a clause without an action into a restriction of all clauses before it.
 
     Examples are `…, without entering x`, `…, without going back` and `…, but only after x`. Return
@@ -211,12 +215,12 @@ def _take_restriction(memory: Memory, clause: Clause) -> bool:
     """
     avoided = [*clause.avoiding, *clause.never]
     clause.negated = True
-    clause.things = Things(tuple(group for things in avoided for group in things.groups))
+    clause.things = NounPhrase(tuple(group for things in avoided for group in things.groups))
     clause.avoiding, clause.never = [], []
     return bool(clause.each or avoided) and not clause.conditions
 
 
-def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
+def _take_opening(reader: TokenReader, memory: Antecedents, clause: Clause) -> None:
     """Parse what may stand before a clause: an order, conditions."""
     while True:
         token = reader.peek()
@@ -245,7 +249,7 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
             reader.at += 1
             while reader.take("verb"):
                 skip_particles(reader, clause)
-            clause.bound = take_things(reader, memory)
+            clause.bound = take_noun_phrase(reader, memory)
         elif reader.sees(*CONDITIONS, ahead=ahead):
             if token.kind in ("immediately", "filler"):
                 at_once = token.kind == "immediately" or token.text == "directly"
@@ -262,17 +266,17 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
             clause.leads = True
 
 
-def _counts(reader: Reader, ahead: int) -> bool:
+def _counts(reader: TokenReader, ahead: int) -> bool:
     return reader.sees(*COUNTING, ahead=ahead)
 
 
-def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) -> None:
+def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare: Bare) -> None:
     """Parse `a and b must be visited`, or only names."""
     start = reader.peek()
     begin = reader.at
     if clause.negated and start.kind == "all of":
-        reader.deny("unclear: none of them, or not all? say it for each one", start)
-    things = take_things(reader, memory, subject=True, banned=clause.negated)
+        reader.refuse_finally("unclear: none of them, or not all? say it for each one", start)
+    things = take_noun_phrase(reader, memory, subject=True, banned=clause.negated)
     if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
         return
     says = Clause(start)
@@ -284,30 +288,34 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         return
     done = "been" in said_before and not {"must", "should", "shall"} & set(said_before)
     if "been" in said_before and any(c.kind == "when" for c in clause.conditions):
-        reader.deny("say 'visit … before …'", start)
+        reader.refuse_finally("say 'visit … before …'", start)
     if done and not clause.conditions:
-        reader.deny("this describes the past; say what to do", start)  # "the hall has been mopped"
+        reader.refuse_finally(
+            "this describes the past; say what to do", start
+        )  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
     if things.listed and bare == "yes" and (barred or said & AUXILIARIES):
         reader.at = begin  # "…, then a, the hallway is off limits"
-        clause.things = take_things(reader, memory)
+        clause.things = take_noun_phrase(reader, memory)
         return
     avoid = reader.take("avoid")
     if start.kind == "either" and (avoid or says.negated):
-        reader.deny("say which to avoid", start)
+        reader.refuse_finally("say which to avoid", start)
     if "be" in said and reader.peek().text in STATES:
-        reader.deny("the state of an object cannot be used, only that it is reached", start)
+        reader.refuse_finally(
+            "the state of an object cannot be used, only that it is reached", start
+        )
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is not None:  # "the cat is forbidden to enter the kitchen"
-        reader.deny("an instruction is for one robot only", start)
+        reader.refuse_finally("an instruction is for one robot only", start)
     if "be" in said and reader.peek().text in _PLACED:
-        reader.deny("the robot can only go to objects", start)  # "the dog must be in b"
+        reader.refuse_finally("the robot can only go to objects", start)  # "the dog must be in b"
     if barred and verb is None:  # "the hallway is off limits"
         clause.negated, clause.verb = clause.negated != says.negated, "be"
         clause.things = each_of(things)
         return
     if avoid and says.mood == "can" and not says.negated:
-        reader.deny("this is optional and asks for nothing; leave it out", start)
+        reader.refuse_finally("this is optional and asks for nothing; leave it out", start)
     if verb is not None and (said & AUXILIARIES or verb.kind == "happen"):
         clause.mood = says.mood if says.mood != "do" else clause.mood
         clause.negated = clause.negated != (says.negated != bool(avoid))
@@ -321,11 +329,15 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         bare == "known" and _well_known(reader, memory)
     ):
         reader.refuse("unknown verb", start)
-    clause.things = take_things(reader, memory, banned=clause.negated)
+    clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
     if reader.sees("not") and reader.peek().text.endswith(("allowed", "permitted")):
-        reader.deny("an instruction is for one robot only", start)  # "guests are not allowed in b"
+        reader.refuse_finally(
+            "an instruction is for one robot only", start
+        )  # "guests are not allowed in b"
     if reader.sees("verb") and reader.peek().text.split()[0].endswith("s"):
-        reader.deny("say what to do, as in 'visit the bed'", start)  # "the path goes through b"
+        reader.refuse_finally(
+            "say what to do, as in 'visit the bed'", start
+        )  # "the path goes through b"
 
 
 _ANY_VISIT = tuple(
@@ -334,7 +346,7 @@ _ANY_VISIT = tuple(
 
 
 def _take_consequence(
-    reader: Reader, memory: Memory, clause: Clause, start: Token, things: Things
+    reader: TokenReader, memory: Antecedents, clause: Clause, start: Token, things: NounPhrase
 ) -> bool:
     """Parse `any visit to a must be followed by a visit to b`; return False if it does not come."""
     begin = reader.at
@@ -347,13 +359,13 @@ def _take_consequence(
     reader.skip("verb", "to")
     clause.mood = "must"
     clause.conditions.append(Condition("when", start, things, recurring=True))
-    clause.things = take_things(reader, memory)
+    clause.things = take_noun_phrase(reader, memory)
     return True
 
 
-def _well_known(reader: Reader, memory: Memory) -> bool:
+def _well_known(reader: TokenReader, memory: Antecedents) -> bool:
     """Return True if the following names can only be names, so that they need no verb."""
     begin = reader.at
-    things = take_things(reader, memory)
+    things = take_noun_phrase(reader, memory)
     reader.at = begin
     return all(len(name) == 1 or nouns.unknown_in(name.split()) is None for name in things.names)

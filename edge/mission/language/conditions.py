@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from edge.mission.language.spoken import (
+from edge.mission.language.clause_parts import (
     AUXILIARIES,
     CONDITIONS,
     PREDICATE,
@@ -12,11 +12,16 @@ from edge.mission.language.spoken import (
     take_count,
     take_mood,
 )
-from edge.mission.language.things import Memory, Things, starts_things, take_things
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.noun_phrases import (
+    Antecedents,
+    NounPhrase,
+    starts_noun_phrase,
+    take_noun_phrase,
+)
+from edge.mission.language.tokens import Token, TokenReader
 
 
-def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
+def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> Condition:
     """Parse `until the bed is reached`, `once you have visited it`, `before that`."""
     only = denied = False
     if limit := reader.take("only", "not"):
@@ -27,7 +32,7 @@ def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
     if token.text.startswith("as soon"):
         clause.soon = True
     recurring = token.text in ("whenever", "every time", "each time", "any time", "if", "if ever")
-    condition = Condition(kind, token, Things(()), only, denied, recurring)
+    condition = Condition(kind, token, NounPhrase(()), only, denied, recurring)
     begin = reader.at
     take_happening(reader, memory, condition)
     if condition.things is clause.things and kind in ("before", "after") and memory.previous:
@@ -39,40 +44,40 @@ def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
     return condition
 
 
-def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None:
+def take_happening(reader: TokenReader, memory: Antecedents, condition: Condition) -> None:
     """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`."""
     says = Clause(reader.peek())
     said = take_mood(reader, says)
-    inside = reader.peek().text in ("in", "inside", "at", "on") and starts_things(reader, 1)
+    inside = reader.peek().text in ("in", "inside", "at", "on") and starts_noun_phrase(reader, 1)
     if inside and ("be" in said or (condition.kind == "when" and not said)):
         reader.at += 1  # "once you are in the kitchen", "once in the kitchen"
         _refuse_denied(reader, condition, says)
-        condition.things = take_things(reader, memory)
+        condition.things = take_noun_phrase(reader, memory)
         condition.denied = condition.denied or says.negated
         return
     been = reader.sees("to") and reader.tokens[reader.at - 1].text == "been"
     if condition.kind == "unless" and reader.peek().text.startswith("going"):
-        reader.deny("use two sentences for 'only to get to …'", condition.token)
+        reader.refuse_finally("use two sentences for 'only to get to …'", condition.token)
     if been or reader.sees("verb"):
         participle = reader.peek().text.split()[0].endswith("ing")
         condition.going = condition.token.text == "when" and participle
         reader.skip("verb")
         skip_particles(reader, says)
-        if not starts_things(reader):
+        if not starts_noun_phrase(reader):
             reader.refuse("expected the name of a thing here")
-        condition.things = take_things(reader, memory)
+        condition.things = take_noun_phrase(reader, memory)
         while participle and another_participle(reader):
             skip_particles(reader, says)
-            more = take_things(reader, memory)
-            condition.things = Things(condition.things.groups + more.groups)
+            more = take_noun_phrase(reader, memory)
+            condition.things = NounPhrase(condition.things.groups + more.groups)
         reader.take("happen")
     elif reader.sees("pronoun"):
         pronoun = reader.take("pronoun")
         assert pronoun is not None
         condition.things = _asked(reader, memory, pronoun)
         condition.referred = not _take_predicate(reader, says)
-    elif starts_things(reader):
-        condition.things = take_things(reader, memory, subject=True)
+    elif starts_noun_phrase(reader):
+        condition.things = take_noun_phrase(reader, memory, subject=True)
         _take_predicate(reader, says)
     elif condition.kind in ("before", "after") and memory.asked and _ends(reader):
         condition.things = memory.asked  # "do not go to b before": before what was asked
@@ -83,20 +88,20 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
     condition.denied = condition.denied or says.negated
     first = bool(reader.take("first")) or says.first
     if first and reader.sees("then") and not reader.sees("end", ahead=1):
-        reader.deny("use two sentences", condition.token)
+        reader.refuse_finally("use two sentences", condition.token)
     if first and condition.recurring:
-        reader.deny("unclear before what; use two sentences", condition.token)
+        reader.refuse_finally("unclear before what; use two sentences", condition.token)
     reader.skip("filler", "first")
     condition.count = take_count(reader, negated=False)
 
 
-def _refuse_denied(reader: Reader, condition: Condition, says: Clause) -> None:
+def _refuse_denied(reader: TokenReader, condition: Condition, says: Clause) -> None:
     """Refuse "until you have not been to a", "unless you are not in a"."""
     if says.negated and condition.kind not in ("when", "once"):
-        reader.deny("say it without 'not'", condition.token)
+        reader.refuse_finally("say it without 'not'", condition.token)
 
 
-def another_participle(reader: Reader) -> bool:
+def another_participle(reader: TokenReader) -> bool:
     """Skip "and passing", which continues "after crossing a and passing b".
 
     Return False, and take nothing, if it does not come.
@@ -109,19 +114,19 @@ def another_participle(reader: Reader) -> bool:
     return goes_on
 
 
-def _ends(reader: Reader) -> bool:
+def _ends(reader: TokenReader) -> bool:
     """Return True if the phrase ends here."""
     return reader.sees("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
 
 
-def _asked(reader: Reader, memory: Memory, token: Token) -> Things:
+def _asked(reader: TokenReader, memory: Antecedents, token: Token) -> NounPhrase:
     things = memory.asked
     if things is None:
         reader.refuse(f"{token.text!r} refers to nothing that was named before", token)
     return things
 
 
-def _take_predicate(reader: Reader, says: Clause) -> bool:
+def _take_predicate(reader: TokenReader, says: Clause) -> bool:
     """Skip `has been visited` or `occurs`; return False, and take nothing, if it does not come."""
     begin, negated = reader.at, says.negated
     said = take_mood(reader, says, PREDICATE)
@@ -129,11 +134,11 @@ def _take_predicate(reader: Reader, says: Clause) -> bool:
         return True
     if said & AUXILIARIES and reader.sees("verb"):
         if said <= {"be", "not"} and reader.peek().text in STATES:
-            reader.deny("the state of an object cannot be used, only that it is reached")
+            reader.refuse_finally("the state of an object cannot be used, only that it is reached")
         reader.take("verb")
         return True
     if "be" in said and not _ends(reader):
-        reader.deny("the state of an object cannot be used, only that it is reached")
+        reader.refuse_finally("the state of an object cannot be used, only that it is reached")
     reader.at, says.negated = begin, negated
     return False
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 
 from edge.mission.language import nouns
 from edge.mission.language.action import LEADING
+from edge.mission.language.clause_parts import Clause, Condition, Count
 from edge.mission.language.clauses import Bare, starts_clause, take_clause
 from edge.mission.language.flow import ENDING, JOINTS, THEN, Flow
-from edge.mission.language.goals import (
-    Every,
+from edge.mission.language.goal_tree import (
+    AllOf,
+    AnyOf,
     Goal,
-    Some,
     formula_of,
     held_until,
     letters,
@@ -20,8 +21,9 @@ from edge.mission.language.goals import (
     visits,
 )
 from edge.mission.language.lexicon import AVOIDING
-from edge.mission.language.meaning import Meaning, meaning_of
-from edge.mission.language.orders import refuse_questions
+from edge.mission.language.meaning import ClauseMeaning, meaning_of
+from edge.mission.language.not_commands import refuse_questions
+from edge.mission.language.noun_phrases import ONE_OF_A_KIND, Antecedents, NounPhrase
 from edge.mission.language.sequences import (
     anchored,
     begun_with,
@@ -38,11 +40,9 @@ from edge.mission.language.sequences import (
     visit_often,
     without_last,
 )
-from edge.mission.language.spoken import Clause, Condition, Count
-from edge.mission.language.things import ONE_OF_A_KIND, Memory, Things
-from edge.mission.language.words import (
-    Reader,
+from edge.mission.language.tokens import (
     Token,
+    TokenReader,
 )
 from edge.mission.logic.ltl import TRUE, Formula, postorder
 
@@ -59,7 +59,7 @@ def _size(formula: Formula) -> int:
     return sizes[id(formula)]
 
 
-def _does_besides(reader: Reader) -> bool:
+def _does_besides(reader: TokenReader) -> bool:
     """Return True if ", visiting b" comes without its time; ", ending at b" has one."""
     verb = reader.peek().text
     if not reader.sees("verb") or verb.startswith((*ENDING, "swing", "bring ")):
@@ -70,7 +70,7 @@ def _does_besides(reader: Reader) -> bool:
     return not any(token.kind == "on the way" for token in rest)
 
 
-def _both(first: Meaning | None, second: Meaning) -> Meaning:
+def _both(first: ClauseMeaning | None, second: ClauseMeaning) -> ClauseMeaning:
     if first is None:
         return second
     first.add(second)
@@ -103,13 +103,13 @@ class Discourse:
         strictly: token of a ban on visits out of turn.
     """
 
-    reader: Reader
-    memory: Memory = field(default_factory=Memory)
+    reader: TokenReader
+    memory: Antecedents = field(default_factory=Antecedents)
     goal: Goal | None = None
-    rules: list[Meaning] = field(default_factory=list)
+    rules: list[ClauseMeaning] = field(default_factory=list)
     ordered: bool = False
     times: dict[str, int] = field(default_factory=dict)
-    last: Things | None = None
+    last: NounPhrase | None = None
     first: bool = False
     clauses: int = 0
     flow: Flow = field(default_factory=Flow)
@@ -117,7 +117,7 @@ class Discourse:
     halted: Token | None = None
     detour: Token | None = None
     shuns: bool = False
-    waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
+    waits: list[tuple[tuple[str, ...], NounPhrase]] = field(default_factory=list)
     number: int = 1
     listed: bool = False
     each: tuple[int, Token] | None = None
@@ -156,8 +156,8 @@ class Discourse:
             reader.refuse("say what is to be reached", self.elsewhere)
         if not self.ordered:
             parts += self._asked_after_all()
-        parts += self._of_all(Every(tuple(part for part in parts if letters(part))))
-        formula = formula_of(Every(tuple(parts)))
+        parts += self._of_all(AllOf(tuple(part for part in parts if letters(part))))
+        formula = formula_of(AllOf(tuple(parts)))
         if _size(formula) > MAX_NODES:
             reader.refuse("the formula would be too large; ask for less at once", reader.tokens[0])
         if formula == TRUE:
@@ -177,10 +177,10 @@ class Discourse:
         way = self.reader.pick(self.reader.tokens[0], 2 if self.shuns else 3)
         asked = [until for _, until in self.waits] if way else []
         if way == 2:
-            asked += [Things(tuple((n,) for n in names)) for names, _ in self.waits]
+            asked += [NounPhrase(tuple((n,) for n in names)) for names, _ in self.waits]
         return [visits(things) for things in asked]
 
-    def _of_all(self, goal: Every) -> list[Goal]:
+    def _of_all(self, goal: AllOf) -> list[Goal]:
         """Return the rules that apply to all goals of the instruction."""
         rules: list[Formula] = []
         said = self.strictly or (self.each and self.each[1])
@@ -190,7 +190,7 @@ class Discourse:
             rules += in_strict_order(goal, self.strictly, self.reader)
         if self.each:
             rules += each_at_most(goal, *self.each, self.reader)
-        return [Every((), tuple(rules))] if rules else []
+        return [AllOf((), tuple(rules))] if rules else []
 
     def _ends(self, clause: Clause) -> None:
         """Note that this clause is the end: it comes after all other goals."""
@@ -251,11 +251,11 @@ class Discourse:
         )
         tight = tight or (pause and (short or (either.text == "either" and len(sequences) > 1)))
         if tight and single and len(sequences[-1]) > 1:
-            reader.deny("unclear what comes after which; use two sentences", start)
+            reader.refuse_finally("unclear what comes after which; use two sentences", start)
         if len(sequences) > 1 and any(step.commas for step in sequences[0]):
-            reader.deny("unclear what the alternatives are; say 'either … or …'", start)
+            reader.refuse_finally("unclear what the alternatives are; say 'either … or …'", start)
         if len(sequences) > 1 and (self.listed or any(step.bans for step in sequences[-1])):
-            reader.deny("unclear what is forbidden; use a separate sentence", start)
+            reader.refuse_finally("unclear what is forbidden; use a separate sentence", start)
         if len(sequences) > 1 and not all(
             any(step.goals for step in sequence) for sequence in sequences
         ):
@@ -263,7 +263,7 @@ class Discourse:
         if not sequence:
             return
         options = tuple(sequence_goal(sequence, reader) for sequence in sequences)
-        goal = options[0] if len(options) == 1 else Some(options)
+        goal = options[0] if len(options) == 1 else AnyOf(options)
         ahead_of_all = self.first and joint is not None and joint.kind == "but"  # "But first …"
         if self.goal is None:
             self.goal = goal
@@ -274,7 +274,7 @@ class Discourse:
         else:
             if after and sequence[0].returns:
                 self.goal = begun_with(self.goal, sequence[0])
-            self.goal = steps([self.goal, goal]) if after else Every((self.goal, goal))
+            self.goal = steps([self.goal, goal]) if after else AllOf((self.goal, goal))
 
     def _alternative_ahead(self) -> int | None:
         """Return the number of tokens up to the next alternative ("; or reach …"), or None."""
@@ -284,10 +284,10 @@ class Discourse:
         ahead += 1
         return ahead if starts_clause(self.reader, ahead) else None
 
-    def _sequence(self, joint: Token | None) -> tuple[list[Meaning], Meaning | None]:
+    def _sequence(self, joint: Token | None) -> tuple[list[ClauseMeaning], ClauseMeaning | None]:
         """Parse a sequence of steps with "then" between them; return it and its final rules."""
-        sequence: list[Meaning] = []
-        loose: Meaning | None = None
+        sequence: list[ClauseMeaning] = []
+        loose: ClauseMeaning | None = None
         ordered: Token | None = None
         while True:
             self._numbered(joint)
@@ -329,14 +329,16 @@ class Discourse:
             number = len(nouns.NUMERALS)
         if number is None or joint is None:
             if self.number > 1 and self.reader.sees("first", "opener"):
-                self.reader.deny(_IN_TURN)
+                self.reader.refuse_finally(_IN_TURN)
             return
         bare = self.reader.sees("word") and len(self.reader.peek().text) > 1
         if number <= self.number or (bare and joint.text in nouns.ORDINALS):
-            self.reader.deny("unclear which step this is; say 'then the …'", joint)
+            self.reader.refuse_finally("unclear which step this is; say 'then the …'", joint)
         self.number = number
 
-    def _returned(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
+    def _returned(
+        self, clause: Clause, meaning: ClauseMeaning, sequence: list[ClauseMeaning]
+    ) -> None:
         """Turn "…, and later visit it again" into a second visit."""
         again = clause.things and self.last and clause.things.groups == self.last.groups
         revisits = clause.again and clause.verb and meaning.follows and not clause.returns
@@ -350,7 +352,9 @@ class Discourse:
         )
         meaning.repeats = True
 
-    def _clause(self, joint: Token | None, sequence: list[Meaning]) -> tuple[Clause, Meaning]:
+    def _clause(
+        self, joint: Token | None, sequence: list[ClauseMeaning]
+    ) -> tuple[Clause, ClauseMeaning]:
         """Parse the next clause; return it and its meaning after the clauses before it."""
         bare: Bare = "known" if not self.clauses else "no"
         if self.clauses and joint and joint.kind and not self.flow.denied:
@@ -367,14 +371,16 @@ class Discourse:
         self._relate(clause, meaning, sequence)
         for name in {name for goal in meaning.goals for name in letters(goal)}:
             if several := self.memory.several.get(name):
-                self.reader.deny(ONE_OF_A_KIND, several)
+                self.reader.refuse_finally(ONE_OF_A_KIND, several)
         if then and self.flow.barred and meaning.goals and not sequence and joint:
-            self.reader.deny("unclear what is forbidden; use two sentences", clause.token)
+            self.reader.refuse_finally("unclear what is forbidden; use two sentences", clause.token)
         self.flow.note(clause, meaning)
         self._note(clause, meaning)
         return clause, meaning
 
-    def _comes_after(self, clause: Clause, joint: Token | None, sequence: list[Meaning]) -> bool:
+    def _comes_after(
+        self, clause: Clause, joint: Token | None, sequence: list[ClauseMeaning]
+    ) -> bool:
         """Return True if a clause comes after everything that was asked for before it."""
         if self.flow.permitted and not clause.conditions and clause.mood == "must":
             goes_on = joint is not None and joint.kind in THEN
@@ -390,12 +396,14 @@ class Discourse:
             then = then or bool(sequence) or asked
         stays = clause.returns and then and not clause.negated
         if stays and clause.things == self.last:
-            self.reader.deny(
+            self.reader.refuse_finally(
                 "the robot is already there at that time; say where to go", clause.token
             )
         return then
 
-    def _settle(self, clause: Clause, joint: str, then: bool, sequence: list[Meaning]) -> None:
+    def _settle(
+        self, clause: Clause, joint: str, then: bool, sequence: list[ClauseMeaning]
+    ) -> None:
         """Resolve what a clause leaves open, from the clauses before it."""
         if clause.elsewhere:
             self.elsewhere = clause.token
@@ -403,7 +411,7 @@ class Discourse:
         if one and sequence and clause.order == "strict order" and not clause.negated:
             clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
         if clause.count_aside and sequence:
-            self.reader.deny(
+            self.reader.refuse_finally(
                 "unclear: this number for all, or for the last one? use two sentences", clause.token
             )
         allowed = then and clause.mood == "can" and not clause.negated
@@ -413,15 +421,17 @@ class Discourse:
         if limits and all(c.only for c in clause.conditions) and self._named_before(clause):
             clause.mood = "can"  # "visit a or b, but b only after c"
 
-    def _relate(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
+    def _relate(
+        self, clause: Clause, meaning: ClauseMeaning, sequence: list[ClauseMeaning]
+    ) -> None:
         """Relate the meaning of a clause to the goals before it."""
         then = meaning.follows
         if then and meaning.bans and not meaning.goals and not clause.things.every:
             if self.last is None:
-                self.reader.deny("say first what comes before it", clause.token)
+                self.reader.refuse_finally("say first what comes before it", clause.token)
             meaning.ban_after(self.last)  # "…. After that, avoid b and go to c"
         if then and clause.negated and clause.conditions:
-            self.reader.deny("use a separate sentence, without 'then'", clause.token)
+            self.reader.refuse_finally("use a separate sentence, without 'then'", clause.token)
         ends = clause.ends or (clause.verb.startswith(ENDING) and not clause.negated)
         if ends and meaning.goals and sequence:
             put_last(meaning, sequence)
@@ -443,7 +453,7 @@ class Discourse:
             meaning.repeats = self.reader.pick(clause.token, 2) == 1
         self._returned(clause, meaning, sequence)
 
-    def _note(self, clause: Clause, meaning: Meaning) -> None:
+    def _note(self, clause: Clause, meaning: ClauseMeaning) -> None:
         """Store what later clauses may refer to."""
         if meaning.each:
             self.each = (meaning.each, clause.token)
@@ -459,7 +469,9 @@ class Discourse:
                 self.times |= dict.fromkeys(visit.options, visit.times)
                 self.memory.note([visit.options])
 
-    def _place(self, clause: Clause, meaning: Meaning, joint: str, sequence: list[Meaning]) -> None:
+    def _place(
+        self, clause: Clause, meaning: ClauseMeaning, joint: str, sequence: list[ClauseMeaning]
+    ) -> None:
         """Add a clause as a new step, or as a part of the last step."""
         if clause.returns and len(sequence) == 1:
             split_return(meaning, sequence)
@@ -467,7 +479,7 @@ class Discourse:
             meaning.rules += only_then(sequence[-1], meaning)
         if clause.enroute and not sequence:
             if self.goal is None:
-                self.reader.deny("unclear where to; say 'on the way to …'", clause.token)
+                self.reader.refuse_finally("unclear where to; say 'on the way to …'", clause.token)
             self.detour = clause.token  # "go to a. on the way, go to b"
         ends = len(sequence) == 1 and not meaning.follows and self.reader.sees("stop", "end")
         first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
@@ -511,7 +523,9 @@ class Discourse:
             return None
         if reader.at > begin:
             if joint.kind == "comma" and _does_besides(reader):
-                reader.deny("unclear: on the way, or in addition? say 'and then' or 'on the way'")
+                reader.refuse_finally(
+                    "unclear: on the way, or in addition? say 'and then' or 'on the way'"
+                )
             if not starts_clause(reader):
                 reader.refuse("expected a clause here")
             return joint
@@ -522,7 +536,7 @@ class Discourse:
         starts = starts_clause(reader) and self._begins_well() and not no_order
         if not starts:
             if reader.sees("to") and reader.peek(-1).text in LEADING:
-                reader.deny(
+                reader.refuse_finally(
                     "unclear: one thing that leads to the other, or both in turn? say 'then to …'"
                 )
             reader.refuse("unknown word")

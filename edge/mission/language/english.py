@@ -15,9 +15,9 @@ from __future__ import annotations
 from functools import lru_cache
 from itertools import pairwise, product
 
-from edge.mission.language.goals import Visit
-from edge.mission.language.things import Memory, Things, take_things
-from edge.mission.language.words import Reader, TranslationError
+from edge.mission.language.goal_tree import Visit
+from edge.mission.language.noun_phrases import Antecedents, NounPhrase, take_noun_phrase
+from edge.mission.language.tokens import TokenReader, TranslationError
 from edge.mission.logic.ltl import Formula, conj, postorder, propositions, to_text
 
 MAX_ALTERNATIVES = 32
@@ -258,8 +258,8 @@ def _thing(name: str) -> str:
     """Return `the bed`, `a` (a letter), or the name in quotes if it could be misread."""
     spoken = name if len(name) == 1 else f"the {name}"
     try:
-        reader = Reader(spoken)
-        if take_things(reader, Memory()) == Things(((name,),)) and reader.sees("end"):
+        reader = TokenReader(spoken)
+        if take_noun_phrase(reader, Antecedents()) == NounPhrase(((name,),)) and reader.sees("end"):
             return spoken
     except TranslationError:
         pass

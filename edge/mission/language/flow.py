@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from edge.mission.language.clause_parts import Clause
 from edge.mission.language.lexicon import AVOIDING
-from edge.mission.language.meaning import Meaning, permission_of
+from edge.mission.language.meaning import ClauseMeaning, permission_of
+from edge.mission.language.noun_phrases import NounPhrase
 from edge.mission.language.routes import PASSING
-from edge.mission.language.spoken import Clause
-from edge.mission.language.things import Things
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.tokens import Token, TokenReader
 
 THEN = ("then", "only then")
 JOINTS = ("comma", "and", "but", *THEN)
@@ -49,18 +49,18 @@ class Flow:
     verb: str = ""
     denied: bool = False
     barred: bool = False
-    until: Things | None = None
+    until: NounPhrase | None = None
     hanging: Token | None = None
-    permitted: Things | None = None
+    permitted: NounPhrase | None = None
     agent: str = ""
 
     def comes_after(
         self,
         clause: Clause,
         joint: Token | None,
-        sequence: Sequence[Meaning],
+        sequence: Sequence[ClauseMeaning],
         asked: bool,
-        reader: Reader,
+        reader: TokenReader,
     ) -> bool:
         """Return True if a clause comes after all clauses before it.
 
@@ -122,7 +122,7 @@ class Flow:
         return comma and self.denied and not clause.negated
 
     def refuse_joined(
-        self, clause: Clause, joint: Token | None, started: bool, reader: Reader
+        self, clause: Clause, joint: Token | None, started: bool, reader: TokenReader
     ) -> None:
         """Refuse a clause that could belong to the last clause in several ways.
 
@@ -134,27 +134,33 @@ class Flow:
         joined = joint is not None and kind not in ("but", "or") and (not leads or kind in THEN)
         if self.hanging and joined and not (clause.subject or clause.conditions):
             hint = "unclear if the next part depends on this; use a separate sentence"
-            reader.deny(hint, self.hanging)
+            reader.refuse_finally(hint, self.hanging)
         bare = clause.verb == "" and not (clause.conditions or clause.count)
         listed = clause.things is not None and clause.things.listed
         if bare and clause.negated and (self.denied or not started or listed):
-            reader.deny("unclear: avoid it or visit it? say which", clause.token)  # "not a, b"
+            reader.refuse_finally(
+                "unclear: avoid it or visit it? say which", clause.token
+            )  # "not a, b"
         if clause.agent and self.agent not in ("", clause.agent):
-            reader.deny("an instruction is for one robot only", clause.token)
+            reader.refuse_finally("an instruction is for one robot only", clause.token)
         several = clause.things is not None and len(clause.things.groups) > 1
         joins = several and any(token.kind == "and" for token in _said(clause, reader))
         if bare and clause.negated and joins:
-            reader.deny("unclear what 'not' applies to; use a separate sentence", clause.token)
+            reader.refuse_finally(
+                "unclear what 'not' applies to; use a separate sentence", clause.token
+            )
         if not started and joint is not None and joint.text in ("later", "afterwards"):
-            reader.deny("nothing comes before it", joint)
+            reader.refuse_finally("nothing comes before it", joint)
         if kind == "but" and bare and not (clause.negated or clause.first):
-            reader.deny("unclear: all except this, or this too? say 'visit …'", clause.token)
+            reader.refuse_finally(
+                "unclear: all except this, or this too? say 'visit …'", clause.token
+            )
         if kind == "or" and clause.through and clause.verb == "":
-            reader.deny("say 'through a or b'", clause.token)  # "to a via b or via c"
+            reader.refuse_finally("say 'through a or b'", clause.token)  # "to a via b or via c"
         if clause.bound_by and kind == "or":
             reader.refuse("unclear which one is on the way; say it for each one", clause.bound_by)
 
-    def note(self, clause: Clause, meaning: Meaning) -> None:
+    def note(self, clause: Clause, meaning: ClauseMeaning) -> None:
         """Store facts about a clause for the next one."""
         ends = [c for c in clause.conditions if c.kind == "until" and not c.denied]
         self.until = ends[0].things if clause.negated and len(ends) == 1 else None
@@ -166,7 +172,7 @@ class Flow:
         self.agent = clause.agent or self.agent
 
 
-def _sentence(reader: Reader) -> Sequence[Token]:
+def _sentence(reader: TokenReader) -> Sequence[Token]:
     """Return the tokens of the sentence at or before the reader's position."""
     ends = [i for i, token in enumerate(reader.tokens) if token.kind in ("stop", "end")]
     begin = next((i + 1 for i in reversed(ends) if i < reader.at), 0)
@@ -174,7 +180,7 @@ def _sentence(reader: Reader) -> Sequence[Token]:
     return reader.tokens[begin:until]
 
 
-def _said(clause: Clause, reader: Reader) -> Sequence[Token]:
+def _said(clause: Clause, reader: TokenReader) -> Sequence[Token]:
     """Return the tokens of the clause that was just parsed."""
     begin = next(i for i, token in enumerate(reader.tokens) if token is clause.token)
     return reader.tokens[begin : reader.at]

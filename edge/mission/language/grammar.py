@@ -40,10 +40,10 @@ from __future__ import annotations
 
 import re
 
-from edge.mission.language.beyond import refuse_beyond
 from edge.mission.language.discourse import Discourse
 from edge.mission.language.nouns import is_foreign
-from edge.mission.language.words import Reader, TranslationError, not_understood, tokenise
+from edge.mission.language.tokens import TokenReader, TranslationError, not_understood, tokenise
+from edge.mission.language.unsupported import refuse_unsupported
 from edge.mission.logic.ltl import Formula
 
 _GROUPED = re.compile(r"\d,\d{3}\b")
@@ -72,11 +72,11 @@ def readings(text: str) -> tuple[Formula, ...]:
         hint = "write numbers without commas"
         raise not_understood(grouped[0], grouped.start() + 1, hint)
     tokens = tokenise(text)
-    refuse_beyond(Reader(text, tokens))
+    refuse_unsupported(TokenReader(text, tokens))
     found: list[Formula] = []
     todo: list[dict[int, int]] = [{}]
     for picks in todo:
-        reader = Reader(text, tokens, picks)
+        reader = TokenReader(text, tokens, picks)
         try:
             found.append(Discourse(reader).formula())
         except TranslationError:

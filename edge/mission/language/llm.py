@@ -14,11 +14,11 @@ from itertools import groupby
 from typing import Any
 
 from edge import names
-from edge.chat import CutOffError, client_of
+from edge.chat import TokenLimitError, make_chat_client
 from edge.config import TranslatorLlm
 from edge.errors import UserError
 from edge.mission.language import lexicon
-from edge.mission.language.words import TranslationError
+from edge.mission.language.tokens import TranslationError
 from edge.mission.logic.ltl import Formula, FormulaError, ap, parse, propositions, renamed, to_text
 from edge.text import one_line
 
@@ -184,7 +184,7 @@ EXAMPLES = (
 )
 
 
-class Model:
+class LlmTranslator:
     """Translator that asks the configured language model.
 
     Raises:
@@ -193,7 +193,7 @@ class Model:
 
     def __init__(self, config: TranslatorLlm) -> None:
         self._config = config
-        self._client = client_of(config)
+        self._client = make_chat_client(config)
 
     def read(self, instruction: str) -> Formula:
         """Return the instruction's formula, with canonical names from the instruction only.
@@ -214,7 +214,7 @@ class Model:
             try:
                 answer = self._client.ask(messages, left_s=left_s, **options)
                 formula = formula_in(answer, objects)
-            except CutOffError as error:
+            except TokenLimitError as error:
                 answer, fault = error.answer, "the formula does not come to an end"
             except (FormulaError, _UnusableError) as error:
                 fault = str(error)

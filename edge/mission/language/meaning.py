@@ -6,8 +6,9 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from edge.mission.language.goals import (
-    Every,
+from edge.mission.language.clause_parts import Clause, Condition, Count
+from edge.mission.language.goal_tree import (
+    AllOf,
     Goal,
     any_of,
     at_most,
@@ -19,14 +20,13 @@ from edge.mission.language.goals import (
     steps,
     visits,
 )
-from edge.mission.language.spoken import Clause, Condition, Count
-from edge.mission.language.things import Things
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.noun_phrases import NounPhrase
+from edge.mission.language.tokens import Token, TokenReader
 from edge.mission.logic.ltl import Formula, always, ap, implies, neg, next_, weak_next
 
 
 @dataclass(slots=True)
-class Meaning:
+class ClauseMeaning:
     """Goals and rules of a clause, or of several clauses joined by "and".
 
     Attributes:
@@ -50,18 +50,18 @@ class Meaning:
     """
 
     goals: list[Goal] = field(default_factory=list)
-    things: Things = field(default_factory=lambda: Things(()))
+    things: NounPhrase = field(default_factory=lambda: NounPhrase(()))
     rules: list[Formula] = field(default_factory=list)
     bans: list[tuple[str, ...]] = field(default_factory=list)
-    withouts: list[tuple[tuple[str, ...], Things, Token]] = field(default_factory=list)
+    withouts: list[tuple[tuple[str, ...], NounPhrase, Token]] = field(default_factory=list)
     limits: list[tuple[tuple[str, ...], int, Token | None]] = field(default_factory=list)
-    waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
+    waits: list[tuple[tuple[str, ...], NounPhrase]] = field(default_factory=list)
     listed: bool = True
     follows: bool = False
     repeats: bool = False
     commas: bool = False
     returns: bool = False
-    anchors: list[Things] = field(default_factory=list)
+    anchors: list[NounPhrase] = field(default_factory=list)
     each: int | None = None
     strictly: bool = False
 
@@ -70,7 +70,7 @@ class Meaning:
         """True if it has rules only, no goal."""
         return not self.goals
 
-    def ban_after(self, things: Things) -> None:
+    def ban_after(self, things: NounPhrase) -> None:
         """Let its bans begin when the objects are reached."""
         self.rules += [f for names in self.bans for f in never_after(names, things)]
         self.bans = []
@@ -80,20 +80,20 @@ class Meaning:
         self.rules += [at_most(names, n) for names, n, again in self.limits if not again]
         self.limits = [limit for limit in self.limits if limit[2]]
 
-    def add(self, other: Meaning, joint: str = "") -> None:
+    def add(self, other: ClauseMeaning, joint: str = "") -> None:
         """Add another meaning: both apply."""
         if self.goals and other.goals:
             self.listed = self.listed and joint in ("", "comma")
             self.commas = joint == "comma"
         self.goals += other.goals
-        self.things = Things(self.things.groups + other.things.groups)
+        self.things = NounPhrase(self.things.groups + other.things.groups)
         self.rules += other.rules
         self.bans += other.bans
         self.withouts += other.withouts
         self.limits += other.limits
 
 
-def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int]) -> Meaning:
+def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) -> ClauseMeaning:
     """Return the meaning of a clause.
 
     Args:
@@ -109,7 +109,9 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int]) -> Mean
     elif clause.only and clause.conditions:
         clause.conditions = [replace(condition, only=True) for condition in clause.conditions]
     elif clause.only and not clause.count and not clause.negated:
-        reader.deny("'only' needs a number or a condition; say what to avoid", clause.token)
+        reader.refuse_finally(
+            "'only' needs a number or a condition; say what to avoid", clause.token
+        )
     if clause.things is None:
         return _until_done(clause, reader)
     if clause.instant and not clause.conditions:
@@ -133,41 +135,43 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int]) -> Mean
     return meaning
 
 
-def _of_every(clause: Clause, things: Things, reader: Reader) -> Meaning | None:
+def _of_every(clause: Clause, things: NounPhrase, reader: TokenReader) -> ClauseMeaning | None:
     """Return the meaning of `visit each place only once`, `never go back to any of them`."""
     if clause.out_of_turn:
-        return Meaning(strictly=True)
+        return ClauseMeaning(strictly=True)
     if clause.each or (clause.negated and (clause.again or clause.returns)):
-        return Meaning(each=1)
+        return ClauseMeaning(each=1)
     if clause.count and clause.count.most and clause.count.least < 2:
-        return Meaning(each=clause.count.most)
+        return ClauseMeaning(each=clause.count.most)
     if things.every == "places" or not things.groups:
         reader.refuse("say which", clause.token)
     return None
 
 
-def permission_of(clause: Clause) -> Things | None:
+def permission_of(clause: Clause) -> NounPhrase | None:
     """Return the objects that a clause only allows: those of its condition, or its own."""
     if clause.mood != "can" or clause.negated or clause.count:
         return None
     return clause.conditions[-1].things if clause.conditions else clause.things
 
 
-def _until_done(clause: Clause, reader: Reader) -> Meaning:
+def _until_done(clause: Clause, reader: TokenReader) -> ClauseMeaning:
     """Return the meaning of `do not stop until a and b are visited`."""
     if len(clause.conditions) != 1 or clause.conditions[0].kind != "until":
         reader.refuse("say until when, as in 'do not stop until the bed is reached'", clause.token)
     things = clause.conditions[0].things
-    return Meaning([visits(things)], things)
+    return ClauseMeaning([visits(things)], things)
 
 
-def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[str, int]) -> Meaning:
+def _forbidden(
+    clause: Clause, things: NounPhrase, reader: TokenReader, times: Mapping[str, int]
+) -> ClauseMeaning:
     """Return the meaning of `do not visit x …`, `avoid x …`, `never visit x more than twice`."""
-    meaning = Meaning()
+    meaning = ClauseMeaning()
     if clause.order:
         reader.refuse("an order is not possible for forbidden objects", clause.token)
     if clause.not_again:
-        reader.deny("use two sentences", clause.token)
+        reader.refuse_finally("use two sentences", clause.token)
     for avoided in clause.avoiding:  # "do not visit b without visiting a"
         meaning.rules += held_until(things.names, avoided)
     if clause.count:
@@ -176,7 +180,7 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
     elif _anew(clause, things, times) and not (
         clause.conditions or set(things.names) <= set(times)
     ):
-        reader.deny("it was not asked for before; say 'never …'", clause.token)
+        reader.refuse_finally("it was not asked for before; say 'never …'", clause.token)
     elif _anew(clause, things, times) and all(
         c.things.names == things.names for c in clause.conditions
     ):
@@ -195,7 +199,7 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
     return meaning
 
 
-def _anew(clause: Clause, things: Things, times: Mapping[str, int]) -> bool:
+def _anew(clause: Clause, things: NounPhrase, times: Mapping[str, int]) -> bool:
     """Return True if the clause forbids a second visit: "never go back to it"."""
     if clause.returns:
         return all(name in times for name in things.names)
@@ -203,16 +207,16 @@ def _anew(clause: Clause, things: Things, times: Mapping[str, int]) -> bool:
 
 
 def _forbidden_when(
-    clause: Clause, things: Things, condition: Condition, reader: Reader
+    clause: Clause, things: NounPhrase, condition: Condition, reader: TokenReader
 ) -> list[Formula]:
     if condition.things.names != things.names:
         _one_time(condition, reader)
     elif condition.only:
-        reader.deny("nothing comes before or after itself", condition.token)
+        reader.refuse_finally("nothing comes before or after itself", condition.token)
     if condition.kind in ("before", "until", "unless") or condition.denied:
         rules = held_until(things.names, condition.things)
         if not rules:
-            reader.deny("nothing can come before itself", condition.token)
+            reader.refuse_finally("nothing can come before itself", condition.token)
         return rules
     if condition.going:
         reader.refuse("say 'after …' or 'on the way to …'", condition.token)
@@ -225,18 +229,22 @@ def _forbidden_when(
     return never_after(things.names, condition.things)
 
 
-def _one_time(condition: Condition, reader: Reader) -> None:
+def _one_time(condition: Condition, reader: TokenReader) -> None:
     if condition.count and condition.count != Count(1):
         reader.refuse("a condition cannot count visits", condition.token)
 
 
-def _no_conditions(clause: Clause, reader: Reader) -> None:
+def _no_conditions(clause: Clause, reader: TokenReader) -> None:
     for condition in clause.conditions:
         reader.refuse("a count and a condition cannot be combined", condition.token)
 
 
 def _counted(
-    clause: Clause, things: Things, count: Count, meaning: Meaning, times: Mapping[str, int]
+    clause: Clause,
+    things: NounPhrase,
+    count: Count,
+    meaning: ClauseMeaning,
+    times: Mapping[str, int],
 ) -> None:
     """Add goals and limits of a count; "…; visit a only once" asks for no additional visit."""
     asked = all(times.get(n, 0) >= count.least for n in things.names) and count.most is not None
@@ -247,15 +255,17 @@ def _counted(
         meaning.limits += [(group, count.most, None) for group in things.groups]
 
 
-def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, int]) -> Meaning:
+def _asked(
+    clause: Clause, things: NounPhrase, reader: TokenReader, times: Mapping[str, int]
+) -> ClauseMeaning:
     """Return the meaning of `visit x …`, `you must visit x …`, `you can visit x …`."""
-    meaning = Meaning()
+    meaning = ClauseMeaning()
     if clause.count and [c for c in clause.conditions if c.kind in ("until", "before")]:
         return _counted_until(clause, things, clause.count, reader, times)
     if clause.count and len(things.groups) > 1 and clause.order:
         most = clause.count.most
         meaning.goals.append(
-            steps([visits(Things((g,)), clause.count.least) for g in things.groups])
+            steps([visits(NounPhrase((g,)), clause.count.least) for g in things.groups])
         )
         if most == 1:
             meaning.each = 1
@@ -266,18 +276,18 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
         meaning.goals.append(steps([visits(step) for step in _steps_of(clause, things)]))
         meaning.things = things
     if clause.count and clause.route:
-        reader.deny("unclear if the path is counted too; use two sentences", clause.token)
+        reader.refuse_finally("unclear if the path is counted too; use two sentences", clause.token)
     if clause.order == "strict order":
         for before, after in itertools.pairwise(_steps_of(clause, things)):
             meaning.rules += held_until(after.names, before)
     if clause.only_way and reader.pick(reader.tokens[-1], 2) == 1:
-        meaning.rules += held_until(things.names, Things(clause.route[-1].groups))
+        meaning.rules += held_until(things.names, NounPhrase(clause.route[-1].groups))
     last = reader.sees("end") or reader.sees("end", ahead=1)
     alone = last and (clause.during or not times)
     for avoided in (*clause.avoiding, *clause.not_first):
         passed = {name for step in clause.route for name in step.names}
         if set(avoided.names) & {*things.names, *passed}:
-            reader.deny("the same object is asked for and to be avoided", clause.token)
+            reader.refuse_finally("the same object is asked for and to be avoided", clause.token)
     for avoided in clause.avoiding:
         others = [n for n in avoided.names if n not in times]
         if (clause.during and not alone) or set(others) & set(things.names):
@@ -302,11 +312,11 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
     return meaning
 
 
-def _steps_of(clause: Clause, things: Things) -> list[Things]:
+def _steps_of(clause: Clause, things: NounPhrase) -> list[NounPhrase]:
     """Return the goals of a clause in their order."""
     steps_of = [*clause.route, things]
     if clause.order in ("in order", "strict order"):
-        return [Things((group,)) for step in steps_of for group in step.groups]
+        return [NounPhrase((group,)) for step in steps_of for group in step.groups]
     return steps_of
 
 
@@ -319,10 +329,10 @@ As a plain order it asks for both, which implies the others and is driven like "
 
 
 def _counted_until(
-    clause: Clause, things: Things, count: Count, reader: Reader, times: Mapping[str, int]
-) -> Meaning:
+    clause: Clause, things: NounPhrase, count: Count, reader: TokenReader, times: Mapping[str, int]
+) -> ClauseMeaning:
     """Return the meaning of `reach x at most twice until y is reached`."""
-    meaning = Meaning()
+    meaning = ClauseMeaning()
     most = count.most
     asked = all(times.get(name, 0) >= count.least for name in things.names)
     if clause.conditions[0].kind == "before" and not asked:
@@ -340,7 +350,11 @@ def _counted_until(
 
 
 def _conditioned(
-    clause: Clause, things: Things, condition: Condition, reader: Reader, meaning: Meaning
+    clause: Clause,
+    things: NounPhrase,
+    condition: Condition,
+    reader: TokenReader,
+    meaning: ClauseMeaning,
 ) -> None:
     """Add the effect of a condition on "visit x"."""
     kind, when = condition.kind, condition.things
@@ -351,13 +365,15 @@ def _conditioned(
     if clause.next_step and kind in ("before", "until"):
         reader.refuse("'right before' is not possible", condition.token)
     if clause.next_step and not answers:
-        reader.deny("say 'whenever …, you must … right after that'", condition.token)
+        reader.refuse_finally("say 'whenever …, you must … right after that'", condition.token)
     if kind == "when" and condition.denied:
-        reader.deny("a condition that something never happens is not possible", condition.token)
+        reader.refuse_finally(
+            "a condition that something never happens is not possible", condition.token
+        )
     if set(when.names) & set(things.names) and not answers:
-        reader.deny("nothing comes before or after itself", condition.token)
+        reader.refuse_finally("nothing comes before or after itself", condition.token)
     if kind == "before" and condition.only and not condition.denied:
-        reader.deny("say 'before …', or 'never after …'", condition.token)
+        reader.refuse_finally("say 'before …', or 'never after …'", condition.token)
     if kind == "until" and clause.through and not condition.denied and not condition.only:
         meaning.goals = [steps([*meaning.goals, visits(when)])]
         meaning.things = when  # "go through the hallway until you reach the bed"
@@ -393,7 +409,7 @@ def _conditioned(
         meaning.anchors.append(when)
 
 
-def _is_rule(clause: Clause, condition: Condition, reader: Reader) -> bool:
+def _is_rule(clause: Clause, condition: Condition, reader: TokenReader) -> bool:
     """Return True if "x before y" may leave open if y is to be reached at all.
 
     "Make sure that …", "x must be visited …" and "… before you may ever go to y" do. A plain order
@@ -416,7 +432,11 @@ def _is_rule(clause: Clause, condition: Condition, reader: Reader) -> bool:
 
 
 def _reaction(
-    clause: Clause, things: Things, condition: Condition, reader: Reader, meaning: Meaning
+    clause: Clause,
+    things: NounPhrase,
+    condition: Condition,
+    reader: TokenReader,
+    meaning: ClauseMeaning,
 ) -> None:
     """Add `once you visit x you must visit y`: G(x -> F y), or X y for "right after"."""
     if len(condition.things.groups) != 1:
@@ -428,9 +448,9 @@ def _reaction(
         answer = next_(any_of(things.groups[0]))
     else:
         goals = meaning.goals or [visits(things)]
-        answer = formula_of(Every(tuple(goals)))
+        answer = formula_of(AllOf(tuple(goals)))
         if set(condition.things.names) & set(things.names):
             answer = next_(answer)
     meaning.goals = []
-    meaning.things = Things(())
+    meaning.things = NounPhrase(())
     meaning.rules.append(always(implies(when, answer)))

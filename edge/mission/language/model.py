@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from edge.mission.language import nouns
-from edge.mission.language.compact import NAMES, REFUSED, formula_of
+from edge.mission.language.delexicalisation import ARTICLES, DelexicalisedText, delexicalise_text
 from edge.mission.language.english import is_plain
 from edge.mission.language.lexicon import AFTER_VERB, NUMBERS, TABLE
-from edge.mission.language.lifting import ARTICLES, Lifted, lift
-from edge.mission.language.network import MOST_WORDS, Network, Written
-from edge.mission.language.words import TranslationError, not_understood
+from edge.mission.language.network import MOST_WORDS, FormulaHypothesis, TranslationNetwork
+from edge.mission.language.prefix_notation import NAMES, REFUSED, formula_of
+from edge.mission.language.tokens import TranslationError, not_understood
 from edge.mission.logic.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.logic.ltl import Formula, propositions
 from edge.text import one_line
@@ -70,7 +70,7 @@ _REFUSED = "instruction: it could not be translated to a mission; say it in othe
 
 
 @dataclass(frozen=True, slots=True)
-class Meaning:
+class CandidateReading:
     """One formal language that a sentence may ask for.
 
     Attributes:
@@ -89,7 +89,7 @@ class Meaning:
 
 
 @dataclass(frozen=True, slots=True)
-class Guess:
+class NeuralReading:
     """The network's reading of a sentence.
 
     Attributes:
@@ -103,13 +103,13 @@ class Guess:
     doubts: tuple[str, ...] = ()
 
 
-class SmallModel:
+class NeuralTranslator:
     """Translator with a small network."""
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: TranslationNetwork) -> None:
         self._network = network
 
-    def read(self, instruction: str) -> Guess:
+    def read(self, instruction: str) -> NeuralReading:
         """Return the possible formulas of an instruction.
 
         Raises:
@@ -132,10 +132,10 @@ class SmallModel:
             raise TranslationError(_REFUSED)
         meanings = self._meanings(written, words, said)
         if meanings and not doubts and self._trusts(meanings, words, said):
-            return Guess((meanings[0].formula,), True)
+            return NeuralReading((meanings[0].formula,), True)
         offered = self._offered(meanings, words, said)
         if offered:
-            return Guess(tuple(offered), False, doubts)
+            return NeuralReading(tuple(offered), False, doubts)
         if meanings and (left := self._left_over(meanings[0], words)):
             worst = [words[at] for at in sorted(left) if 2 * left[at] >= max(left.values())]
             part = one_line(" ".join(worst), 60)
@@ -144,7 +144,9 @@ class SmallModel:
             )
         raise TranslationError(_REFUSED)
 
-    def _trusts(self, meanings: Sequence[Meaning], words: Sequence[str], said: Lifted) -> bool:
+    def _trusts(
+        self, meanings: Sequence[CandidateReading], words: Sequence[str], said: DelexicalisedText
+    ) -> bool:
         """Return True if the most likely meaning may be carried out without a question.
 
         It must be likely enough, use every name, have the best back-translation, and leave no word
@@ -160,7 +162,7 @@ class SmallModel:
         )
 
     def _offered(
-        self, meanings: Sequence[Meaning], words: Sequence[str], said: Lifted
+        self, meanings: Sequence[CandidateReading], words: Sequence[str], said: DelexicalisedText
     ) -> list[Formula]:
         """Return the formulas to ask about; none if the right one is probably not among them.
 
@@ -183,7 +185,7 @@ class SmallModel:
             return []
         return [meaning.formula for meaning in likely[:MOST_OFFERED]]
 
-    def _left_over(self, meaning: Meaning, words: Sequence[str]) -> dict[int, float]:
+    def _left_over(self, meaning: CandidateReading, words: Sequence[str]) -> dict[int, float]:
         """Return the unexplained words of a meaning, by position, with their loss.
 
         A word, or a phrase of up to `LONGEST_PHRASE` words, is unexplained if the back-translation
@@ -197,7 +199,7 @@ class SmallModel:
             if all(counts[start:end])
         ]
         without = [_without(words, start, end) for start, end in phrases]
-        whole, *scores = self._network.tellings(meaning.tokens, [words, *without])
+        whole, *scores = self._network.back_translation_log_p(meaning.tokens, [words, *without])
         left: dict[int, float] = {}
         for (start, end), score in zip(phrases, scores, strict=True):
             if score > whole:
@@ -205,13 +207,15 @@ class SmallModel:
                     left[at] = max(left.get(at, 0.0), score - whole)
         return left
 
-    def _known(self, instruction: str) -> tuple[Lifted, tuple[str, ...], tuple[str, ...]]:
+    def _known(
+        self, instruction: str
+    ) -> tuple[DelexicalisedText, tuple[str, ...], tuple[str, ...]]:
         """Return the delexicalised instruction, its words with slips corrected, and the doubts.
 
         Raises:
             TranslationError: it is too long, or has more slips than `MOST_SLIPS`.
         """
-        said, doubts = lift(instruction), []
+        said, doubts = delexicalise_text(instruction), []
         for _ in range(MOST_SLIPS):  # a corrected name is replaced by a placeholder, too
             unknown = (i for i, word in enumerate(said.words) if not self._is_known(word))
             slips = ((i, _name_meant(said.words, i)) for i in unknown)
@@ -221,7 +225,7 @@ class SmallModel:
             word, start = said.words[at], said.starts[at]
             doubts.append(f"{one_line(word, 40)}: {name}?")
             instruction = f"{instruction[:start]}{name}{instruction[start + len(word) :]}"
-            said = lift(instruction)
+            said = delexicalise_text(instruction)
         if len(said.words) > MOST_WORDS:
             late = said.starts[MOST_WORDS]
             raise not_understood(instruction[late:], late + 1, "too long for one sentence")
@@ -261,11 +265,11 @@ class SmallModel:
         return self._network.knows(word) or (word,) in TABLE
 
     def _meanings(
-        self, written: Sequence[Written], words: Sequence[str], said: Lifted
-    ) -> list[Meaning]:
+        self, written: Sequence[FormulaHypothesis], words: Sequence[str], said: DelexicalisedText
+    ) -> list[CandidateReading]:
         """Return one meaning for each language among the hypotheses, the most likely first."""
         total = sum(math.exp(one.log_p) for one in written)
-        kinds: list[tuple[Automaton, list[Written]]] = []
+        kinds: list[tuple[Automaton, list[FormulaHypothesis]]] = []
         for one in written:
             if one.tokens == (REFUSED,):
                 continue
@@ -283,11 +287,15 @@ class SmallModel:
                 same.append(one)
         meanings = []
         for automaton, ones in kinds:
-            told = [self._network.tellings(one.tokens, [words])[0] for one in ones[:2]]
+            told = [
+                self._network.back_translation_log_p(one.tokens, [words])[0] for one in ones[:2]
+            ]
             best = max(range(len(told)), key=told.__getitem__)
             p = sum(math.exp(one.log_p) for one in ones) / total
             idle = bool(automaton.accepting[0])
-            meanings.append(Meaning(automaton.formula, p, told[best], ones[best].tokens, idle))
+            meanings.append(
+                CandidateReading(automaton.formula, p, told[best], ones[best].tokens, idle)
+            )
         return sorted(meanings, key=lambda meaning: -meaning.p)
 
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from edge import names
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import AFTER_VERB
-from edge.mission.language.words import Reader, Token, not_understood
+from edge.mission.language.tokens import Token, TokenReader, not_understood
 from edge.text import one_line
 
 _NOT_NAMES = """
@@ -30,7 +30,7 @@ _TURNS = (
 _NEVER_IN_NAMES = frozenset(_NOT_NAMES.split())
 
 
-def take_name(reader: Reader) -> str:
+def take_name(reader: TokenReader) -> str:
     """Parse a name and return its canonical form."""
     start = reader.peek()
     said = reader.take("article")
@@ -56,7 +56,7 @@ def take_name(reader: Reader) -> str:
     return _canonical(reader, text, words[0])
 
 
-def _words(reader: Reader, article: bool) -> list[Token]:
+def _words(reader: TokenReader, article: bool) -> list[Token]:
     """Take the words of a name; after an article it may begin with a verb."""
     words: list[Token] = []
     while reader.sees("word", "group") and not is_letter(reader.peek()):
@@ -68,7 +68,7 @@ def _words(reader: Reader, article: bool) -> list[Token]:
     return words
 
 
-def _take_number(reader: Reader) -> list[Token]:
+def _take_number(reader: TokenReader) -> list[Token]:
     """Take the number after a name, which may have two words: `12`, `twenty one`."""
     reader.at += _says_number(reader)
     begin = reader.at
@@ -80,12 +80,12 @@ def _take_number(reader: Reader) -> list[Token]:
     return reader.tokens[begin : reader.at]
 
 
-def _says_number(reader: Reader) -> bool:
+def _says_number(reader: TokenReader) -> bool:
     """Return True if the word "number" of "room number 12" comes."""
     return reader.peek().text == "number" and is_number(reader, 1)
 
 
-def _is_lettered(reader: Reader) -> bool:
+def _is_lettered(reader: TokenReader) -> bool:
     """Return True if the letter here belongs to the word before it: "gate b"."""
     article = reader.peek().text == "a" and _goes_on(reader)
     return reader.peek(-1).text in nouns.NUMBERED and not article
@@ -100,17 +100,17 @@ def _spelled(words: list[Token]) -> str:
     return " ".join(texts)
 
 
-def _advance(reader: Reader) -> int:
+def _advance(reader: TokenReader) -> int:
     reader.at += 1
     return reader.at - 1
 
 
-def is_indefinite(reader: Reader) -> bool:
+def is_indefinite(reader: TokenReader) -> bool:
     """Return True if an `a` or `an` comes that is an article."""
     return reader.sees("word") and reader.peek().text in ("a", "an") and _goes_on(reader)
 
 
-def _goes_on(reader: Reader) -> bool:
+def _goes_on(reader: TokenReader) -> bool:
     """Return True if `a` is an article: a longer word or a quoted name follows it."""
     follower = reader.peek(1)
     return follower.kind == "quoted" or (
@@ -118,7 +118,7 @@ def _goes_on(reader: Reader) -> bool:
     )
 
 
-def _hardly_a_name(reader: Reader) -> bool:
+def _hardly_a_name(reader: TokenReader) -> bool:
     """Return True if `a` probably begins "a walk": no other letter is a name."""
     if reader.peek(-1).text == "be":  # "be a dear"
         return True
@@ -131,13 +131,13 @@ def is_letter(token: Token) -> bool:
     return token.kind == "word" and len(token.text) == 1 and token.text.isalpha()
 
 
-def _check(reader: Reader, words: list[Token]) -> None:
+def _check(reader: TokenReader, words: list[Token]) -> None:
     """Refuse words that are no name of known words."""
     texts = [token.text for token in words]
     odd = next((i for i, text in enumerate(texts) if text in _NEVER_IN_NAMES), None)
     if odd is not None:
         hint = "unknown word, and not an object"
-        (reader.deny if texts[odd] in _TURNS else reader.refuse)(hint, words[odd])
+        (reader.refuse_finally if texts[odd] in _TURNS else reader.refuse)(hint, words[odd])
     odd = nouns.unknown_in(texts)
     if odd is None:
         return
@@ -157,14 +157,14 @@ def _check(reader: Reader, words: list[Token]) -> None:
     reader.refuse(f'not a known object; if it is one, write "{whole}" in double quotes', words[0])
 
 
-def _canonical(reader: Reader, text: str, token: Token) -> str:
+def _canonical(reader: TokenReader, text: str, token: Token) -> str:
     try:
         return names.canonical(text)
     except names.NotANameError as error:
         reader.refuse(f"no name: {str(error).rpartition(' is no name: ')[2]}", token)
 
 
-def number_ahead(reader: Reader, last: Sequence[Sequence[str]]) -> Token | None:
+def number_ahead(reader: TokenReader, last: Sequence[Sequence[str]]) -> Token | None:
     """Return the token that joins "1" and "2" in "landmarks 1 and 2"; None for no such list."""
     head = _numbered_head(last[-1][-1])
     ahead = 1 if reader.sees("comma") else 0
@@ -174,7 +174,7 @@ def number_ahead(reader: Reader, last: Sequence[Sequence[str]]) -> Token | None:
     return reader.peek(ahead - 1) if goes_on and is_number(reader, ahead) else None
 
 
-def next_numbered(reader: Reader, last: Sequence[Sequence[str]]) -> str:
+def next_numbered(reader: TokenReader, last: Sequence[Sequence[str]]) -> str:
     """Parse `2` after "landmark 1", and return "landmark two"."""
     reader.skip("comma", "and", "or")
     token = reader.tokens[_advance(reader)]
@@ -189,7 +189,7 @@ def _numbered_head(name: str) -> str:
     return first if names.number([last]) is not None else ""
 
 
-def is_number(reader: Reader, ahead: int = 0) -> bool:
+def is_number(reader: TokenReader, ahead: int = 0) -> bool:
     """Return True if that token is a number that counts no visits."""
     if not reader.sees("number", ahead=ahead) or reader.sees("times", "or more", ahead=ahead + 1):
         return False

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.mission.language.compact import NAMES, OPERATORS, REFUSED, allowed
+from edge.mission.language.prefix_notation import NAMES, OPERATORS, REFUSED, allowed
 from edge.perception.runtime.card_types import TranslateCard
 from edge.perception.runtime.cards import load_card_of, verify_model
 from edge.perception.runtime.model_file import ModelError
@@ -33,14 +33,14 @@ VOCABULARY = "vocabulary"
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class FormulaHypothesis:
     """A hypothesis of the beam search: tokens of a formula, and their log probability [nats]."""
 
     tokens: tuple[str, ...]
     log_p: float
 
 
-class Network:
+class TranslationNetwork:
     """A session with the translation network, on one CPU core.
 
     Args:
@@ -55,7 +55,7 @@ class Network:
         self._open(verify_model(described))
 
     @classmethod
-    def of_file(cls, path: Path) -> Network:
+    def from_file(cls, path: Path) -> TranslationNetwork:
         """Return a network from a file that has no card yet."""
         network = cls.__new__(cls)
         network._open(path)
@@ -83,7 +83,9 @@ class Network:
         """The words of the vocabulary."""
         return tuple(t for t in self.tokens if t not in OPERATORS and not t.startswith("<"))
 
-    def formulas(self, words: Sequence[str], names: int, beam: int = BEAM) -> list[Written]:
+    def formulas(
+        self, words: Sequence[str], names: int, beam: int = BEAM
+    ) -> list[FormulaHypothesis]:
         """Return the most likely formulas over the first `names` placeholders, the best first.
 
         Beam search over the tokens that the prefix notation allows. Probabilities are normalised
@@ -93,7 +95,7 @@ class Network:
         target = np.array([[self._ids[TO_FORMULA]]], np.int64)
         logits, past = self._write(target, self._no_past, across)
         live: list[tuple[list[str], float]] = [([], 0.0)]
-        done: list[Written] = []
+        done: list[FormulaHypothesis] = []
         while live and len(live[0][0]) < MOST_TOKENS:
             grown: list[tuple[float, int, str]] = []
             for row, (tokens, log_p) in enumerate(live):
@@ -108,7 +110,7 @@ class Network:
             for log_p, row, token in grown[:beam]:
                 tokens = [*live[row][0], token]
                 if token == REFUSED or not any(allowed(tokens, names, MOST_TOKENS)):
-                    done.append(Written(tuple(tokens), log_p))
+                    done.append(FormulaHypothesis(tuple(tokens), log_p))
                 else:
                     following.append((tokens, log_p))
                     rows.append(row)
@@ -119,7 +121,9 @@ class Network:
             logits, past = self._write(target, past[:, rows], across)
         return sorted(done, key=lambda one: -one.log_p)[:beam]
 
-    def tellings(self, tokens: Sequence[str], sentences: Sequence[Sequence[str]]) -> list[float]:
+    def back_translation_log_p(
+        self, tokens: Sequence[str], sentences: Sequence[Sequence[str]]
+    ) -> list[float]:
         """Return the log probability [nats] of each sentence, given the formula.
 
         This back-translation checks a reading.

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from edge.mission.language.spoken import Clause, skip_particles
-from edge.mission.language.things import Memory, Things, starts_things, take_things
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.clause_parts import Clause, skip_particles
+from edge.mission.language.noun_phrases import (
+    Antecedents,
+    NounPhrase,
+    starts_noun_phrase,
+    take_noun_phrase,
+)
+from edge.mission.language.tokens import Token, TokenReader
 
 PASSING = ("through", "past", "along", "across", "via", "by", "over")
 """Particles after which a verb of motion means "pass": "walk past", "drive through"."""
@@ -18,7 +23,7 @@ _SETS_OUT = ("go", "move", "head", "travel", "walk", "drive", "fly")
 _ANY = ("any", "only", "a", "the", "some")
 
 
-def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
+def take_route(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool:
     """Parse `via a`, `, passing a` or `only through a` after a goal; return False if none comes."""
     length, only = _way_length(reader)
     if not length or clause.things is None:
@@ -37,23 +42,23 @@ def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
         return True
     if len(clause.things.groups) > 1:
         reader.refuse("unclear which one this is on the way to; use two sentences", token)
-    pass_by(reader, clause, take_things(reader, memory), token)
+    pass_by(reader, clause, take_noun_phrase(reader, memory), token)
     ahead = 1 if reader.sees("comma") else 0
     then = reader.peek(ahead)
-    if then.kind == "then" and starts_things(reader, ahead + 1) and reader.pick(then, 2) == 1:
+    if then.kind == "then" and starts_noun_phrase(reader, ahead + 1) and reader.pick(then, 2) == 1:
         reader.at += ahead + 1  # "via the sofa and then the bed": both may be on the way
-        pass_by(reader, clause, take_things(reader, memory), then)
+        pass_by(reader, clause, take_noun_phrase(reader, memory), then)
     while then.kind == "then" and _way_length(reader, ahead + 1)[0]:
         reader.at += ahead + 1
         reader.at += _way_length(reader)[0]  # "through the sofa and then through the bed"
-        pass_by(reader, clause, take_things(reader, memory), then)
+        pass_by(reader, clause, take_noun_phrase(reader, memory), then)
         ahead = 1 if reader.sees("comma") else 0
         then = reader.peek(ahead)
     clause.only_way = clause.only_way or only or bool(reader.take("only"))
     return True
 
 
-def _way_length(reader: Reader, begin: int = 0) -> tuple[int, bool]:
+def _way_length(reader: TokenReader, begin: int = 0) -> tuple[int, bool]:
     """Return the number of tokens before a passed object (0 if none), and True if one is "only"."""
     ahead = begin + (1 if reader.sees("comma", ahead=begin) else 0)
     aside = ahead > begin
@@ -72,17 +77,17 @@ def _way_length(reader: Reader, begin: int = 0) -> tuple[int, bool]:
     return 0, False
 
 
-def pass_by(reader: Reader, clause: Clause, passed: Things, token: Token) -> None:
+def pass_by(reader: TokenReader, clause: Clause, passed: NounPhrase, token: Token) -> None:
     """Add the passed objects to the route of a clause; after "and", their order is a choice."""
     several = len(passed.groups) > 1 and not passed.listed and not clause.order
     clause.several_ways = len(passed.groups) > 1
     if several and reader.pick(token, 2) == 1:
         clause.route.append(passed)
     else:
-        clause.route += [Things((group,)) for group in passed.groups]
+        clause.route += [NounPhrase((group,)) for group in passed.groups]
 
 
-def bound_ahead(reader: Reader, clause: Clause) -> bool:
+def bound_ahead(reader: TokenReader, clause: Clause) -> bool:
     """Return True if a destination comes here: "on the way to x", "to reach x"."""
     if reader.peek().text in ("when", "while") and reader.peek(1).text == "you":
         goes = reader.peek(2).text in _SETS_OUT and reader.sees("to", ahead=3)
@@ -90,7 +95,7 @@ def bound_ahead(reader: Reader, clause: Clause) -> bool:
     return reader.sees("bound") or (reader.sees("to") and reader.sees("verb", ahead=1))
 
 
-def take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
+def take_bound(reader: TokenReader, memory: Antecedents, clause: Clause) -> None:
     """Parse `go through x to reach y` (x, then y) or `avoid x on the way to y` (y without x)."""
     token = reader.peek()
     reader.at += 1
@@ -98,10 +103,12 @@ def take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
     while reader.take("verb"):
         skip_particles(reader, clause)
     clause.bound_by = token
-    lead(reader, memory, clause, take_things(reader, memory), token)
+    lead(reader, memory, clause, take_noun_phrase(reader, memory), token)
 
 
-def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: Token) -> None:
+def lead(
+    reader: TokenReader, memory: Antecedents, clause: Clause, bound: NounPhrase, token: Token
+) -> None:
     """Make the objects of a clause part of the way to its destination `bound`."""
     if clause.things is None:
         reader.refuse("expected something to do or to avoid here", token)
@@ -118,7 +125,7 @@ def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: T
     memory.ask(clause.things)
 
 
-def take_exception(reader: Reader, memory: Memory) -> Things | None:
+def take_exception(reader: TokenReader, memory: Antecedents) -> NounPhrase | None:
     """Parse `any room but a` or `the room that is not a`; return the exception, or None."""
     ahead = 0
     while reader.peek(ahead).text in _ANY:
@@ -147,4 +154,4 @@ def take_exception(reader: Reader, memory: Memory) -> Things | None:
         else:
             return None
     reader.at += ahead
-    return take_things(reader, memory, banned=True)
+    return take_noun_phrase(reader, memory, banned=True)

@@ -6,11 +6,12 @@ import itertools
 from collections import Counter
 from collections.abc import Container, Iterator, Sequence
 
-from edge.mission.language.goals import (
-    Every,
+from edge.mission.language.clause_parts import Count
+from edge.mission.language.goal_tree import (
+    AllOf,
+    AnyOf,
     Goal,
-    Some,
-    Steps,
+    InSequence,
     Visit,
     at_most,
     at_most_before,
@@ -21,14 +22,13 @@ from edge.mission.language.goals import (
     steps,
     visits,
 )
-from edge.mission.language.meaning import Meaning
-from edge.mission.language.spoken import Count
-from edge.mission.language.things import Things
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.meaning import ClauseMeaning
+from edge.mission.language.noun_phrases import NounPhrase
+from edge.mission.language.tokens import Token, TokenReader
 from edge.mission.logic.ltl import Formula
 
 
-def sequence_goal(sequence: Sequence[Meaning], reader: Reader) -> Goal:
+def sequence_goal(sequence: Sequence[ClauseMeaning], reader: TokenReader) -> Goal:
     """Return the goal of a sequence of steps with their rules."""
     parts: list[Goal] = []
     rules: list[Formula] = []
@@ -39,11 +39,11 @@ def sequence_goal(sequence: Sequence[Meaning], reader: Reader) -> Goal:
         rules += _banned(meaning, sequence[:i], after)
         rules += _without(meaning, after, reader)
         rules += _limited(meaning, after, reader)
-    return Every((steps(parts),) if parts else (), tuple(rules))
+    return AllOf((steps(parts),) if parts else (), tuple(rules))
 
 
 def anchored(
-    meaning: Meaning, sequence: Sequence[Meaning], asked: Container[str], then: bool
+    meaning: ClauseMeaning, sequence: Sequence[ClauseMeaning], asked: Container[str], then: bool
 ) -> None:
     """Put a clause's goals after the objects that it names as earlier.
 
@@ -70,7 +70,7 @@ def anchored(
         meaning.goals = [steps([*before, _together(meaning.goals)])]
 
 
-def put_first(meaning: Meaning, sequence: list[Meaning], of_all: bool) -> None:
+def put_first(meaning: ClauseMeaning, sequence: list[ClauseMeaning], of_all: bool) -> None:
     """Make a clause the first step, or the step before the last one.
 
     "Visit the sofa and the desk, but the desk first" asks for one visit to the desk.
@@ -80,56 +80,56 @@ def put_first(meaning: Meaning, sequence: list[Meaning], of_all: bool) -> None:
     sequence.insert(place, meaning)
 
 
-def put_last(meaning: Meaning, sequence: Sequence[Meaning]) -> None:
+def put_last(meaning: ClauseMeaning, sequence: Sequence[ClauseMeaning]) -> None:
     """Remove the goals of a last clause from the step before: `visit a and b, but visit b last`."""
     _leave_out(meaning, sequence[-1])
 
 
-def _leave_out(meaning: Meaning, step: Meaning) -> None:
+def _leave_out(meaning: ClauseMeaning, step: ClauseMeaning) -> None:
     """Remove the goals that a clause repeats from a step, unless nothing would be left."""
     said = frozenset(meaning.things.names)
     step.goals = [part for part in _parts(step) if not letters(part) <= said] or step.goals
 
 
-def _parts(step: Meaning) -> list[Goal]:
+def _parts(step: ClauseMeaning) -> list[Goal]:
     """Return the goals of a step, with its sets flattened."""
     return [
         part
         for goal in step.goals
-        for part in (goal.goals if isinstance(goal, Every) and not goal.rules else (goal,))
+        for part in (goal.goals if isinstance(goal, AllOf) and not goal.rules else (goal,))
     ]
 
 
 def _unwrapped(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
     """Return the only goal of nested sets with one goal, and the rules of these sets."""
     held: tuple[Formula, ...] = ()
-    while isinstance(goal, Every) and len(goal.goals) == 1:
+    while isinstance(goal, AllOf) and len(goal.goals) == 1:
         held, goal = (*held, *goal.rules), goal.goals[0]
     return goal, held
 
 
-def begun_with(goal: Goal, meaning: Meaning) -> Goal:
+def begun_with(goal: Goal, meaning: ClauseMeaning) -> Goal:
     """Return a, then b, before the return: `go to a. go to b. return to a.`."""
     said = frozenset(meaning.things.names)
     inner, held = _unwrapped(goal)
-    parts = inner.goals if isinstance(inner, Every) else ()
+    parts = inner.goals if isinstance(inner, AllOf) else ()
     start = tuple(part for part in parts if letters(part) & said)
     rest = tuple(part for part in parts if not letters(part) & said)
-    if not (isinstance(inner, Every) and start and rest):
+    if not (isinstance(inner, AllOf) and start and rest):
         return goal
-    return Every((steps([Every(start), Every(rest)]),), (*held, *inner.rules))
+    return AllOf((steps([AllOf(start), AllOf(rest)]),), (*held, *inner.rules))
 
 
-def without_last(goal: Goal, meaning: Meaning) -> Goal:
+def without_last(goal: Goal, meaning: ClauseMeaning) -> Goal:
     """Return the goal without its last clause: `visit a and b. b comes last.`."""
     said = frozenset(meaning.things.names)
     inner, held = _unwrapped(goal)
-    parts = inner.goals if isinstance(inner, Every) else ()
+    parts = inner.goals if isinstance(inner, AllOf) else ()
     rest = tuple(part for part in parts if not letters(part) <= said)
-    return Every(rest, (*held, *inner.rules)) if isinstance(inner, Every) and rest else goal
+    return AllOf(rest, (*held, *inner.rules)) if isinstance(inner, AllOf) and rest else goal
 
 
-def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
+def split_return(meaning: ClauseMeaning, sequence: list[ClauseMeaning]) -> None:
     """Put a before b for the return to a: `visit a, go to b, and return to a`."""
     said = frozenset(meaning.things.names)
     goals = _parts(sequence[0])
@@ -139,16 +139,18 @@ def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
         sequence[0].goals = [steps([_together(start), _together(rest)])]
 
 
-def passing_by(goal: Goal, passed: Goal, said: Token, reader: Reader) -> Goal:
+def passing_by(goal: Goal, passed: Goal, said: Token, reader: TokenReader) -> Goal:
     """Put b before the last step: `go to a. on the way, go to b`."""
     goal, held = _unwrapped(goal)
-    parts = goal.goals if isinstance(goal, Steps) else (goal,)
+    parts = goal.goals if isinstance(goal, InSequence) else (goal,)
     if not isinstance(parts[-1], Visit):
         reader.refuse("unclear where to; say 'on the way to …'", said)
-    return Every((steps([*parts[:-1], passed, parts[-1]]),), held)
+    return AllOf((steps([*parts[:-1], passed, parts[-1]]),), held)
 
 
-def visit_often(step: Meaning, things: Things, count: Count, token: Token, reader: Reader) -> None:
+def visit_often(
+    step: ClauseMeaning, things: NounPhrase, count: Count, token: Token, reader: TokenReader
+) -> None:
     """Repeat the last visit of a step: "go to a, leave it and repeat this twice more"."""
     visit = step.goals[-1] if step.goals else None
     if len(things.groups) != 1 or not isinstance(visit, Visit) or visit.options != things.groups[0]:
@@ -158,24 +160,24 @@ def visit_often(step: Meaning, things: Things, count: Count, token: Token, reade
         step.limits.append((visit.options, visit.times - 1 + count.most, None))
 
 
-def only_then(before: Meaning, after: Meaning) -> list[Formula]:
+def only_then(before: ClauseMeaning, after: ClauseMeaning) -> list[Formula]:
     """Return the rules of `x, only then y`: y not before x."""
     return held_until(after.things.names, before.things)
 
 
-def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formula]:
+def each_at_most(goal: Goal, n: int, token: Token, reader: TokenReader) -> list[Formula]:
     """Return the rules of `…; visit each place only once`.
 
     In a sequence, each limit lasts until the next step, if that is a single visit.
     """
     if isinstance(goal, Visit):
         return [at_most(goal.options, n)]
-    if isinstance(goal, Some):
+    if isinstance(goal, AnyOf):
         reader.refuse("say it for each alternative", token)
     visited = Counter(name for visit in single_visits(goal) for name in visit.options)
     if visited.most_common(1)[0][1] > 1:
         reader.refuse("one object is asked for more often; put all visits in one list", token)
-    if isinstance(goal, Every):
+    if isinstance(goal, AllOf):
         return [rule for part in goal.goals for rule in each_at_most(part, n, token, reader)]
     rules: list[Formula] = []
     for i, part in enumerate(goal.goals):
@@ -186,7 +188,7 @@ def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formu
                 reader.refuse("one object is asked for more often", token)
             in_turn = n == 1 and isinstance(before, Visit)
             if in_turn:  # its only visit comes after the one before
-                rules += held_until(visit.options, Things((before.options,)))
+                rules += held_until(visit.options, NounPhrase((before.options,)))
             if isinstance(after, Visit):
                 rules.append(at_most_before(visit.options, n, after.options))
             elif after is not None or not in_turn:
@@ -194,20 +196,20 @@ def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formu
     return rules
 
 
-def in_strict_order(goal: Goal, token: Token, reader: Reader) -> list[Formula]:
+def in_strict_order(goal: Goal, token: Token, reader: TokenReader) -> list[Formula]:
     """Return the rules of `…; no place out of turn`: each step only after all of the one before."""
     goal, _ = _unwrapped(goal)
-    if not isinstance(goal, Steps):
+    if not isinstance(goal, InSequence):
         reader.refuse("an order goes with a list: 'visit a, then b'", token)
     return [
         rule
         for before, after in itertools.pairwise(goal.goals)
         for visit in single_visits(before)
-        for rule in held_until(letters(after), Things((visit.options,)))
+        for rule in held_until(letters(after), NounPhrase((visit.options,)))
     ]
 
 
-def chained(waits: Sequence[tuple[tuple[str, ...], Things]]) -> Goal | None:
+def chained(waits: Sequence[tuple[tuple[str, ...], NounPhrase]]) -> Goal | None:
     """Return a, then b, then c for `do not visit c until b, and do not visit b until a`.
 
     Return None if the waits are no such chain.
@@ -225,21 +227,23 @@ def chained(waits: Sequence[tuple[tuple[str, ...], Things]]) -> Goal | None:
 
 
 def _together(goals: Sequence[Goal]) -> Goal:
-    return goals[0] if len(goals) == 1 else Every(tuple(goals))
+    return goals[0] if len(goals) == 1 else AllOf(tuple(goals))
 
 
-def _in_order(meaning: Meaning) -> list[Goal]:
+def _in_order(meaning: ClauseMeaning) -> list[Goal]:
     """Return a step's goals; "a, b, then …" without "and" is already a sequence."""
     if not meaning.listed:
         return [_together(meaning.goals)] if meaning.goals else []
     return [
         part
         for goal in meaning.goals
-        for part in (goal.goals if isinstance(goal, (Every, Steps)) else (goal,))
+        for part in (goal.goals if isinstance(goal, (AllOf, InSequence)) else (goal,))
     ]
 
 
-def _banned(meaning: Meaning, before: Sequence[Meaning], after: Sequence[Meaning]) -> list[Formula]:
+def _banned(
+    meaning: ClauseMeaning, before: Sequence[ClauseMeaning], after: Sequence[ClauseMeaning]
+) -> list[Formula]:
     """Return the rules of a step's bans.
 
     A ban is permanent. If this or another step asks for the same name, it lasts until its step is
@@ -256,7 +260,7 @@ def _banned(meaning: Meaning, before: Sequence[Meaning], after: Sequence[Meaning
     rules: list[Formula] = []
     for names in meaning.bans:
         for name in names:
-            own = Things(tuple(group for group in meaning.things.groups if name not in group))
+            own = NounPhrase(tuple(group for group in meaning.things.groups if name not in group))
             if name in visited and own.groups:
                 rules += [at_most_before([name], visited[name], end) for end in own.groups]
             elif name in asked and own.groups:
@@ -266,7 +270,9 @@ def _banned(meaning: Meaning, before: Sequence[Meaning], after: Sequence[Meaning
     return rules
 
 
-def _without(meaning: Meaning, after: Sequence[Meaning], reader: Reader) -> list[Formula]:
+def _without(
+    meaning: ClauseMeaning, after: Sequence[ClauseMeaning], reader: TokenReader
+) -> list[Formula]:
     """Return the rules of `go to x without y, then to z`: no y before x, or never y."""
     asked = {name for step in after for goal in step.goals for name in letters(goal)}
     rules: list[Formula] = []
@@ -285,7 +291,9 @@ def single_visits(goal: Goal) -> Iterator[Visit]:
             yield from single_visits(part)
 
 
-def _limited(meaning: Meaning, after: Sequence[Meaning], reader: Reader) -> list[Formula]:
+def _limited(
+    meaning: ClauseMeaning, after: Sequence[ClauseMeaning], reader: TokenReader
+) -> list[Formula]:
     """Return the rules of a step's limits.
 
     A limit lasts until the next step if that is a single visit, else it is permanent. "Go to b but

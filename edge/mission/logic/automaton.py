@@ -15,14 +15,14 @@ import numpy as np
 
 from edge.mission.logic import compiler as own_compiler
 from edge.mission.logic import spot_compiler
-from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileError, Effort
+from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileBudget, CompileError
 from edge.mission.logic.ltl import Formula, propositions
 
 __all__ = [
-    "NOTHING", "Automaton", "CompileError", "compile_formula", "implies", "shortest_word",
+    "NOTHING", "Automaton", "CompileError", "compile_formula", "implies", "shortest_trace",
 ]  # fmt: skip
 
-COMPILERS = {"own": own_compiler.language, "spot": spot_compiler.language}
+COMPILERS = {"own": own_compiler.minimal_automaton, "spot": spot_compiler.language}
 NOTHING = ""  # the letter of a step in which no object of the formula is reached
 
 
@@ -105,13 +105,13 @@ def compile_formula(
         >>> automaton.accepts(["bed", "sofa"]), automaton.accepts(["sofa", "bed"])
         (True, False)
     """
-    effort = Effort(max_states, max_steps)
+    effort = CompileBudget(max_states, max_steps)
     letters = propositions(formula)
     delta, accepting = COMPILERS[compiler](formula, letters, effort)
     return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, effort))
 
 
-def shortest_word(
+def shortest_trace(
     first: Automaton, second: Automaton, wanted: Callable[[int, int], bool]
 ) -> tuple[str, ...] | None:
     """Return a shortest trace to a pair of states that `wanted` accepts; None if there is none."""
@@ -132,11 +132,11 @@ def shortest_word(
 
 def implies(first: Automaton, second: Automaton) -> bool:
     """Return True if every trace that fulfils the first formula fulfils the second."""
-    example = shortest_word(first, second, lambda s, t: first.accepting[s] > second.accepting[t])
+    example = shortest_trace(first, second, lambda s, t: first.accepting[s] > second.accepting[t])
     return example is None
 
 
-def steps_left(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> np.ndarray:
+def steps_left(delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> np.ndarray:
     """Return `Automaton.steps_left`."""
     far = len(delta)
     left = np.where(accepting, 0, far).astype(np.int32)

@@ -19,7 +19,7 @@ from functools import reduce
 
 import numpy as np
 
-from edge.mission.logic.limits import PER_NODE, CompileError, Effort
+from edge.mission.logic.limits import PER_NODE, CompileBudget, CompileError
 from edge.mission.logic.ltl import Formula, postorder
 
 Dfa = tuple[np.ndarray, np.ndarray]
@@ -39,7 +39,7 @@ _TABLES = {
 }
 
 
-def language(formula: Formula, letters: Sequence[str], effort: Effort) -> Dfa:
+def minimal_automaton(formula: Formula, letters: Sequence[str], effort: CompileBudget) -> Dfa:
     """Return the minimal complete automaton of a formula over given letters and NOTHING.
 
     Args:
@@ -71,7 +71,7 @@ def language(formula: Formula, letters: Sequence[str], effort: Effort) -> Dfa:
     return minimal(*made[len(nodes) - 1], effort)
 
 
-def _nodes(formula: Formula, effort: Effort) -> list[Key]:
+def _nodes(formula: Formula, effort: CompileBudget) -> list[Key]:
     """Return the different subformulas after rewriting, operands before operators."""
     nodes = _Nodes()
     known: dict[int, int] = {}
@@ -149,7 +149,7 @@ def _reached(letter: int, width: int) -> Dfa:
     return delta, np.array([False, True, False])
 
 
-def _made(op: str, args: list[Dfa], effort: Effort) -> Dfa:
+def _made(op: str, args: list[Dfa], effort: CompileBudget) -> Dfa:
     """Return the minimal automaton of an operator; the order of its states is arbitrary."""
     match op:
         case "!":
@@ -163,7 +163,7 @@ def _made(op: str, args: list[Dfa], effort: Effort) -> Dfa:
     return reduce(lambda a, b: minimal(*_product(op, a, b, effort), effort), args)
 
 
-def _next(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> Dfa:
+def _next(delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> Dfa:
     """Return the automaton of X; it is minimal if the operand is minimal.
 
     X f means: there is a next step, and f accepts the rest from there.
@@ -185,7 +185,7 @@ def _next(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> Dfa:
     return swapped[delta[swapped]], accepting[swapped]
 
 
-def _product(op: str, a: Dfa, b: Dfa, effort: Effort) -> Dfa:
+def _product(op: str, a: Dfa, b: Dfa, effort: CompileBudget) -> Dfa:
     """Return the reachable product of two automata over the same letters."""
     (delta_a, accepts_a), (delta_b, accepts_b) = a, b
     width = len(delta_b)
@@ -217,7 +217,7 @@ class _Until:
     begun. Alternatives that another one includes are left out, so there are few.
     """
 
-    def __init__(self, a: Dfa, b: Dfa, effort: Effort) -> None:
+    def __init__(self, a: Dfa, b: Dfa, effort: CompileBudget) -> None:
         self._a, self._b, self._effort = a[0].tolist(), b[0].tolist(), effort
         self._a_accepts, self._b_accepts = a[1].tolist(), b[1].tolist()
         self._under_a, self._under_b = _Inclusion(*a, effort), _Inclusion(*b, effort)
@@ -292,7 +292,7 @@ def _sinks(delta: np.ndarray, accepting: np.ndarray) -> tuple[int, int]:
 class _Inclusion:
     """Language inclusion between states of an automaton, computed on demand."""
 
-    def __init__(self, delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> None:
+    def __init__(self, delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> None:
         self._rows, self._accepts, self._effort = delta.tolist(), accepting.tolist(), effort
         self._known: dict[tuple[int, int], bool] = {}
 
@@ -328,7 +328,7 @@ class _Inclusion:
         self._known |= dict.fromkeys(came_from, True)
 
 
-def minimal(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> Dfa:
+def minimal(delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> Dfa:
     """Return the automaton with equivalent states merged by partition refinement (Moore).
 
     Only reachable states stay; they are numbered breadth-first, letters in their order.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.mission.logic.automaton import Automaton
-from edge.mission.logic.compiler import language
-from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Effort
+from edge.mission.logic.compiler import minimal_automaton
+from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileBudget
 from edge.mission.logic.ltl import Formula, conj, propositions
 
 
@@ -49,7 +49,7 @@ def diagnose(
     )
     conflict: tuple[Formula, ...] = ()
     if not automaton.accepting.any():
-        conflict = _conflict(automaton.formula, Effort(max_states, max_steps))
+        conflict = _conflict(automaton.formula, CompileBudget(max_states, max_steps))
     return Diagnosis(conflict, bool(automaton.accepting.all()), unused)
 
 
@@ -66,7 +66,7 @@ def conjuncts(formula: Formula) -> tuple[Formula, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _conflict(formula: Formula, effort: Effort) -> tuple[Formula, ...]:
+def _conflict(formula: Formula, effort: CompileBudget) -> tuple[Formula, ...]:
     """Return a minimal contradictory subset of the conjuncts.
 
     Later conjuncts are dropped first, so the first parts of the instruction stay.
@@ -79,6 +79,6 @@ def _conflict(formula: Formula, effort: Effort) -> tuple[Formula, ...]:
     return tuple(kept)
 
 
-def _possible(formula: Formula, effort: Effort) -> bool:
-    _, accepting = language(formula, propositions(formula), effort)
+def _possible(formula: Formula, effort: CompileBudget) -> bool:
+    _, accepting = minimal_automaton(formula, propositions(formula), effort)
     return bool(accepting.any())

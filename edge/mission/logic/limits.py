@@ -20,7 +20,7 @@ class CompileError(UserError):
     """A formula whose automaton is too large or takes too much work."""
 
 
-class Effort:
+class CompileBudget:
     """The limits of one or several compilations, and the steps used so far.
 
     Attributes:

@@ -20,7 +20,7 @@ import numpy as np
 
 from edge.errors import UnavailableError
 from edge.mission.logic.compiler import minimal
-from edge.mission.logic.limits import CompileError, Effort
+from edge.mission.logic.limits import CompileBudget, CompileError
 from edge.mission.logic.ltl import UNARY, Formula, postorder
 
 _ALIVE = "alive"
@@ -52,9 +52,9 @@ def available() -> bool:
 
 
 def language(
-    formula: Formula, letters: Sequence[str], effort: Effort
+    formula: Formula, letters: Sequence[str], effort: CompileBudget
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the automaton, like `edge.mission.logic.compiler.language`, computed by Spot.
+    """Return the automaton, like `edge.mission.logic.compiler.minimal_automaton`, computed by Spot.
 
     Raises:
         UnavailableError: Spot is not installed.
@@ -83,7 +83,7 @@ def language(
 
 
 def _determined(
-    automaton, steps: list, impossible, effort: Effort
+    automaton, steps: list, impossible, effort: CompileBudget
 ) -> tuple[list[list[int]], list[bool]]:
     """Return the subset construction over letters; a deterministic input keeps its states."""
     states = [frozenset({automaton.get_init_state_number()})]

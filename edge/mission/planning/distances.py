@@ -30,7 +30,8 @@ def distances(
     snap_m: float = 1.2,
     cell_m: float = 0.2,
 ) -> np.ndarray:
-    """Return `Knowledge.distance_m`: driving distances from objects and the robot to objects.
+    """Return `MissionKnowledge.distance_m`: driving distances from objects and the robot to
+    objects.
 
     Paths are the shortest 8-connected ones without cutting corners. A path to an object ends at the
     free cell nearest to it, within `snap_m`. It may also end at a cell around the object that is
@@ -69,8 +70,8 @@ def distances(
     coarsen(snapshot.cells, factor, state)
     x_m, y_m = snapshot.origin_xy_m
     blocks, reach = Grid(state, (x_m - side_m, y_m - side_m), side_m), snap_m / side_m
-    ends = [_ends(state, blocks.of_metres(np.reshape(p, (-1, 2))), reach) for p in positions]
-    robot = nearest_cell(state, *blocks.of_metres(robot_xy_m), reach)
+    ends = [_ends(state, blocks.to_cells(np.reshape(p, (-1, 2))), reach) for p in positions]
+    robot = nearest_cell(state, *blocks.to_cells(robot_xy_m), reach)
     start = np.array([[robot, 0]] if robot >= 0 else [], np.int64).reshape(-1, 2)
     weight = np.array([0, 1.0, unknown_cost])
     step = np.rint(np.outer([STRAIGHT, DIAGONAL], weight)).astype(np.int32)

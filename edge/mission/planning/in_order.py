@@ -6,7 +6,7 @@ import numpy as np
 
 from edge.config import PlannerInOrder, PlannerVitl
 from edge.mission.logic.automaton import NOTHING, Automaton
-from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan, named
+from edge.mission.planning.plan import ACCEPTED, DEAD, MissionKnowledge, TargetPlan, named
 from edge.mission.planning.vitl import VitlPlanner
 
 
@@ -22,7 +22,9 @@ class InOrderPlanner:
         self.config = config
         self.automaton = automaton
 
-    def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
+    def plan(
+        self, state: int, knowledge: MissionKnowledge, current: str | None = None
+    ) -> TargetPlan:
         """Return the plan; see `Planner.plan`. The cost is the number of steps."""
         a = self.automaton
         if a.accepting[state]:
@@ -41,7 +43,7 @@ class InOrderPlanner:
             state = a.step(state, letter)
         cost, first = float(len(steps)), steps[0]
         reason = f"{named(first)} is the first in the sentence that is possible now"
-        return Plan(first or None, tuple(steps), cost, True, (), reason, ((first, cost),))
+        return TargetPlan(first or None, tuple(steps), cost, True, (), reason, ((first, cost),))
 
     def _first(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:
         for letter in (*self.automaton.letters, NOTHING):

@@ -12,7 +12,7 @@ from edge.mission.logic.automaton import NOTHING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Knowledge:
+class MissionKnowledge:
     """The sets of ViTL IV-A2, by letter of the automaton; unknown names are ignored.
 
     Attributes:
@@ -30,7 +30,7 @@ class Knowledge:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class TargetPlan:
     """A path to acceptance, or the reason why there is none.
 
     Attributes:
@@ -62,7 +62,9 @@ class Planner(Protocol):
     comes first in the formula.
     """
 
-    def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
+    def plan(
+        self, state: int, knowledge: MissionKnowledge, current: str | None = None
+    ) -> TargetPlan:
         """Return the best path from a state of the automaton.
 
         Args:
@@ -73,8 +75,8 @@ class Planner(Protocol):
         ...
 
 
-ACCEPTED = Plan(None, (), 0.0, True, (), "done: the formula is satisfied", ())
-DEAD = Plan(
+ACCEPTED = TargetPlan(None, (), 0.0, True, (), "done: the formula is satisfied", ())
+DEAD = TargetPlan(
     None, (), float("inf"), False, (), "the formula can no longer be satisfied, whatever is "
     "reached from here on", (),
 )  # fmt: skip
@@ -96,7 +98,7 @@ def named(letter: str) -> str:
     return "a step with none of the objects" if letter == NOTHING else letter
 
 
-def status(letter: str, knowledge: Knowledge) -> str:
+def status(letter: str, knowledge: MissionKnowledge) -> str:
     """Return the state of a letter, as a key of `_TARGET`."""
     if letter == NOTHING:
         return "nothing"
@@ -109,15 +111,15 @@ def status(letter: str, knowledge: Knowledge) -> str:
 def explain(
     target: str,
     options: Sequence[tuple[str, float]],
-    knowledge: Knowledge,
+    knowledge: MissionKnowledge,
     text: Callable[[float], str],
 ) -> str:
     """Return the status and cost of the target, and the best other choice, in one line.
 
     Args:
         target: the chosen letter.
-        options: see `Plan.options`.
-        knowledge: see `Knowledge`.
+        options: see `TargetPlan.options`.
+        knowledge: see `MissionKnowledge`.
         text: formats a cost.
 
     >>> known = Knowledge(detected=frozenset({"sofa"}))
@@ -139,7 +141,7 @@ def explain(
     return f"{words}; {other}: {text(cost[second])}"
 
 
-def explain_kept(current: str, best: str, gain: str, margin: str) -> str:
+def explain_hysteresis(current: str, best: str, gain: str, margin: str) -> str:
     """Return why the current target is kept although another one is slightly better."""
     return f"{current} is kept: {named(best)} first would save {gain}, not more than {margin}"
 

@@ -62,7 +62,7 @@ def cost_to_go(delta, accepting, order, weight, cost, steps):
 
 
 @njit(nogil=True, cache=True)
-def first_letters(delta, weight, cost, steps, state, place, out_cost, out_steps):
+def first_step_costs(delta, weight, cost, steps, state, place, out_cost, out_steps):
     """Write cost and steps of the best path that begins with each letter.
 
     Args:

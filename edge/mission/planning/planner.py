@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from edge.config import PlannerInOrder, PlannerOwn, PlannerVitl
-from edge.config.named import find_named
+from edge.config import PlannerInOrder, PlannerPlugin, PlannerVitl
+from edge.config.components import component_factory
 from edge.mission.logic.automaton import Automaton
 from edge.mission.logic.ltl import Formula
 from edge.mission.planning import distances
 from edge.mission.planning.in_order import InOrderPlanner
-from edge.mission.planning.plan import Knowledge, Plan, Planner
+from edge.mission.planning.plan import MissionKnowledge, Planner, TargetPlan
 from edge.mission.planning.vitl import VitlPlanner
 
-__all__ = ["Knowledge", "Plan", "Planner", "make_planner", "warm_up"]
+__all__ = ["MissionKnowledge", "Planner", "TargetPlan", "make_planner", "warm_up"]
 
 REGISTRY: dict[str, Any] = {
     "vitl": VitlPlanner,
@@ -30,7 +30,7 @@ REGISTRY: dict[str, Any] = {
 
 
 def make_planner(
-    config: PlannerVitl | PlannerInOrder | PlannerOwn,
+    config: PlannerVitl | PlannerInOrder | PlannerPlugin,
     automaton: Automaton,
     instruction: str = "",
     **keywords: Any,
@@ -53,13 +53,13 @@ def make_planner(
         >>> planner.plan(0, Knowledge(detected=frozenset({"sofa"}))).target
         'sofa'
     """
-    if isinstance(config, PlannerOwn):
+    if isinstance(config, PlannerPlugin):
         make = find_own_planner(config, "mission.planner")
         return make(automaton=automaton, instruction=instruction)
     return REGISTRY[config.kind](config, automaton, **keywords)
 
 
-def find_own_planner(config: PlannerOwn, where: str) -> Callable[..., Planner]:
+def find_own_planner(config: PlannerPlugin, where: str) -> Callable[..., Planner]:
     """Return a function that creates the configured plugin for a mission.
 
     Args:
@@ -67,10 +67,10 @@ def find_own_planner(config: PlannerOwn, where: str) -> Callable[..., Planner]:
         where: path of the section, for errors.
 
     Raises:
-        ConfigError: see `edge.config.named.find_named`.
+        ConfigError: see `edge.config.components.component_factory`.
     """
     needs, given = ("plan()",), ("automaton", "instruction")
-    return find_named("planner", config.kind, config.options, REGISTRY, where, needs, given)
+    return component_factory("planner", config.kind, config.options, REGISTRY, where, needs, given)
 
 
 def warm_up(weights: str) -> None:
@@ -82,6 +82,6 @@ def warm_up(weights: str) -> None:
         accepting=np.array([False, True]),
         steps_left=np.array([1, 0], np.int32),
     )
-    make_planner(PlannerVitl(weights=weights), automaton).plan(0, Knowledge())
+    make_planner(PlannerVitl(weights=weights), automaton).plan(0, MissionKnowledge())
     if weights == "distance":
         distances.warm_up()

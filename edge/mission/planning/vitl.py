@@ -12,11 +12,11 @@ from edge.mission.planning import plan_kernels as kernels
 from edge.mission.planning.plan import (
     ACCEPTED,
     DEAD,
-    Knowledge,
-    Plan,
+    MissionKnowledge,
+    TargetPlan,
     explain,
     explain_blocked,
-    explain_kept,
+    explain_hysteresis,
 )
 
 W_DET, W_FAIL = 0.01, 1000.0
@@ -71,7 +71,9 @@ class VitlPlanner:
         self._first_steps = np.empty(k + 1, np.int32)
         self._path = np.empty(n * places + 1, np.int32)
 
-    def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
+    def plan(
+        self, state: int, knowledge: MissionKnowledge, current: str | None = None
+    ) -> TargetPlan:
         """Return the plan; see `Planner.plan`.
 
         Raises:
@@ -84,7 +86,7 @@ class VitlPlanner:
             return DEAD
         self._weigh(knowledge)
         kernels.cost_to_go(a.delta, a.accepting, self._order, self._weight, self._cost, self._steps)
-        kernels.first_letters(
+        kernels.first_step_costs(
             a.delta, self._weight, self._cost, self._steps, state, self._here,
             self._first_cost, self._first_steps,
         )  # fmt: skip
@@ -106,16 +108,21 @@ class VitlPlanner:
         else:
             gain = self._text(self._float(cost[first] - cost[best]))
             margin = self._text(REPLAN_MARGIN_M)
-            reason = explain_kept(path[0], names[best], gain, margin)
-        return Plan(path[0] or None, path, self._float(cost[first]), True, (), reason, options)
+            reason = explain_hysteresis(path[0], names[best], gain, margin)
+        return TargetPlan(
+            path[0] or None, path, self._float(cost[first]), True, (), reason, options
+        )
 
     def _blocked(
-        self, path: tuple[str, ...], knowledge: Knowledge, options: tuple[tuple[str, float], ...]
-    ) -> Plan:
+        self,
+        path: tuple[str, ...],
+        knowledge: MissionKnowledge,
+        options: tuple[tuple[str, float], ...],
+    ) -> TargetPlan:
         """Return the infeasible plan if the best path needs failed objects, as few as possible."""
         needed = tuple(dict.fromkeys(c for c in path if c in knowledge.failed))
         reason = explain_blocked(needed)
-        return Plan(None, (), math.inf, False, needed, reason, options)
+        return TargetPlan(None, (), math.inf, False, needed, reason, options)
 
     def _kept(self, ranked: list[int], cost: list[int], current: str | None) -> int:
         """Return the current target's letter if it is within the margin, else the best letter."""
@@ -144,7 +151,7 @@ class VitlPlanner:
     def _text(self, cost: float) -> str:
         return f"{cost:.1f} m" if self._by_distance else f"{cost:.2f}"
 
-    def _weigh(self, knowledge: Knowledge) -> None:
+    def _weigh(self, knowledge: MissionKnowledge) -> None:
         """Write the weights (eq. 1, or metres) to `_weight`."""
         letters, weight = self.automaton.letters, self._weight
         known = knowledge.detected
@@ -167,7 +174,7 @@ def _metres(distance_m: np.ndarray | None, known: list[bool], explore_m: float) 
     """Return the weight in metres of each letter from each place; see `VitlPlanner`.
 
     Args:
-        distance_m: see `Knowledge.distance_m`; None if no distance is known.
+        distance_m: see `MissionKnowledge.distance_m`; None if no distance is known.
         known: True for each letter whose object is known.
         explore_m: weight of an unknown object.
 
@@ -192,11 +199,11 @@ def _metres(distance_m: np.ndarray | None, known: list[bool], explore_m: float) 
         )
         metres[-1, j] = here
     metres = np.maximum(metres, 0.0)
-    no_detours(metres)
+    close_triangle_inequality(metres)
     return metres
 
 
-def no_detours(metres: np.ndarray) -> None:
+def close_triangle_inequality(metres: np.ndarray) -> None:
     """Shorten distances from the robot to those by way of other objects, in place.
 
     Rounded distances, and distances between objects with several instances, can violate the

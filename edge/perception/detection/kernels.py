@@ -37,7 +37,7 @@ def is_sound(boxes, scores, i, far_px):
 
     Args:
         boxes: (a, 4) float32.
-        scores: (a, n) float32, from `fold`; each must lie in 0 to 1. NaN does not.
+        scores: (a, n) float32, from `best_per_class`; each must lie in 0 to 1. NaN does not.
         i: index of the anchor.
         far_px: largest distance of a corner from the origin.
     """
@@ -75,7 +75,7 @@ def iou(boxes, i, j):
 
 
 @njit(nogil=True, cache=True)
-def fold(scores, thing, out):
+def best_per_class(scores, thing, out):
     """Write the best score of each thing over its columns; NaN if any of them is NaN.
 
     A score over 1 by at most `ROUNDING` becomes 1, a score under 0 by at most `ROUNDING` becomes 0.
@@ -106,7 +106,7 @@ def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
 
     Args:
         boxes: (a, 4) float32.
-        scores: (a, n) float32, from `fold`.
+        scores: (a, n) float32, from `best_per_class`.
         n_named: number of targets and context words; things from there on only compete.
         tau: least score.
         far_px: see `is_sound`.
@@ -173,7 +173,7 @@ def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep
 
 
 @njit(nogil=True, cache=True)
-def strongest_rivals(
+def competing_scores(
     boxes, scores, competes, tau, top, anchor, label, keep, n, cut, iou_max, out
 ):  # fmt: skip
     """Write the best score of any competing thing at the place of each kept box.
@@ -181,7 +181,7 @@ def strongest_rivals(
     Args:
         boxes: (a, 4) float32.
         scores: (a, n) float32, as in `candidates`.
-        competes: (2, n_targets, n) bool, see `Columns.competes`.
+        competes: (2, n_targets, n) bool, see `TextClasses.competes`.
         tau: lower scores do not count.
         top: from `candidates`.
         anchor: from `candidates`.

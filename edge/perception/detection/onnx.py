@@ -14,11 +14,11 @@ import numpy as np
 from edge import config
 from edge.host import resources
 from edge.perception.detection import kernels
-from edge.perception.detection.columns import Columns, columns_for
 from edge.perception.detection.detector import check_rgb
+from edge.perception.detection.text_classes import TextClasses, text_classes_for
 from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import PromptError, TextEncoder, check_prompts, words_for
-from edge.perception.runtime.binding import Bound, bind
+from edge.perception.runtime.binding import BoundSession, bind
 from edge.perception.runtime.card_types import ImageCard
 from edge.perception.runtime.cards import (
     DetectCard,
@@ -28,11 +28,11 @@ from edge.perception.runtime.cards import (
     verify_model,
 )
 from edge.perception.runtime.engines import EngineOptions
-from edge.perception.runtime.health import UNSOUND, Health, Tell, log_progress
+from edge.perception.runtime.health import UNSOUND, Health, ProgressCallback, log_progress
 from edge.perception.runtime.sessions import (
     TENSORRT_PROVIDERS,
-    failing_as,
     open_session,
+    raise_as_model_error,
 )
 from edge.types import ContextBoxes, Detections, Observation
 
@@ -51,7 +51,7 @@ Prompts, synonyms, background and contrasts all count."""
 def engine_options(
     card: DetectCard | ImageCard,
     detector: config.DetectorOnnx,
-    progress: Tell = log_progress,
+    progress: ProgressCallback = log_progress,
 ) -> EngineOptions:
     """Return the TensorRT options of a model; only a detector's number of texts may change."""
     shapes = {}
@@ -75,12 +75,12 @@ class _Asked:
     """The current prompts and all buffers that are bound for them; replaced as a whole."""
 
     prompts: tuple[str, ...]
-    columns: Columns
+    columns: TextClasses
     folded: np.ndarray
     anchor: np.ndarray
     label: np.ndarray
     score: np.ndarray
-    bound: Bound | None
+    bound: BoundSession | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ class OnnxDetector:
     the context; of context boxes that overlap, only the one with the best score is kept. The best
     score of a competing thing at the place of a box is its `Detections.rival`. Words for the same
     thing (chair, armchair) do not compete. A thing is looked for under all names that the text
-    encoder has for it; see `Columns`.
+    encoder has for it; see `TextClasses`.
 
     Args:
         detector: names the card, the providers and the background.
@@ -146,7 +146,7 @@ class OnnxDetector:
         self,
         detector: config.DetectorOnnx,
         prompts: Sequence[str],
-        progress: Tell = log_progress,
+        progress: ProgressCallback = log_progress,
         session: Any = None,
         text: TextEncoder | None = None,
     ) -> None:
@@ -181,12 +181,12 @@ class OnnxDetector:
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
         """See `Detector.set_prompts`."""
-        with failing_as(f"model {self.name}: it cannot be given the prompts"):
+        with raise_as_model_error(f"model {self.name}: it cannot be given the prompts"):
             self._asked = self._ask(check_prompts(prompts))
 
     def _ask(self, prompts: tuple[str, ...]) -> _Asked:
         """Encode prompts and bind buffers for them, which may take GPU memory."""
-        columns = columns_for(prompts, self._background, self._text)
+        columns = text_classes_for(prompts, self._background, self._text)
         text = self._text.embed(columns.words)
         if text.shape[1] > MAX_COLUMNS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
             raise PromptError(
@@ -260,7 +260,7 @@ class OnnxDetector:
         asked = self._asked
         self._fill_input(np.ascontiguousarray(rgb))
         boxes, scores = asked.bound.run()
-        kernels.fold(scores[0], asked.columns.thing, asked.folded)
+        kernels.best_per_class(scores[0], asked.columns.thing, asked.folded)
         if invalid := kernels.count_unsound(boxes[0], asked.folded, self._far_px):
             raise ModelError(f"model {self.name}: {invalid} boxes are {UNSOUND}")
         return asked.folded[:, : len(asked.prompts)].max(axis=0)
@@ -282,7 +282,7 @@ class OnnxDetector:
         self._images.fill(self.card.preprocess.letterbox_pad * self._scale)
         text = np.zeros((1, 1, self.card.text_dim), np.float32)
         text[..., 0] = 1.0
-        with failing_as(f"model {self.name}: it fails at its first image"):
+        with raise_as_model_error(f"model {self.name}: it fails at its first image"):
             boxes, scores = self._session.run(
                 list(OUTPUTS), {"images": self._images, "txt_feats": text}
             )
@@ -327,7 +327,7 @@ class OnnxDetector:
         """
         tau, targets = np.float32(self.config.tau_vl), len(asked.prompts)
         named = targets + len(asked.columns.context)
-        kernels.fold(scores, asked.columns.thing, asked.folded)
+        kernels.best_per_class(scores, asked.columns.thing, asked.folded)
         found, invalid = kernels.candidates(
             boxes, asked.folded, named, tau, self._far_px, asked.anchor, asked.label, asked.score,
             self._top,
@@ -340,7 +340,7 @@ class OnnxDetector:
                 )  # fmt: skip
             self.invalid_boxes += invalid
         mine = self._keep(asked, boxes, found, (0, targets), self._mine)
-        kernels.strongest_rivals(
+        kernels.competing_scores(
             boxes, asked.folded, asked.columns.competes, tau, self._top, asked.anchor, asked.label,
             mine.kept, len(mine.kept), mine.cut, NMS_IOU, self._against,
         )  # fmt: skip

@@ -12,10 +12,10 @@ from dataclasses import replace
 from edge import config
 from edge.perception.detection.detector import check_rgb
 from edge.perception.embedding.text import PromptError, check_prompts
-from edge.perception.process.kept import KeptProcess, Pause
-from edge.perception.process.link import Link
+from edge.perception.process.link import ModelProcessClient
+from edge.perception.process.supervised import RestartDelay, SupervisedProcess
 from edge.perception.process.wire import ModelProcessError
-from edge.perception.runtime.health import Health, Tell, log_progress
+from edge.perception.runtime.health import Health, ProgressCallback, log_progress
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 _CHECK_S = 0.25  # longest wait of the loop for the process to accept prompts
 
 
-class ProcessDetector(KeptProcess):
+class ProcessDetector(SupervisedProcess):
     """A detector (`Detector`) whose model runs in its own process; see `edge.perception.process`.
 
     While no process is ready, `detect` raises at once.
@@ -42,9 +42,9 @@ class ProcessDetector(KeptProcess):
 
     def __init__(
         self,
-        perception: config.Perception,
+        perception: config.PerceptionConfig,
         prompts: Sequence[str],
-        progress: Tell = log_progress,
+        progress: ProgressCallback = log_progress,
         cancelled: threading.Event | None = None,
     ) -> None:
         super().__init__(perception.detector.model, perception.process)
@@ -53,7 +53,7 @@ class ProcessDetector(KeptProcess):
         self._prompts = self._looked_for = tuple(prompts)
         self._progress = progress
         self._own, self._reported = Health(), Health()
-        self._answered: Link | None = None
+        self._answered: ModelProcessClient | None = None
         self._invalid_before = 0
         self._cancelled = cancelled or threading.Event()
         self._begin("model-process")
@@ -101,7 +101,7 @@ class ProcessDetector(KeptProcess):
         return self._reported
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
-        """See `KeptProcess`.
+        """See `SupervisedProcess`.
 
         It starts with the current prompts: encoding them may take longer than an image. If they are
         unusable it starts with the last usable ones, and `detect` reports the error.
@@ -120,12 +120,12 @@ class ProcessDetector(KeptProcess):
         return self._run_link(first, request, self._load)
 
     def _ready(self, again: bool) -> None:
-        """See `KeptProcess`."""
+        """See `SupervisedProcess`."""
         self._reported = Health()
         self._say(Health())
 
-    def _ended(self, why: str, failed: Exception | None, pause: Pause) -> None:
-        """See `KeptProcess`; the state is `degraded` if the model can no longer be loaded."""
+    def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
+        """See `SupervisedProcess`; the state is `degraded` if the model can no longer be loaded."""
         known = failed is None or isinstance(failed, ModelProcessError)
         state = "restarting" if known and not pause.limit else "degraded"
         self._say(Health(state, f"{why}; {self._outlook(pause)}"))
@@ -138,7 +138,7 @@ class ProcessDetector(KeptProcess):
         self._own = health
         self._progress(health)
 
-    def _outlook(self, pause: Pause) -> str:
+    def _outlook(self, pause: RestartDelay) -> str:
         if not pause.limit:
             return f"restarts in {pause.seconds:.1f} s"
         return f"ended too often, restarts in {pause.seconds:.0f} s"

@@ -15,8 +15,8 @@ from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import check_prompts
 from edge.perception.runtime.card_types import DetectCard
 from edge.perception.runtime.cards import ModelError
-from edge.perception.runtime.health import Health, Tell, log_progress
-from edge.perception.runtime.kserve import RemoteSession
+from edge.perception.runtime.health import Health, ProgressCallback, log_progress
+from edge.perception.runtime.kserve import KServeSession
 from edge.types import Detections, Observation
 
 PAUSE_S, MAX_PAUSE_S = 0.2, 5.0
@@ -47,13 +47,13 @@ class RemoteDetector:
         detector: config.DetectorOnnx,
         card: DetectCard,
         prompts: Sequence[str],
-        progress: Tell = log_progress,
+        progress: ProgressCallback = log_progress,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.name = card.name
         self._config, self._progress, self._clock = detector, progress, clock
         self._text = make_text_encoder(card, detector.vocabulary)
-        self._session = RemoteSession(card)
+        self._session = KServeSession(card)
         self._inner: OnnxDetector | None = None  # once the server has answered
         self._invalid_before = 0  # invalid boxes of earlier models
         self._health = Health()

@@ -176,7 +176,7 @@ class SimDetector:
         wanted = tuple(e if e in self._present else n for e, n in zip(exact, nouns, strict=True))
         around = self.config.background
         there = sorted(self._present) if around is None else map(names.canonical, around)
-        words = names.outside(there, (*wanted, *prompts))
+        words = names.non_targets(there, (*wanted, *prompts))
         number = {word: len(prompts) + i for i, word in enumerate(words)}
         for i in reversed(range(len(wanted))):  # the first of two prompts for one thing wins
             number[wanted[i]] = i

@@ -128,9 +128,9 @@ class ClipImageEncoder:
         self.card = card
         self.dim = card.dim
         if card.server is not None:
-            from edge.perception.runtime.kserve import RemoteSession  # loads httpx: rarely needed
+            from edge.perception.runtime.kserve import KServeSession  # loads httpx: rarely needed
 
-            self._session = RemoteSession(card)
+            self._session = KServeSession(card)
         else:
             path = verify_model(card, believe_cache=True)
             self._session = open_session(path, providers, threads, device_id, engine)

@@ -24,7 +24,7 @@ from edge.errors import UserError
 from edge.host import resources
 from edge.host.files import open_regular
 from edge.perception.runtime.model_file import ModelError
-from edge.perception.runtime.sessions import failing_as
+from edge.perception.runtime.sessions import raise_as_model_error
 from edge.text import one_line
 
 log = logging.getLogger(__name__)
@@ -123,7 +123,7 @@ def run_encoder(session: Any, file: str, name: str, batch: np.ndarray, dim: int)
     Raises:
         ModelError: the model fails, or its output is anything else.
     """
-    with failing_as(f"{file}: it fails"):
+    with raise_as_model_error(f"{file}: it fails"):
         (rows,) = session.run(["embeddings"], {name: batch})
     norms = np.linalg.norm(rows, axis=-1)
     shape = (len(batch), dim)

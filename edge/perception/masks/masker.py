@@ -100,7 +100,7 @@ def make_segmenter(settings: Settings) -> Segmenter:
     return SamSegmenter(settings)
 
 
-def make_masker(perception: config.Perception, timed: bool = True) -> Masker | None:
+def make_masker(perception: config.PerceptionConfig, timed: bool = True) -> Masker | None:
     """Make the masker that the configuration asks for; None: no masks.
 
     Raises:

@@ -31,7 +31,7 @@ from edge.perception.runtime.card_types import SegmentCard
 from edge.perception.runtime.cards import ModelError, load_card_of, verify_model
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.onnx_file import MASK_OUTPUTS, PROMPTS
-from edge.perception.runtime.sessions import DTYPES, TENSORRT, failing_as, open_session
+from edge.perception.runtime.sessions import DTYPES, TENSORRT, open_session, raise_as_model_error
 from edge.types import MASK_SIDE
 
 _KEY = "perception.segmenter.providers"
@@ -79,7 +79,7 @@ class SamSegmenter:
         std = np.array(card.preprocess.std, np.float32)
         self._gain = np.float32(card.preprocess.scale) / std
         self._offset = -np.array(card.preprocess.mean, np.float32) / std
-        with failing_as(f"model {self.name}: it fails at its first image"):
+        with raise_as_model_error(f"model {self.name}: it fails at its first image"):
             whole = np.array([[0, 0, 32, 32]], np.float32)
             out = np.zeros((1, MASK_SIDE, MASK_SIDE), np.bool_)
             self.segment(np.zeros((32, 32, 3), np.uint8), whole, out, Deadline(None))

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.perception.prior.table import Table
+from edge.perception.prior.table import ObjectPrior
 
 NEAR_M = 3.0
 """Radius around a place for the objects that count, and for the target."""
 
 
-def lift(table: Table, row: int, near: np.ndarray, out: np.ndarray) -> None:
+def likelihood_ratio(table: ObjectPrior, row: int, near: np.ndarray, out: np.ndarray) -> None:
     """Write the likelihood ratio of a target near each place.
 
     It is P(target near | near) / P(target near | nothing known).

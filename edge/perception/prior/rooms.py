@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.perception.prior.table import Table
+from edge.perception.prior.table import ObjectPrior
 
 _PRIOR_ROOMS = 4.0
 """Pseudo-count of average rooms, added to each kind; pulls small counts to the average."""
 
 
-def chances(table: Table) -> np.ndarray:
+def object_given_room(table: ObjectPrior) -> np.ndarray:
     """Return P(a thing is in view in a room | its kind): (kinds, things) float64, in (0, 1)."""
     share = (table.kind_rooms_with.sum(0) + 0.5) / (table.kind_rooms.sum() + 1.0)
     return (table.kind_rooms_with + _PRIOR_ROOMS * share) / (
@@ -18,43 +18,45 @@ def chances(table: Table) -> np.ndarray:
     )
 
 
-def average(table: Table) -> np.ndarray:
+def room_prior(table: ObjectPrior) -> np.ndarray:
     """Return P(kind) of a room without evidence: (kinds,) float64, sums to 1."""
     return table.kind_rooms / table.kind_rooms.sum()
 
 
-def beliefs(table: Table, chance: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Return P(kind | objects seen there), by a naive Bayes with a discount (`Table.evidence`).
+def room_posterior(table: ObjectPrior, chance: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """Return P(kind | objects seen there): naive Bayes, discounted by `ObjectPrior.evidence`.
 
     Objects that were not seen do not count: a region is seldom seen as a whole.
 
     Args:
         table: the prior.
-        chance: see `chances`.
+        chance: see `object_given_room`.
         held: (m, things) float32 in [0, 1], confidence that each thing is in each region.
 
     Returns:
         (m, kinds) float64, rows sum to 1.
     """
-    prior = average(table)
+    prior = room_prior(table)
     log_ratio = np.log(chance) - np.log(prior @ chance)
     log_p = np.log(prior) + table.evidence * (held @ log_ratio.T)
     p = np.exp(log_p - log_p.max(1, keepdims=True))
     return p / p.sum(1, keepdims=True)
 
 
-def next_door(table: Table, belief: np.ndarray) -> np.ndarray:
+def adjacent_room_posterior(table: ObjectPrior, belief: np.ndarray) -> np.ndarray:
     """Return P(kind) of the room behind a door of each region: (m, kinds) float64.
 
     Args:
         table: the prior.
         belief: (m, kinds), of the regions.
     """
-    p = belief @ (table.neighbours * average(table))
+    p = belief @ (table.neighbours * room_prior(table))
     return p / p.sum(1, keepdims=True)
 
 
-def at_places(table: Table, chance: np.ndarray, held: np.ndarray, beside: np.ndarray) -> np.ndarray:
+def room_posterior_at(
+    table: ObjectPrior, chance: np.ndarray, held: np.ndarray, beside: np.ndarray
+) -> np.ndarray:
     """Return P(kind) of the room that each place is in: (m, kinds) float64.
 
     It follows from the objects in the place's region; without any, from the adjacent region;
@@ -62,14 +64,14 @@ def at_places(table: Table, chance: np.ndarray, held: np.ndarray, beside: np.nda
 
     Args:
         table: the prior.
-        chance: see `chances`.
-        held: (m, things) float32 in [0, 1], of the place's region; see `beliefs`.
+        chance: see `object_given_room`.
+        held: (m, things) float32 in [0, 1], of the place's region; see `room_posterior`.
         beside: (m, things) float32, the same of an adjacent region; see `neighbours`.
     """
-    belief = beliefs(table, chance, held)
+    belief = room_posterior(table, chance, held)
     nothing = ~held.any(1)
-    belief[nothing] = next_door(table, beliefs(table, chance, beside[nothing]))
-    belief[nothing & ~beside.any(1)] = average(table)
+    belief[nothing] = adjacent_room_posterior(table, room_posterior(table, chance, beside[nothing]))
+    belief[nothing & ~beside.any(1)] = room_prior(table)
     return belief
 
 
@@ -78,7 +80,7 @@ def neighbours(border: np.ndarray, held: np.ndarray) -> np.ndarray:
 
     Args:
         border: (n + 1, n + 1), length of each common border.
-        held: (n + 1, things), see `beliefs`; region 0 is none.
+        held: (n + 1, things), see `room_posterior`; region 0 is none.
 
     Returns:
         (n + 1,) int64; 0 for none.
@@ -86,12 +88,14 @@ def neighbours(border: np.ndarray, held: np.ndarray) -> np.ndarray:
     return np.where(held.any(1), border, 0).argmax(1)
 
 
-def lift(chance: np.ndarray, prior: np.ndarray, row: int, belief: np.ndarray) -> np.ndarray:
+def likelihood_ratio(
+    chance: np.ndarray, prior: np.ndarray, row: int, belief: np.ndarray
+) -> np.ndarray:
     """Return the likelihood ratio P(the room holds the target | belief) / P(a room holds it).
 
     Args:
-        chance: see `chances`.
-        prior: see `average`.
+        chance: see `object_given_room`.
+        prior: see `room_prior`.
         row: of the target; -1: the ratio is 1.
         belief: (m, kinds).
 

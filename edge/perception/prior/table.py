@@ -27,7 +27,7 @@ SCALE = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Table:
+class ObjectPrior:
     """Counts and weights; n things, k kinds of room.
 
     Attributes:
@@ -89,7 +89,7 @@ def _rows(things: tuple[str, ...]) -> dict[str, int]:
     return {name: i for i, name in enumerate(things)}
 
 
-def parse(data: dict[str, Any]) -> Table:
+def parse(data: dict[str, Any]) -> ObjectPrior:
     """Build the table from a file's content."""
     n, rooms, near = len(data["things"]), data["kinds"], data["near"]
     both = np.zeros((n, n), np.int64)
@@ -99,7 +99,7 @@ def parse(data: dict[str, Any]) -> Table:
     for target, by_thing in near["weight"].items():
         for thing, value in by_thing.items():
             weight[data["things"].index(target), data["things"].index(thing)] = value / SCALE
-    return Table(
+    return ObjectPrior(
         data["rooms"],
         tuple(data["things"]),
         both,
@@ -115,7 +115,7 @@ def parse(data: dict[str, Any]) -> Table:
 
 
 def _neighbours(doors: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Return `Table.neighbours`, from counts of door-sharing rooms and of all pairs of rooms."""
+    """Return `ObjectPrior.neighbours` from counts of door-sharing and of all pairs of rooms."""
     by_chance = pairs * doors.sum() / max(pairs.sum(), 1.0)
     ratio = (doors + _PRIOR_DOORS) / (by_chance + _PRIOR_DOORS)
     np.fill_diagonal(ratio, 1.0)
@@ -123,6 +123,6 @@ def _neighbours(doors: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=1)
-def load() -> Table:
+def load() -> ObjectPrior:
     """Load the table that comes with the package."""
     return parse(json.loads(FILE.read_text(encoding="utf-8")))

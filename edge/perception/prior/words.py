@@ -8,7 +8,7 @@ import numpy as np
 
 from edge import config, names
 from edge.perception.embedding.text import PromptError, find_vocabulary, load_vocabulary
-from edge.perception.prior.table import Table
+from edge.perception.prior.table import ObjectPrior
 
 log = logging.getLogger(__name__)
 
@@ -19,7 +19,7 @@ Of the pairs of different things in the table, one in ten reaches it. Of 30 syno
 vocabulary for one of its things, 15 reach it, none of them wrongly."""
 
 
-class Words:
+class PriorWordIndex:
     """Rows of words in the table, each found once.
 
     Args:
@@ -28,7 +28,7 @@ class Words:
     """
 
     def __init__(
-        self, table: Table, vocabulary: tuple[list[str], np.ndarray] | None = None
+        self, table: ObjectPrior, vocabulary: tuple[list[str], np.ndarray] | None = None
     ) -> None:
         self._table = table
         self._found: dict[str, int] = {}
@@ -69,11 +69,13 @@ class Words:
         return None if at is None else self._vectors[at]
 
 
-def make_words(table: Table, detector: config.DetectorOnnx | config.DetectorSim) -> Words:
+def make_words(
+    table: ObjectPrior, detector: config.DetectorOnnx | config.DetectorSim
+) -> PriorWordIndex:
     """Make the words of a detector, with its vocabulary if it has one."""
     if detector.kind == "onnx":
         try:
-            return Words(table, load_vocabulary(find_vocabulary(detector.vocabulary)))
+            return PriorWordIndex(table, load_vocabulary(find_vocabulary(detector.vocabulary)))
         except PromptError as error:
             log.info("prior: no text embeddings, words outside its table are ignored: %s", error)
-    return Words(table)
+    return PriorWordIndex(table)

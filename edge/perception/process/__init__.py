@@ -16,7 +16,8 @@ process (`serve_detector.py`):
     {id} or {id, error, text}. The prompts of the next request on `images` take effect.
  6. Sizes, types and values of every answer are checked (`wire.py`); nothing is unpickled. One
     request is under way at a time. A process that does not answer within `timeout_s`, or answers
-    nonsense, is killed. A process that ended is started again by the rules of `kept.Restarts`.
+    nonsense, is killed. A process that ended is started again by the rules of
+    `kept.RestartBackoff`.
  7. SIGTERM ends the process, and the kernel ends it (PR_SET_PDEATHSIG) with its parent.
 
 A model for VLM frontier selection (`scoring/choice/process.py`) gets its requests on `images`: a

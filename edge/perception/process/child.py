@@ -22,7 +22,7 @@ _FIRST_TO_GO = "1000"  # out of memory, the kernel kills this process first: it 
 _NO_MEMORY = ("failed to allocate memory", "bad_alloc", "bad allocation", "out of memory")
 
 
-def begin() -> tuple[dict[str, Any], socket.socket, socket.socket, FrameView]:
+def set_up_child() -> tuple[dict[str, Any], socket.socket, socket.socket, FrameView]:
     """Set up this process from the request on stdin.
 
     Returns:
@@ -46,7 +46,7 @@ def _end_with(parent: int) -> None:
         sys.exit(1)
 
 
-def by_kind(error: Exception) -> Exception:
+def as_memory_error(error: Exception) -> Exception:
     """Return a MemoryError in place of an out-of-memory error of onnxruntime or CUDA.
 
     Other errors are returned as they are.

@@ -21,7 +21,7 @@ from edge.host.children import python_module
 from edge.logs import LEVELS, JsonFormatter
 from edge.perception.process import wire
 from edge.perception.process.wire import FrameFile, ModelProcessError, shared_dir
-from edge.perception.runtime.health import Tell
+from edge.perception.runtime.health import ProgressCallback
 from edge.text import read_json_object
 
 log = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ _KILL_S = 5.0  # a process stuck in the kernel, such as in a GPU driver, survive
 T = TypeVar("T")
 
 
-class Link:
+class ModelProcessClient:
     """A process that was started; it can be asked once `wait_ready` has returned.
 
     The kernel ends the process with the thread that makes this object.
@@ -80,7 +80,7 @@ class Link:
         self,
         timeout_s: float,
         cancelled: Callable[[], bool],
-        progress: Tell,
+        progress: ProgressCallback,
         limit: str = "perception.process.start_timeout_s",
     ) -> dict[str, Any]:
         """Wait until the model is loaded and has run once.
@@ -125,7 +125,9 @@ class Link:
         except ValueError as error:
             raise self.give_up(f"damaged message ({error}): killed") from None
 
-    def detect(self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float) -> wire.Answer:
+    def detect(
+        self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float
+    ) -> wire.DetectorReply:
         """Detect the prompts in an image.
 
         Args:

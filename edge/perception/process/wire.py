@@ -17,7 +17,7 @@ import numpy as np
 
 from edge.perception.embedding.text import PromptError
 from edge.perception.runtime.cards import ModelError
-from edge.perception.runtime.health import Health, fault_of
+from edge.perception.runtime.health import Health, invalid_boxes_reason
 from edge.text import bounded_repr, one_line
 from edge.types import ContextBoxes, Detections
 
@@ -38,7 +38,7 @@ class ModelProcessError(ModelError):
     """The model's process failed or is not ready: one line."""
 
 
-class Answer(NamedTuple):
+class DetectorReply(NamedTuple):
     """Detections of one image (without its observation), and the detector's health."""
 
     found: Detections
@@ -81,7 +81,7 @@ def encode_error(error: BaseException, **header: int) -> bytes:
     return encode(**header, error=type(error).__name__, text=str(error))
 
 
-def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
+def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorReply:
     """Check and decode the output of `encode_answer`.
 
     Raises:
@@ -113,7 +113,7 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
         None, xyxy, score, class_id, tuple(prompts), rival if header.get("rival") is True else None,
         context,
     )  # fmt: skip
-    return Answer(found, decode_health(header), invalid)
+    return DetectorReply(found, decode_health(header), invalid)
 
 
 def _check_words(what: str, words: Any) -> None:
@@ -128,7 +128,7 @@ def _unpacked(
     reals = np.frombuffer(block, "<f4").astype(np.float32)
     xyxy, score, rival = reals[: 4 * n].reshape(n, 4), reals[4 * n : 5 * n], reals[6 * n :]
     class_id = np.frombuffer(block, "<i4")[5 * n : 6 * n].astype(np.int32)
-    if fault := fault_of(xyxy, score, rival):
+    if fault := invalid_boxes_reason(xyxy, score, rival):
         raise ValueError(fault)
     if not ((class_id >= 0) & (class_id < len(words))).all():
         raise ValueError(f"classes that are not among {len(words)} prompts")

@@ -24,7 +24,7 @@ DEVICES = {
 Shapes = Mapping[str, tuple[int, ...]]
 
 
-class Bound(Protocol):
+class BoundSession(Protocol):
     """A session with its inputs and outputs."""
 
     def run(self) -> Sequence[np.ndarray]:
@@ -34,7 +34,7 @@ class Bound(Protocol):
 
 def bind(
     session: Any, inputs: Mapping[str, np.ndarray], outputs: Shapes, live: Sequence[str]
-) -> Bound:
+) -> BoundSession:
     """Bind a session's float32 inputs and outputs.
 
     Args:
@@ -66,7 +66,7 @@ class HostBound:
             binding.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
 
     def run(self) -> Sequence[np.ndarray]:
-        """See `Bound.run`."""
+        """See `BoundSession.run`."""
         self._binding.synchronize_inputs()
         self._session.run_with_iobinding(self._binding)
         self._binding.synchronize_outputs()
@@ -110,7 +110,7 @@ class DeviceBound:
             binding.bind_ortvalue_output(name, value)
 
     def run(self) -> Sequence[np.ndarray]:
-        """See `Bound.run`."""
+        """See `BoundSession.run`."""
         for value, array in self._live:
             value.update_inplace(array)
         self._binding.synchronize_inputs()

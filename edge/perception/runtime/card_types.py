@@ -76,14 +76,14 @@ class SourcePath(_Source):
 Source = Annotated[Union[SourceUrl, SourceWheel, SourcePath], Field(discriminator="kind")]
 
 
-class Input(_Part):
+class ImageSize(_Part):
     """Size of the image that the network takes, in pixels."""
 
     height: Side
     width: Side
 
 
-class EncoderInput(_Part):
+class EncoderImageSize(_Part):
     """Size of the image that an image encoder takes, in pixels; CLIP ViT-L/14 takes 336."""
 
     height: Annotated[int, Field(ge=16)]
@@ -157,7 +157,7 @@ class EmbeddingParity(_Part):
     rank_agreement: float | None
 
 
-class Server(_Part):
+class InferenceServer(_Part):
     """A server that runs a model by KServe's protocol, version 2 (docs/remote.md).
 
     Attributes:
@@ -214,7 +214,7 @@ class _FileCard(BaseCard):
             hash.
     """
 
-    server: Server | None = None
+    server: InferenceServer | None = None
     file: OnnxName | None = Field(default=None, validate_default=True)
     sha256: Sha256 | None = Field(default=_NOT_GIVEN, validate_default=True)
     precision: Precision
@@ -269,7 +269,7 @@ class DetectCard(_FileCard):
     """
 
     task: Literal["detect"]
-    input: Input
+    input: ImageSize
     preprocess: Preprocess
     parity: Parity | None
     text_dim: Positive
@@ -302,7 +302,7 @@ class ImageCard(_FileCard):
     """An image encoder: `pixels` (1, 3, h, w) float32 → `embeddings` (1, dim) float32."""
 
     task: Literal["image"]
-    input: EncoderInput
+    input: EncoderImageSize
     preprocess: Normalise
     parity: EmbeddingParity | None
     dim: Positive
@@ -312,7 +312,7 @@ class MaskEncoderCard(_FileCard):
     """The image encoder of a `SegmentCard`: an image (1, 3, h, w) float32 → features, float32."""
 
     task: Literal["segment"] = "segment"
-    input: Input
+    input: ImageSize
 
 
 class MaskDecoderCard(_FileCard):
@@ -348,7 +348,7 @@ class SegmentCard(BaseCard):
     encoder: PartFile
     decoder: PartFile
     precision: Precision
-    input: Input
+    input: ImageSize
     preprocess: Normalise
     fit: Literal["pad", "stretch"] = "pad"
     prompt_px: Positive = 1024
@@ -390,7 +390,7 @@ class MarksCard(_FileCard):
     """
 
     task: Literal["marks"]
-    input: Input
+    input: ImageSize
     preprocess: Preprocess
     text_dim: Positive
     text_encoder: str

@@ -35,7 +35,7 @@ from edge.perception.runtime.card_types import (
 )
 from edge.perception.runtime.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
 from edge.perception.runtime.onnx_file import check_file, check_network
-from edge.text import bounded_repr, one_line, read_json_object, without_secrets
+from edge.text import bounded_repr, one_line, read_json_object, redact
 
 log = logging.getLogger(__name__)
 
@@ -143,7 +143,7 @@ def read_card(path: Path) -> Card:
     return card
 
 
-def check_here(card: Card) -> None:
+def check_installed(card: Card) -> None:
     """Check that every file of a card is here, unless a server runs the model.
 
     Raises:
@@ -155,7 +155,7 @@ def check_here(card: Card) -> None:
         else:
             missing = [] if file.server is not None or file.is_here() else [file.path]
         if missing:
-            raise ModelError(f"{missing[0]}: model {card.name} is not there; {how_to_get(file)}")
+            raise ModelError(f"{missing[0]}: model {card.name} is not there; {install_hint(file)}")
 
 
 def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
@@ -174,12 +174,12 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
     """
     path = card.path
     if card.server is not None:
-        raise ModelError(f"model {card.name}: no file of it is here, {how_to_get(card)}")
+        raise ModelError(f"model {card.name}: no file of it is here, {install_hint(card)}")
     if not card.is_here():
-        raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
+        raise ModelError(f"{path}: model {card.name} is not there; {install_hint(card)}")
     if not _has_its_hash(card, path, believe_cache):
         raise ModelError(
-            f"{sidecar(path)}: no sha256 to check the model against; {how_to_get(card)}"
+            f"{sidecar(path)}: no sha256 to check the model against; {install_hint(card)}"
         )
     check_file(path, card)
     return path
@@ -194,11 +194,11 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
     for part in card.parts:
         path = card.path_of(part)
         if not os.path.isfile(path):
-            raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
+            raise ModelError(f"{path}: model {card.name} is not there; {install_hint(card)}")
         sha256, size = expected_of_part(card, part)
         if sha256 is None:
             raise ModelError(
-                f"{sidecar(path)}: no sha256 to check the file against; {how_to_get(card)}"
+                f"{sidecar(path)}: no sha256 to check the file against; {install_hint(card)}"
             )
         _hold_to(card, path, sha256, size, believe_cache)
     covered = {part.file for part in card.parts}
@@ -246,21 +246,22 @@ def _hold_to(
     found = path.stat().st_size
     if size is not None and found != size:
         what = "truncated" if found < size else "longer than expected"
-        raise ModelError(f"{path}: {what}: {found} of {size} bytes; {how_to_get(card)}")
+        raise ModelError(f"{path}: {what}: {found} of {size} bytes; {install_hint(card)}")
     believed = believe_cache and trusts_cache() and known_sha256(path) == expected
     if not believed and fresh_sha256(path) != expected:
         raise ModelError(
-            f"{path}: damaged or another model: sha256 is not {expected[:12]}…; {how_to_get(card)}"
+            f"{path}: damaged or another model: sha256 is not {expected[:12]}…; "
+            f"{install_hint(card)}"
         )
 
 
-def how_to_get(card: FileCard | ChoiceCard) -> str:
+def install_hint(card: FileCard | ChoiceCard) -> str:
     """Return what to do to get a model's file, for the end of a message."""
     if isinstance(card, ChoiceCard):
         from_where = "" if card.url is not None else " --from FOLDER"
         return f"run `edge models pull {card.name}{from_where}`"
     if card.server is not None:
-        return f"the server {without_secrets(card.server.url)} runs it"
+        return f"the server {redact(card.server.url)} runs it"
     if card.path.parent == resources.data_dir("models"):
         return "reinstall edge-vln, which brings it"
     if any(source.sha256 == card.sha256 for source in card.sources):

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from typing import Any
 
 from edge.perception.runtime.model_file import ModelError
-from edge.perception.runtime.sessions import reason_of
+from edge.perception.runtime.sessions import short_reason
 
 FIRST_RUN_S = 600.0
 _NO_MEMORY = ("allocate memory", "bad_alloc", "bad allocation", "out of memory")
 
 
-class Deadline:
+class InferenceTimeout:
     """A time limit for session runs, which abort when it passes or on `end`.
 
     Attributes:
@@ -54,9 +54,9 @@ class Deadline:
             elif options.terminate:
                 why = f"no answer within {seconds:g} s (perception.choice.time_limit_s)"
             elif isinstance(error, MemoryError) or any(s in text.lower() for s in _NO_MEMORY):
-                why = f"out of memory ({reason_of(error)}): take a smaller variant"
+                why = f"out of memory ({short_reason(error)}): take a smaller variant"
             else:
-                why = f"it fails: {reason_of(error)}"
+                why = f"it fails: {short_reason(error)}"
             raise ModelError(f"model {self._name}: {why}") from None
         finally:
             timer.cancel()

@@ -26,7 +26,7 @@ from pathlib import Path
 from edge.host import resources
 from edge.host.files import make_writable, read_regular, sync
 from edge.perception.runtime.cuda import gpu_of
-from edge.perception.runtime.health import Health, Tell, log_progress
+from edge.perception.runtime.health import Health, ProgressCallback, log_progress
 from edge.perception.runtime.model_file import (
     ModelError,
     check_unchanged,
@@ -38,7 +38,7 @@ log = logging.getLogger(__name__)
 
 MIN_FREE_BYTES = 256 << 20
 """Least free disk space for a build: enough for the models here, with a reserve."""
-TELL_EVERY_S = 5.0
+REPORT_PERIOD_S = 5.0
 _MANIFEST = "engine.json"
 _MODE = 0o755  # of an engine's folder: mkdtemp's mode would exclude other users of the cache
 _FIRST = "this takes minutes the first time"
@@ -65,7 +65,7 @@ class EngineOptions:
     precision: str
     shapes: Mapping[str, tuple[Shape, Shape, Shape]] = field(default_factory=dict)
     cache: Path | None = None
-    progress: Tell = log_progress
+    progress: ProgressCallback = log_progress
     sha256: str | None = None
 
     @property
@@ -73,7 +73,7 @@ class EngineOptions:
         return self.cache or resources.cache_dir() / "engines"
 
 
-def engine_of(
+def cached_engine(
     path: Path,
     options: EngineOptions,
     build: Callable[[Path, Callable[[str], None]], None],
@@ -106,15 +106,15 @@ def engine_of(
 
     def build_with_progress(folder: Path) -> None:
         check_unchanged(path, sha256)
-        with telling(options.model, options.progress) as note:
+        with report_progress(options.model, options.progress) as note:
             build(folder, note)
 
-    return obtain(key, options.folder, build_with_progress, options.progress)
+    return get_or_build(key, options.folder, build_with_progress, options.progress)
 
 
 @contextlib.contextmanager
-def telling(
-    model: str, progress: Tell, first: str = _FIRST, every_s: float = TELL_EVERY_S
+def report_progress(
+    model: str, progress: ProgressCallback, first: str = _FIRST, every_s: float = REPORT_PERIOD_S
 ) -> Iterator[Callable[[str], None]]:
     """Call `progress` at once and then every few seconds: a build must not look like a hang.
 
@@ -154,7 +154,9 @@ def folder_name(key: Key) -> str:
     return f"{key['model']}-{hashlib.sha256(content).hexdigest()[:20]}"
 
 
-def obtain(key: Key, cache: Path, build: Callable[[Path], None], progress: Tell) -> Path:
+def get_or_build(
+    key: Key, cache: Path, build: Callable[[Path], None], progress: ProgressCallback
+) -> Path:
     """Return the folder of an engine, readable for every user; build it if it is missing.
 
     Args:
@@ -247,7 +249,7 @@ def _seal(made: Path, key: Key) -> None:
 
 
 @contextlib.contextmanager
-def _locked(path: Path, progress: Tell) -> Iterator[None]:
+def _locked(path: Path, progress: ProgressCallback) -> Iterator[None]:
     """Hold a lock, which the system releases when its holder dies."""
     try:
         file = path.open("a")
@@ -257,6 +259,6 @@ def _locked(path: Path, progress: Tell) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            with telling(path.stem, progress, "another process builds it, waiting"):
+            with report_progress(path.stem, progress, "another process builds it, waiting"):
                 fcntl.flock(file, fcntl.LOCK_EX)
         yield

@@ -31,7 +31,7 @@ class Health(NamedTuple):
 UNSOUND = "not finite, far outside the image, or scored outside 0 to 1"
 """Description of dropped boxes, in every message about them."""
 
-Tell = Callable[[Health], None]
+ProgressCallback = Callable[[Health], None]
 """Called every few seconds with the health of a detector that is loading; on any thread."""
 
 
@@ -40,7 +40,9 @@ def log_progress(health: Health) -> None:
     log.info("%s: %s", health.state, health.detail)
 
 
-def fault_of(xyxy_px: np.ndarray, score: np.ndarray, rival: np.ndarray | None = None) -> str:
+def invalid_boxes_reason(
+    xyxy_px: np.ndarray, score: np.ndarray, rival: np.ndarray | None = None
+) -> str:
     """Return the fault of a detector's boxes and scores; "" if there is none."""
     if not np.isfinite(xyxy_px).all():
         return "boxes that are not finite"

@@ -17,12 +17,19 @@ from typing import Literal
 import httpx
 import numpy as np
 
-from edge.host.http import Connection, Exchange, GivenUpError, Reply, explanation, failure
+from edge.host.http import (
+    CancellableRequest,
+    CuttableConnection,
+    HttpReply,
+    RequestCancelledError,
+    explanation,
+    failure_reason,
+)
 from edge.perception.runtime import kserve_messages as messages
 from edge.perception.runtime.card_types import DetectCard, ImageCard
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.onnx_file import FLOAT, INT64, Value, wanted
-from edge.text import one_line, without_secrets
+from edge.text import one_line, redact
 
 KSERVE = "kserve"
 MOST_BYTES = 16 << 20
@@ -41,11 +48,11 @@ class ServerError(ModelError):
     """
 
     def __init__(self, model: str, url: str, kind: Kind, what: str) -> None:
-        super().__init__(f"model {model}: the server {without_secrets(url)} is {kind}: {what}")
+        super().__init__(f"model {model}: the server {redact(url)} is {kind}: {what}")
         self.kind = kind
 
 
-class RemoteSession:
+class KServeSession:
     """A session on a server, for one thread at a time; any thread may close it.
 
     The server is not asked before the first run.
@@ -61,7 +68,7 @@ class RemoteSession:
         inputs, outputs = wanted(card)
         self._inputs, self._outputs = _specs(inputs), _specs(outputs)
         self._line: _Line | None = None
-        self._under_way: Exchange | None = None
+        self._under_way: CancellableRequest | None = None
         self._lock, self._closed = threading.Lock(), False
 
     def get_providers(self) -> list[str]:
@@ -82,9 +89,9 @@ class RemoteSession:
         inputs: Mapping[str, np.ndarray],
         outputs: Mapping[str, tuple[int, ...]],
         live: Sequence[str],
-    ) -> RemoteBound:
+    ) -> KServeBoundSession:
         """See `edge.perception.runtime.binding.bind`; every input goes with every request."""
-        return RemoteBound(self, inputs, outputs)
+        return KServeBoundSession(self, inputs, outputs)
 
     def infer(
         self, feed: Mapping[str, np.ndarray], shapes: Mapping[str, messages.Shape]
@@ -108,7 +115,7 @@ class RemoteSession:
         with self._lock:
             self._closed, under_way = True, self._under_way
         if under_way is not None:
-            under_way.give_up(GivenUpError())
+            under_way.give_up(RequestCancelledError())
         self._hang_up(at_work=under_way is not None)
 
     def _connect(self, until_s: float) -> _Line:
@@ -129,7 +136,7 @@ class RemoteSession:
         until_s: float,
         headers: Mapping[str, str] = MappingProxyType({}),
         body: bytes | None = None,
-    ) -> Reply:
+    ) -> HttpReply:
         """Send a request; return the whole answer, of status 200.
 
         Args:
@@ -147,7 +154,7 @@ class RemoteSession:
         if path is not None:
             url += f"/models/{self._server.model}{path}"
         left_s = until_s - time.monotonic()
-        exchange = Exchange(line.connection)
+        exchange = CancellableRequest(line.connection)
         with self._lock:
             if self._closed:
                 raise self._error("dead", "it is no longer asked")
@@ -159,15 +166,15 @@ class RemoteSession:
                 method, url, headers={**headers, "Accept-Encoding": "identity"}, content=body,
                 timeout=left_s,
             )  # fmt: skip
-            reply = exchange.carry_out(line.client, request, MOST_BYTES, left_s)
-        except GivenUpError:
+            reply = exchange.send(line.client, request, MOST_BYTES, left_s)
+        except RequestCancelledError:
             raise self._error("dead", "it is no longer asked") from None
         except (TimeoutError, httpx.TimeoutException):
             limit_s = self._server.time_limit_s
             what = f"no whole answer within {limit_s:g} s; use a faster one, or raise time_limit_s"
             raise self._error("slow", what) from None
         except Exception as error:  # httpx wraps most, but not all, socket errors
-            raise self._error("dead", failure(error)) from None
+            raise self._error("dead", failure_reason(error)) from None
         finally:
             with self._lock:
                 self._under_way = None
@@ -202,12 +209,12 @@ class RemoteSession:
                 line.client.close()
 
 
-class RemoteBound:
+class KServeBoundSession:
     """A bound session of a server; outputs are copied into its own arrays."""
 
     def __init__(
         self,
-        session: RemoteSession,
+        session: KServeSession,
         inputs: Mapping[str, np.ndarray],
         outputs: Mapping[str, tuple[int, ...]],
     ) -> None:
@@ -215,7 +222,7 @@ class RemoteBound:
         self._outputs = [np.empty(shape, np.float32) for shape in outputs.values()]
 
     def run(self) -> Sequence[np.ndarray]:
-        """See `Bound.run`; raises ServerError."""
+        """See `BoundSession.run`; raises ServerError."""
         found = self._session.infer(self._inputs, self._shapes)
         for mine, came in zip(self._outputs, found, strict=True):
             np.copyto(mine, came)
@@ -230,7 +237,7 @@ class _Line:
         verify = ssl.create_default_context() if url.startswith("https:") else False
         limits = httpx.Limits(max_connections=1, max_keepalive_connections=1, keepalive_expiry=None)
         self.client = httpx.Client(verify=verify, trust_env=False, limits=limits)
-        self.connection = Connection()
+        self.connection = CuttableConnection()
 
 
 def _specs(values: Sequence[Value]) -> dict[str, tuple[str, messages.Shape]]:
@@ -241,9 +248,9 @@ def _specs(values: Sequence[Value]) -> dict[str, tuple[str, messages.Shape]]:
     }
 
 
-def _refusal(reply: Reply) -> str:
+def _refusal(reply: HttpReply) -> str:
     if 300 <= reply.status < 400:
-        where = one_line(without_secrets(reply.headers.get("Location", "nowhere")))
+        where = one_line(redact(reply.headers.get("Location", "nowhere")))
         return f"HTTP {reply.status}, see {where}; configure another URL"
     reason = explanation(reply.body)
     reason = reason.decode("utf-8", "replace") if isinstance(reason, bytes) else reason

@@ -18,7 +18,7 @@ import numpy as np
 
 from edge.errors import UserError
 from edge.perception.runtime import tensorrt
-from edge.perception.runtime.engines import EngineOptions, engine_of
+from edge.perception.runtime.engines import EngineOptions, cached_engine
 from edge.perception.runtime.model_file import ModelError
 from edge.text import one_line
 
@@ -134,7 +134,7 @@ def _open_onnxruntime(
 
     if ORT_TENSORRT not in providers:
         return load(engine.folder)
-    built = engine_of(
+    built = cached_engine(
         path,
         engine,
         lambda folder, _: load(folder),
@@ -153,7 +153,7 @@ def _load(
         # Its fallback would print, and use other providers than those named.
         session = ort.InferenceSession(str(path), options, providers=providers, enable_fallback=0)
     except Exception as error:  # onnxruntime raises many types
-        raise ModelError(f"{path}: onnxruntime cannot load it: {reason_of(error)}") from None
+        raise ModelError(f"{path}: onnxruntime cannot load it: {short_reason(error)}") from None
     # A provider that fails to start is only logged by onnxruntime, which then uses the CPU.
     if missing := [p for p, _ in providers if p not in session.get_providers()]:
         raise ModelError(
@@ -165,7 +165,7 @@ def _load(
 
 
 @contextlib.contextmanager
-def failing_as(what: str) -> Iterator[None]:
+def raise_as_model_error(what: str) -> Iterator[None]:
     """Turn any error of a model or its runtime within the block into a ModelError of one line.
 
     Args:
@@ -180,7 +180,7 @@ def failing_as(what: str) -> Iterator[None]:
         raise ModelError(f"{what}: {reason}") from None
 
 
-def reason_of(error: Exception) -> str:
+def short_reason(error: Exception) -> str:
     """Return onnxruntime's reason without the path and source location in front of it."""
     text = " ".join(str(error).split()) or type(error).__name__
     text = re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", text)

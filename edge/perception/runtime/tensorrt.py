@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from edge.perception.runtime.binding import Bound, Shapes
+from edge.perception.runtime.binding import BoundSession, Shapes
 from edge.perception.runtime.cuda import Device
-from edge.perception.runtime.engines import EngineOptions, engine_of
+from edge.perception.runtime.engines import EngineOptions, cached_engine
 from edge.perception.runtime.model_file import ModelError
 from edge.text import one_line
 
@@ -55,7 +55,7 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
         plan = build_plan(trt, path, options.shapes, note)
         (folder / _PLAN).write_bytes(plan)
 
-    folder = engine_of(
+    folder = cached_engine(
         path,
         options,
         build,
@@ -149,24 +149,24 @@ def make_monitor(trt: Any, note: Callable[[str], None]) -> Any:
         def phase_start(self, phase_name: str, parent_phase: str | None, num_steps: int) -> None:
             with lock:
                 phases[phase_name] = [parent_phase, max(1, num_steps), 0]
-                note(how_far(phases))
+                note(progress_text(phases))
 
         def step_complete(self, phase_name: str, step: int) -> bool:
             with lock:
                 if phase_name in phases:
                     phases[phase_name][2] = step + 1  # counted from 0
-                note(how_far(phases))
+                note(progress_text(phases))
             return True  # go on
 
         def phase_finish(self, phase_name: str) -> None:
             with lock:
                 phases.pop(phase_name, None)
-                note(how_far(phases))
+                note(progress_text(phases))
 
     return Monitor()
 
 
-def how_far(phases: Mapping[str, Sequence[Any]]) -> str:
+def progress_text(phases: Mapping[str, Sequence[Any]]) -> str:
     """Return the outermost phase and its share done, inner phases included; "" if there is none.
 
     Args:
@@ -212,7 +212,9 @@ class TensorrtSession:
             shapes = {name: tuple(self._context.get_tensor_shape(name)) for name in names}
         return list(self.bind(feeds, shapes, live=()).run())
 
-    def bind(self, inputs: Mapping[str, np.ndarray], outputs: Shapes, live: Sequence[str]) -> Bound:
+    def bind(
+        self, inputs: Mapping[str, np.ndarray], outputs: Shapes, live: Sequence[str]
+    ) -> BoundSession:
         """See `edge.perception.runtime.binding.bind`."""
         return TensorrtBound(self, inputs, outputs, live)
 
@@ -264,7 +266,7 @@ class TensorrtBound:
         device.wait()
 
     def run(self) -> Sequence[np.ndarray]:
-        """See `Bound.run`."""
+        """See `BoundSession.run`."""
         device = self._session.device
         with self._session.exclusive:
             device.use()

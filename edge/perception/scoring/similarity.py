@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from edge.config import DetectorOnnx, Perception
+from edge.config import DetectorOnnx, PerceptionConfig
 from edge.perception.detection.onnx import OnnxDetector, engine_options
 from edge.perception.detection.remote import RemoteDetector
 from edge.perception.embedding.clip import CPU, ClipImageEncoder, ClipTextEncoder
@@ -131,7 +131,7 @@ def best_scores(detections: Detections) -> np.ndarray:
     return best
 
 
-def is_running_detector(card: SimilarityCard, perception: Perception) -> bool:
+def is_running_detector(card: SimilarityCard, perception: PerceptionConfig) -> bool:
     """Return True if the scorer's detector is the running one, so that it need not run twice."""
     running = perception.detector
     same = isinstance(running, DetectorOnnx) and running.model == card.detector
@@ -139,7 +139,7 @@ def is_running_detector(card: SimilarityCard, perception: Perception) -> bool:
 
 
 def make_similarity(
-    card: SimilarityCard, perception: Perception, prompts: Sequence[str]
+    card: SimilarityCard, perception: PerceptionConfig, prompts: Sequence[str]
 ) -> SimilarityScorer:
     """Make the scorer of a card, with its own model sessions.
 
@@ -176,7 +176,7 @@ def make_similarity(
     return pair
 
 
-def similarity_card(perception: Perception) -> SimilarityCard | None:
+def similarity_card(perception: PerceptionConfig) -> SimilarityCard | None:
     """Return the card of the configured scorer, None if there is none.
 
     Raises:

@@ -1,7 +1,7 @@
 """Swap of a model in the running service, in steps that never block the loop.
 
 A thread loads and tries the new model while the old one keeps running. After the switch the new
-model is on probation, and the old one stays open. `Swap.step` only checks if the next step is
+model is on probation, and the old one stays open. `ModelSwap.step` only checks if the next step is
 due. A swap that fails at any point leaves the old model running, and logs one line.
 """
 
@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any, Generic
 
 from edge.errors import UserError
-from edge.host.interruptible import start_unjoined
+from edge.host.interruptible import start_detached_thread
 from edge.host.worker import LONGEST_ERROR
 from edge.perception.swap.trial import failure
 from edge.perception.worker import Item, Model, ModelWorker
@@ -23,12 +23,12 @@ from edge.text import one_line
 
 log = logging.getLogger(__name__)
 
-OVER = ("kept", "rolled back", "refused")
+FINAL_STATES = ("kept", "rolled back", "refused")
 LOAD_TIMEOUT_S = 600.0
 LOOK_S = 0.02  # polling period of the thread
 CLOSE_S = 5.0
 
-Tell = Callable[[str, int, int], object]
+LogCallback = Callable[[str, int, int], object]
 """Called with a line, the loop's time in ns, and the log level."""
 
 
@@ -36,11 +36,11 @@ class SwapError(UserError):
     """The reason why no swap was begun; one line."""
 
 
-class Attempt(ABC, Generic[Model, Item]):
+class SwapAttempt(ABC, Generic[Model, Item]):
     """One model that is to replace a worker's model.
 
     Its own thread loads and tries the model, and at the end closes the model that lost. The
-    worker's thread calls `see`; the caller of `Swap.step` calls the other methods.
+    worker's thread calls `see`; the caller of `ModelSwap.step` calls the other methods.
 
     Attributes:
         name: name of the new model.
@@ -65,7 +65,7 @@ class Attempt(ABC, Generic[Model, Item]):
     def start(self) -> None:
         """Load and try the model, on the attempt's thread."""
         self._worker.watch = self.see
-        self.thread = start_unjoined("swap", self._run)
+        self.thread = start_detached_thread("swap", self._run)
 
     @abstractmethod
     def see(self, model: Model, item: Item, outcome: object) -> None:
@@ -100,7 +100,7 @@ class Attempt(ABC, Generic[Model, Item]):
         """
 
     def status(self) -> dict[str, object]:
-        """See `Swap.status`."""
+        """See `ModelSwap.status`."""
         before = "loading" if self.model is None else "checking"
         return {
             "state": "on probation" if self.switched else before,
@@ -144,7 +144,7 @@ class Attempt(ABC, Generic[Model, Item]):
         loser.close()
 
 
-class Swap(Generic[Model]):
+class ModelSwap(Generic[Model]):
     """Swaps a worker's model; all its methods must be called from one thread, the loop's.
 
     Args:
@@ -153,22 +153,22 @@ class Swap(Generic[Model]):
         clock: returns seconds, for `LOAD_TIMEOUT_S`.
 
     Attributes:
-        outcomes: number of swaps since the start, by outcome (`OVER`).
+        outcomes: number of swaps since the start, by outcome (`FINAL_STATES`).
         number: number of swaps that were begun.
     """
 
     def __init__(
         self,
         worker: ModelWorker[Any, Any, Model],
-        report: Tell,
+        report: LogCallback,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._worker, self._report, self._clock = worker, report, clock
-        self._attempt: Attempt[Model, Any] | None = None
-        self._ended: list[Attempt[Model, Any]] = []
+        self._attempt: SwapAttempt[Model, Any] | None = None
+        self._ended: list[SwapAttempt[Model, Any]] = []
         self._until_s = 0.0
         self.number = 0
-        self.outcomes = dict.fromkeys(OVER, 0)
+        self.outcomes = dict.fromkeys(FINAL_STATES, 0)
         self._over = {"state": "idle", "model": self.running, "previous": "", "detail": ""}
 
     @property
@@ -198,7 +198,7 @@ class Swap(Generic[Model]):
 
         Args:
             now_ns: the loop's time, passed on to `report`.
-            idle: see `Attempt.verdict`.
+            idle: see `SwapAttempt.verdict`.
         """
         attempt = self._attempt
         if attempt is None:
@@ -252,21 +252,21 @@ class Swap(Generic[Model]):
         if late := next((one.name for one in self._ended if one.trying), None):
             raise SwapError(f"{late}, which was refused, is still loading; try again later")
 
-    def _begin(self, attempt: Attempt[Model, Any], now_ns: int) -> None:
+    def _begin(self, attempt: SwapAttempt[Model, Any], now_ns: int) -> None:
         self.number += 1
         self._attempt = attempt
         self._until_s = self._clock() + LOAD_TIMEOUT_S
         attempt.start()
         self._report(f"model {attempt.name}: loading, {self.running} runs", now_ns, logging.INFO)
 
-    def _overdue(self, attempt: Attempt[Model, Any]) -> str:
+    def _overdue(self, attempt: SwapAttempt[Model, Any]) -> str:
         """Return the reason to stop waiting for the model; "" if there is none yet."""
         if self._clock() <= self._until_s:
             return ""
         what = attempt.progress or ("not loaded" if attempt.model is None else "not ready")
         return f"{what} after {LOAD_TIMEOUT_S:g} s"
 
-    def _end(self, attempt: Attempt[Model, Any], state: str, detail: str, now_ns: int) -> None:
+    def _end(self, attempt: SwapAttempt[Model, Any], state: str, detail: str, now_ns: int) -> None:
         self.outcomes[state] += 1
         self._over = {
             "state": state, "model": attempt.name, "previous": attempt.previous.name,
@@ -276,7 +276,7 @@ class Swap(Generic[Model]):
         level = logging.INFO if state == "kept" else logging.WARNING
         self._report(f"model {attempt.name}: {state}: {detail}", now_ns, level)
 
-    def _finish(self, attempt: Attempt[Model, Any]) -> None:
+    def _finish(self, attempt: SwapAttempt[Model, Any]) -> None:
         """End the attempt; its thread closes the model that does not run."""
         self._attempt = None
         self._ended = [one for one in self._ended if one.thread.is_alive()] + [attempt]

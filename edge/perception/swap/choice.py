@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from edge.errors import UserError
-from edge.perception.swap.base import Attempt, Swap
+from edge.perception.swap.base import ModelSwap, SwapAttempt
 from edge.perception.swap.trial import failure
 from edge.perception.worker import Question, Scorer, ScorerWorker
 from edge.text import one_line
@@ -31,7 +31,7 @@ def _log(text: str, now_ns: int, level: int) -> None:
     log.log(level, "%s", text)
 
 
-class ChoiceSwap(Swap[Scorer]):
+class ChoiceSwap(ModelSwap[Scorer]):
     """Swaps the scorer of a worker for VLM frontier selection."""
 
     def __init__(self, worker: ScorerWorker[Any, Any], make: Make) -> None:
@@ -42,18 +42,18 @@ class ChoiceSwap(Swap[Scorer]):
         """Begin to swap a model in.
 
         Raises:
-            SwapError: see `Swap._check_free`.
+            SwapError: see `ModelSwap._check_free`.
         """
         self._check_free(card)
         self._begin(_ChoiceAttempt(card, self._worker, self._make), 0)
 
     def status(self) -> dict[str, object]:
-        """See `Swap.status`; `key` is the configuration key that makes the swap permanent."""
+        """See `ModelSwap.status`; `key` is the configuration key that makes the swap permanent."""
         return {**super().status(), "key": CARD_KEY}
 
 
-class _ChoiceAttempt(Attempt[Scorer, Question]):
-    """See `Attempt`."""
+class _ChoiceAttempt(SwapAttempt[Scorer, Question]):
+    """See `SwapAttempt`."""
 
     def __init__(self, card: str, worker: ScorerWorker[Any, Any], make: Make) -> None:
         super().__init__(card, worker)

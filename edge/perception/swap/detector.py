@@ -12,13 +12,13 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 
-from edge.config import DetectorOnnx, Perception
+from edge.config import DetectorOnnx, PerceptionConfig
 from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
 from edge.perception.runtime.cards import ModelError, load_detector_card
 from edge.perception.runtime.health import Health
-from edge.perception.swap.base import LOOK_S, Attempt, Swap, Tell
-from edge.perception.swap.trial import failure, judge, median_ms, run, sample, unsound
+from edge.perception.swap.base import LOOK_S, LogCallback, ModelSwap, SwapAttempt
+from edge.perception.swap.trial import failure, median_ms, run, run_trial, sample, unsound
 from edge.perception.worker import DetectorWorker
 from edge.text import one_line
 from edge.types import Detections, Observation
@@ -30,13 +30,13 @@ IMAGES = 4  # images of a trial
 _APART_NS = 200_000_000  # least time between two of them
 
 
-class DetectorSwap(Swap[Detector]):
+class DetectorSwap(ModelSwap[Detector]):
     """Swaps the worker's detector.
 
     Args:
         perception: see the attribute.
         worker: runs the detector.
-        report, clock: see `Swap`.
+        report, clock: see `ModelSwap`.
         make: makes the new detector.
 
     Attributes:
@@ -46,9 +46,9 @@ class DetectorSwap(Swap[Detector]):
 
     def __init__(
         self,
-        perception: Perception,
+        perception: PerceptionConfig,
         worker: DetectorWorker,
-        report: Tell,
+        report: LogCallback,
         make: Make = make_detector,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -56,7 +56,7 @@ class DetectorSwap(Swap[Detector]):
         self.perception, self._make = perception, make
 
     def request(
-        self, model: str, force: bool, now_ns: int, perception: Perception | None = None
+        self, model: str, force: bool, now_ns: int, perception: PerceptionConfig | None = None
     ) -> None:
         """Begin to swap a model in.
 
@@ -68,22 +68,27 @@ class DetectorSwap(Swap[Detector]):
                 loaded again.
 
         Raises:
-            SwapError: see `Swap._check_free`.
+            SwapError: see `ModelSwap._check_free`.
         """
         self._check_free(model, again=perception is not None)
         perception = perception or self.perception
         self._begin(_DetectorAttempt(model, force, perception, self._worker, self._make), now_ns)
 
 
-class _DetectorAttempt(Attempt[Detector, Observation]):
-    """See `Attempt`; its thread also copies the running detector's prompts to the new one.
+class _DetectorAttempt(SwapAttempt[Detector, Observation]):
+    """See `SwapAttempt`; its thread also copies the running detector's prompts to the new one.
 
     Attributes:
         perception: configuration that the model is made and judged by.
     """
 
     def __init__(
-        self, model: str, force: bool, perception: Perception, worker: DetectorWorker, make: Make
+        self,
+        model: str,
+        force: bool,
+        perception: PerceptionConfig,
+        worker: DetectorWorker,
+        make: Make,
     ) -> None:
         super().__init__(model, worker)
         self.perception, self._force, self._make = perception, force, make
@@ -106,7 +111,7 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
         return f"{self.perception.swap.probation} images"
 
     def switch(self) -> bool:
-        """See `Attempt.switch`; the model must have the running detector's prompts."""
+        """See `SwapAttempt.switch`; the model must have the running detector's prompts."""
         if not self.finding or not self._hand.acquire(blocking=False):
             return False
         try:
@@ -114,13 +119,13 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
                 return False
             self._invalid = self.model.invalid_boxes
             self._samples.clear()
-            self._worker.spare = self.previous
+            self._worker.previous = self.previous
             return super().switch()
         finally:
             self._hand.release()
 
     def end(self) -> None:
-        self._worker.spare = None
+        self._worker.previous = None
         self._samples.clear()
         super().end()
 
@@ -137,7 +142,7 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
         return pace
 
     def see(self, model: Detector, item: Observation, outcome: Detections | Exception) -> None:
-        """See `Attempt.see`: an image for the trial, or one of the probation."""
+        """See `SwapAttempt.see`: an image for the trial, or one of the probation."""
         if item.rgb is None or self.fault:  # a missing image is not the detector's fault
             return
         try:
@@ -161,7 +166,7 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
         self._latencies_ns.append(outcome.latency_ns)
 
     def _try(self) -> None:
-        wanted = variant(self.perception, self.name)
+        wanted = with_model(self.perception, self.name)
         if wanted.isolation == "thread":
             self._try_apart(wanted.model_copy(update={"isolation": "process"}))
             if self.over.is_set():
@@ -173,15 +178,15 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
             return
         self._follow_prompts()
         running = self.previous.name
-        self.finding = judge(
+        self.finding = run_trial(
             self.model, tuple(self._samples), self.perception, running,
-            related(self.name, running), self._force,
+            same_family(self.name, running), self._force,
         )  # fmt: skip
         self.trying = False
         while not (self.switched or self.over.wait(LOOK_S)):
             self._follow_prompts()
 
-    def _try_apart(self, perception: Perception) -> None:
+    def _try_apart(self, perception: PerceptionConfig) -> None:
         """Run the model on the samples in another process before it is loaded into this one.
 
         A model that never returns, crashes or takes all memory is killed there. In this process
@@ -195,7 +200,7 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
             for one in tuple(self._samples):
                 run(detector, one.observation)
 
-    def _load(self, perception: Perception) -> Detector:
+    def _load(self, perception: PerceptionConfig) -> Detector:
         prompts = self._worker.detector.prompts
         return self._make(perception, prompts, self._loading, cancelled=self.over)
 
@@ -215,7 +220,7 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
         self.busy = ": ".join(filter(None, health))
 
 
-def variant(perception: Perception, model: str) -> Perception:
+def with_model(perception: PerceptionConfig, model: str) -> PerceptionConfig:
     """Return the configuration with another model; with defaults if the detector runs no model."""
     detector = perception.detector
     if not isinstance(detector, DetectorOnnx):
@@ -223,7 +228,7 @@ def variant(perception: Perception, model: str) -> Perception:
     return perception.model_copy(update={"detector": detector.model_copy(update={"model": model})})
 
 
-def related(model: str, running: str) -> bool:
+def same_family(model: str, running: str) -> bool:
     """Return True if both names are cards of one family."""
     try:
         return load_detector_card(model).family == load_detector_card(running).family

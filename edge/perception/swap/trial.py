@@ -8,11 +8,11 @@ from statistics import median
 
 import numpy as np
 
-from edge.config import Perception
+from edge.config import PerceptionConfig
 from edge.errors import UserError
 from edge.geometry import overlaps
 from edge.perception.detection.detector import Detector
-from edge.perception.runtime.health import UNSOUND, fault_of
+from edge.perception.runtime.health import UNSOUND, invalid_boxes_reason
 from edge.text import one_line
 from edge.types import Detections, Observation
 
@@ -25,30 +25,30 @@ _ROUNDS = 3
 _FORCE = "--force takes it all the same"
 
 
-class Unfit(UserError):
+class UnfitModelError(UserError):
     """The reason why a model may not replace another; one line."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class TrialImage:
     """A copy of an image, and the running model's detections in it; None if that failed."""
 
     observation: Observation
     found: Detections | None
 
 
-def sample(observation: Observation, outcome: Detections | Exception) -> Sample:
+def sample(observation: Observation, outcome: Detections | Exception) -> TrialImage:
     """Copy an image with its detections; nothing else of the observation is kept."""
     rgb = observation.rgb.copy()
     copy = replace(observation, rgb=rgb, depth_m=None, cloud_m=None, slot=None)
     failed = isinstance(outcome, Exception)
-    return Sample(copy, None if failed else replace(outcome, observation=copy))
+    return TrialImage(copy, None if failed else replace(outcome, observation=copy))
 
 
-def judge(
+def run_trial(
     detector: Detector,
-    samples: Sequence[Sample],
-    perception: Perception,
+    samples: Sequence[TrialImage],
+    perception: PerceptionConfig,
     running: str,
     related: bool,
     force: bool = False,
@@ -79,7 +79,9 @@ def judge(
     pace = f"median {took_ms:.1f} ms on {len(samples)} images"
     budget_ms = perception.swap.budget_ms
     if took_ms > budget_ms and not force:
-        raise Unfit(f"too slow: {pace}, perception.swap.budget_ms is {budget_ms:g}; {_FORCE}")
+        raise UnfitModelError(
+            f"too slow: {pace}, perception.swap.budget_ms is {budget_ms:g}; {_FORCE}"
+        )
     old, found = boxes_found_again(samples, runs[0], perception.tau_det)
     if old == 0:
         return f"{pace}; {running} found nothing there to compare with"
@@ -87,7 +89,7 @@ def judge(
     if not related:
         return f"{pace}; {share} (another family: no reason to refuse it)"
     if found < MIN_RECALL * old and not force:
-        raise Unfit(f"{share}, fewer than half; {_FORCE}")
+        raise UnfitModelError(f"{share}, fewer than half; {_FORCE}")
     return f"{pace}; {share}"
 
 
@@ -97,9 +99,9 @@ def run(detector: Detector, observation: Observation) -> Detections:
     try:
         found = detector.detect(observation)
     except Exception as error:  # a model may raise anything
-        raise Unfit(failure(error)) from None
+        raise UnfitModelError(failure(error)) from None
     if fault := unsound(detector, before, found):
-        raise Unfit(fault)
+        raise UnfitModelError(fault)
     return found
 
 
@@ -118,9 +120,9 @@ def unsound(detector: Detector, before: int, found: Detections) -> str:
     """
     if (invalid := detector.invalid_boxes - before) > 0:
         return f"it returns {invalid} boxes of an image that are {UNSOUND}"
-    faults = [fault_of(found.xyxy_px, found.score, found.rival)]
+    faults = [invalid_boxes_reason(found.xyxy_px, found.score, found.rival)]
     if found.context is not None:
-        faults.append(fault_of(found.context.xyxy_px, found.context.score))
+        faults.append(invalid_boxes_reason(found.context.xyxy_px, found.context.score))
     return next((f"it returns {fault}" for fault in faults if fault), "")
 
 
@@ -129,7 +131,7 @@ def median_ms(times_ns: Sequence[int]) -> float:
 
 
 def boxes_found_again(
-    samples: Sequence[Sample], runs: Sequence[Detections], tau: float
+    samples: Sequence[TrialImage], runs: Sequence[Detections], tau: float
 ) -> tuple[int, int]:
     """Count the boxes of the running model, and those that the other finds, too, over all samples.
 
@@ -145,7 +147,7 @@ def boxes_found_again(
         was = one.found
         if was is None or was.prompts != new.prompts:
             continue
-        for i in np.flatnonzero(was.unrivalled() & (was.score >= tau)):
+        for i in np.flatnonzero(was.not_suppressed() & (was.score >= tau)):
             alike = new.class_id == was.class_id[i]
             alike &= new.score >= MATCH_SCORE * was.score[i]
             iou, _ = overlaps(was.xyxy_px[i : i + 1], new.xyxy_px[alike])

@@ -13,10 +13,17 @@ from edge import config, names
 from edge.geometry import FARTHEST_M, SE2, invert
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.perception.tracking import instance_kernels as kernels
-from edge.perception.tracking.lift import Lifted
-from edge.perception.tracking.look_kernels import AT_EDGE, HIDDEN, NO_DEPTH, WHOLE, shown, view_of
+from edge.perception.tracking.lift import BackProjectedBoxes
+from edge.perception.tracking.look_kernels import (
+    AT_EDGE,
+    HIDDEN,
+    NO_DEPTH,
+    WHOLE,
+    view_of,
+    visibility,
+)
 from edge.perception.tracking.sighting_kernels import PARTIAL
-from edge.perception.tracking.sightings import SightingTracker
+from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Instance, InstanceState, Observation
 
 MAX_POINTS = 64
@@ -68,7 +75,7 @@ class _Track:
         radius_m: largest planar distance of a surface point from the centre.
         points_m, support: all surface points, and the number of views that support each. The
             instance has only the well-supported ones (`core_points`).
-        doubted: True if another object explains the place better (`SightingTracker.doubts`).
+        doubted: True if another object explains the place better (`ObjectTracker.doubts`).
     """
 
     instance: Instance
@@ -111,7 +118,7 @@ class InstanceTracker:
     """
 
     def __init__(
-        self, perception: config.Perception, sightings: SightingTracker | None = None
+        self, perception: config.PerceptionConfig, sightings: ObjectTracker | None = None
     ) -> None:
         self.config = perception
         self.dropped = 0
@@ -153,7 +160,7 @@ class InstanceTracker:
         ]
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
 
-    def update(self, lifted: Lifted, stamp_ns: int) -> None:
+    def update(self, lifted: BackProjectedBoxes, stamp_ns: int) -> None:
         """Merge the detections of one image, strongest first.
 
         Args:
@@ -163,7 +170,7 @@ class InstanceTracker:
         seen = lifted.detections
         pose = seen.observation.pose
         words = [names.canonical(prompt) for prompt in seen.prompts]
-        unrivalled = seen.unrivalled()
+        unrivalled = seen.not_suppressed()
         hit: set[int] = set()
         for i in np.flatnonzero(lifted.valid).tolist():
             class_id, score = int(seen.class_id[i]), float(seen.score[i])
@@ -220,7 +227,7 @@ class InstanceTracker:
             if instance.state in ("refuted", "reached") or track.name not in asked:
                 continue
             points = instance.points_m
-            look = shown(
+            look = visibility(
                 track.x_m, track.y_m, track.z_m, points, len(points), T, view, depth, far_m
             )
             if look == HIDDEN:
@@ -246,7 +253,7 @@ class InstanceTracker:
         """Return True if the instance is confirmed as the target, or was reached."""
         return instance.state in ("confirmed", "reached")
 
-    def refute(self, instance_id: int) -> None:
+    def reject(self, instance_id: int) -> None:
         """Refute an instance: it is not the target and is never chased again.
 
         Instances of the same name within `refute_radius_m` are removed, and no new one starts
@@ -288,7 +295,7 @@ class InstanceTracker:
             "next_id": np.array(self._next_id),
         }
 
-    def adopt(self, instance: Instance) -> None:
+    def add(self, instance: Instance) -> None:
         """Add an instance that was found elsewhere, under its own id."""
         self._adopt(instance, instance.points_m, np.ones(len(instance.points_m), np.int32))
 
@@ -374,7 +381,7 @@ class InstanceTracker:
             elif track.instance.state == "refuted":
                 del self._tracks[track.instance.id]
 
-    def forget_refuted(self, label: str) -> None:
+    def forget_rejected(self, label: str) -> None:
         """Forget the refuted instances of a label (or a synonym): they may be found again."""
         name = names.canonical(label)
         for track in list(self._tracks.values()):
@@ -507,7 +514,7 @@ class InstanceTracker:
         )
         instance.state = "confirmed" if sure else "seen"
         if track.views >= REFUTE_VIEWS and track.rival_sum > track.target_sum:
-            self.refute(instance.id)
+            self.reject(instance.id)
 
     def _doubt(self, track: _Track) -> bool:
         """Update and return `doubted`: True if another object explains the place better."""

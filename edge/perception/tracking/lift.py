@@ -24,7 +24,7 @@ _NO_MASKS = np.zeros((0, MASK_SIDE, MASK_SIDE), np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lifted:
+class BackProjectedBoxes:
     """Positions of the boxes of `detections`, as arrays parallel to them.
 
     Attributes:
@@ -51,7 +51,7 @@ class Lifted:
         return self.points_m[i, : self.n_points[i]]
 
 
-class Lifter:
+class BackProjector:
     """Back-projects boxes through the depth or cloud, and the pose, of their own observation.
 
     A box also shows what is in front of and behind the object. In the inner part of the box, the
@@ -65,9 +65,9 @@ class Lifter:
         unliftable: number of observations with boxes but without the camera, depth or cloud needed.
     """
 
-    def __init__(self, perception: config.Perception) -> None:
+    def __init__(self, perception: config.PerceptionConfig) -> None:
         self.config = perception
-        self.unliftable = 0
+        self.skipped = 0
         side = kernels.SIDE
         self._scratch = (
             np.empty((side * side, 3), np.float32),
@@ -82,7 +82,7 @@ class Lifter:
 
     def lift(
         self, detections: Detections, floor_over_base_m: float = 0.0
-    ) -> tuple[Lifted, Lifted | None]:
+    ) -> tuple[BackProjectedBoxes, BackProjectedBoxes | None]:
         """Back-project all boxes; those without enough returns are marked invalid, never left out.
 
         If the observation lacks the camera, depth or cloud (a LiDAR that stopped), it is counted in
@@ -118,19 +118,21 @@ class Lifter:
                 float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
             )  # fmt: skip
             floor_z_m = float(seen.T_map_base[2, 3]) + floor_over_base_m + kernels.FLOOR_M
-            kernels.lift_boxes(
+            kernels.back_project_boxes(
                 view, boxes, masks, word, seen.T_map_base @ seen.T_base_camera,
                 floor_z_m, self.config.lift_max_range_m, self.config.lift_min_points, self._scratch,
                 out,
             )  # fmt: skip
-        others = None if around is None else Lifted(around, *(array[k:] for array in out))
-        return Lifted(detections, *(array[:k] for array in out)), others
+        others = (
+            None if around is None else BackProjectedBoxes(around, *(array[k:] for array in out))
+        )
+        return BackProjectedBoxes(detections, *(array[:k] for array in out)), others
 
     def _liftable(self, seen: Observation) -> bool:
         """Return True if the observation can be back-projected; log the first that cannot."""
         if missing := self._missing(seen):
-            self.unliftable += 1
-            if self.unliftable == 1:
+            self.skipped += 1
+            if self.skipped == 1:
                 log.warning("observation %d: %s; its boxes get no position (more of these are "
                             "only counted)", seen.seq, missing)  # fmt: skip
         return not missing

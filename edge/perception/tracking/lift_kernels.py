@@ -147,7 +147,8 @@ def drop_floor(samples, n, T, floor_z):
 def drop_unmasked(samples, n, view, boxes, masks, mine):
     """Move the samples that lie on their box's mask to the front.
 
-    `view`, `boxes` and `masks` are those of `lift_boxes`; `mine` is the index of the sampled box.
+    `view`, `boxes` and `masks` are those of `back_project_boxes`; `mine` is the index of the
+    sampled box.
 
     Returns:
         Number of samples that count: all, if the mask would leave hardly any (an empty mask).
@@ -181,9 +182,9 @@ def drop_others(samples, n, view, boxes, word, mine, depth, claim):
     Args:
         samples: points of the box.
         n: number of samples.
-        view: see `lift_boxes`.
-        boxes: see `lift_boxes`.
-        word: see `lift_boxes`.
+        view: see `back_project_boxes`.
+        boxes: see `back_project_boxes`.
+        word: see `back_project_boxes`.
         mine: index of the box that was sampled.
         depth: (m, 2) float32, nearest and farthest depth of each box's surface.
         claim: (m,) float32, fit of that surface to the box.
@@ -255,7 +256,7 @@ def surfaces(samples, n, max_range, histogram, found):
 
 
 @njit(nogil=True, cache=True)
-def place(samples, n, low, high, T, points, scratch):
+def surface_points(samples, n, low, high, T, points, scratch):
     """Compute the median point and a spread-out subset of the samples with depth in [low, high].
 
     Args:
@@ -292,7 +293,7 @@ def place(samples, n, low, high, T, points, scratch):
 
 @njit(nogil=True, cache=True)
 def sample(view, x0, y0, x1, y1, max_range, samples):
-    """Sample a box of a view (see `lift_boxes`) by `sample_raster` or `sample_depth`."""
+    """Sample a box of a view (see `back_project_boxes`) by `sample_raster` or `sample_depth`."""
     depth, raster, points, cell_px, fx, fy, cx, cy = view
     if cell_px > 0:
         return sample_raster(raster, points, cell_px, x0, y0, x1, y1, max_range, samples)
@@ -304,7 +305,7 @@ def sample_beside(view, box, max_range, beside, n):
     """Sample a strip next to each side of a box.
 
     Args:
-        view: see `lift_boxes`.
+        view: see `back_project_boxes`.
         box: (4,) float32, the whole box.
         max_range: largest depth in metres.
         beside: (4, SIDE*SIDE, 3) float32 out.
@@ -328,7 +329,7 @@ def sample_beside(view, box, max_range, beside, n):
 
 
 @njit(nogil=True, cache=True)
-def going_on(beside, n, low, high, T, floor_z):
+def share_beyond_box(beside, n, low, high, T, floor_z):
     """Return how far a surface goes on beyond the box: its mean share of the samples in the strips.
 
     An object ends at its box; the wall behind it, or a table in front of it, mostly does not.
@@ -357,7 +358,7 @@ def count_between(samples, n, low, high):
 
 
 @njit(nogil=True, cache=True)
-def choose(view, box, samples, n, T, floor_z, max_range, scratch):
+def choose_surface(view, box, samples, n, T, floor_z, max_range, scratch):
     """Choose the surface of the object among those in its box.
 
     It fills much of the box, goes on little beyond it and is near. The score is its share of the
@@ -366,14 +367,14 @@ def choose(view, box, samples, n, T, floor_z, max_range, scratch):
     the nearest with 30 % of the box in 76 %. The exponent and `FARTHER` were fitted to them.)
 
     Args:
-        view: see `lift_boxes`.
+        view: see `back_project_boxes`.
         box: (4,) float32.
         samples: points in the optical frame.
         n: number of samples.
         T: (4, 4) float64, map from optical frame.
         floor_z: height of the floor in `map`, plus `FLOOR_M`.
         max_range: largest depth in metres.
-        scratch: see `lift_boxes`.
+        scratch: see `back_project_boxes`.
 
     Returns:
         (nearest depth, farthest depth, claim): claim is the fit to the box, in [0, 1].
@@ -390,7 +391,7 @@ def choose(view, box, samples, n, T, floor_z, max_range, scratch):
         for j in range(k):
             if found[j, 2] < LEAST_SHARE * n:
                 continue
-            taken = going_on(beside, n_beside, found[j, 0], found[j, 1], T, floor_z)
+            taken = share_beyond_box(beside, n_beside, found[j, 0], found[j, 1], T, floor_z)
             fits = found[j, 2] / n * (1.0 - taken) ** 5
             if fits / before > best:
                 chosen, best, claim = j, fits / before, fits
@@ -399,10 +400,10 @@ def choose(view, box, samples, n, T, floor_z, max_range, scratch):
 
 
 @njit(nogil=True, cache=True)
-def lift_boxes(
+def back_project_boxes(
     view, boxes, masks, word, T_map_camera, floor_z, max_range, min_points, scratch, out
 ):
-    """Back-project every box; see `lift.Lifter`.
+    """Back-project every box; see `lift.BackProjector`.
 
     Two boxes may choose the same surface if one object hides much of the other. The box that fits
     it best keeps it; the other chooses among the remaining samples. If that surface belongs to a
@@ -437,7 +438,7 @@ def lift_boxes(
             n = sample(view, inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3], max_range, samples)
             n = drop_unmasked(samples, n, view, boxes, masks, i)
             n = drop_floor(samples, n, T, floor_z)
-            depth[i, 0], depth[i, 1], claim[i] = choose(
+            depth[i, 0], depth[i, 1], claim[i] = choose_surface(
                 view, boxes[i], samples, n, T, floor_z, max_range, scratch
             )
     for i in range(len(boxes)):
@@ -455,14 +456,16 @@ def lift_boxes(
         # A box keeps a surface that is mostly its own: a cushion does not hide a sofa.
         if left < n and count_between(samples, left, low, high) < MOSTLY * whole:
             first = claim[i]
-            low, high, fits = choose(view, boxes[i], samples, rest, T, floor_z, max_range, scratch)
+            low, high, fits = choose_surface(
+                view, boxes[i], samples, rest, T, floor_z, max_range, scratch
+            )
             # The second choice may belong to another box, too: then this box is invalid.
             claim[i] = fits * rest / n
             whole = count_between(samples, rest, low, high)
             own = drop_others(samples, rest, view, boxes, word, i, depth, claim)
             mine = count_between(samples, own, low, high) >= MOSTLY * whole
             claim[i] = first
-        x, y, z, m, used = place(samples, rest, low, high, T, points[i], in_map)
+        x, y, z, m, used = surface_points(samples, rest, low, high, T, points[i], in_map)
         center[i, 0], center[i, 1], center[i, 2] = x, y, z
         n_samples[i], n_points[i] = m, used
         valid[i] = mine and m >= min_points

@@ -36,7 +36,7 @@ def ahead_m(T_camera_map, x, y, z):
 
 
 @njit(nogil=True, cache=True)
-def shown(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
+def visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
     """Return the visibility of an object: HIDDEN, AT_EDGE, IN_PART or WHOLE.
 
     Args:

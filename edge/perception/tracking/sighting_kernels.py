@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from edge.perception.tracking.look_kernels import HIDDEN, WHOLE, ahead_m, shown
+from edge.perception.tracking.look_kernels import HIDDEN, WHOLE, ahead_m, visibility
 
 POINTS = 32
 """Number of surface points kept of each record."""
@@ -83,7 +83,7 @@ def drifted(centers, word, n, now, near_m):
 
 
 @njit(nogil=True, cache=True)
-def take_up(points, n_points, cursor, i, surface, n_surface, voxel_m):
+def add_points(points, n_points, cursor, i, surface, n_surface, voxel_m):
     """Add some points of a new view to record `i`, one a voxel; beyond POINTS, replace the oldest.
 
     Args:
@@ -119,10 +119,10 @@ def weight_of(x, y, z, points, n_points, T_camera_map, view, depth, near_m, far_
     """Return the weight of a view of an object; 0 if its centre is not in view.
 
     It is 1 near by and wholly in the image, and falls with the square of the distance, as the share
-    of the image that the object fills. See `look_kernels.shown` for the first parameters. Up to
-    `near_m` the weight is full; from `far_m` on it is 0.
+    of the image that the object fills. See `look_kernels.visibility` for the first parameters. Up
+    to `near_m` the weight is full; from `far_m` on it is 0.
     """
-    how = shown(x, y, z, points, n_points, T_camera_map, view, depth, far_m)
+    how = visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m)
     if how == HIDDEN:
         return 0.0
     share = min(1.0, (near_m / ahead_m(T_camera_map, x, y, z)) ** 2)
@@ -144,9 +144,9 @@ def fuse(
         n: see `match`.
         now: (cap,) float32, score of each record in this image, 0 if not detected; zeroed.
         asked: (words,) bool, True for words that the detector looked for.
-        T_camera_map: see `look_kernels.shown`.
-        view: see `look_kernels.shown`.
-        depth: see `look_kernels.shown`.
+        T_camera_map: see `look_kernels.visibility`.
+        view: see `look_kernels.visibility`.
+        depth: see `look_kernels.visibility`.
         near_m: see `weight_of`.
         far_m: see `weight_of`.
         weight: (cap,) float32, sum of weights.
@@ -174,7 +174,7 @@ def fuse(
 
 
 @njit(nogil=True, cache=True)
-def strongest_rival(surface, centers, points, n_points, word, confidence, n, against, reach_m):
+def competing_confidence(surface, centers, points, n_points, word, confidence, n, against, reach_m):
     """Return the confidence that another object stands at the place of an object.
 
     A record counts for the part of the object that it covers: a row of chairs for all of a sofa, a

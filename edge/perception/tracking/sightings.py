@@ -12,7 +12,7 @@ from edge import config, names
 from edge.geometry import FARTHEST_M, invert
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.perception.tracking import sighting_kernels as kernels
-from edge.perception.tracking.lift import Lifted
+from edge.perception.tracking.lift import BackProjectedBoxes
 from edge.perception.tracking.look_kernels import NO_DEPTH, view_of
 from edge.types import Observation
 
@@ -28,7 +28,7 @@ An armchair is a chair; but an object that is clearly a chair and hardly an armc
 _NONE = np.zeros(0, np.float32)
 
 
-class Sightings:
+class TrackedObjects:
     """The objects seen, as parallel arrays in no order; the first `n` rows count.
 
     Attributes:
@@ -62,7 +62,7 @@ class Sightings:
         self.points_m = np.zeros((capacity, kernels.POINTS, 3), np.float32)
         self.n_points = np.zeros(capacity, np.int32)
 
-    def read_only(self) -> Sightings:
+    def read_only(self) -> TrackedObjects:
         """Return a read-only view of the same arrays; the writer must copy `n` and `generation`."""
         shown = copy(self)
         for name, value in vars(self).items():
@@ -79,7 +79,7 @@ class Sightings:
         return np.flatnonzero(self.word[: self.n] == self.words.index(name))
 
 
-class Sighting(NamedTuple):
+class MappedObject(NamedTuple):
     """One row with its evidence.
 
     Attributes:
@@ -97,7 +97,7 @@ class Sighting(NamedTuple):
     last_seen_ns: int
 
 
-class SightingTracker:
+class ObjectTracker:
     """Fuses the boxes of targets and context into objects, by word and place.
 
     A strong box (over `tau_det`) starts an object; a weak one counts at a known place. Each view
@@ -111,10 +111,10 @@ class SightingTracker:
         shown: read-only view, for policies.
     """
 
-    def __init__(self, perception: config.Perception) -> None:
+    def __init__(self, perception: config.PerceptionConfig) -> None:
         cap = MAX_SIGHTINGS
         self.config = perception
-        self._all = Sightings(cap)
+        self._all = TrackedObjects(cap)
         self._now = np.zeros(cap, np.float32)
         self._weight = np.zeros(cap, np.float32)
         self._total = np.zeros(cap, np.float32)
@@ -129,7 +129,7 @@ class SightingTracker:
         self._next_id = 1
         self.shown = self._all.read_only()
 
-    def look(self, targets: Lifted, around: Lifted | None) -> None:
+    def look(self, targets: BackProjectedBoxes, around: BackProjectedBoxes | None) -> None:
         """Update the objects with all detections of one image, and with what it did not show.
 
         Args:
@@ -147,7 +147,7 @@ class SightingTracker:
         self._forget()
         self._count()
 
-    def answering(self, label: str) -> Iterator[Sighting]:
+    def answering(self, label: str) -> Iterator[MappedObject]:
         """Yield all objects that a label names, kinds of it included, most confident first.
 
         The arrays are copies.
@@ -156,7 +156,7 @@ class SightingTracker:
         kinds = [names.is_kind_of(word, label) for word in s.words]
         mine = [at for at in range(s.n) if kinds[s.word[at]] and s.n_points[at] > 0]
         for at in sorted(mine, key=lambda at: -s.confidence[at]):
-            yield Sighting(
+            yield MappedObject(
                 s.xyz_m[at].copy(), s.points_m[at, : s.n_points[at]].copy(),
                 float(s.confidence[at]), float(self._weight[at]), float(self._total[at]),
                 int(s.hits[at]), int(s.near_hits[at]), int(s.last_seen_ns[at]),
@@ -181,7 +181,7 @@ class SightingTracker:
         )
         if at >= 0:
             mine = float(s.confidence[at])
-        rival = kernels.strongest_rival(
+        rival = kernels.competing_confidence(
             surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence, s.n,
             self._rivals_of(name) * self._asked, merge_m + radius_m,
         )  # fmt: skip
@@ -267,7 +267,9 @@ class SightingTracker:
                 self._all.words.append(word)
         return np.array([self._number[word] for word in words], np.int16)
 
-    def _take(self, lifted: Lifted, numbers: np.ndarray, observation: Observation) -> None:
+    def _take(
+        self, lifted: BackProjectedBoxes, numbers: np.ndarray, observation: Observation
+    ) -> None:
         """Merge the boxes of one image, strongest first."""
         seen, s, c = lifted.detections, self._all, self.config
         pose = observation.pose
@@ -292,7 +294,7 @@ class SightingTracker:
             near = np.hypot(x_m - pose.x_m, y_m - pose.y_m) <= c.confirm_range_m
             s.near_hits[at] += near and score >= c.confirm_score
             s.xyz_m[at] += (lifted.center_m[i] - s.xyz_m[at]) / min(s.hits[at], 20)
-            kernels.take_up(
+            kernels.add_points(
                 s.points_m, s.n_points, self._cursor, at, lifted.points_m[i], lifted.n_points[i],
                 c.voxel_m,
             )  # fmt: skip
@@ -310,7 +312,7 @@ class SightingTracker:
                 array[kept] += array[gone]
             for array in (self._now, s.confidence, s.last_seen_ns):
                 array[kept] = max(array[kept], array[gone])
-            kernels.take_up(
+            kernels.add_points(
                 s.points_m, s.n_points, self._cursor, kept, s.points_m[gone].copy(),
                 s.n_points[gone], self.config.voxel_m,
             )  # fmt: skip

@@ -17,7 +17,7 @@ _REQUEST_BYTES = 4096
 _KEPT = 16
 
 
-class Service:
+class ServiceProxy:
     """A ROS service, offered on Zenoh while it has a server.
 
     Args:
@@ -86,7 +86,7 @@ class Service:
             self._answered(request, done.result())
 
 
-class Action:
+class NavigateProxy:
     """Passes NavigateToPose: three services and two topics.
 
     The goal that was accepted last is cancelled if the service is gone.
@@ -103,8 +103,8 @@ class Action:
         def place(name: str) -> dict[str, Any]:
             return {key: f"{plan[key]}/_action/{name}" for key in ("ros", "key")}
 
-        def service(name: str, kind: Any, answered: Callable[[Any, Any], None]) -> Service:
-            return Service(ends, place(name), kind, answered)
+        def service(name: str, kind: Any, answered: Callable[[Any, Any], None]) -> ServiceProxy:
+            return ServiceProxy(ends, place(name), kind, answered)
 
         def topic(name: str, kind: Any) -> FromRos:
             quality = {"reliable": True, "latched": False, "depth": 10}

@@ -19,11 +19,11 @@ _CDR = b"\x00\x01"
 _HISTORY = 100  # latched messages kept, from all publishers of a topic
 
 
-class Unusable(Exception):
+class SetupError(Exception):
     """A fault that a restart cannot repair; the message is one line."""
 
 
-class Ends(NamedTuple):
+class AdapterEnds(NamedTuple):
     """The two ends of the adapter: a ROS node and a Zenoh session.
 
     Attributes:
@@ -70,7 +70,7 @@ def find_type(name: str) -> Any:
         return getattr(import_module(f"{package}.{kind}"), cls)
     except (ImportError, AttributeError):
         debian = f"ros-{os.environ.get('ROS_DISTRO', '$ROS_DISTRO')}-{package.replace('_', '-')}"
-        raise Unusable(
+        raise SetupError(
             f"{name} is not installed for {sys.executable}: apt install {debian}"
         ) from None
 
@@ -108,7 +108,7 @@ class FromRos:
     """
 
     def __init__(
-        self, ends: Ends, passed: dict[str, Any], kind: Any, patience_s: float = PATIENCE_S
+        self, ends: AdapterEnds, passed: dict[str, Any], kind: Any, patience_s: float = PATIENCE_S
     ) -> None:
         self.wanted = False
         self._node, self._passed, self._kind = ends.node, passed, kind
@@ -163,7 +163,7 @@ class FromRos:
 class ToRos:
     """A Zenoh key, published as a ROS topic; the first invalid message is logged."""
 
-    def __init__(self, ends: Ends, passed: dict[str, Any], max_bytes: int) -> None:
+    def __init__(self, ends: AdapterEnds, passed: dict[str, Any], max_bytes: int) -> None:
         self._key, self._max_bytes, self._warned = passed["key"], max_bytes, False
         self._inbox = Inbox(passed["depth"], ends.wake)
         self._subscriber = ends.session.declare_subscriber(self._key, self._inbox)

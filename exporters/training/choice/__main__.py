@@ -14,7 +14,7 @@ import logging
 import sys
 from pathlib import Path
 
-from exporters.files import ExportError, at_least_one, tells_errors
+from exporters.files import ExportError, at_least_one, exit_on_user_error
 
 SEED, HOUSES, HELD_OUT_HOUSES, CORES = 0, "0:130", "1000:1020", 2
 STEPS = 1800
@@ -36,7 +36,7 @@ def seeds(option: str, text: str) -> list[int]:
     return [seed for one in ranges for seed in one]
 
 
-@tells_errors
+@exit_on_user_error
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters.training.choice",

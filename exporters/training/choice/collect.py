@@ -249,7 +249,7 @@ def _drive_on(loop: ClosedLoop) -> None:
         motion.odometry, motion.v_mps, motion.w_radps, motion.stamp_ns
     )
     for answer in answers:
-        loop.service.goal_answered(answer)
+        loop.service.on_goal_status(answer)
     loop.drive.step(STEP_S, command.v_mps, command.w_radps)
 
 

@@ -178,7 +178,7 @@ def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
     """
     if not len(data.rows):
         raise ExportError("no view has a frontier in it; use more --houses")
-    run = checkpoints.describe(plan, len(data.rows), 1, "cpu")
+    run = checkpoints.run_identity(plan, len(data.rows), 1, "cpu")
     torch.manual_seed(plan.seed)
     net = ChoiceNet(kinds)
     learner = Learner(net, plan, plan.steps, checkpoint, run)

@@ -16,12 +16,12 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from exporters.files import at_least_one, tells_errors
+from exporters.files import at_least_one, exit_on_user_error
 
 SEED, HOUSES, CORES = 0, 3000, 2
 
 
-@tells_errors
+@exit_on_user_error
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters.training.mini",
@@ -63,7 +63,7 @@ def _train(args: argparse.Namespace) -> None:
     training.check_cores(plan, ranks)
     # Check this before minutes of rendering.
     checkpoints.resume(
-        checkpoint, checkpoints.describe(plan, args.houses * views.PER_HOUSE, ranks, device)
+        checkpoint, checkpoints.run_identity(plan, args.houses * views.PER_HOUSE, ranks, device)
     )
     houses, data = range(args.houses), args.out / "data"
     make = partial(views.make_frames, houses, views.PER_HOUSE, data, args.cores)

@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 from onnxruntime import InferenceSession
 
-from edge.config import Perception
+from edge.config import PerceptionConfig
 from edge.lab.bench.boxes import overlaps
-from exporters.files import ExportError, tells_errors
+from exporters.files import ExportError, exit_on_user_error
 from exporters.images import as_input
 from exporters.onnx_format import cpu_session
 from exporters.training.mini import looks
@@ -35,7 +35,7 @@ PER_HOUSE = 6
 MIN_SIDE_PX, MIN_VISIBLE = 12, 0.5
 IOU = 0.5
 MIN_SCORE = 0.01
-DEPLOYED: float = Perception.model_fields["tau_det"].default
+DEPLOYED: float = PerceptionConfig.model_fields["tau_det"].default
 """The service's default score threshold for a detection."""
 TOLD_APART = ("color", "size")
 """Kinds of questions that a model is judged by; the size of a cut-off object is a guess."""
@@ -256,7 +256,7 @@ def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
         )
 
 
-@tells_errors
+@exit_on_user_error
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(prog="python -m exporters.training.mini.evaluate")
     parser.add_argument("model", type=Path)

@@ -18,8 +18,8 @@ import numpy as np
 
 from edge.lab.sim import assemblies
 from edge.lab.sim.generator.contents import FLOOR_COLORS, ON_TOP, SUPPORTS, USUAL_ON, WALL_COLORS
-from edge.lab.sim.generator.draws import Rect, at_wall, wall_span_m
-from edge.lab.sim.house import FLOORS, House, Opening, Room, Thing, Wall
+from edge.lab.sim.generator.rng import Rect, at_wall, wall_span_m
+from edge.lab.sim.house import FLOORS, House, HouseObject, Opening, Room, Wall
 from exporters.training.mini import looks
 
 HELD_OUT = 100_000
@@ -76,7 +76,7 @@ class _Builder:
 
     def __init__(self, rng: np.random.Generator, height_m: float) -> None:
         self.rng, self.height_m = rng, height_m
-        self.things: list[Thing] = []
+        self.things: list[HouseObject] = []
         self.appearances: list[Look] = []
         self._taken: list[tuple[float, float, float]] = []
         self._rugs: list[tuple[float, float, float]] = []
@@ -115,7 +115,7 @@ class _Builder:
     def add(self, category: str, at, yaw_deg: float, look, z_m: float = 0.0) -> None:
         size, color, style = look
         self.things.append(
-            Thing(category=category, at=at, z_m=z_m, yaw_deg=yaw_deg, size=size, color=color)
+            HouseObject(category=category, at=at, z_m=z_m, yaw_deg=yaw_deg, size=size, color=color)
         )
         colors = looks.color_answers(color) if looks.has_color(category) else looks.unsure_color()
         index = list(assemblies.CATEGORIES).index(category) + 1

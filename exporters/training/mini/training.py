@@ -125,7 +125,7 @@ def train(
         ExportError: `checkpoint` is of another run, or is no checkpoint.
     """
     rank, ranks = share
-    run = checkpoints.describe(plan, len(frames), ranks, device)
+    run = checkpoints.run_identity(plan, len(frames), ranks, device)
     torch.manual_seed(plan.seed)
     model = Model().to(device).to(memory_format=torch.channels_last)
     steps = plan.steps

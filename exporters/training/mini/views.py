@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.config import parse
-from edge.geometry import SE2, CameraModel, optical, se3
+from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.host.files import replace_atomically
 from edge.lab.sim import assemblies, kernels
 from edge.lab.sim.boxworld import BoxWorld
@@ -203,7 +203,7 @@ def _random_camera(
     pitch = math.radians(rng.normal(5.0, 5.0))
     model = CameraModel.from_hfov(WIDTH_PX, HEIGHT_PX, math.radians(hfov))
     pose = SE2(x, y, float(rng.uniform(-math.pi, math.pi)))
-    return _Camera(model, pose.matrix() @ optical(se3(0.1, 0.0, z, pitch_rad=pitch)))
+    return _Camera(model, pose.matrix() @ to_optical(se3(0.1, 0.0, z, pitch_rad=pitch)))
 
 
 def _choose_view(

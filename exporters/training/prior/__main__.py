@@ -17,7 +17,7 @@ import numpy as np
 from edge.host.files import replace_atomically
 from edge.lab.sim.procthor import read_houses
 from edge.perception.prior.table import parse
-from exporters.files import ExportError, tells_errors
+from exporters.files import ExportError, exit_on_user_error
 from exporters.training.prior import learn
 from exporters.training.prior.counts import count, count_kinds
 from exporters.training.prior.house import Plan, read_plan
@@ -61,7 +61,7 @@ def learned(data: dict[str, Any], samples: Samples) -> tuple[dict[str, Any], dic
     return data, fits
 
 
-def tell(fits: dict[int, learn.Fit], samples: Samples, things: list[str]) -> None:
+def print_scores(fits: dict[int, learn.Fit], samples: Samples, things: list[str]) -> None:
     """Print how well the held-out houses were predicted."""
     print("target               houses  share   base   loss  gained     auc  opinion")
     for target, fit in sorted(fits.items(), key=lambda item: item[1].score.loss):
@@ -76,7 +76,7 @@ def tell(fits: dict[int, learn.Fit], samples: Samples, things: list[str]) -> Non
         print(f"  {predicted:5.2f} → {observed:5.2f} ({n})")
 
 
-@tells_errors
+@exit_on_user_error
 def main(argv: list[str] | None) -> None:
     """Learn a table from a file of houses and write it."""
     parser = argparse.ArgumentParser(
@@ -90,7 +90,7 @@ def main(argv: list[str] | None) -> None:
     kinds = data["kinds"]["names"]
     samples = gather(plans, data["things"], kinds)
     data, fits = learned(data, samples)
-    tell(fits, samples, data["things"])
+    print_scores(fits, samples, data["things"])
     about = {
         "about": "Where things stand by what stands around; see edge/perception/prior/table.py.",
         "source": f"{args.file.name}, sha256 {hashlib.sha256(args.file.read_bytes()).hexdigest()}",

@@ -79,7 +79,7 @@ class Explorer:
         half = math.pi if yaw_rad is None else 0.5 * HFOV_RAD
         reveal(self.plan.wall, y, x, yaw_rad or 0.0, half, MAP_RANGE_M / CELL_M, self.known)
         luck = self._random.random(len(self.seen))
-        make_out(
+        detect(
             self.plan.wall, (x + 0.5) * CELL_M, (y + 0.5) * CELL_M, yaw_rad or 0.0, half, CELL_M,
             self.thing_m, self.plan.half_m, self.plan.range_m, luck, _NEAR, _FAR,
             self.seen, self.seen_m,
@@ -191,7 +191,7 @@ def clear(wall, x, y, to_x, to_y, short, cell_m):
 
 
 @njit(nogil=True, cache=True)
-def make_out(
+def detect(
     wall, x, y, yaw, half, cell_m, thing_m, half_m, range_m, luck, near, far, seen, seen_m
 ):  # fmt: skip
     """Mark the objects that are detected from here, and store their visible side."""

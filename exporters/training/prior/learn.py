@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from edge.perception.prior import rooms
-from edge.perception.prior.table import SCALE, Table
+from edge.perception.prior.table import SCALE, ObjectPrior
 from exporters.training.prior.samples import Samples
 from exporters.training.results import auc
 
@@ -73,7 +73,7 @@ def folds(n_houses: int) -> np.ndarray:
 
 
 def fit_near(samples: Samples, target: int, begin: np.ndarray | None = None) -> np.ndarray:
-    """Return weights of one target's logistic model, (m,), and its bias: see `Table.near_weight`.
+    """Return weights (m,) and bias of one target's logistic model (`ObjectPrior.near_weight`).
 
     Args:
         samples: to fit to.
@@ -136,32 +136,32 @@ def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
     return {"bias": bias, "weight": weights}
 
 
-def fit_evidence(samples: Samples, table: Table) -> float:
-    """Return the `Table.evidence` that best predicts the kind of regions with objects in them."""
-    chance = rooms.chances(table)
+def fit_evidence(samples: Samples, table: ObjectPrior) -> float:
+    """Return the `ObjectPrior.evidence` that best predicts the kind of regions with objects."""
+    chance = rooms.object_given_room(table)
     informative = (samples.kind >= 0) & samples.held.any(1)
     held, kind = samples.held[informative].astype(np.float32), samples.kind[informative]
     weight = _weights(samples.house[informative])
 
     def loss(evidence: float) -> float:
-        p = rooms.beliefs(replace(table, evidence=evidence), chance, held)
+        p = rooms.room_posterior(replace(table, evidence=evidence), chance, held)
         return float(np.average(-np.log(p[np.arange(len(p)), kind]), weights=weight))
 
     return float(min(_GRID[1:], key=loss))
 
 
-def room_log_lift(samples: Samples, table: Table, target: int) -> np.ndarray:
+def room_log_lift(samples: Samples, table: ObjectPrior, target: int) -> np.ndarray:
     """Return the log likelihood ratio of each sample from the rooms only: (n,) float64."""
-    chance, prior = rooms.chances(table), rooms.average(table)
+    chance, prior = rooms.object_given_room(table), rooms.room_prior(table)
     held, beside = (part.astype(np.float32) for part in (samples.held, samples.beside))
-    kind = rooms.at_places(table, chance, held, beside)
-    return np.log(rooms.lift(chance, prior, target, kind))
+    kind = rooms.room_posterior_at(table, chance, held, beside)
+    return np.log(rooms.likelihood_ratio(chance, prior, target, kind))
 
 
 def fit_powers(
-    samples: Samples, table: Table, fits: dict[int, Fit]
+    samples: Samples, table: ObjectPrior, fits: dict[int, Fit]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the best `Table.room_power`, and its gain in log loss (share of the base's).
+    """Return the best `ObjectPrior.room_power`, and its gain in log loss (share of the base's).
 
     The likelihood ratio of near objects comes from models of other houses. That of the rooms comes
     from the table, whose counts are few and coarse.

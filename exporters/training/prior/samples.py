@@ -49,7 +49,7 @@ class Samples:
     found: np.ndarray
 
 
-class Views:
+class PriorInputs:
     """The robot's knowledge in the form of a prior's inputs.
 
     Args:
@@ -68,7 +68,7 @@ class Views:
 
     def __init__(self, explorer: Explorer, frontiers: Frontiers, row: np.ndarray, m: int) -> None:
         n, grid = len(frontiers.cell), explorer.survey()
-        self.label, n_regions = regions.cut(grid.cells, CELL_M)
+        self.label, n_regions = regions.segment_rooms(grid.cells, CELL_M)
         seen = np.flatnonzero(explorer.seen & (row >= 0))
         thing_m, rows = explorer.seen_m[seen], row[seen].astype(np.int32)
         near, sure = np.empty((n, m), np.float32), np.ones(len(seen), np.float32)
@@ -82,7 +82,7 @@ class Views:
         held = np.zeros((n_regions + 1, m), np.bool_)
         held[at, rows] = True
         held[0] = False
-        next_to = rooms.neighbours(regions.borders(self.label, n_regions), held)
+        next_to = rooms.neighbours(regions.border_lengths(self.label, n_regions), held)
         self.near, self.held = near > 0, held[self.region]
         self.beside = held[next_to[self.region]]
 
@@ -127,7 +127,7 @@ def _sample(
 ) -> tuple[np.ndarray, ...]:
     """Return one decision's rows, in the order of the fields of `Samples`."""
     plan, n = explorer.plan, len(frontiers.cell)
-    views = Views(explorer, frontiers, row, m)
+    views = PriorInputs(explorer, frontiers, row, m)
     room = _rooms(views.label, plan.room, len(kind))[views.region]
     wanted, found = np.zeros(m, np.bool_), np.zeros((n, m), np.bool_)
     unseen = np.flatnonzero(~explorer.seen & (row >= 0))

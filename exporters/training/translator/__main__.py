@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from exporters.files import at_least_one, sha256_of, tells_errors
+from exporters.files import at_least_one, exit_on_user_error, sha256_of
 from exporters.training.results import MODELS, publish
 
 NAME = "mini-translator"
@@ -25,7 +25,7 @@ MANY = 7000
 NOTE = "Written by exporters.training.translator."
 
 
-@tells_errors
+@exit_on_user_error
 def main(argv: list[str] | None) -> None:
     from exporters.training.translator.training import COMPOSED, PEOPLE
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import yaml
 
-from edge.mission.language.compact import MOST_NAMES, NAMES, REFUSED
 from edge.mission.language.lexicon import expanded
+from edge.mission.language.prefix_notation import MOST_NAMES, NAMES, REFUSED
 
 PHRASES = Path(__file__).with_name("phrases.yaml")
 LETTERS, _AFTER = "abcde", "fghij"
@@ -100,7 +100,7 @@ class Composer:
         if drawn < REFUSED_SHARE + JOINED_SHARE:
             return self._joined()
         family = rng.choices(phrases.families, self._weights)[0]
-        return lifted(self._noisy(self._said(family)), family.tokens)
+        return delexicalised(self._noisy(self._said(family)), family.tokens)
 
     def _said(self, family: Family) -> str:
         return self.filled(self._rng.choice(family.templates))
@@ -134,7 +134,7 @@ class Composer:
         joint = rng.choice((" . ", " . ", " , ", " , and ", " and ", " . also , ", " but "))
         if len(set(tokens) & set(LETTERS + _AFTER)) > MOST_NAMES:
             return self.pair()
-        return lifted(self._noisy(f"{first}{joint}{second}"), tokens)
+        return delexicalised(self._noisy(f"{first}{joint}{second}"), tokens)
 
     def _refused(self) -> Pair:
         said = self.filled(self._rng.choice(self._phrases.refused))
@@ -142,7 +142,7 @@ class Composer:
             goal = self._rng.choices(self._phrases.goals, self._goal_weights)[0]
             other = _shifted(self._said(goal), Family(tuple("abc"), 0, ()), goal, False)
             said = self._rng.choice((f"{said} . {other}", f"{other} , then {said}"))
-        return lifted(self._noisy(said), (REFUSED,))
+        return delexicalised(self._noisy(said), (REFUSED,))
 
     def _noisy(self, said: str) -> str:
         """Add the noise of speech: missing punctuation, hesitation, thanks."""
@@ -160,7 +160,7 @@ class Composer:
         return " ".join(words)
 
 
-def lifted(said: str, tokens: Sequence[str]) -> Pair:
+def delexicalised(said: str, tokens: Sequence[str]) -> Pair:
     """Replace names by numbered ones, in the order of their first use, as `lift` does."""
     order: dict[str, str] = {}
     words: list[str] = []

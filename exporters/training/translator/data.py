@@ -12,10 +12,15 @@ from random import Random
 import torch
 from torch import Tensor
 
-from edge.lab.eval.languages import difference, with_weak_untils
-from edge.lab.eval.translate import CLEAN_UP, LANG2LTL, Case, clean_up_cases, lang2ltl_cases
-from edge.mission.language.compact import MOST_NAMES, NAMES, OPERATORS, REFUSED, formula_of
-from edge.mission.language.lifting import lift
+from edge.lab.eval.equivalence import distinguishing_trace, with_weak_untils
+from edge.lab.eval.translate import (
+    CLEAN_UP,
+    LANG2LTL,
+    TranslationCase,
+    clean_up_cases,
+    lang2ltl_cases,
+)
+from edge.mission.language.delexicalisation import delexicalise_text
 from edge.mission.language.network import (
     END,
     MOST_TOKENS,
@@ -26,9 +31,10 @@ from edge.mission.language.network import (
     TO_WORDS,
     UNKNOWN,
 )
-from edge.mission.language.words import TranslationError
+from edge.mission.language.prefix_notation import MOST_NAMES, NAMES, OPERATORS, REFUSED, formula_of
+from edge.mission.language.tokens import TranslationError
 from edge.mission.logic.ltl import Formula, propositions, renamed
-from exporters.training.translator.compose import Composer, Pair, Phrases, lifted
+from exporters.training.translator.compose import Composer, Pair, Phrases, delexicalised
 
 RARE = 4
 """Words in fewer sentences are unknown to the network."""
@@ -63,7 +69,7 @@ def _with_words(vocabulary: Vocabulary, counts: Counter[str]) -> Vocabulary:
     return Vocabulary((*vocabulary.tokens, *words))
 
 
-def human_pairs(cases: Sequence[Case], phrases: Phrases) -> list[Pair]:
+def human_pairs(cases: Sequence[TranslationCase], phrases: Phrases) -> list[Pair]:
     """Return human sentences with their formulas in compact tokens.
 
     A sentence is left out if its formula has no compact form, or if its names differ from its
@@ -73,7 +79,7 @@ def human_pairs(cases: Sequence[Case], phrases: Phrases) -> list[Pair]:
     pairs = []
     for case in cases:
         try:
-            said = lift(case.sentence)
+            said = delexicalise_text(case.sentence)
         except TranslationError:
             continue
         wanted = set(propositions(case.formula))
@@ -91,7 +97,7 @@ class _Skeletons:
     def __init__(self, phrases: Phrases) -> None:
         unique = {family.tokens: family for family in phrases.families}
         self._families = [
-            (lifted(" ".join(f"${x}" for x in f.letters), f.tokens).tokens, len(f.letters))
+            (delexicalised(" ".join(f"${x}" for x in f.letters), f.tokens).tokens, len(f.letters))
             for f in unique.values()
         ]
         self._known: dict[Formula, tuple[str, ...] | None] = {}
@@ -109,7 +115,7 @@ class _Skeletons:
             for order in permutations(NAMES[:n]):
                 moved = dict(zip(NAMES, order, strict=False))
                 said = tuple(moved.get(token, token) for token in tokens)
-                if difference(formula_of(said, PLAIN), formula, silent_end=True) is None:
+                if distinguishing_trace(formula_of(said, PLAIN), formula, silent_end=True) is None:
                     return said
         return None
 
@@ -121,7 +127,7 @@ def _over(formula: Formula, names: Sequence[str]) -> Formula:
     return with_weak_untils(renamed(formula, dict(zip(names, PLAIN, strict=False)).__getitem__))
 
 
-def corpora(lang2ltl: Path | None, clean_up: Path | None) -> dict[str, list[Case]]:
+def corpora(lang2ltl: Path | None, clean_up: Path | None) -> dict[str, list[TranslationCase]]:
     """Return the available human sentences, by corpus."""
     cases = {}
     if lang2ltl is not None:

@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from edge.lab.eval.translate import OUTCOMES, Case, score
-from edge.mission.language.model import SmallModel
-from edge.mission.language.network import Network
-from edge.mission.translate import Translator, by_all, by_model
+from edge.lab.eval.translate import OUTCOMES, TranslationCase, score
+from edge.mission.language.model import NeuralTranslator
+from edge.mission.language.network import TranslationNetwork
+from edge.mission.translate import Translator, combined_backend, small_model_backend
 from exporters.training.results import took_ms
 
 TIMED = 300
@@ -18,17 +18,20 @@ TIMED = 300
 
 def translators(path: Path) -> dict[str, Translator]:
     """Return the translators that use the file, by kind."""
-    small = by_model(SmallModel(Network.of_file(path)))
-    return {"model": Translator("model", small), "auto": Translator("auto", by_all(small, None))}
+    small = small_model_backend(NeuralTranslator(TranslationNetwork.from_file(path)))
+    return {
+        "model": Translator("model", small),
+        "auto": Translator("auto", combined_backend(small, None)),
+    }
 
 
-def outcomes(cases: Sequence[Case], translator: Translator) -> dict[str, int]:
+def outcomes(cases: Sequence[TranslationCase], translator: Translator) -> dict[str, int]:
     """Count the cases by each of `edge.lab.eval.translate.OUTCOMES`."""
     counts = Counter(score(case, translator).outcome for case in cases)
     return {outcome: counts[outcome] for outcome in OUTCOMES}
 
 
-def latency_ms(cases: Sequence[Case], translator: Translator) -> dict[str, float]:
+def latency_ms(cases: Sequence[TranslationCase], translator: Translator) -> dict[str, float]:
     """Time one sentence, with all checks of its translation."""
     some = cases[:: max(1, len(cases) // TIMED)]
     return took_ms(lambda index: score(some[index], translator), len(some))

@@ -22,7 +22,7 @@ MAX_LOGIT_ERROR = 0.5
 """Largest allowed difference of the INT8 file's logits from the network's."""
 
 
-class Halves(nn.Module):
+class EncoderDecoder(nn.Module):
     """Encoder and decoder in one module, which share the embedding table."""
 
     def __init__(self, net: Translator) -> None:
@@ -57,7 +57,7 @@ def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
     Raises:
         ExportError: the difference is above `MAX_LOGIT_ERROR`.
     """
-    halves = Halves(net.eval())
+    halves = EncoderDecoder(net.eval())
     free = {
         "source": {1: "n"}, "target": {0: "b", 1: "m"}, "past": {1: "b", 3: "p"},
         "across_in": {3: "k"}, "across": {3: "n"}, "logits": {0: "b", 1: "m"},
@@ -83,7 +83,7 @@ def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
 @torch.no_grad()
 def parity(net: Translator, path: Path) -> float:
     """Return the largest difference between the file's logits and the network's."""
-    session, halves = cpu_session(path, 1), Halves(net.eval())
+    session, halves = cpu_session(path, 1), EncoderDecoder(net.eval())
     off = 0.0
     for words, tokens, past in ((3, 1, 0), (24, 1, 12), (MOST_WORDS - 1, 5, 40)):
         feeds = inputs_of(net, words, tokens, past)

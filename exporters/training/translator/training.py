@@ -72,7 +72,7 @@ def train(
         rows = learned.pop("table.weight")
         net.load_state_dict(learned, strict=False)
         net.table.weight.data[: len(rows)] = rows
-    run = checkpoints.describe(plan, len(human), 1, "cpu")
+    run = checkpoints.run_identity(plan, len(human), 1, "cpu")
     learner = Learner(net.train(), plan, plan.steps, checkpoint, run, tables=net.table)
     rng = Random(f"{plan.seed} {learner.done}")
     source = Source(Composer(phrases, rng), human, plan.human, rng)

@@ -12,7 +12,7 @@ from ros_sdk import definition, peers, publisher, sdk, subscriber
 
 from edge.bus.ros2 import graph, names
 from edge.bus.ros2.names import Endpoint
-from edge.bus.ros2.node import Node
+from edge.bus.ros2.node import Ros2Node
 from edge.bus.wire import messages, navigation
 from edge.geometry import SE2
 
@@ -34,7 +34,7 @@ def session(port):
 
 @pytest.fixture
 def node(session):
-    node = Node(session, 0, "edge_test")
+    node = Ros2Node(session, 0, "edge_test")
     yield node
     node.close()
 
@@ -52,7 +52,7 @@ def listed(port: int) -> dict[str, list[str]]:
     return dict(get_topic_names_and_types(0, router_port=port))
 
 
-def looked(node: Node, what):
+def looked(node: Ros2Node, what):
     """What is asked, once the node has seen it."""
 
     def ask():
@@ -126,7 +126,7 @@ def test_a_service_of_a_peer_answers(port, node):
 
 @pytest.mark.parametrize("dialect", [names.BRIDGE, names.plain("edge/ros2/")])
 def test_without_tokens_routing_tells_who_is_there(port, session, dialect):
-    node = Node(session, 0, "edge_test", dialect)
+    node = Ros2Node(session, 0, "edge_test", dialect)
     mine, client = node.publisher("/goal_pose", POSE), node.client("/nav/cancel", POSE, 5.0)
     assert (mine.heard(), client.served()) == (False, False)
     with ours(port) as other:

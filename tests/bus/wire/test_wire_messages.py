@@ -271,7 +271,7 @@ INFO = "sensor_msgs/msg/CameraInfo"
 BENT = (-0.35, 0.14, 0.0007, -0.0003, 0.0)
 
 
-def camera_info(**fields: object) -> messages.Calibration:
+def camera_info(**fields: object) -> messages.CameraCalibration:
     """`CAMERA` as decoded, with other fields; numbers of binning and roi as tuples."""
     info = from_ros(PAYLOADS[INFO], INFO)
     for name, value in fields.items():

@@ -20,17 +20,17 @@ from edge.cli import main as cli
 from edge.errors import UserError
 from edge.geometry import invert
 from edge.host import resources
-from edge.lab.bench import alone, compare, frames, measure, report, variants
+from edge.lab.bench import compare, frames, isolated, measure, report, variants
 from edge.lab.bench.boxes import (
     KIND,
     NAMED,
     NO,
-    Found,
+    DetectedBoxes,
+    GroundTruthBoxes,
     Tally,
-    Truth,
-    agree,
     agreement,
-    judge,
+    match_to_reference,
+    match_to_truth,
 )
 from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
@@ -45,7 +45,7 @@ def boxes(*rows):
 
 def found(*rows):
     """Rows of box, score, prompt."""
-    return Found(
+    return DetectedBoxes(
         boxes(*(row[0] for row in rows)),
         np.array([row[1] for row in rows], np.float32),
         np.array([row[2] for row in rows], np.int32),
@@ -54,7 +54,7 @@ def found(*rows):
 
 def truth(*rows):
     """Rows of box, label, whether it counts."""
-    return Truth(
+    return GroundTruthBoxes(
         boxes(*(row[0] for row in rows)),
         np.array([row[1] for row in rows], np.int32),
         np.array([row[2] for row in rows], bool),
@@ -67,8 +67,8 @@ def truth(*rows):
 def test_nothing_wanted_and_nothing_found():
     empty = Tally()
     assert empty.shares() == {"recall": None, "precision": None}
-    assert judge(boxes(), truth(), np.array([NAMED])) == empty
-    assert agree(found(), found()) == empty
+    assert match_to_truth(boxes(), truth(), np.array([NAMED])) == empty
+    assert match_to_reference(found(), found()) == empty
     assert agreement([], []) == {
         "recall": None, "precision": None, "score_error": None, "boxes": 0,
     }  # fmt: skip
@@ -88,7 +88,7 @@ def test_nothing_wanted_and_nothing_found():
     ],
 )
 def test_boxes_against_what_is_there(there, answers, boxes_found, wanted_found_hits):
-    tally = judge(boxes(*boxes_found), truth(*there), np.array(answers, np.uint8))
+    tally = match_to_truth(boxes(*boxes_found), truth(*there), np.array(answers, np.uint8))
     assert (tally.wanted, tally.found, tally.hits) == wanted_found_hits
 
 
@@ -104,7 +104,7 @@ def test_boxes_against_what_is_there(there, answers, boxes_found, wanted_found_h
     ],
 )
 def test_boxes_against_those_of_another_model(reference, candidate, wanted_found_hits, error):
-    tally = agree(found(*reference), found(*candidate))
+    tally = match_to_reference(found(*reference), found(*candidate))
     assert (tally.wanted, tally.found, tally.hits) == wanted_found_hits
     assert agreement([found(*reference)], [found(*candidate)])["score_error"] == error
 
@@ -126,9 +126,9 @@ def pictures(draw):
 
 @given(pictures(), pictures())
 def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other):
-    same = agree(one, one)
+    same = match_to_reference(one, one)
     assert (same.hits, same.error) == (len(one.score), 0.0)
-    tally = agree(one, other)
+    tally = match_to_reference(one, other)
     assert 0 <= tally.hits <= min(tally.wanted, tally.found)
 
 
@@ -137,14 +137,16 @@ def test_what_does_not_count_never_lowers_a_figure(seen, there, counts):
     """Recall keeps to its things; precision can only rise when some region is left out."""
     how = np.array([NAMED, NO, NO], np.uint8)
     mine = seen.xyxy_px[seen.class_id == 0]
-    all_count = Truth(there.xyxy_px, there.class_id, np.ones(len(there.score), bool))
+    all_count = GroundTruthBoxes(there.xyxy_px, there.class_id, np.ones(len(there.score), bool))
     only = np.array(counts[: len(there.score)], bool)
-    some = Truth(there.xyxy_px[only], there.class_id[only], np.ones(int(only.sum()), bool))
-    spared = judge(mine, Truth(there.xyxy_px, there.class_id, only), how)
-    without = judge(mine, some, how)
+    some = GroundTruthBoxes(
+        there.xyxy_px[only], there.class_id[only], np.ones(int(only.sum()), bool)
+    )
+    spared = match_to_truth(mine, GroundTruthBoxes(there.xyxy_px, there.class_id, only), how)
+    without = match_to_truth(mine, some, how)
     assert (spared.wanted, spared.hits) == (without.wanted, without.hits)
     assert spared.hits <= spared.found <= without.found == len(mine)
-    assert judge(mine, all_count, how).found == len(mine)
+    assert match_to_truth(mine, all_count, how).found == len(mine)
 
 
 def test_latencies_of_the_stages_and_of_all_together():
@@ -221,10 +223,10 @@ from pathlib import Path
 from edge.host import resources
 atexit.register(gc.freeze)  # as `edge.host.children` does
 resources.data_dir = lambda kind: Path({folder!r})
-from edge.lab.bench import alone, measure
+from edge.lab.bench import isolated, measure
 if b"tiny-crash" in Path(sys.argv[1]).read_bytes():
     os.kill(os.getpid(), signal.SIGSEGV)
-sys.exit(alone.main(sys.argv[1:], measure.measure))
+sys.exit(isolated.main(sys.argv[1:], measure.measure))
 """
 
 
@@ -273,7 +275,7 @@ def place(tmp_path, monkeypatch):
     np.savez(tmp_path / "words.npz", names=np.array(WORDS), emb=np.eye(len(WORDS), 16))
     program = tmp_path / "measure.py"
     program.write_text(MEASURE.format(folder=str(folder)))
-    monkeypatch.setattr(alone, "python_module", lambda name: (sys.executable, str(program)))
+    monkeypatch.setattr(isolated, "python_module", lambda name: (sys.executable, str(program)))
     resources.models_dir().mkdir(parents=True)
 
     def put(name, content, precision="fp32", task="detect"):
@@ -381,7 +383,7 @@ def test_a_variant_that_hangs_is_ended(place, tmp_path, monkeypatch):
     place("tiny-fp32", b"x")
     (tmp_path / "measure.py").write_text("import time; time.sleep(1000)")
     one = variants.Variant(load_detector_card("tiny-fp32"), "cpu")
-    made = compare.Bench(measure.Job(config.DetectorOnnx(), [], [], 0.3), limit_s=0.3)
+    made = compare.Bench(measure.DetectorJob(config.DetectorOnnx(), [], [], 0.3), limit_s=0.3)
     assert made.run(one).startswith("failed: not done after 0.3 s (")
 
 
@@ -487,7 +489,7 @@ def test_the_process_gives_one_line_for_whatever_goes_wrong(monkeypatch, tmp_pat
     def fail(job):
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr(alone, "setup", lambda *_: None)
+    monkeypatch.setattr(isolated, "setup", lambda *_: None)
     (tmp_path / "job").write_bytes(pickle.dumps("x"))
-    assert alone.main([str(tmp_path / "job"), str(tmp_path / "out")], fail) == 1
+    assert isolated.main([str(tmp_path / "job"), str(tmp_path / "out")], fail) == 1
     assert capsys.readouterr().out == "RuntimeError: two lines\n"

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge.tasks.chain import Chain
+from edge.tasks.pipeline import PerceptionPipeline
 from edge.types import Detections, Observation
 
 
-def make(words: tuple[str, ...], box: Sequence[float], fails: str = "") -> Chain:
+def make(words: tuple[str, ...], box: Sequence[float], fails: str = "") -> PerceptionPipeline:
     def tags(observation: Observation) -> tuple[str, ...]:
         return ("mailbox", *words)
 
@@ -22,7 +22,9 @@ def make(words: tuple[str, ...], box: Sequence[float], fails: str = "") -> Chain
             np.zeros(1, np.int32), tuple(tags),
         )  # fmt: skip
 
-    return Chain(tags, boxes, lambda found: found, lambda found: ["a yellow box"] * len(found))
+    return PerceptionPipeline(
+        tags, boxes, lambda found: found, lambda found: ["a yellow box"] * len(found)
+    )
 
 
 def made_of_nothing() -> object:

@@ -10,11 +10,11 @@ from small_house import small_house
 
 from edge.geometry import SE2
 from edge.lab.eval.bounds import KnownPlace, KnownRoom
-from edge.lab.eval.columns import make_columns
+from edge.lab.eval.columns import make_arms
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import plan
 from edge.lab.sim.worlds import load_world
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates, Context
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates, PolicyInput
 
 RADIUS_M = 0.2
 PLACE, ROOM = "edge.lab.eval.bounds:KnownPlace", "edge.lab.eval.bounds:KnownRoom"
@@ -26,7 +26,7 @@ def world(tmp_path):
     return load_world(small_house(tmp_path))
 
 
-def context(target: str, *candidates: tuple[int, float, float, float, float]) -> Context:
+def context(target: str, *candidates: tuple[int, float, float, float, float]) -> PolicyInput:
     """Candidates as kind, x, y, way there [m] and what is to be seen there [m²]."""
     c = Candidates(8)
     c.n = len(candidates)
@@ -34,7 +34,7 @@ def context(target: str, *candidates: tuple[int, float, float, float, float]) ->
         c.kind[k], c.xy_m[k], c.path_m[k], c.gain_m2[k] = kind, (x, y), path_m, gain_m2
     nowhere = (0, 0, 0, 0)
     at = SE2(0.0, 0.0, 0.0)
-    return Context(None, at, None, nowhere, c.read_only(), None, None, (target,), target, 0)
+    return PolicyInput(None, at, None, nowhere, c.read_only(), None, None, (target,), target, 0)
 
 
 def test_where_rooms_are_unknown_none_is_known():
@@ -76,7 +76,7 @@ def test_in_a_known_room_it_searches_and_to_it_the_shortest_way_leads(world):
 @pytest.mark.parametrize("kind", [PLACE, ROOM])
 def test_evaluations_drive_with_the_truth(tmp_path, kind):
     config = small_house(tmp_path, mission={"time_limit_s": 60.0})
-    (column,) = make_columns(config, {"bound": {"policy": {"kind": kind, "look_round": True}}})
+    (column,) = make_arms(config, {"bound": {"policy": {"kind": kind, "look_round": True}}})
     (episode,) = plan(config, [], ["bed"], 1, 0, 4.0)
     outcome = run_episode(column, episode, in_process)
     assert outcome.success, outcome.reason

@@ -7,12 +7,12 @@ from small_house import small_house
 
 from edge.config import parse
 from edge.errors import ConfigError
-from edge.lab.eval.columns import make_columns, merged, parse_column, read_columns
+from edge.lab.eval.columns import make_arms, merged, parse_arm, read_arms
 
 
 def test_a_column_says_what_differs_and_has_an_id_of_its_own(tmp_path):
     config = small_house(tmp_path, policy={"kind": "hvl", "w_vl": 2.0})
-    near, hvl = make_columns(config, {"near": {"policy": {"kind": "nearest_frontier"}}, "hvl": {}})
+    near, hvl = make_arms(config, {"near": {"policy": {"kind": "nearest_frontier"}}, "hvl": {}})
     whole = parse(merged(near.base, near.settings))
     assert whole.policy.kind == "nearest_frontier"
     assert near.id != hvl.id
@@ -31,7 +31,7 @@ def test_a_column_says_what_differs_and_has_an_id_of_its_own(tmp_path):
 )
 def test_the_id_tells_of_all_that_a_column_decides(tmp_path, change, same):
     config = small_house(tmp_path)
-    one, other = make_columns(config, {"one": {}, "other": change})
+    one, other = make_arms(config, {"one": {}, "other": change})
     assert (one.id == other.id) == same
 
 
@@ -45,19 +45,19 @@ def test_the_id_tells_of_all_that_a_column_decides(tmp_path, change, same):
 )
 def test_what_makes_no_configuration_is_refused_at_once(tmp_path, settings, message):
     with pytest.raises(ConfigError, match=message):
-        make_columns(small_house(tmp_path), {"x": settings})
+        make_arms(small_house(tmp_path), {"x": settings})
 
 
 @pytest.mark.parametrize("setting", ["policy.kind", "=3", "a..b=1", "a={"])
 def test_words_that_are_no_settings_are_refused(setting):
     with pytest.raises(ConfigError, match="--column a"):
-        parse_column(["a", setting])
+        parse_arm(["a", setting])
 
 
 def test_columns_are_read_from_a_file(tmp_path):
     path = tmp_path / "columns.yaml"
     path.write_text("hvl:\nnear: {policy: {kind: nearest_frontier}}\n")
-    assert read_columns(path) == {"hvl": {}, "near": {"policy": {"kind": "nearest_frontier"}}}
+    assert read_arms(path) == {"hvl": {}, "near": {"policy": {"kind": "nearest_frontier"}}}
 
 
 @pytest.mark.parametrize("text", ["", "[]", "a: 3", "a: ["])
@@ -65,4 +65,4 @@ def test_files_of_no_columns_are_refused(tmp_path, text):
     path = tmp_path / "columns.yaml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"columns\.yaml"):
-        read_columns(path)
+        read_arms(path)

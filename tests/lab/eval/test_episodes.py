@@ -12,7 +12,7 @@ from small_house import small_house
 
 from edge.errors import UserError
 from edge.lab.eval import episodes, world_list
-from edge.lab.eval.episodes import COMMON, Episode, make_episode, plan, read, write
+from edge.lab.eval.episodes import COMMON_TARGETS, Episode, make_episode, plan, read, write
 
 HOUSE = simulated()
 
@@ -67,11 +67,11 @@ def test_of_several_worlds_each_gives_what_it_has(tmp_path):
 
 def test_of_each_world_so_many_are_drawn(tmp_path):
     worlds = [{"kind": "house", "house": "demo"}]
-    whole = plan(HOUSE, worlds, COMMON, 1, 0, 2.0)
-    drawn = plan(HOUSE, worlds, COMMON, 1, 0, 2.0, per_world=3)
+    whole = plan(HOUSE, worlds, COMMON_TARGETS, 1, 0, 2.0)
+    drawn = plan(HOUSE, worlds, COMMON_TARGETS, 1, 0, 2.0, per_world=3)
     assert len(drawn) == 3 < len(whole)
     assert [e for e in whole if e in drawn] == drawn
-    assert drawn == plan(HOUSE, worlds, COMMON, 1, 0, 2.0, per_world=3)
+    assert drawn == plan(HOUSE, worlds, COMMON_TARGETS, 1, 0, 2.0, per_world=3)
 
 
 def test_missions_are_planned_in_each_world():

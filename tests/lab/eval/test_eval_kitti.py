@@ -21,7 +21,7 @@ from edge.lab.eval.kitti import (
 )
 from edge.tasks import terrain
 from edge.tasks.projection import points_of_masks
-from edge.tasks.survey import OFF_GROUND_M
+from edge.tasks.scene_builder import OFF_GROUND_M
 
 
 def test_an_empty_folder_has_no_frames(tmp_path):
@@ -146,7 +146,7 @@ def test_masks_have_the_points_that_the_labels_give_them(sequence):
     seen = frame.observation
     T_map_lidar = seen.T_map_base @ seen.T_base_lidar
     points = (seen.cloud_m @ T_map_lidar[:3, :3].T + T_map_lidar[:3, 3]).astype(np.float32)
-    ground = terrain.ground_around(points, 0.0, 0.0, 0.0, 50.0)
+    ground = terrain.estimate_ground(points, 0.0, 0.0, 0.0, 50.0)
     above = terrain.height_above(ground, points) > OFF_GROUND_M
     is_road = np.isin(frame.semantic, [40, 60]) & (np.abs(points[:, :2]).max(axis=1) < 25.0)
     assert above[is_road].mean() < 0.01

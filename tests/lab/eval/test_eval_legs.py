@@ -13,7 +13,7 @@ from simulated import simulated
 
 from edge.geometry import Grid
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.lab.eval.legs import PLACE_M, Legs, SeenFloor
+from edge.lab.eval.revisits import PLACE_M, RevisitCounter, SeenFloor
 from edge.lab.sim.base import FloorPlan
 from edge.lab.sim.worlds import load_world
 
@@ -68,15 +68,18 @@ def test_looks_count_each_place_once(cells, x, y, yaw):
 def test_floor_counts_as_seen_again_only_until_the_target_is_known():
     config = simulated({"sim": {"world": {"kind": "house", "house": "demo"}}})
     world = load_world(config)
-    legs, bed = Legs(config, world, RANGE_M), next(o for o in world.objects if o.label == "bed")
+    legs, bed = (
+        RevisitCounter(config, world, RANGE_M),
+        next(o for o in world.objects if o.label == "bed"),
+    )
     here = world.start.x_m, world.start.y_m, world.start.yaw_rad
     nowhere, there = np.zeros((0, 2)), np.array([bed.center_m[:2]])
     legs.update(0, "sofa", nowhere, *here)
-    assert legs.again_m2 == 0.0
+    assert legs.revisited_m2 == 0.0
     legs.update(1, "bed", there, *here)
-    assert legs.again_m2 == 0.0
+    assert legs.revisited_m2 == 0.0
     legs.update(2, "bed", nowhere, *here)
-    assert legs.again_m2 > 1.0
+    assert legs.revisited_m2 > 1.0
 
 
 def looks(instruction: str, seed: int, start=None) -> list[tuple[int, bool, tuple]]:

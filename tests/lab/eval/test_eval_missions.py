@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.lab.eval import missions
-from edge.lab.eval.missions import cells_to_go, draw_missions, plan_missions
+from edge.lab.eval.missions import cost_to_go_cells, draw_missions, plan_missions
 from edge.lab.sim.worlds import load_world
-from edge.mission.brief import prepare
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import parse, propositions
+from edge.mission.spec import prepare
 
 THINGS = ("bed", "chair", "house plant", "sofa", "television", "toilet", "oven", "armchair")
 RADIUS_M = 0.2
@@ -106,7 +106,7 @@ def test_the_shortest_way_is_that_of_the_best_order(data, text):
     plan = np.array(cells).reshape(5, 6)
     free = plan != "#"
     near = {x: plan == x for x in automaton.letters}
-    mine = cells_to_go(automaton, near, free)
+    mine = cost_to_go_cells(automaton, near, free)
     for start in zip(*np.nonzero(free), strict=True):
         start = tuple(map(int, start))
         assert mine[start] == pytest.approx(shortest(automaton, near, free, start))

@@ -6,8 +6,8 @@ from small_house import small_house
 
 from edge import names
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.tasks.chain import open_chain
-from edge.tasks.survey import Survey, scene_of_map
+from edge.tasks.pipeline import open_pipeline
+from edge.tasks.scene_builder import SceneBuilder, scene_of_map
 
 
 def test_a_robot_describes_where_it_is(tmp_path):
@@ -16,8 +16,8 @@ def test_a_robot_describes_where_it_is(tmp_path):
     config = small_house(tmp_path, mission={"target": "bed"})
     loop = ClosedLoop(config)
     words = tuple(dict.fromkeys(loop.labels))
-    with open_chain(config.perception, words, loop.truth) as chain:
-        survey = Survey(chain, config.mapping, config.robot.radius_m)
+    with open_pipeline(config.perception, words, loop.truth) as chain:
+        survey = SceneBuilder(chain, config.mapping, config.robot.radius_m)
         while not loop.service.status.done and loop.seconds < 60.0:
             for _ in range(15):
                 loop.step()
@@ -33,7 +33,7 @@ def test_a_robot_describes_where_it_is(tmp_path):
             apart = [
                 one.distance_m(x_m, y_m)
                 for one in loop.world.objects
-                if names.same(one.label, thing.label)
+                if names.same_name(one.label, thing.label)
             ]
             assert min(apart) < 0.5, thing.caption
             assert thing.nearest_m, thing.caption

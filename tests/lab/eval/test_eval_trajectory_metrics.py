@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from edge.geometry import Grid
 from edge.lab.eval.trajectory_metrics import (
     contacts,
-    evenly,
     frechet_m,
-    likeness,
     navigation_error_m,
     ndtw,
     point_contacts,
+    resample_evenly,
+    trajectory_scores,
 )
 from edge.trajectory.smoothing import resample
 
@@ -99,7 +99,7 @@ def test_contacts(a, clearance_m, expected):
 @pytest.mark.parametrize(("end", "success"), [((9.0, 0.0), True), ((8.9, 0.0), False)])
 def test_success_ends_within_a_metre(end, success):
     empty = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.2)
-    got = likeness(path([[0, 0], end]), path(LINE), empty)
+    got = trajectory_scores(path([[0, 0], end]), path(LINE), empty)
     assert (got.success, got.error_m, got.contacts) == (success, pytest.approx(10 - end[0]), 0)
     assert got.frechet_m == pytest.approx(10 - end[0])
     assert 0.0 < got.ndtw < 1.0
@@ -118,7 +118,7 @@ def by_points_twin(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def ndtw_twin(a: np.ndarray, reference: np.ndarray) -> float:
-    a, reference = evenly(a, 0.5), evenly(reference, 0.5)
+    a, reference = resample_evenly(a, 0.5), resample_evenly(reference, 0.5)
     d = np.hypot(*(reference[:, None] - a[None]).transpose(2, 0, 1))
     total = np.full(np.add(d.shape, 1), math.inf)
     total[0, 0] = 0.0

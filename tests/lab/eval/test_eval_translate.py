@@ -16,7 +16,7 @@ from edge.cli.parsers import make_parser
 from edge.config import TranslatorGrammar
 from edge.errors import UserError
 from edge.lab.eval import translate
-from edge.lab.eval.languages import difference, satisfiable
+from edge.lab.eval.equivalence import distinguishing_trace, satisfiable
 from edge.mission.logic.automaton import NOTHING, CompileError, compile_formula
 from edge.mission.logic.ltl import Formula, ap, conj, disj, neg, parse
 from edge.mission.translate import Translation, make_translator
@@ -41,7 +41,7 @@ DIFFERENT = [
 @pytest.mark.parametrize(("a", "b", "word"), DIFFERENT)
 def test_different_languages_have_a_shortest_witness(a: str, b: str, word: tuple[str, ...]) -> None:
     f, g = parse(a), parse(b)
-    assert difference(f, g) == word
+    assert distinguishing_trace(f, g) == word
     assert holds(f, word) != holds(g, word)
 
 
@@ -68,7 +68,7 @@ WORDS = st.lists(st.sampled_from(["a", "b", "c", NOTHING]), max_size=5)
 
 @given(FORMULAS, FORMULAS, WORDS)
 def test_difference_agrees_with_the_definition(f: Formula, g: Formula, word: list[str]) -> None:
-    witness = difference(f, g)
+    witness = distinguishing_trace(f, g)
     if witness is None:
         assert holds(f, word) == holds(g, word)
     else:
@@ -79,7 +79,7 @@ def test_difference_agrees_with_the_definition(f: Formula, g: Formula, word: lis
 def test_a_silent_end_is_many_steps_of_nothing(f: Formula, g: Formula, word: list[str]) -> None:
     """As many as there are states: then nothing changes any more."""
     silence = [NOTHING] * (compile_formula(f).n_states + compile_formula(g).n_states)
-    witness = difference(f, g, silent_end=True)
+    witness = distinguishing_trace(f, g, silent_end=True)
     if witness is None:
         assert holds(f, word + silence) == holds(g, word + silence)
     else:
@@ -149,7 +149,7 @@ OWN = """sentence\tright
 def test_sentences_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "own.tsv"
     path.write_text(OWN, encoding="utf-8")
-    cases, left_out = translate.own_cases(path)
+    cases, left_out = translate.custom_cases(path)
     assert left_out == Counter({translate.TO_READ: 1})
     assert [case.part for case in cases] == [translate.TO_READ] * 3 + [translate.MAY_REFUSE]
     translator = make_translator(TranslatorGrammar())
@@ -158,7 +158,7 @@ def test_sentences_of_ones_own(tmp_path: Path) -> None:
     for text in ("sentence\nno json", 'x\n"a"\t["F ("]', 'x\n"a"\t3', 'x\n"a"'):
         path.write_text(text)
         with pytest.raises(UserError, match="not readable as a table of sentences"):
-            translate.own_cases(path)
+            translate.custom_cases(path)
 
 
 def _run(*argv: str) -> int:

@@ -40,7 +40,7 @@ def test_sweeping_agrees_with_dijkstra(seed, walls):
     distance = np.full(free.shape, np.inf)
     for r, c in starts:
         distance[r, c] = 0.0
-    while geodesic.sweep(free, distance):
+    while geodesic.relax(free, distance):
         pass
     np.testing.assert_allclose(distance, dijkstra(free, starts), atol=1e-6)
 
@@ -69,7 +69,7 @@ def test_a_footprint_counts_and_not_the_box_around_it():
     corner = replace(crate(2.0, 1.2), size_m=(2.0, 1.0, 0.4), footprint_m=np.float32([[3.0, 1.2]]))
     field = geodesic.distance_field(room(), [corner], 0.2, 0.5)
     for x, expected in ((2.0, 0.5), (2.6, 0.0), (3.4, 0.0)):
-        assert geodesic.at(room(), field, x, 1.2) == pytest.approx(expected, abs=0.06)
+        assert geodesic.value_at(room(), field, x, 1.2) == pytest.approx(expected, abs=0.06)
 
 
 @pytest.mark.parametrize(
@@ -78,4 +78,4 @@ def test_a_footprint_counts_and_not_the_box_around_it():
 )
 def test_distance_to_where_success_begins(x, y, expected):
     field = geodesic.distance_field(room(), [crate(4.0, 1.2)], 0.2, 1.0)
-    assert geodesic.at(room(), field, x, y) == pytest.approx(expected, abs=0.06)
+    assert geodesic.value_at(room(), field, x, y) == pytest.approx(expected, abs=0.06)

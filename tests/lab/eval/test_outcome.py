@@ -8,11 +8,11 @@ import math
 import pytest
 
 from edge.errors import FileError, UserError
-from edge.lab.eval.columns import Column
+from edge.lab.eval.columns import ExperimentArm
 from edge.lab.eval.episodes import Episode
-from edge.lab.eval.outcome import NAME, Outcome, OutcomeFile, crashed, line
+from edge.lab.eval.outcome import NAME, EpisodeOutcome, OutcomeFile, crashed_outcome, to_json_line
 
-COLUMN = Column("hvl", {}, {}, "c0", "here")
+COLUMN = ExperimentArm("hvl", {}, {}, "c0", "here")
 EPISODE = Episode("e0", {"kind": "house", "house": "demo"}, (0.0, 1.0, 2.0), "bed", None, 3.0)
 
 
@@ -21,7 +21,7 @@ def test_a_new_folder_has_no_outcomes(tmp_path):
 
 
 def test_what_is_appended_is_there_again(tmp_path):
-    outcome = crashed(COLUMN, EPISODE, "two\nlines")
+    outcome = crashed_outcome(COLUMN, EPISODE, "two\nlines")
     OutcomeFile(tmp_path).append(outcome)
     assert OutcomeFile(tmp_path).known == {("e0", "c0"): outcome}
     assert (outcome.world, outcome.kind, outcome.failure) == ("demo", "house", "crashed")
@@ -30,19 +30,19 @@ def test_what_is_appended_is_there_again(tmp_path):
 
 def test_the_last_of_an_episode_and_column_counts(tmp_path):
     file = OutcomeFile(tmp_path)
-    file.append(crashed(COLUMN, EPISODE, "first"))
-    file.append(crashed(COLUMN, EPISODE, "second"))
+    file.append(crashed_outcome(COLUMN, EPISODE, "first"))
+    file.append(crashed_outcome(COLUMN, EPISODE, "second"))
     assert [o.reason for o in OutcomeFile(tmp_path).known.values()] == ["crashed: second"]
 
 
 def test_half_a_line_is_cut_off_and_written_anew(tmp_path):
     file = OutcomeFile(tmp_path)
-    file.append(crashed(COLUMN, EPISODE, "whole"))
+    file.append(crashed_outcome(COLUMN, EPISODE, "whole"))
     with (tmp_path / NAME).open("ab") as raw:
         raw.write(b'{"episode": "e1", "colu')
     again = OutcomeFile(tmp_path)
     assert len(again.known) == 1
-    again.append(crashed(Column("x", {}, {}, "c1", ""), EPISODE, "next"))
+    again.append(crashed_outcome(ExperimentArm("x", {}, {}, "c1", ""), EPISODE, "next"))
     assert len(OutcomeFile(tmp_path).known) == 2
 
 
@@ -60,10 +60,10 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path):
 
 
 def test_what_is_not_finite_is_null():
-    outcome = Outcome(
+    outcome = EpisodeOutcome(
         "e", "c", "i", "w", "house", "bed", None, (0.0, 0.0, 0.0), 1.0, False, "", "budget",
         distance_m=math.inf, trail=[[1.23456789, math.nan]],
     )  # fmt: skip
-    data = json.loads(line(outcome))
+    data = json.loads(to_json_line(outcome))
     assert data["distance_m"] is None
     assert data["trail"] == [[1.2346, None]]

@@ -12,17 +12,17 @@ from small_house import small_house
 
 from edge.cli.main import main
 from edge.lab.eval import drive, workers
-from edge.lab.eval.columns import make_columns
+from edge.lab.eval.columns import make_arms
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import plan, read, write
-from edge.lab.eval.outcome import TIMINGS, Outcome, OutcomeFile
+from edge.lab.eval.outcome import TIMINGS, EpisodeOutcome, OutcomeFile
 from edge.lab.eval.runs import changed, run_all
-from edge.lab.eval.workers import Task, by_workers, one_by_one
+from edge.lab.eval.workers import EpisodeJob, run_in_process, run_in_workers
 
 COLUMNS = {"hvl": {}, "near": {"policy": {"kind": "nearest_frontier"}}}
 
 
-def exact(outcome: Outcome) -> dict[str, Any]:
+def exact(outcome: EpisodeOutcome) -> dict[str, Any]:
     """All that does not depend on how fast the computer is."""
     return {k: v for k, v in dataclasses.asdict(outcome).items() if k not in TIMINGS}
 
@@ -37,19 +37,19 @@ def config(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tasks(config):
     episodes = plan(config, [], ["bed", "sofa"], 1, 0, 2.0)
-    return [Task(column, e) for e in episodes for column in make_columns(config, COLUMNS)]
+    return [EpisodeJob(column, e) for e in episodes for column in make_arms(config, COLUMNS)]
 
 
 @pytest.fixture(scope="module")
 def alone(tasks):
     """Their outcomes in this process, one after the other."""
-    return list(one_by_one(tasks, threading.Event()))
+    return list(run_in_process(tasks, threading.Event()))
 
 
 def test_no_tasks_have_no_outcomes():
     stop = threading.Event()
-    assert list(one_by_one([], stop)) == []
-    assert list(by_workers([], 2, stop)) == []
+    assert list(run_in_process([], stop)) == []
+    assert list(run_in_workers([], 2, stop)) == []
 
 
 def test_an_episode_replays_the_same_and_tells_its_story(tasks, alone):
@@ -67,12 +67,12 @@ def test_an_episode_replays_the_same_and_tells_its_story(tasks, alone):
 
 
 def test_processes_give_the_same_outcomes(tasks, alone):
-    shared = {o.key: exact(o) for o in by_workers(tasks, 2, threading.Event())}
+    shared = {o.key: exact(o) for o in run_in_workers(tasks, 2, threading.Event())}
     assert shared == {o.key: exact(o) for o in alone}
     assert len(shared) == len(tasks)
 
 
-def fallen(task: Task) -> Outcome:
+def fallen(task: EpisodeJob) -> EpisodeOutcome:
     """What a worker runs instead: it falls over at the sofa."""
     if task.episode.target == "sofa":
         os._exit(7)
@@ -80,7 +80,7 @@ def fallen(task: Task) -> Outcome:
 
 
 def serve_fallen(pipe):
-    workers.run_task = fallen
+    workers.run_job = fallen
     workers._serve(pipe)
 
 
@@ -98,7 +98,7 @@ def test_a_process_that_falls_over_fails_its_episode_only(tasks, monkeypatch):
 
     monkeypatch.setattr(workers, "get_context", lambda kind: Context)
     some = [tasks[0], tasks[2], tasks[3]]
-    outcomes = list(by_workers(some, 1, threading.Event()))
+    outcomes = list(run_in_workers(some, 1, threading.Event()))
     assert [(o.target, o.success) for o in outcomes] == [
         ("bed", True), ("sofa", False), ("sofa", False),
     ]  # fmt: skip
@@ -115,7 +115,7 @@ def test_an_error_fails_its_episode_only(tasks, monkeypatch):
         return real(config, **options)
 
     monkeypatch.setattr(drive, "ClosedLoop", broken)
-    outcomes = list(one_by_one([tasks[0], tasks[2]], threading.Event()))
+    outcomes = list(run_in_process([tasks[0], tasks[2]], threading.Event()))
     assert [o.failure for o in outcomes] == [None, "crashed"]
     assert "out of order" in outcomes[1].reason
 
@@ -133,10 +133,10 @@ def test_an_episode_ends_though_its_mission_does_not(tasks, monkeypatch):
 def test_after_a_stop_nothing_begins_and_nothing_is_kept(config, tasks, tmp_path):
     stop = threading.Event()
     stop.set()
-    assert list(one_by_one(tasks, stop)) == []
-    assert list(by_workers(tasks, 2, stop)) == []
+    assert list(run_in_process(tasks, stop)) == []
+    assert list(run_in_workers(tasks, 2, stop)) == []
     episodes = plan(config, [], ["bed"], 1, 0, 2.0)
-    assert run_all(make_columns(config, {}), episodes, tmp_path / "out", stop=stop) == []
+    assert run_all(make_arms(config, {}), episodes, tmp_path / "out", stop=stop) == []
     assert OutcomeFile(tmp_path / "out").known == {}
 
 
@@ -148,7 +148,7 @@ def test_a_run_goes_on_where_it_was_broken_off(config, tmp_path):
         told.append((number, total, outcome.key))
         stop.set()
 
-    columns = make_columns(config, COLUMNS)
+    columns = make_arms(config, COLUMNS)
     first = run_all(columns, episodes, out, tell=tell, stop=stop)
     assert [(number, total) for number, total, _ in told] == [(1, 4)]
     rest = run_all(columns, episodes, out, tell=lambda *news: told.append(news))
@@ -163,14 +163,14 @@ def test_a_run_goes_on_where_it_was_broken_off(config, tmp_path):
 
 def test_a_column_that_was_changed_is_run_anew_and_a_crash_as_well(config, tmp_path, monkeypatch):
     episodes, out = plan(config, [], ["bed"], 1, 0, 2.0), tmp_path / "out"
-    (column,) = make_columns(config, {"it": {}})
+    (column,) = make_arms(config, {"it": {}})
     with monkeypatch.context() as patched:
         patched.setattr(drive, "ClosedLoop", lambda *_, **__: 1 / 0)
         (crash,) = run_all([column], episodes, out)
     assert crash.failure == "crashed"
     (good,) = run_all([column], episodes, out)
     assert good.success
-    (other,) = make_columns(config, {"it": {"policy": {"kind": "nearest_frontier"}}})
+    (other,) = make_arms(config, {"it": {"policy": {"kind": "nearest_frontier"}}})
     assert changed([column], out) == {}
     assert changed([other], out) == {"it": 1}
     (anew,) = run_all([other], episodes, out)
@@ -182,7 +182,7 @@ def test_a_mission_of_several_things_is_judged_at_each(config):
     told = dataclasses.replace(
         there, target=None, instruction="go to the sofa, then go to the bed", shortest_m=4.0
     )
-    (column,) = make_columns(config, {})
+    (column,) = make_arms(config, {})
     outcome = run_episode(column, told, in_process)
     assert outcome.success, outcome.reason
     assert (outcome.target, outcome.distance_m) == (None, None)

@@ -15,8 +15,8 @@ from made_sequence import write
 
 from edge.cli.main import main
 from edge.config import load
-from edge.lab.eval.trial.trial import carry_out
-from edge.lab.eval.trial.views import street_view
+from edge.lab.eval.trial.scene_capture import capture_street
+from edge.lab.eval.trial.task_run import run_task
 from edge.tasks.value_map import closed_cells
 
 PICTURES = ["objects.png", "camera.png", "map.png", "scene.html"]
@@ -30,7 +30,7 @@ give_trajectory([a_star_plan(robot()["position"], end)], [region], 0.4)
 
 @cache
 def seen():
-    return street_view(3, load("street"))
+    return capture_street(3, load("street"))
 
 
 def trajectory(tmp_path, *args):
@@ -48,7 +48,7 @@ def test_without_a_sentence_nothing_is_made(tmp_path, capsys, words):
 
 
 def test_a_trajectory_leads_to_what_the_sentence_names():
-    outcome, failed = carry_out("go to the red car", seen(), load("street"))
+    outcome, failed = run_task("go to the red car", seen(), load("street"))
     assert failed is None
     (car,) = outcome.named()
     assert outcome.ends_at()[0] is car

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_house import small_house
 
-from edge.lab.eval.witness import Truth, Witness, named, visible_px
+from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger, named, visible_px
 from edge.lab.sim.worlds import load_world
-from edge.types import Goal, Instance, MissionStatus, Observation, Step
+from edge.types import Goal, Instance, MissionEvent, MissionStatus, Observation
 
 BED = (6.8, 2.0)  # its middle
 SECOND_NS = 1_000_000_000
@@ -25,7 +25,9 @@ class Stage:
         self.targets = targets
         config = small_house(tmp_path)
         self.world = load_world(config)
-        self.witness = Witness(config, self.world, lambda stamp_ns: self._truth)
+        self.distinguishing_trace = GroundTruthLogger(
+            config, self.world, lambda stamp_ns: self._truth
+        )
         self._steps = []
         self.tick(0.0)
 
@@ -37,11 +39,11 @@ class Stage:
         ids = np.zeros((20, 20), np.uint16)
         for k, label in enumerate(shown):
             ids[10 * k : 10 * k + 10] = next(o.id for o in self.world.objects if o.label == label)
-        self._truth = Truth(*xy, 0.0, at_s, 0, ids)
+        self._truth = GroundTruth(*xy, 0.0, at_s, 0, ids)
         if reached is not None:
-            self._steps.append(Step(0, "reached", reached, 0, ""))
+            self._steps.append(MissionEvent(0, "reached", reached, 0, ""))
         seen = Observation(0, int(at_s * SECOND_NS), np.eye(4), depth_m=np.full((20, 20), near_m))
-        self.witness.tick(
+        self.distinguishing_trace.tick(
             SimpleNamespace(
                 targets=self.targets,
                 goals=(Goal(0, None, "frontier", 0, (0.0, 0.0), 0.0, "bed"),),
@@ -54,7 +56,7 @@ class Stage:
         )
 
     def failure(self):
-        return self.witness.failure("bed")
+        return self.distinguishing_trace.failure("bed")
 
 
 def instance(number, xy, state="confirmed"):
@@ -71,20 +73,20 @@ def test_an_episode_that_reaches_the_thing_is_no_failure(stage):
     stage.tick(5.0, shown=["bed"])
     stage.tick(9.0, (5.2, 2.0), phase="reached", reached="bed")
     assert stage.failure() is None
-    assert stage.witness.wrong_stops == []
+    assert stage.distinguishing_trace.wrong_stops == []
 
 
 def test_a_stop_far_from_it_is_the_wrong_thing(stage):
     stage.tick(5.0, shown=["bed"])
     stage.tick(9.0, (2.0, 2.0), phase="reached", reached="bed")
     assert stage.failure() == "wrong thing"
-    assert [label for label, _ in stage.witness.wrong_stops] == ["bed"]
+    assert [label for label, _ in stage.distinguishing_trace.wrong_stops] == ["bed"]
 
 
 def test_what_never_came_into_view_was_never_seen(stage):
     stage.tick(5.0, (3.0, 2.0), shown=["sofa"], phase="failed", reason="nothing left to search")
     assert stage.failure() == "never seen"
-    assert stage.witness.first_sight() is None
+    assert stage.distinguishing_trace.first_sight() is None
 
 
 def test_what_was_in_view_and_not_confirmed(stage):
@@ -101,7 +103,7 @@ def test_a_mission_without_an_end_is_out_of_budget(stage):
 def test_a_minute_in_one_place_is_stuck(stage):
     stage.tick(30.0, (3.0, 2.0))
     stage.tick(95.0, (3.4, 2.0), phase="failed", reason="time limit of 95 s")
-    assert stage.witness.standing_s == pytest.approx(65.0)
+    assert stage.distinguishing_trace.stuck_s == pytest.approx(65.0)
     assert stage.failure() == "stuck"
 
 
@@ -115,14 +117,14 @@ def test_a_confirmed_one_that_was_given_up_is_stuck(stage):
 def test_it_is_seen_within_the_detectors_range(stage, near_m, seen):
     stage.tick(5.0, shown=["bed"], near_m=near_m)
     stage.tick(7.0, shown=["bed"], near_m=2.0)
-    assert stage.witness.first_sight().seconds == (5.0 if seen else 7.0)
+    assert stage.distinguishing_trace.first_sight().seconds == (5.0 if seen else 7.0)
 
 
 def test_an_error_of_its_own_is_kept(stage):
-    stage.witness._truth = None
+    stage.distinguishing_trace._truth = None
     with pytest.raises(TypeError):
         stage.tick(1.0)
-    assert isinstance(stage.witness.fault, TypeError)
+    assert isinstance(stage.distinguishing_trace.fault, TypeError)
 
 
 def test_things_are_those_of_the_name_else_of_the_noun(tmp_path):
@@ -145,17 +147,17 @@ def test_visible_px_agrees_with_a_plain_one(seed, range_m):
 
 def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):
     stage = Stage(tmp_path, ("bed", "sofa"))
-    assert stage.witness.revisited_m2 == 0.0
+    assert stage.distinguishing_trace.revisited_m2 == 0.0
     stage.tick(1.0, target="sofa")
-    seen_m2 = stage.witness.revisited_m2
+    seen_m2 = stage.distinguishing_trace.revisited_m2
     assert seen_m2 > 1.0
     stage.tick(2.0, target="sofa")
-    assert stage.witness.revisited_m2 == seen_m2
+    assert stage.distinguishing_trace.revisited_m2 == seen_m2
 
 
 def test_what_is_known_already_is_not_searched_for(tmp_path):
     stage = Stage(tmp_path, ("sofa", "bed"))
     stage.tick(1.0, target="sofa")
-    before_m2 = stage.witness.revisited_m2
+    before_m2 = stage.distinguishing_trace.revisited_m2
     stage.tick(2.0, target="bed", instances=[instance(1, BED)])
-    assert stage.witness.revisited_m2 == before_m2
+    assert stage.distinguishing_trace.revisited_m2 == before_m2

@@ -37,7 +37,7 @@ class Robot:
         self.session = open_session(config.zenoh, "listen")
         self.settings = config.zenoh
         self.pose, self.v, self.w, self.stamp_ns = SE2(0.5, 1.0, 0.0), 0.0, 0.0, 10**9
-        self.commands = self._hear(topics.CMD_VEL)
+        self.take_commands = self._hear(topics.CMD_VEL)
         self.answers = self._hear(topics.GOAL_STATUS)
 
     def _hear(self, topic: topics.Topic) -> zenoh.Subscriber:
@@ -68,7 +68,7 @@ class Robot:
         """The next command (of a stamp or a later one); what may be lost is sent `again`."""
         deadline_s, next_s = time.monotonic() + PATIENCE_S, time.monotonic() + 0.5
         while time.monotonic() < deadline_s:
-            while (sample := self.commands.try_recv()) is not None:
+            while (sample := self.take_commands.try_recv()) is not None:
                 command = messages.decode_twist_stamped(sample.payload.to_bytes())
                 if command[0] >= stamp_ns:
                     return command
@@ -166,7 +166,7 @@ def test_lockstep_waits_for_the_tick(robot: Robot):
     robot.stamp_ns += 10**8
     robot.odometry()
     time.sleep(0.2)
-    while (sample := robot.commands.try_recv()) is not None:  # the stamp before, once more
+    while (sample := robot.take_commands.try_recv()) is not None:  # the stamp before, once more
         stamp_ns = messages.decode_twist_stamped(sample.payload.to_bytes())[0]
         assert stamp_ns < robot.stamp_ns
     robot.tick()

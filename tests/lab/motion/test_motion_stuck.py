@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from edge.config import Robot
+from edge.config import RobotConfig
 from edge.geometry import SE2, Grid
-from edge.lab.motion.progress import DETOURS, Contact, Progress
-from edge.lab.motion.recovery import BACK_M, STEP_M, TIME_NS, Recovery, Trail
+from edge.lab.motion.progress import DETOURS, ContactDetector, ProgressMonitor
+from edge.lab.motion.recovery import BACK_M, STEP_M, TIME_NS, BacktrackPath, Recovery
 from edge.trajectory.costmap import from_weights
 from edge.trajectory.pursuit import MotionLimits
 
@@ -34,7 +34,7 @@ HERE = SE2(1.0, 2.0, 0.0)
 )
 def test_a_robot_pushes_that_was_told_to_drive_in_vain(steps, after):
     """Steps of 0.1 s: how far it came, at what speed it was told to drive."""
-    contact, x, said = Contact(0.3, 0.05), 0.0, []
+    contact, x, said = ContactDetector(0.3, 0.05), 0.0, []
     for moved_m, v_mps in steps:
         x += moved_m
         said.append(contact.update(SE2(x, 0.0, 0.0), v_mps, 0.1))
@@ -42,14 +42,14 @@ def test_a_robot_pushes_that_was_told_to_drive_in_vain(steps, after):
 
 
 def test_progress_waits_for_the_way_to_get_shorter():
-    progress = Progress(5.0)
+    progress = ProgressMonitor(5.0)
     assert all(progress.update(10.0 - 0.1 * k, k * S) for k in range(50))
     assert all(progress.update(5.2, (49 + k) * S) for k in range(5))
     assert not progress.update(5.2, 55 * S)
 
 
 def test_progress_forgives_detours_but_not_for_ever():
-    progress = Progress(5.0)
+    progress = ProgressMonitor(5.0)
     lengths = [2.0, 9.0] * (DETOURS + 3)
     said = [progress.update(m, 4 * k * S) for k, m in enumerate(lengths)]
     assert all(said[: 2 * DETOURS])
@@ -58,7 +58,7 @@ def test_progress_forgives_detours_but_not_for_ever():
 
 def _recovery(weights: np.ndarray) -> Recovery:
     costmap = from_weights(Grid(weights, (0.0, 0.0), 0.1))
-    return Recovery(HERE, costmap, Trail(), MotionLimits.of(Robot()), 0)
+    return Recovery(HERE, costmap, BacktrackPath(), MotionLimits.of(RobotConfig()), 0)
 
 
 def test_recovery_backs_up_where_the_map_is_open():
@@ -89,11 +89,11 @@ def test_recovery_ends_in_time(now_ns):
 @pytest.mark.parametrize("turned_rad", [0.0, 0.4, math.pi / 2, math.pi])
 def test_recovery_drives_out_the_way_the_robot_came(turned_rad):
     """Round a corner too, whatever the map says, and however the robot has turned since."""
-    trail, way = Trail(), [(0.05 * k, 0.0) for k in range(20)] + [(0.95, 0.05), (0.95, 0.1)]
+    trail, way = BacktrackPath(), [(0.05 * k, 0.0) for k in range(20)] + [(0.95, 0.05), (0.95, 0.1)]
     for x, y in way:
         trail.extend(SE2(x, y, 0.0))
     pose = SE2(0.95, 0.1, math.pi / 2 + turned_rad)
-    recovery = Recovery(pose, None, trail, MotionLimits.of(Robot()), 0)
+    recovery = Recovery(pose, None, trail, MotionLimits.of(RobotConfig()), 0)
     driven, step_s = [pose], 0.05
     for k in range(100):
         command = recovery.step(pose, int(k * step_s * 1e9))
@@ -107,7 +107,7 @@ def test_recovery_drives_out_the_way_the_robot_came(turned_rad):
 
 
 def test_the_trail_has_no_loops_and_ends_where_the_robot_was_carried():
-    trail = Trail()
+    trail = BacktrackPath()
     assert trail.back_from(HERE) == []
     for x in (0.0, 0.1, 0.2, 0.3, 0.4, 0.3, 0.2):
         trail.extend(SE2(x, 0.0, 0.0))

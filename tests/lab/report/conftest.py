@@ -10,7 +10,7 @@ from results import result
 from simulated import simulated
 
 from edge.lab.report.record import RunRecord
-from edge.lab.report.recorder import Recorder
+from edge.lab.report.recorder import ReportRecorder
 
 
 @pytest.fixture(scope="session")
@@ -26,5 +26,5 @@ def run() -> RunRecord:
 @pytest.fixture(scope="session")
 def empty_run() -> RunRecord:
     """A run that ended before anything arrived."""
-    record = Recorder(simulated()).record(result(), {})
-    return replace(record, map=None, story=None)
+    record = ReportRecorder(simulated()).record(result(), {})
+    return replace(record, map=None, mission_facts=None)

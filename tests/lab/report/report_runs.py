@@ -14,9 +14,9 @@ from simulated import simulated
 from task_facts import LIMITS, driving
 
 from edge.geometry import SE2, Grid
-from edge.host.calibration import Calibration
+from edge.host.calibration import SpeedCalibration
 from edge.lab.report.record import RunRecord
-from edge.lab.report.recorder import Recorder
+from edge.lab.report.recorder import ReportRecorder
 from edge.loop.latency import LatencyRing
 from edge.loop.result import Event, MissionFacts
 from edge.loop.stages import STAGES
@@ -24,11 +24,11 @@ from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import parse as parse_ltl
 from edge.mission.planning.plan import DEAD
 from edge.mission.translate import Translation
-from edge.tasks.facts import TaskFacts
+from edge.tasks.facts import TaskStatus
 from edge.tasks.refine import refine
 from edge.tasks.scene import Region, Scene
-from edge.tasks.value_map import Body
-from edge.types import Detections, Goal, Instance, MissionStatus, Observation, Step
+from edge.tasks.value_map import PathMargins
+from edge.types import Detections, Goal, Instance, MissionEvent, MissionStatus, Observation
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -100,7 +100,7 @@ def instance(number: int, label: str, score: float, state: str = "seen") -> Inst
     return Instance(number, label, center, points, score, 9, S, 9 * S, state)
 
 
-def drive(recorder: Recorder) -> int:
+def drive(recorder: ReportRecorder) -> int:
     """Move along `WAY` at 0.4 m/s; returns the last stamp."""
     stamp_ns = 0
     for (x0, y0), (x1, y1) in pairwise(WAY):
@@ -115,7 +115,7 @@ def drive(recorder: Recorder) -> int:
 
 def latency() -> LatencyRing:
     rng = np.random.default_rng(3)
-    ring = LatencyRing(calibration=Calibration("m", 1.0, {}))
+    ring = LatencyRing(calibration=SpeedCalibration("m", 1.0, {}))
     for _ in range(800):
         ring.begin_tick(0)
         spent = 0
@@ -130,7 +130,9 @@ def latency() -> LatencyRing:
 
 def flat_run(phase: str = "reached", reason: str = "") -> RunRecord:
     rng = np.random.default_rng(0)
-    recorder = Recorder(simulated({"robot": {"name": "demo"}, "mission": {"target": "chair"}}))
+    recorder = ReportRecorder(
+        simulated({"robot": {"name": "demo"}, "mission": {"target": "chair"}})
+    )
     end_ns = drive(recorder)
     for i, (x, y) in enumerate(WAY[1:-1]):
         pose = SE2(x, y, 0.5)
@@ -156,7 +158,9 @@ def flat_run(phase: str = "reached", reason: str = "") -> RunRecord:
         frontiers=lambda: frontiers,
         instances=lambda: things,
     )
-    return replace(recorder.record(end, {"frames dropped": 3, "bad messages": 0}), story=None)
+    return replace(
+        recorder.record(end, {"frames dropped": 3, "bad messages": 0}), mission_facts=None
+    )
 
 
 STORY = (
@@ -191,7 +195,7 @@ def story_of(
         translation=Translation(instruction, parsed, "in words", "ltl"),
     )  # fmt: skip
     told = tuple(
-        Step(round(t_s * S), kind, label, 0, text)  # the states are not looked at
+        MissionEvent(round(t_s * S), kind, label, 0, text)  # the states are not looked at
         for t_s, kind, label, text in steps
     )
     return replace(
@@ -210,7 +214,7 @@ def mission_run() -> RunRecord:
     ]
     texts = [(t_s, text) for t_s, _, _, text in STORY]
     return replace(
-        found, title=asked, targets=("chair", "sofa", "tv", "bed"), story=story,
+        found, title=asked, targets=("chair", "sofa", "tv", "bed"), mission_facts=story,
         instances=tuple(things), events=tuple(texts),
     )  # fmt: skip
 
@@ -224,8 +228,8 @@ def task_run(**fields: Any) -> RunRecord:
         0, start, {}, {1: Region(1, "floor", 40.0)}, occupancy, floor, None, None, None, {}
     )
     coarse = np.array([*WAY[1:4], *WAY[4:]])
-    refined = refine(scene, [coarse[:3], coarse[3:]], {1}, Body(0.2, 0.6), LIMITS)
-    task: TaskFacts = driving(
+    refined = refine(scene, [coarse[:3], coarse[3:]], {1}, PathMargins(0.2, 0.6), LIMITS)
+    task: TaskStatus = driving(
         len(refined.poses) - 1, phase="reached", coarse_m=coarse, refined=refined,
         notes=refined.notes,
     )  # fmt: skip

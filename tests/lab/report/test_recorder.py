@@ -12,31 +12,31 @@ from simulated import simulated
 from edge.geometry import SE2
 from edge.lab.report import story
 from edge.lab.report.record import RunRecord
-from edge.lab.report.recorder import Recorder, detector_name
-from edge.live.trail import STEP_M, Trail
-from edge.loop.result import Event, facts_of
-from edge.mission.brief import prepare
+from edge.lab.report.recorder import ReportRecorder, detector_name
+from edge.live.trail import STEP_M, DrivenPath
+from edge.loop.result import Event, mission_facts
 from edge.mission.run import MissionRun
+from edge.mission.spec import prepare
 from edge.types import Detections, MissionStatus, Observation
 
 S = 1_000_000_000
 MS = 1_000_000
 
 
-def make(frames: int = 8) -> Recorder:
-    return Recorder(simulated(), frames)
+def make(frames: int = 8) -> ReportRecorder:
+    return ReportRecorder(simulated(), frames)
 
 
-def finish(recorder: Recorder, target: str = "chair", **more: object) -> RunRecord:
+def finish(recorder: ReportRecorder, target: str = "chair", **more: object) -> RunRecord:
     return recorder.record(result(status=MissionStatus(target, "reached"), **more), {})
 
 
-def drive(recorder: Recorder, stamp_ns: int, x_m: float, yaw_rad: float = 0.0) -> None:
+def drive(recorder: ReportRecorder, stamp_ns: int, x_m: float, yaw_rad: float = 0.0) -> None:
     pose = SE2(x_m, 0.0, yaw_rad).matrix()
     recorder.tick(result(observation=Observation(0, stamp_ns, pose)))
 
 
-def show(recorder: Recorder, detections: Detections, *targets: str) -> None:
+def show(recorder: ReportRecorder, detections: Detections, *targets: str) -> None:
     recorder.tick(result(detections=detections, targets=targets or ("chair",)))
 
 
@@ -70,7 +70,7 @@ def test_trajectory_keeps_steps_and_counts_from_the_start():
 
 @given(n=st.integers(1, 900), capacity=st.integers(4, 40))
 def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
-    trail = Trail(capacity)
+    trail = DrivenPath(capacity)
     for k in range(n):
         trail.append(k * S, SE2(float(k), 0.0, 0.0))
     poses, stamps_ns = trail.arrays()
@@ -145,7 +145,7 @@ def under_way(formula: str) -> MissionRun:
 
 
 def told_of(run: MissionRun) -> RunRecord:
-    return finish(make(), mission=lambda: facts_of(run))
+    return finish(make(), mission=lambda: mission_facts(run))
 
 
 def left_to_reach(record: RunRecord) -> str:
@@ -155,12 +155,12 @@ def left_to_reach(record: RunRecord) -> str:
 
 def test_the_story_of_a_mission_under_way():
     run = under_way("F(chair & F sofa) & (!bed W sofa)")
-    run.arrive("seen in 9 images", S)
+    run.on_reached("seen in 9 images", S)
     record = told_of(run)
     assert left_to_reach(record) == "sofa"
     assert [step.label for step in record.reached] == ["chair"]
     assert [step.kind for step in record.steps] == ["start", "target", "reached", "target"]
-    assert not record.simple
+    assert not record.has_single_target
 
 
 def test_the_story_of_a_mission_that_failed_says_what_was_left():
@@ -182,5 +182,5 @@ def test_a_detector_is_called_what_it_is(detector, words):
 
 def test_the_record_knows_the_configuration_but_no_secret():
     translator = {"kind": "llm", "url": "https://me:s3cret@host/v1?key=s3cret"}
-    record = finish(Recorder(simulated({"mission": {"translator": translator}})))
+    record = finish(ReportRecorder(simulated({"mission": {"translator": translator}})))
     assert record.config["mission"]["translator"]["url"] == "https://host/v1?***"

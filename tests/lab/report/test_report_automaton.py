@@ -16,9 +16,9 @@ from matplotlib.patches import Circle
 from matplotlib.transforms import Bbox
 
 from edge.lab.report import canvas
+from edge.lab.report.automaton_graph import CURRENT, RADIUS, draw, lay_out
 from edge.lab.report.dot import to_dot
-from edge.lab.report.drawing import CURRENT, RADIUS, draw, lay_out
-from edge.live.scene import MAX_ARROWS, MAX_PART, MAX_WHOLE, make_scene
+from edge.live.automaton_graph import MAX_ARROWS, MAX_PART, MAX_WHOLE, make_automaton_graph
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.ltl import parse
 
@@ -69,7 +69,7 @@ def automata(draw: st.DrawFn) -> Automaton:
 
 
 def draw_svg(*shown) -> bytes:
-    return canvas.svg(draw(make_scene(*shown)))
+    return canvas.svg(draw(make_automaton_graph(*shown)))
 
 
 def texts(svg: bytes) -> list[str]:
@@ -91,7 +91,7 @@ def boxes(axes: Axes) -> list[Bbox]:
 @given(automata())
 def test_the_titles_say_all_that_the_automaton_does(automaton):
     """Rebuilt from the drawing's words alone, every step of a state with hope is right."""
-    scene = make_scene(automaton)
+    scene = make_automaton_graph(automaton)
     steps: dict[int, dict[str, int]] = defaultdict(dict)
     for arrow in scene.arrows:
         source, target, letters = re.fullmatch(r"(\d+) to (\d+): (.*)", arrow.title).groups()
@@ -113,7 +113,7 @@ def test_the_titles_say_all_that_the_automaton_does(automaton):
 
 
 def test_the_way_and_the_plan():
-    drawn = make_scene(automaton("case 1"), 2, ("plant", "tv"), ("bed",))
+    drawn = make_automaton_graph(automaton("case 1"), 2, ("plant", "tv"), ("bed",))
     roles = {a.role: [] for a in drawn.arrows}
     for arrow in drawn.arrows:
         roles[arrow.role].append(arrow.lines)
@@ -127,7 +127,7 @@ def test_the_way_and_the_plan():
 def test_of_a_large_automaton_the_part_that_matters(n, reached):
     a = unordered(n)
     path, plan = a.letters[:reached], a.letters[reached:]
-    scene = make_scene(a, a.run(path), plan, path)
+    scene = make_automaton_graph(a, a.run(path), plan, path)
     states = [node.state for node in scene.nodes]
     on_the_way = {a.run(a.letters[:k]) for k in range(n + 1)}
     assert len(states) == len(set(states)) <= MAX_PART < MAX_WHOLE
@@ -148,7 +148,7 @@ def test_where_everything_leads_everywhere_little_is_drawn(n, k, ahead):
     accepting, left = np.arange(n) == n - 1, np.ones(n, np.int32)
     letters = tuple(f"thing {i}" for i in range(k))
     dense = Automaton(parse("true"), letters, delta, accepting, left)
-    scene = make_scene(dense, 3, letters[:ahead], letters[:ahead])
+    scene = make_automaton_graph(dense, 3, letters[:ahead], letters[:ahead])
     assert 5 < len(scene.nodes) <= MAX_PART
     assert len(scene.arrows) <= MAX_ARROWS
     assert any(node.current for node in scene.nodes)
@@ -160,7 +160,7 @@ def test_where_everything_leads_everywhere_little_is_drawn(n, k, ahead):
 
 @given(automata())
 def test_every_arrow_goes_column_by_column_and_no_two_things_share_a_place(automaton):
-    scene = make_scene(automaton)
+    scene = make_automaton_graph(automaton)
     layout = lay_out(scene)
     places = [*layout.nodes, *(stop for route in layout.routes for stop in route)]
     assert len(places) == len(set(places))
@@ -176,7 +176,7 @@ def test_every_arrow_goes_column_by_column_and_no_two_things_share_a_place(autom
 @pytest.mark.parametrize("name", FORMULAS)
 def test_no_label_covers_another_or_a_state(name):
     a = automaton(name)
-    placed = boxes(draw(make_scene(a, 0, a.letters[:1])))
+    placed = boxes(draw(make_automaton_graph(a, 0, a.letters[:1])))
     assert not any(one.overlaps(other) for one, other in combinations(placed, 2))
 
 
@@ -196,9 +196,9 @@ def test_svg_is_whole_safe_and_always_the_same(name):
 @pytest.mark.parametrize("name", ["true", "false", "choice", "hostile", "case 1"])
 def test_png(name):
     a = automaton(name)
-    png = canvas.png(draw(make_scene(a, 0, a.letters[:1])))
+    png = canvas.png(draw(make_automaton_graph(a, 0, a.letters[:1])))
     assert png.startswith(b"\x89PNG")
-    assert png != canvas.png(draw(make_scene(a, None)))
+    assert png != canvas.png(draw(make_automaton_graph(a, None)))
 
 
 # -- other programs -----------------------------------------------------------------------------

@@ -8,11 +8,11 @@ import numpy as np
 from results import result
 from simulated import simulated
 
-from edge.geometry import CameraModel, Grid, optical, se3
+from edge.geometry import CameraModel, Grid, se3, to_optical
 from edge.lab.report import choices
-from edge.lab.report.recorder import Recorder
+from edge.lab.report.recorder import ReportRecorder
 from edge.loop.result import VALUE_LAYER, ScoredCandidates
-from edge.perception.scoring.choice.question import Choice
+from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies.base import FRONTIER
 from edge.types import Observation
 
@@ -23,7 +23,7 @@ def looking(stamp_ns: int) -> Observation:
     """From 0.6 m above the floor ahead, along x."""
     model = CameraModel.from_hfov(320, 256, 1.3)
     rgb = np.zeros((256, 320, 3), np.uint8)
-    T_base_camera = optical(se3(0.1, 0.0, 0.6))
+    T_base_camera = to_optical(se3(0.1, 0.0, 0.6))
     return Observation(
         0, stamp_ns, np.eye(4), rgb=rgb, camera=model, T_base_camera=T_base_camera
     )  # fmt: skip
@@ -40,13 +40,13 @@ def frontiers(*xy_m: tuple[float, float]) -> ScoredCandidates:
 def answered(stamp_ns: int, *xy_m: tuple[float, float]):
     """A tick with an answer about what lies ahead."""
     p = np.full(len(xy_m), 0.8 / max(1, len(xy_m)), np.float32)
-    choice = Choice(stamp_ns, "bed", tuple(range(len(xy_m))), p, 0.2, 0.75)
+    choice = FrontierChoice(stamp_ns, "bed", tuple(range(len(xy_m))), p, 0.2, 0.75)
     seen = looking(stamp_ns)
     return result(observation=seen, choice=choice, candidates=lambda: frontiers(*xy_m))
 
 
 def record_of(*ticks, frames: int = 4, **end):
-    recorder = Recorder(simulated(), frames)
+    recorder = ReportRecorder(simulated(), frames)
     for tick in ticks:
         recorder.tick(tick)
     return recorder.record(result(**end), {})

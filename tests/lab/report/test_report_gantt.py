@@ -13,7 +13,7 @@ from edge.lab.report import canvas, gantt, palette
 
 
 def told(run, steps, formula=FORMULA, targets=("chair", "sofa", "tv", "bed")):
-    return replace(run, story=story_of(formula, (), steps), targets=targets)
+    return replace(run, mission_facts=story_of(formula, (), steps), targets=targets)
 
 
 def words(page) -> list[str]:

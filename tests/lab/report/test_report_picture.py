@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from edge.geometry import Grid, thin
+from edge.geometry import Grid, downsample
 from edge.lab.report import palette, picture, raster
 
 
@@ -34,7 +34,7 @@ def test_crop_of_nothing_known(shape):
 def test_thin_keeps_obstacles_and_then_free_space(shape, max_side, k):
     rng = np.random.default_rng(1)
     cells = rng.choice(np.array([-1, 0, 100], np.int8), shape, p=[0.6, 0.3, 0.1])
-    small = thin(Grid(cells, (-1.0, 2.0), 0.5), max_side)
+    small = downsample(Grid(cells, (-1.0, 2.0), 0.5), max_side)
     assert (small.origin_xy_m, small.resolution_m) == ((-1.0, 2.0), 0.5 * k)
     assert max(small.cells.shape) <= max_side
     for y, x in np.ndindex(small.cells.shape):
@@ -56,7 +56,7 @@ def test_long_maps_keep_the_picture_readable(run, size_m):
 
 def test_the_way_has_the_colours_of_its_targets_and_what_was_reached_a_number(long_run):
     drawn, green = picture.png(long_run), palette.OUTCOME["reached"]
-    by_time = replace(long_run, story=replace(long_run.story, steps=()))
-    simple = replace(long_run, story=None)
+    by_time = replace(long_run, mission_facts=replace(long_run.mission_facts, steps=()))
+    simple = replace(long_run, mission_facts=None)
     assert drawn != picture.png(by_time)
     assert count(pixels(drawn), green) > count(pixels(picture.png(simple)), green)

@@ -18,7 +18,7 @@ BAD = '<script>alert("x")</script>'
 
 def test_a_run_with_one_target_has_none(run):
     assert story.section(run) == ""
-    assert story.section(replace(run, story=facts())) == ""
+    assert story.section(replace(run, mission_facts=facts())) == ""
 
 
 def test_a_mission_is_explained_and_drawn(long_run):
@@ -33,8 +33,8 @@ def test_a_mission_is_explained_and_drawn(long_run):
 
 def test_a_mission_under_way_says_what_is_to_come(long_run):
     plan = replace(DEAD, steps=("sofa", "", "tv"))
-    under_way = replace(long_run.story, word=(), state=0, steps=(), plan=plan)
-    text = Reader(story.section(replace(long_run, story=under_way))).text
+    under_way = replace(long_run.mission_facts, word=(), state=0, steps=(), plan=plan)
+    text = Reader(story.section(replace(long_run, mission_facts=under_way))).text
     assert "left to reachsofa, then nothing, then tv" in text
     assert "reachednothing" in text
 
@@ -51,7 +51,7 @@ def test_any_names_and_many(run, name, n):
     letters = [f'"{name.replace(chr(34), chr(39))} {k}"' for k in range(n)]
     steps = [(0.5 * k, "target", letter.strip('"'), BAD) for k, letter in enumerate(letters)]
     told = story_of(f"F({' | '.join(letters)}) & F tv", (), steps, BAD * 300)
-    record = replace(run, story=told, targets=told.brief.automaton.letters)
+    record = replace(run, mission_facts=told, targets=told.brief.automaton.letters)
     text = page.html(record, picture.png(record))
     reader = Reader(text)
     assert "script" not in reader.tags

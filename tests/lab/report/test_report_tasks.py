@@ -12,7 +12,7 @@ from task_facts import by_a_model, driving, looking
 
 from edge.lab.report import page, tasks
 from edge.lab.report.record import RunRecord
-from edge.lab.report.recorder import Recorder
+from edge.lab.report.recorder import ReportRecorder
 from edge.loop.result import Event
 
 
@@ -58,7 +58,7 @@ def test_every_trajectory_is_told_and_drawn(done):
 
 
 def test_the_recorder_keeps_each_trajectory():
-    recorder = Recorder(simulated())
+    recorder = ReportRecorder(simulated())
     first, event = driving(), Event(1, "trajectory of 3 m")
     recorder.tick(result(task=lambda: first, events=(event,)))
     recorder.tick(result(task=lambda: replace(first, index=50), events=(event,)))

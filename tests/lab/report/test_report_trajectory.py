@@ -11,7 +11,7 @@ from edge.config import load
 from edge.lab.report import trajectory_map
 from edge.lab.report.camera_picture import REFINED_RGB, drawn
 from edge.tasks.refine import refine
-from edge.tasks.value_map import Body, value_map
+from edge.tasks.value_map import PathMargins, value_map
 from edge.trajectory.pursuit import MotionLimits
 
 AHEAD_M = np.column_stack([np.linspace(0.0, 6.0, 60), np.zeros(60), np.zeros(60)])
@@ -53,7 +53,7 @@ def test_a_scene_alone_is_one_panel():
     alone = png(street(*STREET), None, None, None)
     assert alone.shape[1] == pytest.approx(1008, abs=40)
     limits = MotionLimits.of(load("street").robot)
-    scene, body = street(*STREET), Body(0.3)
+    scene, body = street(*STREET), PathMargins(0.3)
     coarse_m = np.array([[0.0, 0.0], [4.0, -2.5], [14.0, -2.5]])
     refined = refine(scene, [coarse_m], [1], body, limits)
     costmap = value_map(scene.occupancy, scene.regions_grid, refined.drivable, coarse_m, body)

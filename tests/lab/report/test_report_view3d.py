@@ -16,9 +16,9 @@ from chromium import Tab, open_chromium
 
 from edge.geometry import SE2, Grid
 from edge.lab.report.view3d import VOXEL_M, coarse_and_refined, scene_page
-from edge.tasks.refine import Refined, refine
+from edge.tasks.refine import RefinedTrajectory, refine
 from edge.tasks.scene import Region, Scene, SceneObject
-from edge.tasks.value_map import Body
+from edge.tasks.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 COARSE_M = np.array([[0.0, 0.0], [6.0, 3.0], [12.0, 0.0]])
@@ -49,8 +49,8 @@ def with_a_car(label: str = "car") -> Scene:
     )  # fmt: skip
 
 
-def trajectory(scene: Scene) -> Refined:
-    return refine(scene, [COARSE_M[1:]], {7}, Body(0.4), MotionLimits(1.0, 1.0, 0.8, 3.0))
+def trajectory(scene: Scene) -> RefinedTrajectory:
+    return refine(scene, [COARSE_M[1:]], {7}, PathMargins(0.4), MotionLimits(1.0, 1.0, 0.8, 3.0))
 
 
 def page(scene: Scene, cloud_m: np.ndarray | None = None) -> str:

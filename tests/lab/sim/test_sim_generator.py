@@ -13,8 +13,8 @@ from simulated import simulated
 
 from edge.errors import UserError
 from edge.lab.sim.generator import contents, layout
-from edge.lab.sim.generator.draws import Rect
 from edge.lab.sim.generator.house import generated_house
+from edge.lab.sim.generator.rng import Rect
 from edge.lab.sim.house import build_house
 from edge.lab.sim.worlds import load_world
 

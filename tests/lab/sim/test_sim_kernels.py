@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from edge.config import Lidar
-from edge.geometry import CameraModel, optical, se3
+from edge.geometry import CameraModel, se3, to_optical
 from edge.lab.sim import kernels, shading
-from edge.lab.sim.base import Fan
+from edge.lab.sim.base import LidarRays
 
 CAMERA = CameraModel.from_hfov(72, 56, math.radians(80.0))
 LENS = (CAMERA.fx_px, CAMERA.fy_px, CAMERA.cx_px, CAMERA.cy_px)
@@ -77,7 +77,7 @@ def test_an_empty_scene_gives_no_depth():
 def test_render_depth_agrees_with_the_plain_caster(seed: int):
     rng = np.random.default_rng(seed)
     shape, pose = random_scene(rng, 30)
-    T = random_pose(rng) @ optical(np.eye(4))
+    T = random_pose(rng) @ to_optical(np.eye(4))
     depth, prim = render_depth(shape, pose, T)
     u, v = np.meshgrid(np.arange(CAMERA.width_px), np.arange(CAMERA.height_px))
     rays = np.stack([(u - LENS[2]) / LENS[0], (v - LENS[3]) / LENS[1], np.ones(u.shape)], axis=-1)
@@ -111,7 +111,7 @@ def test_name_hits_agrees_with_a_plain_one(seed: int):
 def test_cast_fan_agrees_with_the_plain_caster(rings: int, pitch_deg: float, seed: int):
     rng = np.random.default_rng(seed)
     shape, pose = random_scene(rng, 25)
-    fan = Fan.of(Lidar(rings=rings, columns=60, vfov_deg=80.0))
+    fan = LidarRays.of(Lidar(rings=rings, columns=60, vfov_deg=80.0))
     T = random_pose(rng) @ se3(pitch_rad=math.radians(pitch_deg))
     ranges = np.empty(fan.directions.shape[:2], np.float32)
     kernels.cast_fan(shape, pose, T, fan.directions, fan.el_min_rad, fan.el_step_rad, ranges)
@@ -142,7 +142,7 @@ def shade_one(shape: int, texture: int, color: tuple[float, float, float]):
     """A big solid 2 m ahead fills part of the picture; returns rgb, prim."""
     shapes = np.array([shape], np.uint8)
     pose = np.array([[2.5, 0.0, 0.0, 0.5, 0.8, 0.6, 1.0, 0.0]])
-    T = optical(np.eye(4))
+    T = to_optical(np.eye(4))
     depth, prim = render_depth(shapes, pose, T)
     rgb = np.empty((*depth.shape, 3), np.uint8)
     shading.shade(
@@ -210,7 +210,7 @@ def test_shade_agrees_with_a_plain_one_on_untextured_solids(seed: int):
     color = rng.uniform(0.0, 255.0, (25, 3)).astype(np.float32)
     clearance = rng.uniform(0.0, 0.5, (80, 80)).astype(np.float32)
     floor = (clearance, np.array([-4.0, -4.0]), 0.1)
-    T = random_pose(rng) @ optical(np.eye(4))
+    T = random_pose(rng) @ to_optical(np.eye(4))
     depth, prim = render_depth(shape, pose, T)
     rgb = np.empty((*depth.shape, 3), np.uint8)
     shading.shade(

@@ -10,7 +10,7 @@ from simulated import simulated
 from edge.bus import topics
 from edge.geometry import SE2
 from edge.lab.sim import process
-from edge.lab.sim.robot import Motion
+from edge.lab.sim.robot import MotionState
 
 
 class Drive:
@@ -18,7 +18,7 @@ class Drive:
 
     def __init__(self, stop: threading.Event, steps: int) -> None:
         here = SE2(0.0, 0.0, 0.0)
-        self.motion = Motion(0, here, here, 0.0, 0.0, 0, False, 0.0)
+        self.motion = MotionState(0, here, here, 0.0, 0.0, 0, False, 0.0)
         self.told: list[tuple[float, float]] = []
         self._stop, self._steps = stop, steps
 
@@ -37,7 +37,7 @@ class Bus:
     def send(self, batch) -> None:
         self.sent += any(topic is topics.ODOMETRY for topic, _ in batch)
 
-    def commands(self):
+    def take_commands(self):
         return [(0, 0.5, 0.1)] if self.sent >= self._late else []
 
 

@@ -14,9 +14,9 @@ from collisions import collides
 from simulated import simulated
 
 from edge.config import Lidar
-from edge.geometry import SE2, CameraModel, optical, se3
+from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.lab.sim import mesh_kernels
-from edge.lab.sim.base import Fan, WorldError
+from edge.lab.sim.base import LidarRays, WorldError
 from edge.lab.sim.worlds import load_world
 
 pytest.importorskip("trimesh", reason="needs the extra `worlds`")
@@ -37,7 +37,7 @@ def look(world, pose: SE2, width: int = 160, height: int = 128, colour=True):
     camera = CameraModel.from_hfov(width, height, math.radians(75.0))
     rgb = np.empty((height, width, 3), np.uint8) if colour else None
     depth, ids = np.empty((height, width), np.float32), np.empty((height, width), np.uint16)
-    world.render(camera, pose.matrix() @ optical(se3(0.0, 0.0, 0.6)), rgb, depth, ids)
+    world.render(camera, pose.matrix() @ to_optical(se3(0.0, 0.0, 0.6)), rgb, depth, ids)
     return rgb, depth, ids
 
 
@@ -99,7 +99,7 @@ def test_footprint_and_collision_of_a_panel(small):
 
 def test_lidar_on_a_mesh(small):
     ranges = np.empty((1, 360), np.float32)
-    small.cast(Fan.of(Lidar(rings=1, columns=360)), se3(0.5, 0.0, 0.6), ranges)
+    small.cast(LidarRays.of(Lidar(rings=1, columns=360)), se3(0.5, 0.0, 0.6), ranges)
     assert ranges[0, 180] == pytest.approx(1.5, abs=1e-3)
     assert np.isnan(ranges[0, 0])
 

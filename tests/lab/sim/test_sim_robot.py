@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated import simulated
 
-from edge.config import Robot, Sim
+from edge.config import RobotConfig, SimConfig
 from edge.geometry import SE2
 from edge.lab.sim.base import WorldError
 from edge.lab.sim.house import House, build_house
 from edge.lab.sim.robot import SUBSTEP_S, DriveTrain
 
-ROBOT = Robot()
+ROBOT = RobotConfig()
 
 
 def arena():
@@ -36,8 +36,8 @@ def arena():
 WORLD = arena()
 
 
-def drive(sim: Sim | None = None, start: SE2 | None = None) -> DriveTrain:
-    return DriveTrain(ROBOT, sim or Sim(), WORLD, start or SE2(0.0, 0.0, 0.0))
+def drive(sim: SimConfig | None = None, start: SE2 | None = None) -> DriveTrain:
+    return DriveTrain(ROBOT, sim or SimConfig(), WORLD, start or SE2(0.0, 0.0, 0.0))
 
 
 def test_it_drives_an_arc():
@@ -93,7 +93,7 @@ def test_it_stops_at_an_obstacle_counts_once_and_gets_away_again():
 
 def test_drift_grows_with_the_way_and_repeats_with_the_seed():
     def run(seed: int) -> tuple[SE2, SE2]:
-        body = drive(Sim(seed=seed, drift_m_per_m=0.05, drift_rad_per_rad=0.02))
+        body = drive(SimConfig(seed=seed, drift_m_per_m=0.05, drift_rad_per_rad=0.02))
         for k in range(80):
             motion = body.step(0.1, 0.3, 0.8 * math.sin(0.3 * k))
         return motion.pose, motion.odometry

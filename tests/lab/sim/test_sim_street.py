@@ -9,7 +9,7 @@ import math
 import pytest
 
 from edge.config import parse
-from edge.lab.sim.generator.draws import Rect
+from edge.lab.sim.generator.rng import Rect
 from edge.lab.sim.street import street
 from edge.lab.sim.worlds import load_world
 

@@ -17,9 +17,9 @@ from simulated import simulated
 
 from edge import names
 from edge.config import Lidar, WorldHouse
-from edge.geometry import SE2, CameraModel, optical, se3
+from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.lab.sim import assemblies
-from edge.lab.sim.base import Fan, WorldError, WorldObject, free_poses
+from edge.lab.sim.base import LidarRays, WorldError, WorldObject, free_poses
 from edge.lab.sim.boxworld import CELL_M, BoxWorld
 from edge.lab.sim.house import HOUSES, House, build_house, load_house, read_house
 from edge.lab.sim.mesh import read_objects
@@ -48,7 +48,7 @@ def look(world, pose: SE2, width=96, height=64, pitch_rad=0.0, colour=True):
     camera = CameraModel.from_hfov(width, height, math.radians(75.0))
     rgb = np.empty((height, width, 3), np.uint8) if colour else None
     depth, ids = np.empty((height, width), np.float32), np.empty((height, width), np.uint16)
-    mount = optical(se3(0.0, 0.0, 0.6, pitch_rad=pitch_rad))
+    mount = to_optical(se3(0.0, 0.0, 0.6, pitch_rad=pitch_rad))
     world.render(camera, pose.matrix() @ mount, rgb, depth, ids)
     return rgb, depth, ids
 
@@ -89,7 +89,7 @@ def test_what_hangs_above_the_robot_does_not_stop_it():
 
 def test_a_moved_object_moves_in_pictures_ranges_and_collisions():
     world = house_with({"category": "pillar", "at": [1.5, 0.0]})
-    fan, ranges = Fan.of(Lidar(rings=1, columns=360)), np.empty((1, 360), np.float32)
+    fan, ranges = LidarRays.of(Lidar(rings=1, columns=360)), np.empty((1, 360), np.float32)
     world.cast(fan, se3(z_m=0.5), ranges)
     assert ranges[0, 180] == pytest.approx(1.3, abs=1e-3)
     world.move(1, 0.0, 1.2)
@@ -126,7 +126,7 @@ def test_demo_house_is_one_connected_furnished_home(demo: BoxWorld):
     assert len(house.rooms) >= 4
     reachable = demo.plan.reachable(demo.start.x_m, demo.start.y_m, 0.25)
     for room in house.rooms:
-        (x0, y0), (x1, y1) = demo.plan.grid.of_metres(np.reshape(room.rect, (2, 2))).astype(int)
+        (x0, y0), (x1, y1) = demo.plan.grid.to_cells(np.reshape(room.rect, (2, 2))).astype(int)
         assert reachable[y0:y1, x0:x1].any(), room.name
     # Every floor-standing thing can be stood beside.
     row, col = np.nonzero(reachable)

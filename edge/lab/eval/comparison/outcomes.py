@@ -28,7 +28,7 @@ def _p95(record: Record, key: str) -> float | None:
 
 
 # By name, the reader of a record's number. A missing number or null becomes NaN.
-NUMBERS: dict[str, Callable[[Record], Any]] = {
+NUMERIC_FIELDS: dict[str, Callable[[Record], Any]] = {
     "success": lambda r: r["success"],
     "path_m": lambda r: r["path_m"],
     "elapsed_s": lambda r: r["elapsed_s"],
@@ -58,7 +58,7 @@ class Outcomes:
         rooms: (E,) float64, number of rooms of the world; NaN if unknown (`with_rooms`).
         shortest_m: (E,) float64.
         ran: (C, E) bool, True if there is a record.
-        numbers: by name of `NUMBERS`, (C, E) float64, NaN if there is none.
+        numbers: by name of `NUMERIC_FIELDS`, (C, E) float64, NaN if there is none.
         failure: (C, E) str, one of FAILURES or OTHER; "" for a success or without a record.
         records: by (arm, episode) as indices.
         passed_over: number of ignored records: a newer one of the same arm and episode exists, or
@@ -123,7 +123,7 @@ def _checked(record: Record) -> Record:
             raise ValueError(f"{key}: expected a text")
     if not (math.isfinite(float(record["shortest_m"])) and record["shortest_m"] >= 0):
         raise ValueError("shortest_m: expected a length")
-    for name, of in NUMBERS.items():
+    for name, of in NUMERIC_FIELDS.items():
         value = of(record)
         if value is not None and not isinstance(value, (bool, int, float)):
             raise ValueError(f"{name}: expected a number")
@@ -151,11 +151,11 @@ def gather(records: Iterable[Record]) -> Outcomes:
         # The record of a crash may lack the name of the world.
         about[e] = about[e] if record.get("failure") == "crashed" and about[e] else record
     shape = len(columns), len(episodes)
-    numbers = {name: np.full(shape, np.nan) for name in NUMBERS}
+    numbers = {name: np.full(shape, np.nan) for name in NUMERIC_FIELDS}
     ran, failure = np.zeros(shape, bool), np.full(shape, "", dtype="<U32")
     for (c, e), record in at.items():
         ran[c, e] = True
-        for name, of in NUMBERS.items():
+        for name, of in NUMERIC_FIELDS.items():
             value = of(record)
             numbers[name][c, e] = math.nan if value is None else float(value)
         if not record["success"]:

@@ -15,14 +15,16 @@ import numpy as np
 from edge.lab.eval.comparison import plots, tables, trails
 from edge.lab.eval.comparison.outcomes import OTHER
 from edge.lab.eval.comparison.statistics import Comparison, spl_of
-from edge.lab.eval.comparison.trails import Ground
-from edge.lab.eval.comparison.worlds import Drawing
+from edge.lab.eval.comparison.trails import TrailBackground
+from edge.lab.eval.comparison.worlds import FloorPlanDrawing
 from edge.lab.eval.outcome import FAILURES
 from edge.lab.report.document import data_url, document
 from edge.text import one_line
 
 
-def html(comparison: Comparison, drawings: Mapping[str, Drawing], title: str, machine: str) -> str:
+def html(
+    comparison: Comparison, drawings: Mapping[str, FloorPlanDrawing], title: str, machine: str
+) -> str:
     """Build the page.
 
     Args:
@@ -58,10 +60,10 @@ def _plots(comparison: Comparison) -> str:
     return f'<section><h2>Plots</h2><div class="plots">{figures}</div></section>' if figures else ""
 
 
-def _trails(comparison: Comparison, drawings: Mapping[str, Drawing]) -> str:
+def _trails(comparison: Comparison, drawings: Mapping[str, FloorPlanDrawing]) -> str:
     outcomes = comparison.outcomes
     spl = spl_of(outcomes)
-    grounds = trails.grounds_of(drawings)
+    grounds = trails.backgrounds_of(drawings)
     rows = "".join(
         _episode(comparison, e, spl[:, e], grounds) for e in range(len(outcomes.episodes))
     )
@@ -72,7 +74,9 @@ def _trails(comparison: Comparison, drawings: Mapping[str, Drawing]) -> str:
     )
 
 
-def _episode(comparison: Comparison, e: int, spl: np.ndarray, grounds: Mapping[str, Ground]) -> str:
+def _episode(
+    comparison: Comparison, e: int, spl: np.ndarray, grounds: Mapping[str, TrailBackground]
+) -> str:
     """Build the row of an episode: its task, and a map for each arm."""
     outcomes = comparison.outcomes
     columns = range(len(outcomes.columns))
@@ -80,7 +84,7 @@ def _episode(comparison: Comparison, e: int, spl: np.ndarray, grounds: Mapping[s
     target, world = str(outcomes.target[e]), str(outcomes.world[e])
     rooms = [] if math.isnan(outcomes.rooms[e]) else [f"{outcomes.rooms[e]:g} rooms"]
     facts = [world, f"{outcomes.shortest_m[e]:.1f} m away", *rooms, outcomes.episodes[e]]
-    ground = grounds.get(world) or trails.bare(list(records.values()))
+    ground = grounds.get(world) or trails.empty_background(list(records.values()))
     maps = "".join(
         trails.figure(ground, target, outcomes.columns[c], c, records.get(c), float(spl[c]))
         for c in columns

@@ -10,8 +10,8 @@ import numpy as np
 
 from edge.config import Config, parse
 from edge.errors import FileError, UserError
-from edge.host.bars import counted
 from edge.host.files import write_atomically
+from edge.host.progress import with_progress
 from edge.lab.eval import episodes, world_list
 from edge.lab.eval.columns import merged
 from edge.lab.eval.comparison import outcomes as records
@@ -19,7 +19,7 @@ from edge.lab.eval.comparison import page, plots, tables, worlds
 from edge.lab.eval.comparison.outcomes import Outcomes
 from edge.lab.eval.comparison.statistics import Comparison, compare
 from edge.lab.eval.outcome import NAME as OUTCOMES_NAME
-from edge.lab.eval.outcome import Outcome, line
+from edge.lab.eval.outcome import EpisodeOutcome, to_json_line
 from edge.lab.report.recorder import machine
 from edge.text import one_line, read_json_object
 
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
 def compare_folder(
     folder: Path, baseline: str | None = None
-) -> tuple[Comparison, dict[str, worlds.Drawing]]:
+) -> tuple[Comparison, dict[str, worlds.FloorPlanDrawing]]:
     """Compare the outcomes of a folder; return the comparison, and drawings by world.
 
     Raises:
@@ -64,7 +64,9 @@ def compare_folder(
         raise UserError(f"{path}: empty; `edge eval episodes` fills it")
     outcomes = records.gather(found)
     records.baseline_of(outcomes, baseline)  # check the name before the worlds are loaded
-    outcomes, left_m, drawings = look(outcomes, configs_of(folder / EPISODES_NAME, outcomes))
+    outcomes, left_m, drawings = add_world_data(
+        outcomes, configs_of(folder / EPISODES_NAME, outcomes)
+    )
     return compare(outcomes, baseline, left_m), drawings
 
 
@@ -82,9 +84,9 @@ def text(comparison: Comparison) -> str:
     return "\n\n".join(parts)
 
 
-def told(outcomes: Iterable[Outcome]) -> str:
+def summary_text(outcomes: Iterable[EpisodeOutcome]) -> str:
     """Return the text that is printed at the end of a run of episodes."""
-    found = records.gather(read_json_object(line(outcome)) for outcome in outcomes)
+    found = records.gather(read_json_object(to_json_line(outcome)) for outcome in outcomes)
     return text(compare(found))
 
 
@@ -105,9 +107,9 @@ def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:
     return configs
 
 
-def look(
+def add_world_data(
     outcomes: Outcomes, configs: Mapping[str, Config]
-) -> tuple[Outcomes, np.ndarray, dict[str, worlds.Drawing]]:
+) -> tuple[Outcomes, np.ndarray, dict[str, worlds.FloorPlanDrawing]]:
     """Load the worlds of outcomes, and add what they know.
 
     Args:
@@ -123,11 +125,11 @@ def look(
     """
     left_m = np.full(outcomes.ran.shape, np.nan)
     drawings, rooms = {}, {}
-    for name in counted("worlds", list(configs)):
+    for name in with_progress("worlds", list(configs)):
         world, radius_m = world_list.load(configs[name]), configs[name].robot.radius_m
         inside = np.flatnonzero(outcomes.world == name).tolist()
         targets = sorted({str(outcomes.target[e]) for e in inside} - {""})
         rooms[name] = len(world.rooms) or None
         drawings[name] = worlds.draw(world, targets, radius_m)
-        worlds.left_at_sight_m(world, inside, outcomes, radius_m, left_m)
+        worlds.fill_left_at_sight_m(world, inside, outcomes, radius_m, left_m)
     return records.with_rooms(outcomes, rooms), left_m, drawings

@@ -21,7 +21,7 @@ from edge.lab.eval.outcome import FAILURES
 NAN = Interval(math.nan, math.nan, math.nan)
 
 
-class Metric(NamedTuple):
+class ComparisonMetric(NamedTuple):
     """A metric of an arm.
 
     Attributes:
@@ -76,42 +76,44 @@ def _seen(outcomes: Outcomes) -> np.ndarray:
     return np.where(known, ~np.isnan(outcomes["first_sight_s"]), np.nan)
 
 
-METRICS: dict[str, Metric] = {
-    "sr": Metric("SR, %", 1, "episodes that succeeded", _of("success"), 100.0, "share"),
-    "spl": Metric("SPL", 3, "success weighted by path length", spl_of),
-    "soft_spl": Metric("soft SPL", 3, "progress in place of success", _soft_spl),
-    "path_m": Metric("path, m", 1, "driven, all episodes", _of("path_m")),
-    "success_path_m": Metric("in success", 1, "driven, successes", _of_successes("path_m")),
-    "elapsed_s": Metric("time, s", 1, "simulated, all episodes", _of("elapsed_s")),
-    "collisions": Metric("collisions", 2, "per episode", _of("collisions")),
-    "seen": Metric("seen, %", 1, "target seen at all", _seen, 100.0, "share"),
-    "first_sight_s": Metric("first sight, s", 1, "if it was seen", _of("first_sight_s")),
-    "wrong_stops": Metric("wrong stops, %", 1, "episodes", _any("wrong_stops"), 100.0, "share"),
-    "false_confirmations": Metric(
+METRICS: dict[str, ComparisonMetric] = {
+    "sr": ComparisonMetric("SR, %", 1, "episodes that succeeded", _of("success"), 100.0, "share"),
+    "spl": ComparisonMetric("SPL", 3, "success weighted by path length", spl_of),
+    "soft_spl": ComparisonMetric("soft SPL", 3, "progress in place of success", _soft_spl),
+    "path_m": ComparisonMetric("path, m", 1, "driven, all episodes", _of("path_m")),
+    "success_path_m": ComparisonMetric("in success", 1, "driven, successes",
+    _of_successes("path_m")),
+    "elapsed_s": ComparisonMetric("time, s", 1, "simulated, all episodes", _of("elapsed_s")),
+    "collisions": ComparisonMetric("collisions", 2, "per episode", _of("collisions")),
+    "seen": ComparisonMetric("seen, %", 1, "target seen at all", _seen, 100.0, "share"),
+    "first_sight_s": ComparisonMetric("first sight, s", 1, "if it was seen", _of("first_sight_s")),
+    "wrong_stops": ComparisonMetric("wrong stops, %", 1, "episodes", _any("wrong_stops"), 100.0,
+    "share"),
+    "false_confirmations": ComparisonMetric(
         "false conf.", 2, "confirmed objects that are not the target, per episode",
         _of("false_confirmations"),
     ),
-    "revisited_m2": Metric(
+    "revisited_m2": ComparisonMetric(
         "seen again, m²", 1, "floor that a search saw after an earlier search of the mission",
         _of("revisited_m2"),
     ),
-    "tick_p95_ms": Metric(
+    "tick_p95_ms": ComparisonMetric(
         "tick p95, ms", 2, "per episode, the median of all", _of("tick_p95_ms"), how="median"
     ),
-    "score_p95_ms": Metric(
+    "score_p95_ms": ComparisonMetric(
         "score p95, ms", 2, "likewise, the stage `score` alone", _of("score_p95_ms"), how="median"
     ),
 }  # fmt: skip
 
 
-class Figure(NamedTuple):
+class Estimate(NamedTuple):
     """A metric's value for an arm; `n` is the number of episodes that count."""
 
     n: int
     interval: Interval
 
 
-class Pair(NamedTuple):
+class PairedDifference(NamedTuple):
     """An arm against the baseline, on the episodes that both ran.
 
     Attributes:
@@ -143,7 +145,7 @@ class Pair(NamedTuple):
     lost: int
 
 
-class Loss(NamedTuple):
+class SplLoss(NamedTuple):
     """Decomposition of an arm's lost SPL: 1 = spl + failures + search + approach, on `n` episodes.
 
     Attributes:
@@ -184,11 +186,11 @@ class Comparison:
     outcomes: Outcomes
     baseline: int
     unit: str
-    figures: dict[str, dict[str, Figure]]
-    pairs: tuple[Pair, ...]
-    groups: dict[str, dict[str, dict[str, dict[str, Figure]]]]
+    figures: dict[str, dict[str, Estimate]]
+    pairs: tuple[PairedDifference, ...]
+    groups: dict[str, dict[str, dict[str, dict[str, Estimate]]]]
     failures: dict[str, dict[str, int]]
-    losses: dict[str, Loss]
+    losses: dict[str, SplLoss]
 
 
 def compare(
@@ -227,11 +229,11 @@ def compare(
 
 def _figures(
     outcomes: Outcomes, keys: Sequence[str], cluster: np.ndarray, resamples: int
-) -> dict[str, dict[str, Figure]]:
+) -> dict[str, dict[str, Estimate]]:
     values = {key: METRICS[key].values(outcomes) for key in keys}
     means = [key for key in keys if METRICS[key].how == "mean"]
     intervals = mean([values[key] for key in means], cluster, resamples)
-    figures: dict[str, dict[str, Figure]] = {name: {} for name in outcomes.columns}
+    figures: dict[str, dict[str, Estimate]] = {name: {} for name in outcomes.columns}
     for c, name in enumerate(outcomes.columns):
         for key in keys:
             counted = values[key][c][~np.isnan(values[key][c])]
@@ -241,7 +243,7 @@ def _figures(
                 interval = wilson(int(counted.sum()), len(counted))
             else:
                 interval = intervals[means.index(key)][c]
-            figures[name][key] = Figure(len(counted), interval)
+            figures[name][key] = Estimate(len(counted), interval)
     return figures
 
 
@@ -262,7 +264,9 @@ def mean(
     return [flat[k * columns : (k + 1) * columns] for k in range(len(values))]
 
 
-def pair(outcomes: Outcomes, column: int, baseline: int, resamples: int = RESAMPLES) -> Pair:
+def pair(
+    outcomes: Outcomes, column: int, baseline: int, resamples: int = RESAMPLES
+) -> PairedDifference:
     """Compare an arm with the baseline on the same episodes: their difficulty cancels out."""
     both_ran = outcomes.ran[column] & outcomes.ran[baseline]
     missing = int((outcomes.ran[column] ^ outcomes.ran[baseline]).sum())
@@ -292,7 +296,7 @@ def pair(outcomes: Outcomes, column: int, baseline: int, resamples: int = RESAMP
     sr, spl_d, soft_d, spl_r, path_r, time_r = bootstrap(
         np.stack(above), np.stack(below), cluster, resamples
     )
-    return Pair(
+    return PairedDifference(
         outcomes.columns[column], len(ones), missing, sr, spl_d, soft_d, spl_r,
         int(both.sum()), path_r, time_r,
         int((spl > base_spl + 1e-9).sum()), int((spl < base_spl - 1e-9).sum()),
@@ -301,10 +305,10 @@ def pair(outcomes: Outcomes, column: int, baseline: int, resamples: int = RESAMP
 
 def _groups(
     outcomes: Outcomes, resamples: int
-) -> dict[str, dict[str, dict[str, dict[str, Figure]]]]:
+) -> dict[str, dict[str, dict[str, dict[str, Estimate]]]]:
     rooms = ["" if math.isnan(r) else f"{r:g}" for r in outcomes.rooms.tolist()]
     by = {"target": outcomes.target, "kind of world": outcomes.kind, "rooms": np.array(rooms)}
-    all_groups: dict[str, dict[str, dict[str, dict[str, Figure]]]] = {}
+    all_groups: dict[str, dict[str, dict[str, dict[str, Estimate]]]] = {}
     for name, labels in by.items():
         present = sorted({label for label in labels.tolist() if label}, key=natural)
         if len(present) > 1:
@@ -314,7 +318,9 @@ def _groups(
     return all_groups
 
 
-def _group(outcomes: Outcomes, inside: np.ndarray, resamples: int) -> dict[str, dict[str, Figure]]:
+def _group(
+    outcomes: Outcomes, inside: np.ndarray, resamples: int
+) -> dict[str, dict[str, Estimate]]:
     cluster, _ = clusters(outcomes)
     values = {key: np.where(inside, METRICS[key].values(outcomes), np.nan) for key in ("sr", "spl")}
     used = np.unique(cluster[inside], return_inverse=True)[1].ravel()
@@ -323,7 +329,7 @@ def _group(outcomes: Outcomes, inside: np.ndarray, resamples: int) -> dict[str, 
     for c, name in enumerate(outcomes.columns):
         n = int(outcomes.ran[c, inside].sum())
         share = wilson(int(np.nansum(values["sr"][c])), n)
-        groups[name] = {"sr": Figure(n, share), "spl": Figure(n, intervals[c])}
+        groups[name] = {"sr": Estimate(n, share), "spl": Estimate(n, intervals[c])}
     return groups
 
 
@@ -334,7 +340,7 @@ def _failures(outcomes: Outcomes, column: int) -> dict[str, int]:
 
 def _losses(
     outcomes: Outcomes, left_m: np.ndarray, cluster: np.ndarray, resamples: int
-) -> dict[str, Loss]:
+) -> dict[str, SplLoss]:
     search, approach = excess_m(outcomes, left_m)
     spl, path_m = spl_of(outcomes), outcomes["path_m"]
     counted = outcomes.ran & (outcomes.target != "")
@@ -348,7 +354,7 @@ def _losses(
             lost = [np.nansum((part[c] / path_m[c])[kept]) / n for part in (search, approach)]
         failed = float((~outcomes.success[c])[kept].mean())
         found = float(np.nansum(spl[c][kept]) / n)
-        losses[name] = Loss(n, found, failed, *map(float, lost), metres[0][c], metres[1][c])
+        losses[name] = SplLoss(n, found, failed, *map(float, lost), metres[0][c], metres[1][c])
     return losses
 
 

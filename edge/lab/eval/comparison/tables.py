@@ -13,10 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from edge.lab.eval.comparison.outcomes import OTHER
-from edge.lab.eval.comparison.statistics import METRICS, Comparison, Figure, Metric, Pair
+from edge.lab.eval.comparison.statistics import (
+    METRICS,
+    Comparison,
+    ComparisonMetric,
+    Estimate,
+    PairedDifference,
+)
 from edge.lab.eval.intervals import Interval
 from edge.lab.eval.outcome import FAILURES
-from edge.text import aligned, one_line
+from edge.text import format_table, one_line
 
 DASH = "–"
 # Metrics whose intervals are in the tables. All intervals are in the CSV.
@@ -32,7 +38,7 @@ SUMMARIES = {
 }  # fmt: skip
 
 
-class Table(NamedTuple):
+class ReportTable(NamedTuple):
     """A table of texts; the first cell of each row is its name."""
 
     name: str
@@ -42,7 +48,7 @@ class Table(NamedTuple):
     note: str = ""
 
 
-def tables(comparison: Comparison) -> list[Table]:
+def tables(comparison: Comparison) -> list[ReportTable]:
     """Return every table that has rows, in reading order."""
     found = [
         summary(comparison, "summary"),
@@ -56,7 +62,7 @@ def tables(comparison: Comparison) -> list[Table]:
     return [table for table in found if table.rows]
 
 
-def summary(comparison: Comparison, name: str) -> Table:
+def summary(comparison: Comparison, name: str) -> ReportTable:
     """Return a table of the metrics of one of SUMMARIES, one row for each arm."""
     title, wanted = SUMMARIES[name]
     keys = [key for key in wanted if _measured(comparison, key)]
@@ -65,7 +71,7 @@ def summary(comparison: Comparison, name: str) -> Table:
     for column, figures in comparison.figures.items():
         cells = [_figure(METRICS[key], figures[key], key in BOUNDED) for key in keys]
         rows.append([one_line(column), str(figures["sr"].n), *cells])
-    return Table(name, title, head, rows if keys else [], _words(comparison, keys))
+    return ReportTable(name, title, head, rows if keys else [], _words(comparison, keys))
 
 
 def _words(comparison: Comparison, keys: Sequence[str]) -> str:
@@ -88,7 +94,7 @@ def unit_words(comparison: Comparison) -> str:
     return f"In brackets: 95 % intervals, Wilson's for shares, else {how}."
 
 
-def paired(comparison: Comparison) -> Table:
+def paired(comparison: Comparison) -> ReportTable:
     """Return a table of each arm against the baseline, on the same episodes."""
     head = ("column", "n", "SR, % points", "SPL", "SPL ratio", "soft SPL", "better",
             "worse", "both", "path ratio", "time ratio")  # fmt: skip
@@ -102,10 +108,10 @@ def paired(comparison: Comparison) -> Table:
     )
     if left_out:
         note += f" Left out, as only one of the two ran them: {one_line(', '.join(left_out))}."
-    return Table("paired", f"Against {base}, paired", head, rows, note)
+    return ReportTable("paired", f"Against {base}, paired", head, rows, note)
 
 
-def _pair_row(pair: Pair) -> list[str]:
+def _pair_row(pair: PairedDifference) -> list[str]:
     return [
         one_line(pair.column), str(pair.n),
         bounded(pair.sr, 1, 100.0, "+"), bounded(pair.spl, 3, 1.0, "+"),
@@ -115,7 +121,7 @@ def _pair_row(pair: Pair) -> list[str]:
     ]  # fmt: skip
 
 
-def failures(comparison: Comparison) -> Table:
+def failures(comparison: Comparison) -> ReportTable:
     """Return a table of failed episodes by kind of failure, one row for each arm."""
     kinds = [k for k in (*FAILURES, OTHER) if any(f[k] for f in comparison.failures.values())]
     rows = []
@@ -123,10 +129,10 @@ def failures(comparison: Comparison) -> Table:
         ran = int(comparison.outcomes.ran[c].sum())
         failed = sum(counts.values())
         rows.append([one_line(name), str(ran), str(failed), *(str(counts[k]) for k in kinds)])
-    return Table("failures", "Failures", ("column", "n", "failed", *kinds), rows)
+    return ReportTable("failures", "Failures", ("column", "n", "failed", *kinds), rows)
 
 
-def losses(comparison: Comparison) -> Table:
+def losses(comparison: Comparison) -> ReportTable:
     """Return a table that decomposes the lost SPL, one row for each arm."""
     head = ("column", "n", "SPL", "failures", "search", "approach", "search excess, m",
             "approach excess, m")  # fmt: skip
@@ -141,10 +147,10 @@ def losses(comparison: Comparison) -> Table:
         "plus the distance then left, beyond the shortest path. Approach: path from there beyond "
         "the distance then left. Excess: metres per success."
     )
-    return Table("losses", "Where the rest of the SPL goes", head, rows, note)
+    return ReportTable("losses", "Where the rest of the SPL goes", head, rows, note)
 
 
-def group(comparison: Comparison, by: str) -> Table:
+def group(comparison: Comparison, by: str) -> ReportTable:
     """Return a table of SPL and SR of each arm, one row for each group."""
     columns = comparison.outcomes.columns
     rows = []
@@ -153,10 +159,10 @@ def group(comparison: Comparison, by: str) -> Table:
         cells = [_spl_sr(figures[name]) for name in columns]
         rows.append([one_line(label), str(most), *cells])
     note = "SPL with its interval, and SR in %."
-    return Table(f"by {by}", f"By {by}", (by, "n", *map(one_line, columns)), rows, note)
+    return ReportTable(f"by {by}", f"By {by}", (by, "n", *map(one_line, columns)), rows, note)
 
 
-def _spl_sr(figures: dict[str, Figure]) -> str:
+def _spl_sr(figures: dict[str, Estimate]) -> str:
     if not figures["sr"].n:
         return DASH
     share = 100 * figures["sr"].interval.value
@@ -172,7 +178,7 @@ def _column(comparison: Comparison, index: int) -> str:
     return one_line(columns[index]) if columns else DASH
 
 
-def _figure(metric: Metric, figure: Figure, bounds: bool) -> str:
+def _figure(metric: ComparisonMetric, figure: Estimate, bounds: bool) -> str:
     if bounds:
         return bounded(figure.interval, metric.digits, metric.scale)
     value = figure.interval.value
@@ -190,12 +196,12 @@ def bounded(interval: Interval, digits: int, scale: float = 1.0, sign: str = "")
 # -- formats ------------------------------------------------------------------------------------
 
 
-def text(table: Table) -> str:
+def text(table: ReportTable) -> str:
     """Return title and aligned columns for a terminal."""
-    return f"{table.title}\n{aligned([table.head, *table.rows], left=1)}"
+    return f"{table.title}\n{format_table([table.head, *table.rows], left=1)}"
 
 
-def html(table: Table) -> str:
+def html(table: ReportTable) -> str:
     """Return a section of a page."""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
     rows = "".join(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.lab.eval.comparison.outcomes import Record
-from edge.lab.eval.comparison.worlds import Drawing, along
+from edge.lab.eval.comparison.worlds import FloorPlanDrawing, point_along
 from edge.lab.report.document import data_url
 from edge.text import one_line
 
@@ -27,7 +27,7 @@ _GOALS = {"frontier": "f", "instance": "i"}  # other goals are spins
 _MARGIN_M = 1.0
 
 
-class Ground(NamedTuple):
+class TrailBackground(NamedTuple):
     """Background of the trails of a world.
 
     Attributes:
@@ -36,7 +36,7 @@ class Ground(NamedTuple):
     """
 
     key: str
-    drawing: Drawing
+    drawing: FloorPlanDrawing
 
     def units(self, xy_m: np.ndarray) -> np.ndarray:
         """Return (n, 2) points of `map` in SVG coordinates, int64."""
@@ -52,20 +52,20 @@ class Ground(NamedTuple):
         return math.ceil(d.width_m / UNIT_M), math.ceil(d.height_m / UNIT_M)
 
 
-def grounds_of(drawings: Mapping[str, Drawing]) -> dict[str, Ground]:
+def backgrounds_of(drawings: Mapping[str, FloorPlanDrawing]) -> dict[str, TrailBackground]:
     """Return the background of each world."""
-    return {world: Ground(f"w{k}", d) for k, (world, d) in enumerate(drawings.items())}
+    return {world: TrailBackground(f"w{k}", d) for k, (world, d) in enumerate(drawings.items())}
 
 
-def bare(records: Sequence[Record]) -> Ground:
+def empty_background(records: Sequence[Record]) -> TrailBackground:
     """Return an empty background as large as some trails."""
     points = [xy for r in records for xy in [*(r.get("trail") or []), r["start"][:2]]]
     low, high = np.min(points, axis=0) - _MARGIN_M, np.max(points, axis=0) + _MARGIN_M
     (left, bottom), (right, top) = low.tolist(), high.tolist()
-    return Ground("", Drawing(b"", left, top, right - left, top - bottom, {}))
+    return TrailBackground("", FloorPlanDrawing(b"", left, top, right - left, top - bottom, {}))
 
 
-def symbols(grounds: Mapping[str, Ground]) -> str:
+def symbols(grounds: Mapping[str, TrailBackground]) -> str:
     """Return the SVG symbols of floor plans and targets, which the maps refer to."""
     inner = []
     for ground in grounds.values():
@@ -81,7 +81,7 @@ def symbols(grounds: Mapping[str, Ground]) -> str:
 
 
 def figure(
-    ground: Ground, target: str, name: str, column: int, record: Record | None, spl: float
+    ground: TrailBackground, target: str, name: str, column: int, record: Record | None, spl: float
 ) -> str:
     """Return the map of one episode with one arm, and its outcome below."""
     words = f"<b>{escape(one_line(name, 40))}</b>"
@@ -104,7 +104,7 @@ def figure(
     )
 
 
-def _ground(ground: Ground, target: str) -> str:
+def _ground(ground: TrailBackground, target: str) -> str:
     if not ground.key:
         return ""
     uses = [ground.key]
@@ -113,7 +113,7 @@ def _ground(ground: Ground, target: str) -> str:
     return "".join(f'<use href="#{key}"/>' for key in uses)
 
 
-def _drawn(ground: Ground, record: Record) -> str:
+def _drawn(ground: TrailBackground, record: Record) -> str:
     """Return trail, goals, start, end, and the place at which the target was first seen."""
     trail = np.asarray(record.get("trail") or [record["start"][:2]], np.float64).reshape(-1, 2)
     units = ground.units(trail)
@@ -125,7 +125,7 @@ def _drawn(ground: Ground, record: Record) -> str:
     marks.append(_circle("end", units[-1], 4))
     seen_m = record.get("first_sight_path_m")
     if seen_m is not None and math.isfinite(seen_m):
-        marks.append(_circle("seen", ground.units(along(trail, seen_m))[0], 5.5))
+        marks.append(_circle("seen", ground.units(point_along(trail, seen_m))[0], 5.5))
     return "".join(marks)
 
 
@@ -142,7 +142,7 @@ def _trail(units: np.ndarray) -> str:
     )
 
 
-def _goals(ground: Ground, goals: Sequence[Sequence]) -> str:
+def _goals(ground: TrailBackground, goals: Sequence[Sequence]) -> str:
     """Return a dot for each goal: a line of no length with round ends."""
     dots: dict[str, str] = {}
     for x_m, y_m, kind in goals:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from edge import names
-from edge.geometry import Grid, thin
+from edge.geometry import Grid, downsample
 from edge.lab.eval import geodesic
 from edge.lab.eval.comparison.outcomes import Outcomes
 from edge.lab.eval.metrics import REACHED_M
@@ -21,7 +21,7 @@ _WALL_M = 0.3  # drawn thickness of walls next to the floor
 
 
 @dataclass(frozen=True, eq=False)
-class Drawing:
+class FloorPlanDrawing:
     """A world from above, cut to the area around the reachable floor.
 
     Attributes:
@@ -41,7 +41,7 @@ class Drawing:
     footprints: dict[str, list[np.ndarray]]
 
 
-def draw(world: World, targets: list[str], robot_radius_m: float) -> Drawing:
+def draw(world: World, targets: list[str], robot_radius_m: float) -> FloorPlanDrawing:
     """Draw a world and the footprints of targets.
 
     Free floor is white, furniture grey, walls dark, and the outside pale.
@@ -49,19 +49,19 @@ def draw(world: World, targets: list[str], robot_radius_m: float) -> Drawing:
     cells = _cells(world, robot_radius_m)
     inside = np.argwhere(cells.cells >= 0)
     grid = _cut(cells, inside) if len(inside) else cells
-    grid = thin(grid, MAX_SIDE_PX)
+    grid = downsample(grid, MAX_SIDE_PX)
     image = raster.colour(grid.cells)[::-1, :, ::-1]  # north up; OpenCV has BGR
     _, png = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     rows, columns = grid.cells.shape
     left, bottom = grid.origin_xy_m
     width, height = columns * grid.resolution_m, rows * grid.resolution_m
     footprints = {t: [corners_m(o) for o in named(world, t)] for t in targets if t}
-    return Drawing(png.tobytes(), left, bottom + height, width, height, footprints)
+    return FloorPlanDrawing(png.tobytes(), left, bottom + height, width, height, footprints)
 
 
 def named(world: World, target: str) -> list[WorldObject]:
     """Return the world's objects with this name; [] if there are none."""
-    return [item for item in world.objects if names.same(item.label, target)]
+    return [item for item in world.objects if names.same_name(item.label, target)]
 
 
 def corners_m(item: WorldObject) -> np.ndarray:
@@ -78,7 +78,7 @@ def _cells(world: World, robot_radius_m: float) -> Grid:
     grid, cell_m = plan.grid, plan.grid.resolution_m
     furniture = np.zeros(grid.cells.shape, np.uint8)
     for item in world.objects:
-        corners = np.rint(grid.of_metres(corners_m(item)) - 0.5).astype(np.int32)
+        corners = np.rint(grid.to_cells(corners_m(item)) - 0.5).astype(np.int32)
         cv2.fillPoly(furniture, [corners], 1)
     furniture = cv2.dilate(furniture, np.ones((3, 3), np.uint8)) > 0
     occupied = grid.cells > 0
@@ -102,7 +102,7 @@ def _cut(grid: Grid, inside: np.ndarray) -> Grid:
     return Grid(grid.cells[r0:r1, c0:c1], tuple(origin.tolist()), grid.resolution_m)
 
 
-def left_at_sight_m(
+def fill_left_at_sight_m(
     world: World, episodes: list[int], outcomes: Outcomes, radius_m: float, out_m: np.ndarray
 ) -> None:
     """Fill in the distance that was left when a robot first saw its target.
@@ -122,11 +122,13 @@ def left_at_sight_m(
         for (c, e), record in outcomes.records.items():
             seen_m = outcomes["first_sight_path_m"][c, e]
             if e in episodes and outcomes.target[e] == target and np.isfinite(seen_m):
-                place = along(np.asarray(record.get("trail") or [record["start"][:2]]), seen_m)
+                place = point_along(
+                    np.asarray(record.get("trail") or [record["start"][:2]]), seen_m
+                )
                 out_m[c, e] = nearest(world, field, place)
 
 
-def along(trail_m: np.ndarray, path_m: float) -> np.ndarray:
+def point_along(trail_m: np.ndarray, path_m: float) -> np.ndarray:
     """Return the (2,) point on a polyline (n, 2) at a distance from its start, at most its end."""
     steps = np.hypot(*np.diff(trail_m, axis=0).T)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
@@ -140,7 +142,7 @@ def nearest(world: World, field: np.ndarray, xy_m: np.ndarray, within_m: float =
     """
     grid = world.plan.grid
     reach = int(within_m / grid.resolution_m)
-    column, row = np.floor(grid.of_metres(xy_m)).astype(int)
+    column, row = np.floor(grid.to_cells(xy_m)).astype(int)
     exact = world.plan.grid.cell_of(*xy_m.tolist())
     if exact is not None and np.isfinite(field[exact]):
         return float(field[exact])

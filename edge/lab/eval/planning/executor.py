@@ -42,7 +42,7 @@ COMPLETE, VIOLATED, GAVE_UP, NO_ANSWER, OUT_OF_ATTEMPTS = range(len(OUTCOMES))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Problem:
+class PlanningProblem:
     """A delexicalised task's automaton, extended to all objects of its world.
 
     Attributes:
@@ -55,14 +55,14 @@ class Problem:
     """
 
     automaton: Automaton
-    n_letters: int
+    n_propositions: int
     n_objects: int
     moves: np.ndarray
     accepting: np.ndarray
     steps_left: np.ndarray
 
     @classmethod
-    def of(cls, automaton: Automaton, others: int) -> Problem:
+    def of(cls, automaton: Automaton, others: int) -> PlanningProblem:
         """Build the problem of an automaton in a world with `others` unnamed objects."""
         n_letters = len(automaton.letters)
         by_letter, nothing = automaton.delta[:, :n_letters], automaton.delta[:, n_letters:]
@@ -73,7 +73,7 @@ class Problem:
         )  # fmt: skip
 
 
-class Situation(NamedTuple):
+class PlannerInput(NamedTuple):
     """The input of a planner.
 
     Attributes:
@@ -93,11 +93,11 @@ class Situation(NamedTuple):
     draw: float = 0.0
 
 
-Choose = Callable[[Situation], int]
+ChooseTarget = Callable[[PlannerInput], int]
 """A planner: returns an object's index, `NOTHING`, `DONE` or `INVALID`."""
 
 
-class Episode(NamedTuple):
+class EpisodeResult(NamedTuple):
     """The result of a run.
 
     Attributes:
@@ -127,8 +127,8 @@ def draws_of(seed: int, task: int, p_obs: float, episode: int) -> np.ndarray:
 
 
 def run_episode(
-    problem: Problem, p_obs: float, choose: Choose, draws: np.ndarray, seen: int = 0
-) -> Episode:
+    problem: PlanningProblem, p_obs: float, choose: ChooseTarget, draws: np.ndarray, seen: int = 0
+) -> EpisodeResult:
     """Ask the planner and attempt its target, until the run ends.
 
     Args:
@@ -142,12 +142,12 @@ def run_episode(
     explorations = steps = 0
     for luck, meeting, chance in draws.tolist():
         if problem.accepting[state]:
-            return Episode(COMPLETE, explorations, steps)
+            return EpisodeResult(COMPLETE, explorations, steps)
         if problem.steps_left[state] < 0:
-            return Episode(VIOLATED, explorations, steps)
-        target = choose(Situation(state, seen, reached, order, current, chance))
+            return EpisodeResult(VIOLATED, explorations, steps)
+        target = choose(PlannerInput(state, seen, reached, order, current, chance))
         if target < NOTHING:
-            return Episode(GAVE_UP if target == DONE else NO_ANSWER, explorations, steps)
+            return EpisodeResult(GAVE_UP if target == DONE else NO_ANSWER, explorations, steps)
         if target != NOTHING:
             steps += 1
             if not seen >> target & 1:
@@ -162,7 +162,7 @@ def run_episode(
         current = NOTHING
         state = int(problem.moves[state, target])
     outcome = COMPLETE if problem.accepting[state] else OUT_OF_ATTEMPTS
-    return Episode(outcome, explorations, steps)
+    return EpisodeResult(outcome, explorations, steps)
 
 
 def _encountered(excluded: int, n_objects: int, draw: float) -> int:

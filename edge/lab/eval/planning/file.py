@@ -9,8 +9,13 @@ from pathlib import Path
 from edge import names
 from edge.errors import UserError
 from edge.host.files import read_regular, save
-from edge.lab.eval.planning.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
-from edge.lab.eval.planning.templates import Task
+from edge.lab.eval.planning.delexicalised import (
+    MAX_OBJECTS,
+    delexicalise,
+    with_canonical_names,
+    world_of,
+)
+from edge.lab.eval.planning.templates import BenchmarkTask
 from edge.mission.logic.ltl import parse, propositions, to_text
 from edge.text import bounded_repr, read_json_object
 
@@ -21,7 +26,7 @@ class TaskFileError(UserError):
     """A file of tasks that cannot be used; the message has the line and the problem."""
 
 
-def write_tasks(path: Path, tasks: Sequence[Task]) -> None:
+def write_tasks(path: Path, tasks: Sequence[BenchmarkTask]) -> None:
     """Replace `path` with the tasks, one a line.
 
     Raises:
@@ -42,7 +47,7 @@ def write_tasks(path: Path, tasks: Sequence[Task]) -> None:
     save(path, ("\n".join(lines) + "\n").encode())
 
 
-def read_tasks(path: Path) -> list[Task]:
+def read_tasks(path: Path) -> list[BenchmarkTask]:
     """Read tasks in the format of `write_tasks`. Objects may have any name that `edge.names` knows.
 
     Raises:
@@ -53,7 +58,7 @@ def read_tasks(path: Path) -> list[Task]:
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         raise TaskFileError(f"{path}: cannot be read: {reason}") from None
-    tasks: dict[int, Task] = {}
+    tasks: dict[int, BenchmarkTask] = {}
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
@@ -69,7 +74,7 @@ def read_tasks(path: Path) -> list[Task]:
     return list(tasks.values())
 
 
-def _task(line: str) -> Task:
+def _task(line: str) -> BenchmarkTask:
     """Parse a task.
 
     Raises:
@@ -92,6 +97,6 @@ def _task(line: str) -> Task:
         raise ValueError(f"objects: the formula's are {', '.join(objects)}")
     if len(world_of(objects)) > MAX_OBJECTS:
         raise ValueError(f"more than {MAX_OBJECTS} objects, HM3D's six included")
-    if lift(formula).automaton.steps_left[0] < 0:
+    if delexicalise(formula).automaton.steps_left[0] < 0:
         raise ValueError("formula: contradicts itself, nothing can fulfil it")
-    return Task(data["id"], data["template"], objects, data["sentence"], formula)
+    return BenchmarkTask(data["id"], data["template"], objects, data["sentence"], formula)

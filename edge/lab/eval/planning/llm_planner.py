@@ -12,24 +12,24 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 import numpy as np
 
 from edge import names
-from edge.chat import ChatClient, ChatError, CutOffError
+from edge.chat import ChatClient, ChatError, TokenLimitError
+from edge.lab.eval.planning.delexicalised import delexicalise, world_of
 from edge.lab.eval.planning.executor import (
     DONE,
     INVALID,
-    Choose,
-    Episode,
-    Problem,
-    Situation,
+    ChooseTarget,
+    EpisodeResult,
+    PlannerInput,
+    PlanningProblem,
     draws_of,
     run_episode,
 )
-from edge.lab.eval.planning.lifted import lift, world_of
 from edge.lab.eval.planning.report import LLM
-from edge.lab.eval.planning.sweep import Results, Settings, empty_results
-from edge.lab.eval.planning.templates import SPOKEN, Task
+from edge.lab.eval.planning.sweep import Settings, SweepResults, empty_results
+from edge.lab.eval.planning.templates import SPOKEN, BenchmarkTask
 from edge.mission.logic.automaton import Automaton
 from edge.mission.planning.plan import ACCEPTED, DEAD
-from edge.mission.planning.planner import Knowledge, Plan
+from edge.mission.planning.planner import MissionKnowledge, TargetPlan
 
 NAME = LLM
 
@@ -58,7 +58,7 @@ _DONE = re.compile(r"\bDONE\b", re.IGNORECASE)
 _THOUGHT = re.compile(r"<think>.*?(</think>|$)", re.DOTALL)
 
 
-def prompt(task: Task, situation: Situation) -> str:
+def prompt(task: BenchmarkTask, situation: PlannerInput) -> str:
     """Return the question for the model in a situation."""
     spoken = [SPOKEN.get(name, name) for name in world_of(task.objects)]
     observed = situation.seen & ~situation.reached
@@ -119,7 +119,9 @@ class LlmPlanner:
         self._reached: list[str] = []
         self._answers: dict[str, str | None] = {}
 
-    def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
+    def plan(
+        self, state: int, knowledge: MissionKnowledge, current: str | None = None
+    ) -> TargetPlan:
         """Return the model's next target. See `Planner.plan`; costs are steps."""
         a = self._automaton
         if a.accepting[state]:
@@ -135,9 +137,9 @@ class LlmPlanner:
         if a.step(state, letter) == state:
             return _no_plan(f"the language model asks for {letter}, which leads no further")
         reason = "chosen by the language model"
-        return Plan(letter, (letter,), 1.0, True, (), reason, ((letter, 1.0),))
+        return TargetPlan(letter, (letter,), 1.0, True, (), reason, ((letter, 1.0),))
 
-    def _asked(self, knowledge: Knowledge) -> str | None:
+    def _asked(self, knowledge: MissionKnowledge) -> str | None:
         """Return the proposition that the model names; None if it names none."""
         question = PROMPT.format(
             task=self._instruction,
@@ -148,7 +150,7 @@ class LlmPlanner:
         if question not in self._answers:
             try:
                 answer = self._client.ask([{"role": "user", "content": question}], **OPTIONS)
-            except CutOffError as error:
+            except TokenLimitError as error:
                 answer = error.answer
             k = parse_answer(answer, self._automaton.letters)
             self._answers[question] = None if k in (DONE, INVALID) else self._automaton.letters[k]
@@ -159,11 +161,11 @@ def _spoken(letters: Sequence[str]) -> str:
     return ", ".join(SPOKEN.get(letter, letter) for letter in letters)
 
 
-def _no_plan(reason: str) -> Plan:
-    return Plan(None, (), math.inf, False, (), reason, ())
+def _no_plan(reason: str) -> TargetPlan:
+    return TargetPlan(None, (), math.inf, False, (), reason, ())
 
 
-def llm_chooser(task: Task, ask: Callable[[str], str]) -> Choose:
+def llm_chooser(task: BenchmarkTask, ask: Callable[[str], str]) -> ChooseTarget:
     """Return a planner that asks the model. It asks the same question only once a run.
 
     A failed attempt that shows nothing new does not change the question. So this is the paper's
@@ -172,14 +174,14 @@ def llm_chooser(task: Task, ask: Callable[[str], str]) -> Choose:
     objects = world_of(task.objects)
     answers: dict[str, int] = {}
 
-    def choose(situation: Situation) -> int:
+    def choose(situation: PlannerInput) -> int:
         question = prompt(task, situation)
         if question not in answers:
             if len(answers) == MAX_QUESTIONS:
                 return INVALID
             try:
                 answers[question] = parse_answer(ask(question), objects)
-            except CutOffError as error:  # too long, but it may have named its target
+            except TokenLimitError as error:  # too long, but it may have named its target
                 answers[question] = parse_answer(error.answer, objects)
         return answers[question]
 
@@ -187,13 +189,13 @@ def llm_chooser(task: Task, ask: Callable[[str], str]) -> Choose:
 
 
 def run_llm(
-    tasks: Sequence[Task],
+    tasks: Sequence[BenchmarkTask],
     rows: Sequence[int],
     settings: Settings,
     client: ChatClient,
     jobs: int = 1,
     progress: Callable[[int], None] = lambda done: None,
-) -> tuple[Results, BaseException | None]:
+) -> tuple[SweepResults, BaseException | None]:
     """Run the LLM-planner on some of the tasks, with the same luck as the other planners.
 
     Args:
@@ -213,16 +215,16 @@ def run_llm(
     results = empty_results(tasks, settings)
     stop = threading.Event()
 
-    def run(row: int, j: int, e: int) -> Episode | None:
+    def run(row: int, j: int, e: int) -> EpisodeResult | None:
         task, p_obs = tasks[row], settings.p_obs[j]
-        lifted = lift(task.formula)
+        lifted = delexicalise(task.formula)
 
         def ask(question: str) -> str:
             return client.ask([{"role": "user", "content": question}], **OPTIONS)
 
         choose = llm_chooser(task, ask)
         draws = draws_of(settings.seed, task.id, p_obs, e)
-        problem = Problem.of(lifted.automaton, lifted.others)
+        problem = PlanningProblem.of(lifted.automaton, lifted.others)
         try:
             episode = run_episode(
                 problem, p_obs, lambda s: DONE if stop.is_set() else choose(s), draws
@@ -256,9 +258,9 @@ def run_llm(
     return results, failure
 
 
-def merged(a: Results, b: Results) -> Results:
+def merged(a: SweepResults, b: SweepResults) -> SweepResults:
     """Return the results of the planners of both, on the same tasks and p_obs."""
-    return Results(
+    return SweepResults(
         a.planners + b.planners,
         a.p_obs,
         np.concatenate([a.outcome, b.outcome]),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from edge.lab.eval.planning.executor import DONE, NOTHING, Problem, Situation
+from edge.lab.eval.planning.executor import DONE, NOTHING, PlannerInput, PlanningProblem
 from edge.mission.planning.vitl import working_order
 
 MAX_VALUES = 1 << 18
@@ -35,25 +35,25 @@ class Optimum:
         best: the next proposition, of the same shape; int8, `DONE` if there is none.
     """
 
-    def __init__(self, problem: Problem, p_obs: float) -> None:
-        self._others = problem.n_objects - problem.n_letters
-        self._own = (1 << problem.n_letters) - 1
+    def __init__(self, problem: PlanningProblem, p_obs: float) -> None:
+        self._others = problem.n_objects - problem.n_propositions
+        self._own = (1 << problem.n_propositions) - 1
         automaton = problem.automaton
         shape = (self._own + 1, self._others + 1, automaton.n_states)
         self.value, self.best = np.empty(shape), np.full(shape, DONE, np.int8)
         order = working_order(automaton)
         least_costs(automaton.delta, problem.accepting, order, p_obs, self.value, self.best)
 
-    def choose(self, situation: Situation) -> int:
-        """Return the next target. See `edge.lab.eval.planning.executor.Choose`."""
+    def choose(self, situation: PlannerInput) -> int:
+        """Return the next target. See `edge.lab.eval.planning.executor.ChooseTarget`."""
         left = self._others - (situation.seen & ~self._own).bit_count()
         return int(self.best[situation.seen & self._own, left, situation.state])
 
 
-def solvable(problem: Problem) -> bool:
+def solvable(problem: PlanningProblem) -> bool:
     """Return True if a problem is small enough to solve."""
-    others = problem.n_objects - problem.n_letters
-    return (problem.automaton.n_states * (others + 1)) << problem.n_letters <= MAX_VALUES
+    others = problem.n_objects - problem.n_propositions
+    return (problem.automaton.n_states * (others + 1)) << problem.n_propositions <= MAX_VALUES
 
 
 @njit(nogil=True, cache=True)

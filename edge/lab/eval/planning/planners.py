@@ -1,7 +1,7 @@
 """The planners that `edge eval planning` compares, behind one interface.
 
 A planner is made for a problem, then for a p_obs, and then answers situations
-(`edge.lab.eval.planning.executor.Choose`). Only `optimal` uses p_obs.
+(`edge.lab.eval.planning.executor.ChooseTarget`). Only `optimal` uses p_obs.
 """
 
 from __future__ import annotations
@@ -12,14 +12,20 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.config import PlannerInOrder, PlannerVitl
-from edge.lab.eval.planning.executor import DONE, NOTHING, Choose, Problem, Situation
+from edge.lab.eval.planning.executor import (
+    DONE,
+    NOTHING,
+    ChooseTarget,
+    PlannerInput,
+    PlanningProblem,
+)
 from edge.lab.eval.planning.optimum import Optimum
-from edge.mission.planning.planner import Knowledge, Planner, make_planner
+from edge.mission.planning.planner import MissionKnowledge, Planner, make_planner
 
-MakeForProblem = Callable[[Problem], Callable[[float], Choose]]
+MakeForProblem = Callable[[PlanningProblem], Callable[[float], ChooseTarget]]
 
 
-class Entrant(NamedTuple):
+class PlannerEntry(NamedTuple):
     """A planner of the comparison.
 
     Attributes:
@@ -30,39 +36,39 @@ class Entrant(NamedTuple):
 
     make: MakeForProblem
     words: str
-    knows_all: bool = False
+    knows_all_places: bool = False
 
 
-def vitl(problem: Problem, known_reached: bool = True) -> Callable[[float], Choose]:
+def vitl(problem: PlanningProblem, known_reached: bool = True) -> Callable[[float], ChooseTarget]:
     """Return the service's `vitl` planner; see `VitlPlanner` for `known_reached`."""
     planner = make_planner(PlannerVitl(), problem.automaton, known_reached=known_reached)
     choose = _asking(planner, problem)
     return lambda p_obs: choose
 
 
-def vitl_eq1(problem: Problem) -> Callable[[float], Choose]:
+def vitl_eq1(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
     """Return ViTL eq. 1 to the letter: a reached object weighs 1, as if it had to be found."""
     return vitl(problem, known_reached=False)
 
 
-def in_order(problem: Problem) -> Callable[[float], Choose]:
+def in_order(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
     """Return the service's `in_order` planner: the sentence's first object that makes progress."""
     choose = _asking(make_planner(PlannerInOrder(), problem.automaton), problem)
     return lambda p_obs: choose
 
 
-def random_valid(problem: Problem) -> Callable[[float], Choose]:
+def random_valid(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
     """Return a planner that draws any object that changes the state and keeps success possible."""
     targets = valid_targets(problem)
 
-    def choose(situation: Situation) -> int:
+    def choose(situation: PlannerInput) -> int:
         valid = targets[situation.state]
         return valid[int(situation.draw * len(valid))] if valid else DONE
 
     return lambda p_obs: choose
 
 
-def clairvoyant(problem: Problem) -> Callable[[float], Choose]:
+def clairvoyant(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
     """Return a planner that follows a shortest accepted trace: a lower bound on steps.
 
     The bound holds only if every place is known.
@@ -70,28 +76,30 @@ def clairvoyant(problem: Problem) -> Callable[[float], Choose]:
     left = problem.steps_left
     after = left[problem.moves]
     shortest = [
-        next((i for i in range(problem.n_letters) if after[s, i] == left[s] - 1), NOTHING)
+        next((i for i in range(problem.n_propositions) if after[s, i] == left[s] - 1), NOTHING)
         for s in range(len(left))
     ]
     return lambda p_obs: lambda situation: shortest[situation.state]
 
 
-def least_explorations(problem: Problem) -> Callable[[float], Choose]:
+def least_explorations(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
     """Return the exact optimum for the planners' information; see `Optimum`."""
     return lambda p_obs: Optimum(problem, p_obs).choose
 
 
 PLANNERS = {
-    "vitl": Entrant(vitl, "ViTL eq. 1 and 2, reached objects known, as in the service"),
-    "vitl-eq1": Entrant(vitl_eq1, "ViTL eq. 1 and 2 to the letter: reached objects weigh 1"),
-    "in-order": Entrant(in_order, "first object of the sentence that makes valid progress"),
-    "random-valid": Entrant(random_valid, "any object that makes valid progress"),
-    "optimal": Entrant(least_explorations, "fewest expected explorations, the exact optimum"),
-    "clairvoyant": Entrant(clairvoyant, "knows every place: the bound for steps", knows_all=True),
+    "vitl": PlannerEntry(vitl, "ViTL eq. 1 and 2, reached objects known, as in the service"),
+    "vitl-eq1": PlannerEntry(vitl_eq1, "ViTL eq. 1 and 2 to the letter: reached objects weigh 1"),
+    "in-order": PlannerEntry(in_order, "first object of the sentence that makes valid progress"),
+    "random-valid": PlannerEntry(random_valid, "any object that makes valid progress"),
+    "optimal": PlannerEntry(least_explorations, "fewest expected explorations, the exact optimum"),
+    "clairvoyant": PlannerEntry(
+        clairvoyant, "knows every place: the bound for steps", knows_all_places=True
+    ),
 }
 
 
-def valid_targets(problem: Problem) -> list[list[int]]:
+def valid_targets(problem: PlanningProblem) -> list[list[int]]:
     """Return, by state, the targets that change it and keep success possible, in formula order.
 
     `NOTHING` (let a step pass) is included only if no object does.
@@ -100,25 +108,25 @@ def valid_targets(problem: Problem) -> list[list[int]]:
     useful = alive[moves] & (moves != np.arange(len(moves))[:, None])
     targets = []
     for row in useful:
-        letters = np.flatnonzero(row[: problem.n_letters]).tolist()
+        letters = np.flatnonzero(row[: problem.n_propositions]).tolist()
         targets.append(letters or ([NOTHING] if row[-1] else []))
     return targets
 
 
-def _asking(planner: Planner, problem: Problem) -> Choose:
-    """Return a planner of the service as a `Choose` with a cache of its answers."""
+def _asking(planner: Planner, problem: PlanningProblem) -> ChooseTarget:
+    """Return a planner of the service as a `ChooseTarget` with a cache of its answers."""
     letters = problem.automaton.letters
     index = {letter: i for i, letter in enumerate(letters)}
-    own = (1 << problem.n_letters) - 1
+    own = (1 << problem.n_propositions) - 1
     answers: dict[tuple[int, int, int, int], int] = {}
 
-    def choose(situation: Situation) -> int:
+    def choose(situation: PlannerInput) -> int:
         state, current = situation.state, situation.current
         seen, reached = situation.seen & own, situation.reached & own
         key = (state, seen, reached, current)
         if key not in answers:
             detected = _names(seen & ~reached, letters)
-            knowledge = Knowledge(detected, _names(reached, letters), frozenset())
+            knowledge = MissionKnowledge(detected, _names(reached, letters), frozenset())
             plan = planner.plan(state, knowledge, letters[current] if current >= 0 else None)
             waits = plan.feasible and bool(plan.steps)
             answers[key] = index.get(plan.target, NOTHING if waits else DONE)

@@ -20,11 +20,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from edge.lab.eval.intervals import Interval, ratio, wilson
+from edge.lab.eval.planning.delexicalised import delexicalise
 from edge.lab.eval.planning.executor import OUTCOMES
-from edge.lab.eval.planning.lifted import lift
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.sweep import NOT_RUN, Results, Settings
-from edge.lab.eval.planning.templates import Task
+from edge.lab.eval.planning.sweep import NOT_RUN, Settings, SweepResults
+from edge.lab.eval.planning.templates import BenchmarkTask
 
 LLM, LLM_WORDS = "llm", "a language model, asked for every next target (the paper's prompt)"
 
@@ -54,7 +54,7 @@ class Row:
     explorations_to_optimum: Interval
 
 
-def rows_of(results: Results) -> list[Row]:
+def rows_of(results: SweepResults) -> list[Row]:
     """Return, by planner, a row for each p_obs, then one for all if there are several."""
     rows = []
     for k in range(len(results.planners)):
@@ -64,7 +64,7 @@ def rows_of(results: Results) -> list[Row]:
     return rows
 
 
-def _row(results: Results, k: int, at: slice, p_obs: float | None) -> Row:
+def _row(results: SweepResults, k: int, at: slice, p_obs: float | None) -> Row:
     outcome, complete = results.outcome[k, at], results.complete[k, at]
     explorations, steps = results.explorations[k, at], results.steps[k, at]
     ended = Counter(outcome[outcome != NOT_RUN].tolist())
@@ -89,7 +89,7 @@ def _row(results: Results, k: int, at: slice, p_obs: float | None) -> Row:
 
 def _knows_all(planner: str) -> bool:
     """Return True if the planner has more information than the optimum."""
-    return planner in PLANNERS and PLANNERS[planner].knows_all
+    return planner in PLANNERS and PLANNERS[planner].knows_all_places
 
 
 def _ratio(numerators: np.ndarray, denominators: np.ndarray, where: np.ndarray) -> Interval:
@@ -134,10 +134,10 @@ def legend(planners: Sequence[str]) -> str:
     return "\n".join(f"{name:13}{words[name]}" for name in planners)
 
 
-def tasks_line(tasks: Sequence[Task]) -> str:
+def tasks_line(tasks: Sequence[BenchmarkTask]) -> str:
     """Return the number of tasks, in total and by template."""
     families = Counter(task.template for task in tasks)
-    structures = len({lift(task.formula) for task in tasks})
+    structures = len({delexicalise(task.formula) for task in tasks})
     kinds = ", ".join(f"{n} {name}" for name, n in families.items())
     return f"{len(tasks)} tasks, {structures} lifted formulas: {kinds}"
 
@@ -164,13 +164,13 @@ def _summary(row: Row) -> str:
 
 
 def to_json(
-    rows: Sequence[Row], tasks: Sequence[Task], settings: Settings, seconds: float
+    rows: Sequence[Row], tasks: Sequence[BenchmarkTask], settings: Settings, seconds: float
 ) -> bytes:
     """Return the figures as JSON. NaN, which JSON lacks, is null, and so is the p_obs of "all"."""
     data = {
         "tasks": len(tasks),
         "templates": Counter(task.template for task in tasks),
-        "lifted_formulas": len({lift(task.formula) for task in tasks}),
+        "lifted_formulas": len({delexicalise(task.formula) for task in tasks}),
         "seed": settings.seed,
         "episodes": settings.episodes,
         "seconds": round(seconds, 1),

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from edge.errors import FileError, UserError
 
 if TYPE_CHECKING:
-    from edge.lab.eval.planning.sweep import Results, Settings
-    from edge.lab.eval.planning.templates import Task
+    from edge.lab.eval.planning.sweep import Settings, SweepResults
+    from edge.lab.eval.planning.templates import BenchmarkTask
 
 JSON_NAME = "results.json"
 
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report(
-    results: Results, tasks: list[Task], settings: Settings, out: Path, began_s: float
+    results: SweepResults, tasks: list[BenchmarkTask], settings: Settings, out: Path, began_s: float
 ) -> None:
     """Print the figures, and write them and the plots."""
     from edge.host.files import write_atomically
@@ -90,17 +90,17 @@ def _writable(directory: Path) -> Path:
     return directory
 
 
-def _generate(n: int, seed: int) -> list[Task]:
+def _generate(n: int, seed: int) -> list[BenchmarkTask]:
     from edge.lab.eval.planning.templates import generate
 
     return generate(n, seed)
 
 
-def _run_offline(tasks: list[Task], settings: Settings, jobs: int) -> Results:
-    from edge.host.bars import Bar
+def _run_offline(tasks: list[BenchmarkTask], settings: Settings, jobs: int) -> SweepResults:
+    from edge.host.progress import ProgressBar
     from edge.lab.eval.planning.sweep import run_tasks
 
-    with Bar("tasks", len(tasks)) as bar:
+    with ProgressBar("tasks", len(tasks)) as bar:
         return run_tasks(tasks, settings, jobs, bar.reach)
 
 
@@ -108,13 +108,13 @@ def _run_llm(tasks, settings, args, client, results):  # type: ignore[no-untyped
     """Return the results with the language model's, and the error that ended its runs early."""
     import numpy as np
 
-    from edge.host.bars import Bar
+    from edge.host.progress import ProgressBar
     from edge.lab.eval.planning.llm_planner import merged, run_llm
 
     n = min(args.llm_tasks, len(tasks))
     rows = np.linspace(0, len(tasks) - 1, n).round().astype(int).tolist()
     total = n * len(settings.p_obs) * settings.episodes
-    with Bar("runs of the language model", total) as bar:
+    with ProgressBar("runs of the language model", total) as bar:
         own, failure = run_llm(tasks, rows, settings, client, args.jobs, bar.reach)
     return merged(results, own), failure
 
@@ -123,10 +123,10 @@ def _client(args: argparse.Namespace):  # type: ignore[no-untyped-def]
     """Return the language model's client; None without `--llm`."""
     if not args.llm:
         return None
-    from edge.chat import client_of
+    from edge.chat import make_chat_client
     from edge.config import TranslatorLlm
 
-    return client_of(TranslatorLlm(url=args.llm, model=args.model))
+    return make_chat_client(TranslatorLlm(url=args.llm, model=args.model))
 
 
 def _planners(text: str | None) -> tuple[str, ...]:

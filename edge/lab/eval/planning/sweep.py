@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.errors import UserError
-from edge.lab.eval.planning.executor import COMPLETE, Problem, draws_of, run_episode
-from edge.lab.eval.planning.lifted import lift
+from edge.lab.eval.planning.delexicalised import delexicalise
+from edge.lab.eval.planning.executor import COMPLETE, PlanningProblem, draws_of, run_episode
 from edge.lab.eval.planning.optimum import solvable
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.templates import Task
+from edge.lab.eval.planning.templates import BenchmarkTask
 
 BATCH_EPISODES = 20
 """Episodes of one planner at one p_obs between two checks for a stop."""
@@ -47,7 +47,7 @@ class Settings(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Results:
+class SweepResults:
     """Every episode of a comparison.
 
     Attributes:
@@ -73,7 +73,7 @@ class Results:
         return self.outcome == COMPLETE
 
 
-class Batch(NamedTuple):
+class TaskBatch(NamedTuple):
     """Tasks with one delexicalised formula, for one process.
 
     Attributes:
@@ -82,17 +82,17 @@ class Batch(NamedTuple):
         ids: of the tasks.
     """
 
-    problem: Problem
+    problem: PlanningProblem
     rows: list[int]
     ids: list[int]
 
 
 def run_tasks(
-    tasks: Sequence[Task],
+    tasks: Sequence[BenchmarkTask],
     settings: Settings,
     jobs: int = 1,
     progress: Callable[[int], None] = lambda done: None,
-) -> Results:
+) -> SweepResults:
     """Run the comparison; the results do not depend on `jobs`.
 
     Args:
@@ -117,27 +117,27 @@ def run_tasks(
     return results
 
 
-def empty_results(tasks: Sequence[Task], settings: Settings) -> Results:
+def empty_results(tasks: Sequence[BenchmarkTask], settings: Settings) -> SweepResults:
     """Return results to be filled in."""
     shape = (len(settings.planners), len(settings.p_obs), len(tasks), settings.episodes)
-    return Results(
+    return SweepResults(
         settings.planners, settings.p_obs, np.full(shape, NOT_RUN, np.int8),
         np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros(len(tasks), np.int32),
     )  # fmt: skip
 
 
-def _batches(tasks: Sequence[Task], size: int) -> Iterator[Batch]:
+def _batches(tasks: Sequence[BenchmarkTask], size: int) -> Iterator[TaskBatch]:
     rows: dict = {}
     for row, task in enumerate(tasks):
-        rows.setdefault(lift(task.formula), []).append(row)
+        rows.setdefault(delexicalise(task.formula), []).append(row)
     for lifted, members in rows.items():
-        problem = Problem.of(lifted.automaton, lifted.others)
+        problem = PlanningProblem.of(lifted.automaton, lifted.others)
         for i in range(0, len(members), size):
             part = members[i : i + size]
-            yield Batch(problem, part, [tasks[row].id for row in part])
+            yield TaskBatch(problem, part, [tasks[row].id for row in part])
 
 
-def run_batch(batch: Batch, settings: Settings) -> np.ndarray:
+def run_batch(batch: TaskBatch, settings: Settings) -> np.ndarray:
     """Return outcomes, explorations and steps of a batch.
 
     Returns:
@@ -149,7 +149,7 @@ def run_batch(batch: Batch, settings: Settings) -> np.ndarray:
     results[0] = NOT_RUN
     everything = (1 << problem.n_objects) - 1
     entrants = [
-        (k, PLANNERS[name].make(problem), everything if PLANNERS[name].knows_all else 0)
+        (k, PLANNERS[name].make(problem), everything if PLANNERS[name].knows_all_places else 0)
         for k, name in enumerate(settings.planners)
         if name != "optimal" or solvable(problem)
     ]
@@ -165,8 +165,8 @@ def run_batch(batch: Batch, settings: Settings) -> np.ndarray:
 
 
 def _run_all(
-    work: list[Batch], settings: Settings, jobs: int
-) -> Iterator[tuple[Batch, np.ndarray]]:
+    work: list[TaskBatch], settings: Settings, jobs: int
+) -> Iterator[tuple[TaskBatch, np.ndarray]]:
     """Yield batches with their results, in the order of completion."""
     if jobs == 1:
         yield from ((batch, run_batch(batch, settings)) for batch in work)

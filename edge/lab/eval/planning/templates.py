@@ -15,7 +15,7 @@ import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from edge.lab.eval.planning.lifted import HM3D_OBJECTS, lift
+from edge.lab.eval.planning.delexicalised import HM3D_OBJECTS, delexicalise
 from edge.mission.logic.ltl import (
     Formula,
     always,
@@ -41,7 +41,7 @@ Step = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class BenchmarkTask:
     """A sentence and its formula.
 
     Attributes:
@@ -124,14 +124,14 @@ class Template:
         return frozenset(steps.union(self.avoided, *self.untils))
 
 
-def generate(n: int = 2000, seed: int = 0) -> list[Task]:
+def generate(n: int = 2000, seed: int = 0) -> list[BenchmarkTask]:
     """Generate the benchmark: `n` satisfiable tasks with different formulas, the same for a seed.
 
     Example:
         >>> generate(4)[3].sentence
         'Reach a potted plant, then reach a toilet.'
     """
-    tasks: list[Task] = []
+    tasks: list[BenchmarkTask] = []
     seen: set[Formula] = set()
     for family, template, objects in draws(random.Random(seed), FAMILIES, HM3D_OBJECTS):
         if len(tasks) == n:
@@ -141,7 +141,9 @@ def generate(n: int = 2000, seed: int = 0) -> list[Task]:
             continue
         seen.add(formula)
         sentence = sentence_of(template, objects)
-        tasks.append(Task(len(tasks), family.name, propositions(formula), sentence, formula))
+        tasks.append(
+            BenchmarkTask(len(tasks), family.name, propositions(formula), sentence, formula)
+        )
     return tasks
 
 
@@ -256,7 +258,7 @@ def _branch(family: Family, rng: random.Random) -> tuple[Step, ...]:
 
 def worth_doing(formula: Formula) -> bool:
     """Return True if the formula can be satisfied, and is not yet satisfied at the start."""
-    return int(lift(formula).automaton.steps_left[0]) > 0
+    return int(delexicalise(formula).automaton.steps_left[0]) > 0
 
 
 # Uses random() alone: the streams of the other methods have changed between Python versions.

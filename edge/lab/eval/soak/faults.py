@@ -10,19 +10,19 @@ from dataclasses import dataclass
 from edge.bus import topics
 from edge.config import Config
 from edge.errors import UserError
-from edge.lab.eval.soak import made, relay
-from edge.lab.eval.soak.holds import (
-    Hold,
-    answers,
-    blind,
+from edge.lab.eval.soak import injectors, relay
+from edge.lab.eval.soak.harness import BROKEN
+from edge.lab.eval.soak.invariants import (
+    Invariant,
+    answers_requests,
     checkpoint_fails,
     checkpoint_written,
+    log_has,
     page_answers,
     recording_fails,
     recording_goes_on,
-    says,
+    reports_no_view,
 )
-from edge.lab.eval.soak.stage import BROKEN
 
 _IMAGES = (topics.RGB, topics.DEPTH, topics.SEGMENTATION, topics.CAMERA_INFO)
 _JUMP_M, _JUMP_RAD = 15.0, 2.0
@@ -42,8 +42,8 @@ class Fault:
         within_s: time after the end within which `recovered` and all of `after` must hold together.
         shows: each must hold at some time during the fault.
         after: must hold after the fault.
-        says: pattern that the log must have by then. For two faults at the same time neither
-            `shows` nor `says` is checked, as one fault may hide the other.
+        log_pattern: pattern that the log must have by then. For two faults at the same time neither
+            `during` nor `log_pattern` is checked, as one fault may hide the other.
         mutes: no published message can be received during the fault.
         needs: returns True if the fault is possible with a configuration.
     """
@@ -51,12 +51,12 @@ class Fault:
     name: str
     part: str
     what: str
-    make: made.Make
+    make: injectors.Injector
     lasts_s: tuple[float, float] = (5.0, 10.0)
     within_s: float = 15.0
-    shows: tuple[Hold, ...] = ()
-    after: tuple[Hold, ...] = ()
-    says: str = ""
+    during: tuple[Invariant, ...] = ()
+    after: tuple[Invariant, ...] = ()
+    log_pattern: str = ""
     mutes: bool = False
     needs: Callable[[Config], bool] = lambda config: True
 
@@ -75,75 +75,80 @@ def _onnx(config: Config) -> bool:
 
 FAULTS: tuple[Fault, ...] = (
     Fault("camera-gone", "sensors", "the relay drops images",
-          made.altered(lambda rng: relay.nothing(_IMAGES)), shows=(blind,)),
+          injectors.relay_alters(lambda rng: relay.nothing(_IMAGES)), during=(reports_no_view,)),
     Fault("odometry-gone", "sensors", "the relay drops odometry",
-          made.altered(lambda rng: relay.nothing((topics.ODOMETRY,))), shows=(blind,)),
-    Fault("simulator-stopped", "robot", "SIGSTOP to the simulator", made.simulator_stopped,
-          shows=(blind,)),
+          injectors.relay_alters(lambda rng: relay.nothing((topics.ODOMETRY,))),
+          during=(reports_no_view,)),
+    Fault("simulator-stopped", "robot", "SIGSTOP to the simulator", injectors.simulator_stopped,
+          during=(reports_no_view,)),
     Fault("session-cut", "bus", "the relay's session with the bus is closed and opened again",
-          made.cut, shows=(blind,)),
-    Fault("next-house", "robot", "the simulator starts again in another house", made.next_house,
-          within_s=40.0, says="pose jumped"),
+          injectors.cut, during=(reports_no_view,)),
+    Fault("next-house", "robot", "the simulator starts again in another house",
+    injectors.next_house,
+          within_s=40.0, log_pattern="pose jumped"),
     Fault("image-frozen", "sensors", "the same image again and again, with new stamps",
-          made.altered(lambda rng: relay.frozen(True))),
+          injectors.relay_alters(lambda rng: relay.frozen(True))),
     Fault("driver-frozen", "sensors", "the same image again and again, with its old stamp",
-          made.altered(lambda rng: relay.frozen(False)), shows=(blind,)),
-    Fault("messages-late", "sensors", f"all sensor messages {made.LATE_S:g} s late", made.late),
+          injectors.relay_alters(lambda rng: relay.frozen(False)), during=(reports_no_view,)),
+    Fault("messages-late", "sensors", f"all sensor messages {injectors.LATE_S:g} s late",
+    injectors.late),
     Fault("sensor-garbage", "sensors", "a malformed message before each sensor message",
-          made.altered(relay.garbage)),
+          injectors.relay_alters(relay.garbage)),
     Fault("clock-ahead", "sensors", "sensor stamps three hours ahead",
-          made.altered(lambda rng: relay.other_clock(_CLOCK_S))),
+          injectors.relay_alters(lambda rng: relay.other_clock(_CLOCK_S))),
     Fault("clock-behind", "sensors", "sensor stamps three hours behind",
-          made.altered(lambda rng: relay.other_clock(-_CLOCK_S))),
+          injectors.relay_alters(lambda rng: relay.other_clock(-_CLOCK_S))),
     Fault("pose-jump", "sensors",
           f"odometry jumps {_JUMP_M:g} m and {math.degrees(_JUMP_RAD):.0f}°, and back",
-          made.altered(lambda rng: relay.elsewhere(_JUMP_M, _JUMP_RAD)),
-          shows=(says("pose jumped"),)),
+          injectors.relay_alters(lambda rng: relay.elsewhere(_JUMP_M, _JUMP_RAD)),
+          during=(log_has("pose jumped"),)),
     Fault("router-killed", "bus", "kill -9 to the Zenoh router, then a restart",
-          made.router_killed, (2.0, 5.0), 25.0, mutes=True, needs=_router),
+          injectors.router_killed, (2.0, 5.0), 25.0, mutes=True, needs=_router),
     Fault("controller-killed", "controller",
-          "kill -9 to the motion controller, then a restart", made.controller_killed),
+          "kill -9 to the motion controller, then a restart", injectors.controller_killed),
     Fault("model-killed", "model", "kill -9 to the model's process",
-          made.model_signalled(signal.SIGKILL),
-          (4.0, 6.0), 40.0, needs=_process, shows=(says("ended by SIGKILL"),)),
+          injectors.model_signalled(signal.SIGKILL),
+          (4.0, 6.0), 40.0, needs=_process, during=(log_has("ended by SIGKILL"),)),
     Fault("model-stopped", "model", "SIGSTOP to the model's process",
-          made.model_signalled(signal.SIGSTOP),
-          (8.0, 10.0), 40.0, needs=_process, shows=(says("no answer within"),)),
+          injectors.model_signalled(signal.SIGSTOP),
+          (8.0, 10.0), 40.0, needs=_process, during=(log_has("no answer within"),)),
     Fault("model-swapped", "model", "`edge models use --force` of a copy of the model",
-          made.swapped, (1.0, 2.0), 90.0, says="model .*: kept", needs=_onnx),
-    Fault("bad-model", "model", "`edge models use` of a damaged model", made.badly_swapped,
-          (1.0, 2.0), 40.0, says=f"model {BROKEN}: refused", needs=_onnx),
+          injectors.swapped, (1.0, 2.0), 90.0, log_pattern="model .*: kept", needs=_onnx),
+    Fault("bad-model", "model", "`edge models use` of a damaged model", injectors.badly_swapped,
+          (1.0, 2.0), 40.0, log_pattern=f"model {BROKEN}: refused", needs=_onnx),
     Fault("reload", "configuration", "SIGHUP with another `mission.verify_s`",
-          made.reloaded({"mission": {"verify_s": 2.5}}, {}), (1.0, 2.0), 30.0,
-          says="reload: switched"),
+          injectors.reloaded({"mission": {"verify_s": 2.5}}, {}), (1.0, 2.0), 30.0,
+          log_pattern="reload: switched"),
     Fault("policy-reload", "configuration", "SIGHUP with another policy",
-          made.reloaded({"policy": {"kind": "nearest_frontier"}}, {}), (1.0, 2.0), 60.0,
-          says="reload: switched"),
+          injectors.reloaded({"policy": {"kind": "nearest_frontier"}}, {}), (1.0, 2.0), 60.0,
+          log_pattern="reload: switched"),
     Fault("bad-reload", "configuration", "SIGHUP with an invalid configuration",
-          made.badly_reloaded, (3.0, 5.0), says="reload: refused"),
-    Fault("disk-full", "disk", "no file of the service can grow (RLIMIT_FSIZE)", made.disk_full,
-          shows=(checkpoint_fails, recording_fails),
+          injectors.badly_reloaded, (3.0, 5.0), log_pattern="reload: refused"),
+    Fault("disk-full", "disk", "no file of the service can grow (RLIMIT_FSIZE)",
+    injectors.disk_full,
+          during=(checkpoint_fails, recording_fails),
           after=(checkpoint_written, recording_goes_on)),
-    Fault("log-reader-gone", "log", "the reader of the log exits", made.log_reader_gone,
-          says="thread MainThread"),
+    Fault("log-reader-gone", "log", "the reader of the log exits", injectors.log_reader_gone,
+          log_pattern="thread MainThread"),
     Fault("log-reader-stuck", "log", "the reader of the log stops reading, and the pipe is full",
-          made.log_reader_stuck, (12.0, 15.0), says=r"m2 \| tick"),
+          injectors.log_reader_stuck, (12.0, 15.0), log_pattern=r"m2 \| tick"),
     Fault("viewer-stopped", "viewer", "SIGSTOP to a subscriber of all topics",
-          made.viewer_stopped, (10.0, 20.0)),
+          injectors.viewer_stopped, (10.0, 20.0)),
     Fault("page-open", "pages", "a browser has the live page open, with all its data",
-          made.page_open, (10.0, 20.0), shows=(page_answers,)),
+          injectors.page_open, (10.0, 20.0), during=(page_answers,)),
     Fault("visitors-stuck", "pages",
           "dozens of HTTP connections a second that send incomplete requests",
-          made.visitors_stuck, after=(page_answers,)),
+          injectors.visitors_stuck, after=(page_answers,)),
     Fault("request-flood", "requests", "hundreds of requests a second",
-          made.asked(lambda rng: made.REQUESTS[rng.integers(len(made.REQUESTS))]),
-          after=(answers,)),
+          injectors.request_flood(
+              lambda rng: injectors.REQUESTS[rng.integers(len(injectors.REQUESTS))]),
+          after=(answers_requests,)),
     Fault("request-garbage", "requests", "hundreds of malformed requests a second",
-          made.asked(made.nonsense), after=(answers,)),
+          injectors.request_flood(injectors.nonsense), after=(answers_requests,)),
     Fault("answer-flood", "controller",
           "hundreds of goal statuses a second, valid and malformed",
-          made.sent(lambda rng: (topics.GOAL_STATUS.key, made.ANSWER),
-                lambda rng: (topics.GOAL_STATUS.key, relay.broken(made.ANSWER, rng)))),
+          injectors.message_flood(lambda rng: (topics.GOAL_STATUS.key, injectors.ANSWER),
+                lambda rng: (topics.GOAL_STATUS.key, relay.broken(injectors.ANSWER, rng)))),
 )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 _CHUNK = 1 << 16
 
 
-class Log:
+class PipeLog:
     """Reads the pipe without blocking, and copies it to a file.
 
     Attributes:

@@ -11,8 +11,8 @@ import numpy as np
 from edge import names
 from edge.bus.client import RequestError
 from edge.config import DetectorOnnx
-from edge.lab.eval.soak.stage import Stage
-from edge.lab.eval.soak.watch import Watch
+from edge.lab.eval.soak.harness import SoakHarness
+from edge.lab.eval.soak.monitor import SoakMonitor
 from edge.lab.sim.worlds import load_world
 
 log = logging.getLogger("edge.lab.eval.soak")
@@ -27,14 +27,14 @@ _AGAIN_S = 2.0  # before a failed request is repeated, and for status to follow 
 _OVER = ("reached", "failed")
 
 
-class Missions:
+class MissionFeeder:
     """Gives the service a mission whenever it has none.
 
     Attributes:
         ended: the end of each mission: `instruction`, `phase`, `reason`, `elapsed_s`, `path_m`.
     """
 
-    def __init__(self, stage: Stage, watch: Watch, rng: np.random.Generator) -> None:
+    def __init__(self, stage: SoakHarness, watch: SoakMonitor, rng: np.random.Generator) -> None:
         self.ended: list[dict[str, Any]] = []
         self._stage, self._watch, self._rng = stage, watch, rng
         self._asked_s = time.monotonic()

@@ -11,7 +11,7 @@ from typing import Any
 Row = dict[str, Any]
 
 
-class Record:
+class SoakLog:
     """Writes rows to a file. The file is complete at any time.
 
     Each row has `t_s` since the begin, and its `kind`: `begin`, `sample` (once a second), `fault`,

@@ -12,13 +12,13 @@ from typing import Any
 from mcap.reader import make_reader
 
 from edge.config import Config
-from edge.config.loop import Sink
+from edge.config.loop import SinkConfig
 from edge.errors import UserError
 from edge.loop.warmup import warm_up
-from edge.recording.file import PARTIAL, McapReading, RecordingError
+from edge.recording.file import PARTIAL, McapReader, RecordingError
 from edge.recording.replay import replay
-from edge.recording.rolling import Limits, files_of
-from edge.recording.session import Session
+from edge.recording.rolling import RecordingLimits, files_of
+from edge.recording.session import RecordedRun
 from edge.text import one_line
 
 FOLDER = "recordings"
@@ -28,16 +28,18 @@ _SPARE_MB = 2.0  # a file is closed with its last chunk and its index
 _MB = 1e6
 
 
-def below(sinks: Iterable[Sink], out: Path) -> tuple[Sink, ...]:
+def below(sinks: Iterable[SinkConfig], out: Path) -> tuple[SinkConfig, ...]:
     """Return the sinks, with the folder of those that record moved below `out`."""
     folder = {"folder": str(out / FOLDER)}
     return tuple(
-        Sink(kind=sink.kind, options={**sink.options, **folder}) if sink.kind == KIND else sink
+        SinkConfig(kind=sink.kind, options={**sink.options, **folder})
+        if sink.kind == KIND
+        else sink
         for sink in sinks
     )
 
 
-class Recordings:
+class RecordingCheck:
     """Reads each file once it is complete. The first file is kept as `FIRST` by a hard link.
 
     Attributes:
@@ -55,7 +57,9 @@ class Recordings:
         self.size_mb = 0.0
         self.first = out / FIRST
         self._folder = Path(sinks[0].options["folder"]) if sinks else None
-        self._most_mb = sum(sink.options.get("keep_mb", Limits().keep_mb) for sink in sinks)
+        self._most_mb = sum(
+            sink.options.get("keep_mb", RecordingLimits().keep_mb) for sink in sinks
+        )
         self._read: set[Path] = set()
 
     def look(self) -> None:
@@ -112,7 +116,7 @@ class Recordings:
     def _read_cut(self, path: Path) -> None:
         """Read a file that was not completed, up to where it ends."""
         try:
-            reading = McapReading(path)
+            reading = McapReader(path)
             read = sum(1 for _ in reading)
         except RecordingError as error:
             self._report(str(error))
@@ -128,7 +132,7 @@ class Recordings:
             return {}
         logging.disable(logging.WARNING)  # the service logged this the first time
         try:
-            session = Session(self.first, trust=True)  # it was made here
+            session = RecordedRun(self.first, trust=True)  # it was made here
             warm_up(session.config())
             outcome = replay(session)
         except UserError as error:

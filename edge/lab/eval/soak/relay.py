@@ -1,6 +1,6 @@
 """Relay between robot and service that passes on sensor messages or altered ones.
 
-The robot's simulator connects only to this process. An `Alter` turns each message into its
+The robot's simulator connects only to this process. An `MessageFilter` turns each message into its
 replacements. There is one at a time, and it passes on unchanged all that it does not concern.
 """
 
@@ -22,9 +22,9 @@ from edge.bus.session import declare_publisher, zenoh_session
 from edge.bus.topics import Topic
 from edge.bus.wire import messages
 from edge.bus.wire.cdr import HEADER, STAMP
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 
-Alter = Callable[[Topic, bytes], Sequence[bytes]]
+MessageFilter = Callable[[Topic, bytes], Sequence[bytes]]
 """Returns the messages that replace a message of a topic. It is called on Zenoh's threads."""
 
 _IMAGES = (topics.RGB, topics.DEPTH, topics.SEGMENTATION)
@@ -49,8 +49,8 @@ class Relay:
         Stopped: `stop` was set before the service's endpoint answered.
     """
 
-    def __init__(self, robot: Zenoh, service: Zenoh, stop: threading.Event) -> None:
-        self.alter: Alter | None = None
+    def __init__(self, robot: ZenohConfig, service: ZenohConfig, stop: threading.Event) -> None:
+        self.alter: MessageFilter | None = None
         self.offset_m = 0.0
         self.passed = 0
         self._late_s = 0.0
@@ -140,13 +140,14 @@ def restamped(payload: bytes, stamp_ns: int) -> bytes:
     return payload[:begin] + STAMP.pack(*divmod(stamp_ns, 1_000_000_000)) + payload[end:]
 
 
-def nothing(only: Sequence[Topic] = topics.PLAYED) -> Alter:
-    """Return an `Alter` that drops messages of these topics."""
+def nothing(only: Sequence[Topic] = topics.PLAYED) -> MessageFilter:
+    """Return an `MessageFilter` that drops messages of these topics."""
     return lambda topic, payload: () if topic in only else (payload,)
 
 
-def frozen(stamps_go_on: bool) -> Alter:
-    """Return an `Alter` that repeats the first image of each topic, like a driver that hangs."""
+def frozen(stamps_go_on: bool) -> MessageFilter:
+    """Return an `MessageFilter` that repeats the first image of each topic, like a driver that
+    hangs."""
     first: dict[Topic, bytes] = {}
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
@@ -158,8 +159,8 @@ def frozen(stamps_go_on: bool) -> Alter:
     return alter
 
 
-def other_clock(ahead_s: float) -> Alter:
-    """Return an `Alter` that moves all stamps ahead."""
+def other_clock(ahead_s: float) -> MessageFilter:
+    """Return an `MessageFilter` that moves all stamps ahead."""
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
         if topic not in _STAMPED:
@@ -169,15 +170,15 @@ def other_clock(ahead_s: float) -> Alter:
     return alter
 
 
-def elsewhere(x_m: float, yaw_rad: float) -> Alter:
-    """Return an `Alter` for odometry that has jumped."""
+def elsewhere(x_m: float, yaw_rad: float) -> MessageFilter:
+    """Return an `MessageFilter` for odometry that has jumped."""
     return lambda topic, payload: (
         (moved(payload, x_m, yaw_rad),) if topic is topics.ODOMETRY else (payload,)
     )
 
 
-def garbage(rng: np.random.Generator) -> Alter:
-    """Return an `Alter` that sends a malformed message before each message."""
+def garbage(rng: np.random.Generator) -> MessageFilter:
+    """Return an `MessageFilter` that sends a malformed message before each message."""
     lock = threading.Lock()  # the generator is not thread-safe, and Zenoh has several threads
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:

@@ -12,8 +12,8 @@ import numpy as np
 from edge.lab.eval.soak.growth import Slope, slope_of
 
 if TYPE_CHECKING:
-    from edge.lab.eval.soak.stage import Stage
-    from edge.lab.eval.soak.watch import Watch
+    from edge.lab.eval.soak.harness import SoakHarness
+    from edge.lab.eval.soak.monitor import SoakMonitor
 
 SILENT_S = OLD_S = 10.0
 LOG_A_MINUTE = 120
@@ -38,58 +38,58 @@ class Rule:
 
     name: str
     what: str
-    broken: Callable[[Stage, Watch, Sample], str]
+    broken: Callable[[SoakHarness, SoakMonitor, Sample], str]
     ends: bool = False
 
 
-def _dead(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _dead(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     code = stage.service.poll()
     return "" if code is None else f"it ended with {code}"
 
 
-def _hung(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _hung(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     silent_s = time.monotonic() - watch.alive_s
     return f"not 200 for {silent_s:.0f} s" if silent_s > SILENT_S else ""
 
 
-def _silent(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _silent(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     silent_s = time.monotonic() - max(watch.beat_s, watch.muted_s)
     return f"no message of the loop for {silent_s:.0f} s" if silent_s > SILENT_S else ""
 
 
-def _unreadable(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _unreadable(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     return watch.checkpoint
 
 
-def _map_lost(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _map_lost(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     age_s = sample["places_age_s"]
     if watch.calm and age_s is not None and age_s > OLD_S:
         return f"written {age_s:.0f} s ago"
     return watch.places
 
 
-def _recorded_badly(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _recorded_badly(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     return watch.recordings.problem
 
 
-def _floods(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _floods(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     lines = sample["log_a_minute"]
     return f"{lines} lines in a minute" if lines > LOG_A_MINUTE else ""
 
 
-def _overdue(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _overdue(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     elapsed_s = watch.status.get("elapsed_s", 0.0)
     limit_s = stage.config.mission.time_limit_s + _SPARE_S
     return f"a mission runs for {elapsed_s:.0f} s" if elapsed_s > limit_s else ""
 
 
-def _without_reason(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _without_reason(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     status = watch.status
     silent = status.get("phase") == "failed" and not status.get("reason")
     return "a mission failed without a reason" if silent else ""
 
 
-def _others_end(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _others_end(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     gone = [name for name in stage.gone() if name != "service"]
     return f"the {gone[0]} ended by itself" if gone else ""
 
@@ -121,7 +121,7 @@ RULES: tuple[Rule, ...] = (
 
 
 @dataclass(frozen=True)
-class Growth:
+class GrowthLimit:
     """A limit on the growth of a value.
 
     Attributes:
@@ -141,13 +141,15 @@ class Growth:
     settles: float
 
 
-GROWTHS: tuple[Growth, ...] = (
-    Growth("memory of the service", "service", "memory_mb", "MB", 20.0, 100.0),
-    Growth("memory of the model's process", "model", "memory_mb", "MB", 20.0, 100.0),
-    Growth("threads of the service", "service", "threads", "threads", 2.0, 8.0),
-    Growth("threads of the model's process", "model", "threads", "threads", 2.0, 8.0),
-    Growth("descriptors of the service", "service", "descriptors", "descriptors", 2.0, 8.0),
-    Growth("descriptors of the model's process", "model", "descriptors", "descriptors", 2.0, 8.0),
+GROWTHS: tuple[GrowthLimit, ...] = (
+    GrowthLimit("memory of the service", "service", "memory_mb", "MB", 20.0, 100.0),
+    GrowthLimit("memory of the model's process", "model", "memory_mb", "MB", 20.0, 100.0),
+    GrowthLimit("threads of the service", "service", "threads", "threads", 2.0, 8.0),
+    GrowthLimit("threads of the model's process", "model", "threads", "threads", 2.0, 8.0),
+    GrowthLimit("descriptors of the service", "service", "descriptors", "descriptors", 2.0, 8.0),
+    GrowthLimit(
+        "descriptors of the model's process", "model", "descriptors", "descriptors", 2.0, 8.0
+    ),
 )
 """Limits on the lower bound of the interval, so only certain growth breaks them.
 
@@ -155,7 +157,7 @@ The report has the smallest growth that would have shown.
 """
 
 
-def grown(growth: Growth, samples: Sequence[Sample]) -> Slope | None:
+def grown(growth: GrowthLimit, samples: Sequence[Sample]) -> Slope | None:
     """Return the growth over samples without a fault; None if there are too few.
 
     The first samples of the run and of each process are skipped.
@@ -174,12 +176,12 @@ def grown(growth: Growth, samples: Sequence[Sample]) -> Slope | None:
     return slope_of(tuple(np.array(life).T) for life in lives.values())  # type: ignore[misc]
 
 
-def most_per_h(growth: Growth, ran_s: float) -> float:
+def most_per_h(growth: GrowthLimit, ran_s: float) -> float:
     """Return the allowed growth in an hour, for a run of this length."""
     return max(growth.most_per_h, growth.settles * 3600.0 / max(ran_s, 1.0))
 
 
-def grows(growth: Growth, slope: Slope | None, ran_s: float) -> str:
+def grows(growth: GrowthLimit, slope: Slope | None, ran_s: float) -> str:
     """Return the reason if a value certainly grows by more than allowed, else ""."""
     most = most_per_h(growth, ran_s)
     if slope is None or slope.low <= most:

@@ -17,14 +17,14 @@ from edge.config import load
 from edge.errors import FAILED, FileError, Stopped
 from edge.host.signals import stop_on_signals
 from edge.lab.eval.soak.faults import Fault, chosen
-from edge.lab.eval.soak.holds import When, recovered, says
-from edge.lab.eval.soak.missions import Missions
-from edge.lab.eval.soak.record import Record, of, verdict
+from edge.lab.eval.soak.harness import SoakHarness, soak_config
+from edge.lab.eval.soak.invariants import FaultWindow, log_has, recovered
+from edge.lab.eval.soak.missions import MissionFeeder
+from edge.lab.eval.soak.monitor import SoakMonitor
+from edge.lab.eval.soak.record import SoakLog, of, verdict
 from edge.lab.eval.soak.rules import GROWTHS, RULES, grown, grows, most_per_h, none_reached
-from edge.lab.eval.soak.schedule import Drawn, Steps, make, rounds
-from edge.lab.eval.soak.stage import Stage, staged
+from edge.lab.eval.soak.schedule import ScheduledFault, Steps, make, rounds
 from edge.lab.eval.soak.tables import summary
-from edge.lab.eval.soak.watch import Watch
 
 log = logging.getLogger("edge.lab.eval.soak")
 
@@ -46,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
     faults = chosen(config, args.faults.split(",") if args.faults is not None else None)
     make_empty(args.out)
     out = args.out.resolve()
-    record = Record(out / "record.jsonl")
-    with closing(record), closing(Stage(staged(config, out), out, stop)) as stage:
-        soak = Soak(stage, record, faults, args.seed, 60.0 * args.minutes)
+    record = SoakLog(out / "record.jsonl")
+    with closing(record), closing(SoakHarness(soak_config(config, out), out, stop)) as stage:
+        soak = SoakRun(stage, record, faults, args.seed, 60.0 * args.minutes)
         try:
             stage.start()
             soak.run(stop)
@@ -75,11 +75,16 @@ def make_empty(folder: Path) -> None:
         raise FileError(f"--out {folder}: {error.strerror}") from None
 
 
-class Soak:
+class SoakRun:
     """One soak run."""
 
     def __init__(
-        self, stage: Stage, record: Record, faults: Sequence[Fault], seed: int, lasts_s: float
+        self,
+        stage: SoakHarness,
+        record: SoakLog,
+        faults: Sequence[Fault],
+        seed: int,
+        lasts_s: float,
     ) -> None:
         self._stage, self._record, self._faults = stage, record, faults
         # Separate streams: the order of faults depends on the seed only, not on their duration.
@@ -96,8 +101,8 @@ class Soak:
 
         It ends early if `stop` is set, or if the run cannot continue.
         """
-        self._watch = Watch(self._stage)
-        self._missions = Missions(self._stage, self._watch, self._mission_rng)
+        self._watch = SoakMonitor(self._stage)
+        self._missions = MissionFeeder(self._stage, self._watch, self._mission_rng)
         self._record.began_s = time.monotonic()
         ends_s, look_s = self._record.began_s + self._lasts_s, 0.0
         with closing(self._all_faults(ends_s)) as faults:
@@ -149,7 +154,7 @@ class Soak:
             yield
         return ""
 
-    def _one(self, drawn: Sequence[Drawn]) -> Steps:
+    def _one(self, drawn: Sequence[ScheduledFault]) -> Steps:
         """Inject a fault, or one within another, and wait until the service has recovered."""
         watch, began_s = self._watch, time.monotonic()
         faults = [fault for fault, _ in drawn]
@@ -158,7 +163,7 @@ class Soak:
         why = yield from make(drawn, self._stage, watch, self._fault_rng)
         watch.mutes, ended_s = False, time.monotonic()
         why = why if alone else ""
-        why = why or (yield from self._recovers(faults, When(began_s, ended_s)))
+        why = why or (yield from self._recovers(faults, FaultWindow(began_s, ended_s)))
         self._record.add(
             "fault", name=name, began_s=round(began_s - self._record.began_s, 2),
             lasted_s=round(ended_s - began_s, 2),
@@ -169,11 +174,11 @@ class Soak:
         yield from self._pause(_SETTLES_S)
         watch.calm = True
 
-    def _recovers(self, faults: Sequence[Fault], when: When) -> Steps:
+    def _recovers(self, faults: Sequence[Fault], when: FaultWindow) -> Steps:
         """Wait until all holds after the faults. Return the first reason if it takes too long."""
         holds = [recovered, *(hold for fault in faults for hold in fault.after)]
-        if len(faults) == 1 and faults[0].says:
-            holds.append(says(faults[0].says))
+        if len(faults) == 1 and faults[0].log_pattern:
+            holds.append(log_has(faults[0].log_pattern))
         within_s = sum(fault.within_s for fault in faults)
         while True:
             every = (hold(self._stage, self._watch, when) for hold in holds)
@@ -200,7 +205,7 @@ class Soak:
                 self._break(growth.name, why)
         if why := none_reached(self._missions.ended, ran_s):
             self._break("missions", why)
-        self._stage.look_at_family()
+        self._stage.update_descendants()
         code = self._stage.stop_service()
         if code != os.EX_OK:
             self._break("service ends", "not in time" if code is None else f"with exit code {code}")

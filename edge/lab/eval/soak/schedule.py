@@ -12,11 +12,11 @@ import numpy as np
 
 from edge.errors import UserError
 from edge.lab.eval.soak.faults import Fault
-from edge.lab.eval.soak.holds import When
+from edge.lab.eval.soak.invariants import FaultWindow
 
 if TYPE_CHECKING:
-    from edge.lab.eval.soak.stage import Stage
-    from edge.lab.eval.soak.watch import Watch
+    from edge.lab.eval.soak.harness import SoakHarness
+    from edge.lab.eval.soak.monitor import SoakMonitor
 
 log = logging.getLogger("edge.lab.eval.soak")
 
@@ -27,14 +27,16 @@ Steps = Generator[None, None, str]
 """A generator of steps that returns the reason of a failure, or ""."""
 
 
-class Drawn(NamedTuple):
+class ScheduledFault(NamedTuple):
     """A fault and its duration."""
 
     fault: Fault
     lasts_s: float
 
 
-def rounds(faults: Sequence[Fault], rng: np.random.Generator) -> Iterator[tuple[Drawn, ...]]:
+def rounds(
+    faults: Sequence[Fault], rng: np.random.Generator
+) -> Iterator[tuple[ScheduledFault, ...]]:
     """Yield all faults in random order, again and again.
 
     Some have a second fault within them, which affects another part.
@@ -45,10 +47,15 @@ def rounds(faults: Sequence[Fault], rng: np.random.Generator) -> Iterator[tuple[
             others = [fault for fault in faults if fault.part != first.part]
             second = others and rng.random() < SECOND
             made = (first, others[rng.integers(len(others))]) if second else (first,)
-            yield tuple(Drawn(fault, float(rng.uniform(*fault.lasts_s))) for fault in made)
+            yield tuple(ScheduledFault(fault, float(rng.uniform(*fault.lasts_s))) for fault in made)
 
 
-def make(drawn: Sequence[Drawn], stage: Stage, watch: Watch, rng: np.random.Generator) -> Steps:
+def make(
+    drawn: Sequence[ScheduledFault],
+    stage: SoakHarness,
+    watch: SoakMonitor,
+    rng: np.random.Generator,
+) -> Steps:
     """Inject the first fault, and the rest within it, which ends before the first does.
 
     Returns:
@@ -60,7 +67,7 @@ def make(drawn: Sequence[Drawn], stage: Stage, watch: Watch, rng: np.random.Gene
     log.info("fault: %s: %s, for %.0f s", fault.name, fault.what, lasts_s)
     watch.mutes |= fault.mutes
     began_s = time.monotonic()
-    when, unshown, ended = When(began_s, began_s), list(fault.shows), False
+    when, unshown, ended = FaultWindow(began_s, began_s), list(fault.during), False
     try:
         with (
             closing(fault.make(stage, rng)) as making,

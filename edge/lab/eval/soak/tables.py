@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from edge.lab.eval.comparison.tables import Table, text
+from edge.lab.eval.comparison.tables import ReportTable, text
 from edge.lab.eval.soak.record import Row, of
 from edge.text import one_line
 
@@ -19,12 +19,12 @@ def summary(rows: Sequence[Row]) -> str:
     return "\n\n".join(text(table) for table in tables if table.rows)
 
 
-def _broken(rows: Sequence[Row]) -> Table:
+def _broken(rows: Sequence[Row]) -> ReportTable:
     found = [[f"{row['t_s']:.0f}", row["rule"], one_line(row["why"])] for row in of(rows, "broken")]
-    return Table("broken", "What did not hold", ["s", "rule", "why"], found)
+    return ReportTable("broken", "What did not hold", ["s", "rule", "why"], found)
 
 
-def _growth(rows: Sequence[Row]) -> Table:
+def _growth(rows: Sequence[Row]) -> ReportTable:
     found = [
         [
             row["name"], f"{row['per_h']:+.2f}", f"{row['low']:+.2f} … {row['high']:+.2f}",
@@ -33,15 +33,15 @@ def _growth(rows: Sequence[Row]) -> Table:
         for row in of(rows, "growth")
     ]  # fmt: skip
     head = ["what", "grows by", "95 % interval", "at most", "resolves", "unit"]
-    return Table("growth", "Growth, over samples without a fault", head, found)
+    return ReportTable("growth", "Growth, over samples without a fault", head, found)
 
 
-def _faults(rows: Sequence[Row]) -> Table:
+def _faults(rows: Sequence[Row]) -> ReportTable:
     named: dict[str, list[Row]] = {}
     for row in of(rows, "fault"):
         named.setdefault(_AT_ONCE if " + " in row["name"] else row["name"], []).append(row)
     head = ["fault", "times", "recovered in s, p50", "longest", "broke"]
-    return Table("faults", "Faults", head, list(_by_fault(named)))
+    return ReportTable("faults", "Faults", head, list(_by_fault(named)))
 
 
 def _by_fault(named: dict[str, list[Row]]) -> Iterator[list[str]]:
@@ -55,7 +55,7 @@ def _broke(row: Row) -> str:
     return f"{row['name']}: {row['broken']}" if " + " in row["name"] else str(row["broken"])
 
 
-def _missions(rows: Sequence[Row]) -> Table:
+def _missions(rows: Sequence[Row]) -> ReportTable:
     found = [
         [
             f"{row['t_s']:.0f}", one_line(row["instruction"], 100), row["phase"],
@@ -63,6 +63,6 @@ def _missions(rows: Sequence[Row]) -> Table:
         ]
         for row in of(rows, "mission")
     ]  # fmt: skip
-    return Table(
+    return ReportTable(
         "missions", "Missions", ["ended, s", "mission", "phase", "took, s", "m", "reason"], found
     )

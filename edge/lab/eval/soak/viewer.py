@@ -7,7 +7,7 @@ import sys
 import zenoh
 
 from edge.bus.session import zenoh_session
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.host.signals import stop_on_signals
 
 
@@ -15,7 +15,7 @@ def main(endpoint: str, prefix: str, parent: str) -> None:
     """Subscribe until the parent process ends."""
     stop = stop_on_signals(int(parent))
     # As on another machine, which large messages do not reach by shared memory.
-    settings = Zenoh(endpoint=endpoint, prefix=prefix, shared_memory=False)
+    settings = ZenohConfig(endpoint=endpoint, prefix=prefix, shared_memory=False)
     with zenoh_session(settings, "connect", stop) as session:
         session.declare_subscriber(f"{prefix}/**", zenoh.handlers.RingChannel(8))
         stop.wait()

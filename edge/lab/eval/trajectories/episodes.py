@@ -25,17 +25,24 @@ import numpy as np
 
 from edge.config import Config, load
 from edge.errors import UserError
-from edge.geometry import SE2, CameraModel, Grid, optical, se3
+from edge.geometry import SE2, CameraModel, Grid, se3, to_optical
 from edge.lab.eval import kitti, world_list
 from edge.lab.eval.trajectories import outdoor
-from edge.lab.eval.trajectories.meaning import KINDS, Place, Task, Thing, box_outline_m, tasks
+from edge.lab.eval.trajectories.references import (
+    KINDS,
+    Landmark,
+    Place,
+    TrajectoryTask,
+    box_outline_m,
+    tasks,
+)
 from edge.lab.sim.base import World, WorldObject, free_poses
-from edge.lab.sim.generator.draws import Dice
+from edge.lab.sim.generator.rng import PortableRng
 from edge.tasks import terrain
 from edge.tasks.captions import place_of
-from edge.tasks.chain import Chain
 from edge.tasks.ground import reachable
 from edge.tasks.objects import box_around
+from edge.tasks.pipeline import PerceptionPipeline
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.value_map import open_cells
 from edge.text import one_line
@@ -56,7 +63,7 @@ _LEAST_PX = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Episode:
+class TrajectoryEpisode:
     """A task with its scene and the true place.
 
     Attributes:
@@ -74,17 +81,17 @@ class Episode:
     id: str
     source: str
     world: str
-    task: Task
+    task: TrajectoryTask
     scene: Scene
     truth: Grid
     robot_m: float
-    things: tuple[Thing, ...]
+    things: tuple[Landmark, ...]
     solid_m: np.ndarray | None = None
 
 
 def episodes(
-    specs: Sequence[str], limit: int | None = None, chain: Chain | None = None
-) -> Iterator[Episode]:
+    specs: Sequence[str], limit: int | None = None, chain: PerceptionPipeline | None = None
+) -> Iterator[TrajectoryEpisode]:
     """Yield the episodes of the places that the command line names, in order.
 
     Args:
@@ -101,7 +108,7 @@ def episodes(
         yield from itertools.islice(each, limit)
 
 
-def _of(spec: str, chain: Chain | None) -> Iterator[Episode]:
+def _of(spec: str, chain: PerceptionPipeline | None) -> Iterator[TrajectoryEpisode]:
     kind, colon, name = spec.partition(":")
     if chain is not None and kind != "kitti":
         raise UserError(f"{one_line(spec)}: --detector works with kitti:FOLDER only")
@@ -122,22 +129,24 @@ def _episode(
     source: str,
     world: str,
     place: Place,
-    task: Task,
+    task: TrajectoryTask,
     scene: Scene,
     solid_m: np.ndarray | None = None,
-) -> Episode:
+) -> TrajectoryEpisode:
     content = json.dumps([world, task.instruction, np.round(task.reference_m, 2).tolist()])
     code = hashlib.sha256(content.encode()).hexdigest()[:8]
     words = one_line(task.instruction, 60).replace(" ", "-").replace(",", "")
-    return Episode(
+    return TrajectoryEpisode(
         f"{world}/{words}/{code}", source, world, task, scene, place.occupancy, place.robot_m,
         place.things, solid_m,
     )  # fmt: skip
 
 
-def _drawn(place: Place, dice: Dice, wanted: Mapping[str, int] = WANTED) -> list[Task]:
+def _drawn(
+    place: Place, dice: PortableRng, wanted: Mapping[str, int] = WANTED
+) -> list[TrajectoryTask]:
     """Draw at most the wanted number of tasks of each category; high-level kinds take turns."""
-    found: dict[str, list[Task]] = {category: [] for category in wanted}
+    found: dict[str, list[TrajectoryTask]] = {category: [] for category in wanted}
     for task in tasks(place, "to", dice):
         if len(found[task.category]) < wanted[task.category]:
             found[task.category].append(task)
@@ -150,7 +159,7 @@ def _drawn(place: Place, dice: Dice, wanted: Mapping[str, int] = WANTED) -> list
 # -- streets ------------------------------------------------------------------------------------
 
 
-def _streets(numbers: range) -> Iterator[Episode]:
+def _streets(numbers: range) -> Iterator[TrajectoryEpisode]:
     for number in numbers:
         drawn = outdoor.outdoor_episode(number)
         yield _episode("streets", f"street-{number}", drawn.place, drawn.task, drawn.scene)
@@ -159,14 +168,16 @@ def _streets(numbers: range) -> Iterator[Episode]:
 # -- SemanticKITTI ------------------------------------------------------------------------------
 
 
-def _kitti(folder: Path, numbers: Sequence[int], chain: Chain | None) -> Iterator[Episode]:
+def _kitti(
+    folder: Path, numbers: Sequence[int], chain: PerceptionPipeline | None
+) -> Iterator[TrajectoryEpisode]:
     frames = kitti.read_frames(folder, numbers)
-    whole = kitti.scene_of(frames, kitti.oracle(frames), kitti.CAR_RADIUS_M)
+    whole = kitti.scene_of(frames, kitti.label_pipeline(frames), kitti.CAR_RADIUS_M)
     sequence, solid_m = _sequence(folder), kitti.solid_m(frames)
     for number, frame in zip(numbers, frames, strict=True):
         scene = kitti.kitti_scene(folder, [number], chain, by_labels=chain is None)
         place = kitti_place(frame, whole)
-        for task in _drawn(place, Dice(_KEY, number)):
+        for task in _drawn(place, PortableRng(_KEY, number)):
             yield _episode("kitti", f"kitti-{sequence}-{number:06d}", place, task, scene, solid_m)
 
 
@@ -176,7 +187,7 @@ def _sequence(folder: Path) -> str:
     return f"{one_line(folder.resolve().name, 40)}-{poses}"
 
 
-def kitti_place(frame: kitti.Frame, whole: Scene) -> Place:
+def kitti_place(frame: kitti.KittiFrame, whole: Scene) -> Place:
     """Return the labelled objects in a frame's picture, with the ground and occupancy around them.
 
     Args:
@@ -191,7 +202,7 @@ def kitti_place(frame: kitti.Frame, whole: Scene) -> Place:
         if label not in _NO_NAMES:
             middle, _, _ = box_around(points_m[mine])
             outline_m = np.unique(np.round(points_m[mine, :2].astype(float), 1), axis=0)
-            things.append(Thing(len(things) + 1, label, "", middle[:2], outline_m))
+            things.append(Landmark(len(things) + 1, label, "", middle[:2], outline_m))
     drivable = whole.regions_grid.cells > 0
     return Place(seen.pose, tuple(things), whole.occupancy, drivable, kitti.CAR_RADIUS_M, _KITTI_M)
 
@@ -199,17 +210,19 @@ def kitti_place(frame: kitti.Frame, whole: Scene) -> Place:
 # -- a house ------------------------------------------------------------------------------------
 
 
-def _house(config: Config) -> Iterator[Episode]:
+def _house(config: Config) -> Iterator[TrajectoryEpisode]:
     world, radius_m = world_list.load(config), config.robot.radius_m
     for number, pose in enumerate(free_poses(world, STARTS, _KEY, radius_m)):
         scene = house_scene(world, pose, radius_m)
         things = tuple(
-            Thing(item.id, item.label, "", item.position_m[:2], item.points_m[:, :2].astype(float))
+            Landmark(
+                item.id, item.label, "", item.position_m[:2], item.points_m[:, :2].astype(float)
+            )
             for item in scene.objects.values()
         )
         drivable = scene.regions_grid.cells > 0
         place = Place(pose, things, scene.occupancy, drivable, radius_m, _HOUSE_M)
-        for task in _drawn(place, Dice(_KEY, number)):
+        for task in _drawn(place, PortableRng(_KEY, number)):
             yield _episode("house", f"{world.name}-{number}", place, task, scene)
 
 
@@ -237,7 +250,7 @@ def _in_view(world: World, pose: SE2) -> set[int]:
     depth_m = np.empty((_EYE.height_px, _EYE.width_px), np.float32)
     ids, found = np.empty(depth_m.shape, np.uint16), set()
     for quarter in range(4):
-        T = optical(SE2(pose.x_m, pose.y_m, pose.yaw_rad + quarter * math.pi / 2).matrix()
+        T = to_optical(SE2(pose.x_m, pose.y_m, pose.yaw_rad + quarter * math.pi / 2).matrix()
                     @ se3(z_m=_EYE_M))  # fmt: skip
         world.render(_EYE, T, None, depth_m, ids)
         seen, count = np.unique(ids, return_counts=True)

@@ -21,18 +21,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge.chat import ChatError, LateError
-from edge.config import Tasks, WriterModel
+from edge.chat import ChatError, ChatTimeoutError
+from edge.config import TasksConfig, WriterModel
 from edge.errors import UnavailableError, UserError
-from edge.lab.eval.trajectories.episodes import Episode
+from edge.lab.eval.trajectories.episodes import TrajectoryEpisode
 from edge.mission.translate import TranslationError
-from edge.tasks.functions import Functions, Point
+from edge.tasks.functions import Point, ScriptFunctions
 from edge.tasks.legs import RefineError
 from edge.tasks.refine import refine
 from edge.tasks.scene import Scene
 from edge.tasks.trajectory import TrajectoryError, coarse_of
-from edge.tasks.value_map import Body
-from edge.tasks.write import WriteError, Written, write
+from edge.tasks.value_map import PathMargins
+from edge.tasks.write import WriteError, WrittenTrajectory, write_trajectory
 from edge.text import one_line
 from edge.trajectory.pursuit import MotionLimits
 
@@ -42,7 +42,7 @@ CAUSES: tuple[tuple[type[UserError], str], ...] = (
     (TranslationError, "not understood"),
     (RefineError, "not refined"),
     (TrajectoryError, "cannot be done"),
-    (LateError, "too late"),
+    (ChatTimeoutError, "too late"),
     (ChatError, "no answer"),
     (WriteError, "nothing written"),
 )
@@ -54,7 +54,7 @@ class NoWayError(UserError):
     """A* found no path."""
 
 
-Finish = Callable[[Episode, Written], np.ndarray]
+Finish = Callable[[TrajectoryEpisode, WrittenTrajectory], np.ndarray]
 """Turns a written trajectory into a path (n, 2) float64 in `map`."""
 
 
@@ -72,7 +72,7 @@ class Method(NamedTuple):
     ends: bool = False
 
 
-class Made(NamedTuple):
+class MethodResult(NamedTuple):
     """A method's result for an instruction.
 
     Attributes:
@@ -89,7 +89,7 @@ class Made(NamedTuple):
 
 
 @dataclass(slots=True, eq=False)
-class Unmapped(Functions):
+class MaplessFunctions(ScriptFunctions):
     """Script functions without a map: paths are straight lines, and none is refused."""
 
     def a_star_plan(self, start: Any, end: Any, regions: Any = ()) -> list[Point]:
@@ -103,18 +103,18 @@ class Unmapped(Functions):
         self.given = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
 
 
-def _refined(episode: Episode, written: Written) -> np.ndarray:
-    coarse, body = written.coarse, Body(episode.robot_m)
+def _refined(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
+    coarse, body = written.coarse, PathMargins(episode.robot_m)
     made = refine(episode.scene, coarse.segments, coarse.regions, body, LIMITS)
     return made.poses[:, :2]
 
 
-def _as_written(episode: Episode, written: Written) -> np.ndarray:
+def _as_written(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
     pose = episode.scene.pose
     return np.concatenate([[(pose.x_m, pose.y_m)], written.coarse.points_m])
 
 
-def _to_its_end(episode: Episode, written: Written) -> np.ndarray:
+def _to_its_end(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
     pose, end = episode.scene.pose, written.coarse.points_m[-1]
     found = written.ground.plan((pose.x_m, pose.y_m), (float(end[0]), float(end[1])))
     if not found.ok:
@@ -131,7 +131,7 @@ METHODS: dict[str, Method] = {
 }
 
 
-def methods_of(config: Tasks, scene: Scene | None = None) -> tuple[str, ...]:
+def methods_of(config: TasksConfig, scene: Scene | None = None) -> tuple[str, ...]:
     """Return the methods that differ for a writer, in a scene if one is given."""
     pictured = scene is None or scene.rgb is not None
     by_model = pictured and isinstance(config.planner, WriterModel)
@@ -139,7 +139,9 @@ def methods_of(config: Tasks, scene: Scene | None = None) -> tuple[str, ...]:
                  if by_model or method.writing != "no picture")  # fmt: skip
 
 
-def make(episode: Episode, names: Sequence[str], config: Tasks) -> dict[str, Made]:
+def make(
+    episode: TrajectoryEpisode, names: Sequence[str], config: TasksConfig
+) -> dict[str, MethodResult]:
     """Return the result of each method on an episode. Methods with the same input share a writing.
 
     Only the instruction, the scene and the robot's radius are used.
@@ -147,7 +149,7 @@ def make(episode: Episode, names: Sequence[str], config: Tasks) -> dict[str, Mad
     Raises:
         UnavailableError: the interpreter of the scripts is missing.
     """
-    written: dict[str, tuple[Written | Exception, float]] = {}
+    written: dict[str, tuple[WrittenTrajectory | Exception, float]] = {}
     made = {}
     for name in names:
         method = METHODS[name]
@@ -163,21 +165,23 @@ def make(episode: Episode, names: Sequence[str], config: Tasks) -> dict[str, Mad
             pose = episode.scene.pose
             path_m = np.array([(pose.x_m, pose.y_m)])
             refused, reason = _cause(error), one_line(error if str(error) else repr(error))
-        made[name] = Made(path_m, refused, reason, seconds + time.perf_counter() - begin_s)
+        made[name] = MethodResult(path_m, refused, reason, seconds + time.perf_counter() - begin_s)
     return made
 
 
-def _written(episode: Episode, writing: str, config: Tasks) -> tuple[Written | Exception, float]:
+def _written(
+    episode: TrajectoryEpisode, writing: str, config: TasksConfig
+) -> tuple[WrittenTrajectory | Exception, float]:
     """Return what was written or the error, and the time that it took [s]."""
     limits = config.trajectory.model_copy(update={"clearance_m": episode.robot_m})
     planner = config.planner
     if writing == "no picture":
         planner = planner.model_copy(update={"picture": False})
     config = config.model_copy(update={"trajectory": limits, "planner": planner})
-    functions = Unmapped if writing == "no map" else Functions
+    functions = MaplessFunctions if writing == "no map" else ScriptFunctions
     begin_s = time.perf_counter()
     try:
-        given = write(episode.task.instruction, episode.scene, config, make=functions)
+        given = write_trajectory(episode.task.instruction, episode.scene, config, make=functions)
     except ChatError as error:
         return error, time.perf_counter() - begin_s
     except UnavailableError:

@@ -14,12 +14,17 @@ import numpy as np
 
 from edge.errors import UserError
 from edge.geometry import Grid
-from edge.lab.eval.line_file import LineFile
+from edge.lab.eval.json_lines_file import JsonLinesFile
 from edge.lab.eval.outcome import MAX_BYTES, NAME
-from edge.lab.eval.trajectories.episodes import Episode
-from edge.lab.eval.trajectories.meaning import CATEGORIES
-from edge.lab.eval.trajectories.methods import Made
-from edge.lab.eval.trajectory_metrics import contacts, evenly, likeness, point_contacts
+from edge.lab.eval.trajectories.episodes import TrajectoryEpisode
+from edge.lab.eval.trajectories.methods import MethodResult
+from edge.lab.eval.trajectories.references import CATEGORIES
+from edge.lab.eval.trajectory_metrics import (
+    contacts,
+    point_contacts,
+    resample_evenly,
+    trajectory_scores,
+)
 
 EPISODES_NAME = "episodes.jsonl"
 _DRAWN_M = 0.25  # distance between the points of a saved path
@@ -31,13 +36,13 @@ Polyline = list[list[float]]
 
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class EpisodeFacts:
     """The data of an episode that tables and pictures need.
 
     Attributes:
         id: of the episode.
-        source: see `Episode`.
-        world: see `Episode`.
+        source: see `TrajectoryEpisode`.
+        world: see `TrajectoryEpisode`.
         kind: see `Task`.
         category: see `Task`.
         instruction: the text.
@@ -60,7 +65,7 @@ class Facts:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class TrajectoryOutcome:
     """The outcome of an episode with a method.
 
     Attributes:
@@ -68,7 +73,7 @@ class Outcome:
         method: its name.
         writer: "rules", or a model's name.
         success: there is a trajectory, and it ends within 1 m of the reference's end.
-        error_m: see `edge.lab.eval.trajectory_metrics.Likeness`.
+        error_m: see `edge.lab.eval.trajectory_metrics.TrajectoryScores`.
         frechet_m: likewise.
         ndtw: likewise.
         contacts: collisions in the scene's map, as OpenNav counts them.
@@ -101,7 +106,7 @@ class Outcome:
         return self.episode, self.method, self.writer
 
 
-def facts_of(episode: Episode) -> Facts:
+def facts_of(episode: TrajectoryEpisode) -> EpisodeFacts:
     """Return the data of an episode to save."""
     task = episode.task
     things = {thing.id: thing for thing in episode.things}
@@ -109,33 +114,35 @@ def facts_of(episode: Episode) -> Facts:
         cv2.convexHull(things[k].outline_m.astype(np.float32))[:, 0].astype(float)
         for k in task.things
     ]
-    return Facts(
+    return EpisodeFacts(
         episode.id, episode.source, episode.world, task.kind, task.category, task.instruction,
-        episode.robot_m, _plain(evenly(task.reference_m, _DRAWN_M)), [*map(_plain, hulls)],
+        episode.robot_m, _plain(resample_evenly(task.reference_m, _DRAWN_M)), [*map(_plain, hulls)],
         [*map(_plain, _outlines(episode.truth, task.reference_m))],
     )  # fmt: skip
 
 
-def outcome_of(episode: Episode, method: str, writer: str, made: Made) -> Outcome:
+def outcome_of(
+    episode: TrajectoryEpisode, method: str, writer: str, made: MethodResult
+) -> TrajectoryOutcome:
     """Compare a method's result with the reference and the true place."""
     path_m = made.path_m
     occupancy, robot_m = episode.scene.occupancy, episode.robot_m
-    like = likeness(path_m, episode.task.reference_m, occupancy, robot_m)
+    like = trajectory_scores(path_m, episode.task.reference_m, occupancy, robot_m)
     if episode.solid_m is None:
         true_contacts = contacts(path_m, episode.truth, robot_m)
     else:
         true_contacts = point_contacts(path_m, episode.solid_m, robot_m)
     length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
     numbers = (like.error_m, like.frechet_m, like.ndtw)
-    return Outcome(
+    return TrajectoryOutcome(
         episode.id, method, writer, like.success and not made.refused,
         *(round(x, 4) for x in numbers), like.contacts, true_contacts,
         round(length_m, 2), made.refused, made.reason, round(made.seconds, 4),
-        _plain(evenly(path_m, _DRAWN_M)),
+        _plain(resample_evenly(path_m, _DRAWN_M)),
     )  # fmt: skip
 
 
-class Folder:
+class ResultsFolder:
     """The saved episodes and outcomes of a folder. New ones are appended.
 
     Attributes:
@@ -148,25 +155,25 @@ class Folder:
     """
 
     def __init__(self, path: Path) -> None:
-        self._episodes = LineFile(path / EPISODES_NAME, _facts, "an episode", MAX_BYTES)
-        self._outcomes = LineFile(path / NAME, _outcome, "an outcome", MAX_BYTES)
+        self._episodes = JsonLinesFile(path / EPISODES_NAME, _facts, "an episode", MAX_BYTES)
+        self._outcomes = JsonLinesFile(path / NAME, _outcome, "an outcome", MAX_BYTES)
         self.facts = {facts.id: facts for facts in self._episodes.found}
         self.outcomes = {outcome.key: outcome for outcome in self._outcomes.found}
 
-    def add(self, facts: Facts) -> None:
+    def add(self, facts: EpisodeFacts) -> None:
         """Append an episode, if it is not there yet."""
         if facts.id not in self.facts:
             self._episodes.append(_line(facts))
             self.facts[facts.id] = facts
 
-    def append(self, outcome: Outcome) -> None:
+    def append(self, outcome: TrajectoryOutcome) -> None:
         """Append an outcome."""
         self._outcomes.append(_line(outcome))
         self.outcomes[outcome.key] = outcome
 
 
 @dataclass(frozen=True, eq=False)
-class Results:
+class TrajectoryResults:
     """Outcomes as arrays: M methods by E episodes.
 
     Attributes:
@@ -180,14 +187,16 @@ class Results:
     """
 
     methods: tuple[str, ...]
-    bare: tuple[str, ...]
-    facts: tuple[Facts, ...]
+    method_names: tuple[str, ...]
+    facts: tuple[EpisodeFacts, ...]
     ran: np.ndarray
     numbers: dict[str, np.ndarray]
-    outcomes: dict[tuple[int, int], Outcome]
+    outcomes: dict[tuple[int, int], TrajectoryOutcome]
 
 
-def gather(facts: Iterable[Facts], outcomes: Iterable[Outcome]) -> Results:
+def gather(
+    facts: Iterable[EpisodeFacts], outcomes: Iterable[TrajectoryOutcome]
+) -> TrajectoryResults:
     """Return outcomes as arrays.
 
     Raises:
@@ -199,7 +208,7 @@ def gather(facts: Iterable[Facts], outcomes: Iterable[Outcome]) -> Results:
     names = {_name(outcome, several): outcome.method for outcome in outcomes}
     ids = [one for one in by_id if any(outcome.episode == one for outcome in outcomes)]
     row, column = ({key: k for k, key in enumerate(keys)} for keys in (names, ids))
-    at: dict[tuple[int, int], Outcome] = {}
+    at: dict[tuple[int, int], TrajectoryOutcome] = {}
     for outcome in outcomes:
         if outcome.episode not in by_id:
             raise UserError(f"{EPISODES_NAME}: the episode {outcome.episode} is missing")
@@ -210,7 +219,7 @@ def gather(facts: Iterable[Facts], outcomes: Iterable[Outcome]) -> Results:
         for key, of in _NUMBERS.items():
             numbers[key][place] = of(outcome)
     ran = ~np.isnan(numbers["success"])
-    return Results(
+    return TrajectoryResults(
         tuple(names), tuple(names.values()), tuple(by_id[k] for k in ids), ran, numbers, at
     )
 
@@ -227,7 +236,7 @@ _NUMBERS = {
 }
 
 
-def _name(outcome: Outcome, several: bool) -> str:
+def _name(outcome: TrajectoryOutcome, several: bool) -> str:
     return f"{outcome.method} ({outcome.writer})" if several else outcome.method
 
 
@@ -235,8 +244,8 @@ def _outlines(grid: Grid, path_m: np.ndarray) -> list[np.ndarray]:
     """Return polygons (n, 2) [m] around the obstacles near a path."""
     low, high = path_m.min(axis=0) - _MARGIN_M, path_m.max(axis=0) + _MARGIN_M
     shape = grid.cells.shape[::-1]
-    x0, y0 = np.clip(np.floor(grid.of_metres(low)), 0, shape).astype(int)
-    x1, y1 = np.clip(np.ceil(grid.of_metres(high)), 0, shape).astype(int)
+    x0, y0 = np.clip(np.floor(grid.to_cells(low)), 0, shape).astype(int)
+    x1, y1 = np.clip(np.ceil(grid.to_cells(high)), 0, shape).astype(int)
     cells = np.kron(grid.cells[y0:y1, x0:x1] > 0, np.ones((_FINER, _FINER), np.uint8))
     lines, _ = cv2.findContours(cells, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     tolerance = _FINER * _OUTLINE_M / grid.resolution_m
@@ -248,19 +257,19 @@ def _plain(points_m: np.ndarray | Sequence) -> Polyline:
     return np.round(np.asarray(points_m, float), 2).tolist()
 
 
-def _line(item: Facts | Outcome) -> bytes:
+def _line(item: EpisodeFacts | TrajectoryOutcome) -> bytes:
     return json.dumps(asdict(item), separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
-def _facts(data: dict[str, Any]) -> Facts:
-    facts = Facts(**data)
+def _facts(data: dict[str, Any]) -> EpisodeFacts:
+    facts = EpisodeFacts(**data)
     if facts.category not in CATEGORIES:
         raise ValueError("category: unknown")
     return facts
 
 
-def _outcome(data: dict[str, Any]) -> Outcome:
-    outcome = Outcome(**data)
+def _outcome(data: dict[str, Any]) -> TrajectoryOutcome:
+    outcome = TrajectoryOutcome(**data)
     for key in _NUMBERS.values():
         key(outcome)
     for name in ("error_m", "frechet_m", "ndtw", "seconds"):

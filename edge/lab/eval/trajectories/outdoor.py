@@ -6,7 +6,7 @@
 All data is known, not perceived: occupancy, regions and boxes are the street's own, and the points
 are those of a LiDAR with 64 rings. An object without points is not in the scene.
 
-`edge.lab.eval.trajectories.meaning` makes the task and its reference.
+`edge.lab.eval.trajectories.references` makes the task and its reference.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ import cv2
 import numpy as np
 
 from edge.geometry import SE2, Grid, se3
-from edge.lab.eval.trajectories.meaning import KINDS, Place, Task, box_outline_m, tasks
-from edge.lab.eval.trajectories.meaning import Thing as Named
+from edge.lab.eval.trajectories.references import KINDS, Place, TrajectoryTask, box_outline_m, tasks
+from edge.lab.eval.trajectories.references import Landmark as Named
 from edge.lab.sim import kernels
-from edge.lab.sim.base import FLOOR_CLEARANCE_M, Fan
-from edge.lab.sim.boxworld import Part
-from edge.lab.sim.generator.draws import Dice
-from edge.lab.sim.street import Street, Thing, solids, street
+from edge.lab.sim.base import FLOOR_CLEARANCE_M, LidarRays
+from edge.lab.sim.boxworld import Primitive
+from edge.lab.sim.generator.rng import PortableRng
+from edge.lab.sim.street import Street, StreetObject, solids, street
 from edge.tasks.scene import Region, Scene, SceneObject
 from edge.tasks.value_map import closed_cells
 
@@ -59,7 +59,7 @@ class OutdoorEpisode:
     scene: Scene
     cloud_m: np.ndarray
     place: Place
-    task: Task
+    task: TrajectoryTask
 
 
 def outdoor_episode(number: int) -> OutdoorEpisode:
@@ -72,7 +72,7 @@ def outdoor_episode(number: int) -> OutdoorEpisode:
         drawn = street(number, attempt)
         scene, cloud_m = outdoor_scene(drawn)
         place = place_of(scene)
-        task = next(tasks(place, kind, Dice(_KEY, number, attempt)), None)
+        task = next(tasks(place, kind, PortableRng(_KEY, number, attempt)), None)
         if task is not None:
             return OutdoorEpisode(drawn.name, scene, cloud_m, place, task)
     raise AssertionError(f"no street of {_TRIES} has a task for episode {number}")
@@ -140,7 +140,7 @@ def _scan(shape: np.ndarray, pose: np.ndarray) -> np.ndarray:
         np.cos(elevation) * np.sin(azimuth),
         np.sin(elevation) + 0 * azimuth,
     )
-    fan = Fan(np.stack(parts, axis=-1), low, (high - low) / (RINGS - 1), RANGE_M)
+    fan = LidarRays(np.stack(parts, axis=-1), low, (high - low) / (RINGS - 1), RANGE_M)
     ranges_m = np.empty((RINGS, COLUMNS), np.float32)
     T_map_lidar = se3(0.0, 0.0, LIDAR_M)
     kernels.cast_fan(
@@ -178,7 +178,12 @@ def _reachable(occupancy: Grid, here: SE2) -> np.ndarray:
 
 
 def _object(
-    number: int, thing: Thing, at: SE2, points_m: np.ndarray, regions: Grid, reachable: np.ndarray
+    number: int,
+    thing: StreetObject,
+    at: SE2,
+    points_m: np.ndarray,
+    regions: Grid,
+    reachable: np.ndarray,
 ) -> SceneObject:
     length, width, height = thing.size_m
     position_m, size_m = np.array([at.x_m, at.y_m, 0.5 * height]), np.array(thing.size_m)
@@ -200,7 +205,7 @@ def _object(
     )
 
 
-def _points_on(parts: Sequence[Part], cloud_m: np.ndarray) -> np.ndarray:
+def _points_on(parts: Sequence[Primitive], cloud_m: np.ndarray) -> np.ndarray:
     """Return the points (n, 3) of a scan that lie on one of these parts."""
     centers = np.array([part.center_m for part in parts], np.float32)
     halves = 0.5 * np.array([part.size_m for part in parts], np.float32) + 0.01
@@ -217,6 +222,6 @@ def _points_on(parts: Sequence[Part], cloud_m: np.ndarray) -> np.ndarray:
     return near[on]
 
 
-def _row(part: Part) -> list[float]:
+def _row(part: Primitive) -> list[float]:
     half = [0.5 * extent for extent in part.size_m]
     return [*part.center_m, *half, math.cos(part.yaw_rad), math.sin(part.yaw_rad)]

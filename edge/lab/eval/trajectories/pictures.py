@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edge.lab.eval.comparison.plots import DPI
-from edge.lab.eval.trajectories.meaning import KINDS
-from edge.lab.eval.trajectories.outcomes import Facts, Results
+from edge.lab.eval.trajectories.outcomes import EpisodeFacts, TrajectoryResults
+from edge.lab.eval.trajectories.references import KINDS
 from edge.lab.report import canvas, palette
 from edge.lab.report.canvas import style_of
 from edge.text import shorten
@@ -22,7 +22,7 @@ _MEANT = "#b9b9b9"
 _MOST_WORDS = 60
 
 
-def images(results: Results, kind: str) -> dict[str, bytes]:
+def images(results: TrajectoryResults, kind: str) -> dict[str, bytes]:
     """Return the content of each picture as "svg" or "png", by name; {} without outcomes."""
     chosen = chosen_of(results)
     if not chosen:
@@ -40,14 +40,14 @@ def images(results: Results, kind: str) -> dict[str, bytes]:
     return {"episodes": canvas.content(figure, kind)}
 
 
-def chosen_of(results: Results) -> list[int]:
+def chosen_of(results: TrajectoryResults) -> list[int]:
     """Return the first episode of each kind that all methods ran, in the order of `KINDS`."""
     whole = np.flatnonzero(results.ran.all(axis=0)).tolist() if results.ran.size else []
     kinds = [results.facts[e].kind for e in whole]
     return [whole[kinds.index(kind)] for kind in KINDS if kind in kinds]
 
 
-def _draw(axes: Axes, results: Results, episode: int) -> None:
+def _draw(axes: Axes, results: TrajectoryResults, episode: int) -> None:
     facts = results.facts[episode]
     for outline in facts.occupied:
         axes.fill(*np.array(outline).T, color=palette.INFLATED, linewidth=0)
@@ -68,7 +68,7 @@ def _draw(axes: Axes, results: Results, episode: int) -> None:
     )  # fmt: skip
 
 
-def _frame(axes: Axes, facts: Facts) -> None:
+def _frame(axes: Axes, facts: EpisodeFacts) -> None:
     """Show a square around the reference."""
     points = np.array(facts.reference)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))

@@ -10,18 +10,24 @@ from contextlib import contextmanager
 
 from pydantic import ValidationError
 
-from edge.config import ConfigError, Tasks, WriterModel, load
+from edge.config import ConfigError, TasksConfig, WriterModel, load
 from edge.config.explain import explain
 from edge.errors import FileError, UnavailableError, UserError
 from edge.host.files import write_atomically
 from edge.host.signals import stop_on_signals
 from edge.lab.eval.comparison import tables as text
 from edge.lab.eval.trajectories import pictures, tables
-from edge.lab.eval.trajectories.episodes import Episode, episodes
+from edge.lab.eval.trajectories.episodes import TrajectoryEpisode, episodes
 from edge.lab.eval.trajectories.methods import METHODS, make, methods_of
-from edge.lab.eval.trajectories.outcomes import Folder, Outcome, facts_of, gather, outcome_of
-from edge.lab.eval.trial.views import detector_chain
-from edge.tasks.chain import Chain
+from edge.lab.eval.trajectories.outcomes import (
+    ResultsFolder,
+    TrajectoryOutcome,
+    facts_of,
+    gather,
+    outcome_of,
+)
+from edge.lab.eval.trial.scene_capture import detector_pipeline
+from edge.tasks.pipeline import PerceptionPipeline
 from edge.text import one_line
 
 RERUN = "crashed"
@@ -29,11 +35,11 @@ RERUN = "crashed"
 
 
 def run_all(
-    found: Iterable[Episode],
+    found: Iterable[TrajectoryEpisode],
     names: Sequence[str],
-    config: Tasks,
-    folder: Folder,
-    tell: Callable[[Episode, Outcome], None] = lambda episode, outcome: None,
+    config: TasksConfig,
+    folder: ResultsFolder,
+    tell: Callable[[TrajectoryEpisode, TrajectoryOutcome], None] = lambda episode, outcome: None,
     stop: threading.Event | None = None,
     seen_by: str = "",
 ) -> list[tuple[str, str, str]]:
@@ -78,7 +84,7 @@ def run_all(
     return keys
 
 
-def writer_of(config: Tasks) -> str:
+def writer_of(config: TasksConfig) -> str:
     """Return the name of the writer for outcomes."""
     planner = config.planner
     return planner.model if isinstance(planner, WriterModel) else planner.kind
@@ -92,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     config = _config(args)
     names = _methods(args.methods, config)
     logging.getLogger("edge").setLevel(logging.WARNING)
-    folder = Folder(args.out)
+    folder = ResultsFolder(args.out)
     with _seen_by(args) as (chain, seen_by):
         keys = run_all(
             episodes(args.places, args.limit, chain), names, config, folder,
@@ -113,16 +119,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _seen_by(args: argparse.Namespace) -> Iterator[tuple[Chain | None, str]]:
+def _seen_by(args: argparse.Namespace) -> Iterator[tuple[PerceptionPipeline | None, str]]:
     """Yield the pipeline of `--detector`'s configuration and its name; None and "" without it."""
     if args.detector is None:
         yield None, ""
         return
-    with detector_chain(load(args.detector), ()) as chain_and_name:
+    with detector_pipeline(load(args.detector), ()) as chain_and_name:
         yield chain_and_name
 
 
-def _config(args: argparse.Namespace) -> Tasks:
+def _config(args: argparse.Namespace) -> TasksConfig:
     """Return the settings of tasks from the options.
 
     Raises:
@@ -132,18 +138,18 @@ def _config(args: argparse.Namespace) -> Tasks:
     if args.url is None:
         if args.model is not None:
             raise UserError("--model: give its server with --url, too")
-        return Tasks()
+        return TasksConfig()
     planner = {"kind": "model", "url": args.url, "time_limit_s": args.time_limit,
                "rounds": args.rounds}  # fmt: skip
     if args.model is not None:
         planner["model"] = args.model
     try:
-        return Tasks.model_validate({"planner": planner})
+        return TasksConfig.model_validate({"planner": planner})
     except ValidationError as error:
-        raise ConfigError(explain(error.errors()[0], "--url, --model", Tasks)) from None
+        raise ConfigError(explain(error.errors()[0], "--url, --model", TasksConfig)) from None
 
 
-def _methods(wanted: str | None, config: Tasks) -> tuple[str, ...]:
+def _methods(wanted: str | None, config: TasksConfig) -> tuple[str, ...]:
     there = methods_of(config)
     if wanted is None:
         return there
@@ -158,7 +164,7 @@ def _methods(wanted: str | None, config: Tasks) -> tuple[str, ...]:
     return names
 
 
-def _line(episode: Episode, outcome: Outcome) -> str:
+def _line(episode: TrajectoryEpisode, outcome: TrajectoryOutcome) -> str:
     verdict = "ok  " if outcome.success else "FAIL"
     refusal = outcome.refused and f"{outcome.refused}: {outcome.reason}"
     return (

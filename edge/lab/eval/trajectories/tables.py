@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.lab.eval.comparison.tables import DASH, Table, bounded
+from edge.lab.eval.comparison.tables import DASH, ReportTable, bounded
 from edge.lab.eval.intervals import Interval, bootstrap, wilson
-from edge.lab.eval.trajectories.meaning import CATEGORIES
 from edge.lab.eval.trajectories.methods import METHODS, REFUSALS
-from edge.lab.eval.trajectories.outcomes import Results
+from edge.lab.eval.trajectories.outcomes import TrajectoryResults
+from edge.lab.eval.trajectories.references import CATEGORIES
 from edge.text import one_line
 
 BASELINE = "ours"
@@ -20,19 +20,21 @@ LEAST_WORLDS = 10
 """With fewer, episodes are resampled, and the intervals do not generalise to other worlds."""
 
 
-class Paper(NamedTuple):
+class PaperRow(NamedTuple):
     """A row of table I: navigation error, and successes of 50."""
 
     error_m: float
     reached: int
 
 
-PAPER_TASKS: dict[str, dict[str, Paper]] = {
+PAPER_TASKS: dict[str, dict[str, PaperRow]] = {
     "LLM-TG": {
-        "specific": Paper(1.44, 43), "ambiguous": Paper(7.40, 13), "high-level": Paper(5.90, 23),
+        "specific": PaperRow(1.44, 43), "ambiguous": PaperRow(7.40, 13),
+        "high-level": PaperRow(5.90, 23),
     },
     "OpenNav": {
-        "specific": Paper(1.01, 45), "ambiguous": Paper(1.63, 42), "high-level": Paper(2.40, 40),
+        "specific": PaperRow(1.01, 45), "ambiguous": PaperRow(1.63, 42),
+        "high-level": PaperRow(2.40, 40),
     },
 }  # fmt: skip
 """OpenNav table I."""
@@ -44,15 +46,15 @@ PAPER_SHAPES = {
 """OpenNav table II, by our names: Fréchet distance, NDTW, trajectories that collide."""
 
 
-def tables(results: Results) -> list[Table]:
+def tables(results: TrajectoryResults) -> list[ReportTable]:
     """Return every table that has rows."""
     found = [by_task(results), shapes(results), paired(results), refusals(results)]
     return [table for table in found if table.rows]
 
 
-def by_task(results: Results) -> Table:
+def by_task(results: TrajectoryResults) -> ReportTable:
     """Return a table of success and navigation error, one row for each category (table I)."""
-    wanted = [m for m, name in enumerate(results.bare) if METHODS[name].ends]
+    wanted = [m for m, name in enumerate(results.method_names) if METHODS[name].ends]
     category = np.array([facts.category for facts in results.facts], str)
     head = ["task", "n"]
     for m in wanted:
@@ -73,10 +75,12 @@ def by_task(results: Results) -> Table:
                 bounded(wilson(reached, int(kept.sum())), 0, 100.0),
             ]
         rows.append([*cells, *_paper_cells(row)])
-    return Table("tasks", "By kind of task (OpenNav table I)", head, rows, _unit_words(results))
+    return ReportTable(
+        "tasks", "By kind of task (OpenNav table I)", head, rows, _unit_words(results)
+    )
 
 
-def shapes(results: Results) -> Table:
+def shapes(results: TrajectoryResults) -> ReportTable:
     """Return a table of similarity to the references, one row for each method (table II)."""
     head = ("method", "n", "Fréchet, m", "NDTW", "collided", "in truth", "refused", "SR, %",
             "NE, m", "time, s", "paper: Fréchet", "NDTW", "collided")  # fmt: skip
@@ -86,7 +90,7 @@ def shapes(results: Results) -> Table:
         n = int(ran.sum())
         counts = {key: int(results.numbers[key][m, ran].sum())
                   for key in ("success", "collided", "truly collided", "refused")}  # fmt: skip
-        paper = PAPER_SHAPES.get(results.bare[m])
+        paper = PAPER_SHAPES.get(results.method_names[m])
         rows.append([
             one_line(name), str(n),
             bounded(_means(results, "frechet_m", m, ran), 2),
@@ -104,14 +108,14 @@ def shapes(results: Results) -> Table:
         "was refused, the robot's place counts as the trajectory. Time: median of writing and "
         "refining. " + _unit_words(results)
     )
-    return Table("shapes", "Shape of the trajectories (OpenNav table II)", head, rows, note)
+    return ReportTable("shapes", "Shape of the trajectories (OpenNav table II)", head, rows, note)
 
 
-def paired(results: Results) -> Table:
+def paired(results: TrajectoryResults) -> ReportTable:
     """Return a table of ours minus each other method, on the same episodes."""
     head = ("ours minus", "n", "SR, % points", "NE, m", "Fréchet, m", "NDTW", "collided, % points")
     rows = []
-    base = next((m for m, name in enumerate(results.bare) if name == BASELINE), None)
+    base = next((m for m, name in enumerate(results.method_names) if name == BASELINE), None)
     for m, name in enumerate(results.methods) if base is not None else ():
         both = results.ran[m] & results.ran[base]
         if m == base or not both.any():
@@ -124,10 +128,12 @@ def paired(results: Results) -> Table:
             for key, digits, scale in keys
         ]  # fmt: skip
         rows.append([one_line(name), str(int(both.sum())), *cells])
-    return Table("paired", "Ours against the others, paired", head, rows, _unit_words(results))
+    return ReportTable(
+        "paired", "Ours against the others, paired", head, rows, _unit_words(results)
+    )
 
 
-def refusals(results: Results) -> Table:
+def refusals(results: TrajectoryResults) -> ReportTable:
     """Return a table of refusals by cause, one row for each method."""
     causes = [c for c in REFUSALS if any(o.refused == c for o in results.outcomes.values())]
     rows = []
@@ -136,7 +142,7 @@ def refusals(results: Results) -> Table:
         counts = [sum(o.refused == cause for o in mine) for cause in causes]
         rows.append([one_line(name), str(len(mine)), *map(str, counts)])
     rows = rows if causes else []
-    return Table("refusals", "Refused", ("method", "n", *causes), rows)
+    return ReportTable("refusals", "Refused", ("method", "n", *causes), rows)
 
 
 def _paper_cells(row: str) -> list[str]:
@@ -150,11 +156,11 @@ def _paper_cells(row: str) -> list[str]:
     return cells
 
 
-def _means(results: Results, key: str, method: int, kept: np.ndarray) -> Interval:
+def _means(results: TrajectoryResults, key: str, method: int, kept: np.ndarray) -> Interval:
     return _mean(results.numbers[key][method], results, kept)
 
 
-def _mean(values: np.ndarray, results: Results, kept: np.ndarray) -> Interval:
+def _mean(values: np.ndarray, results: TrajectoryResults, kept: np.ndarray) -> Interval:
     """Return the mean over some episodes, with its interval by bootstrap over their worlds."""
     if not kept.any():
         return Interval(math.nan, math.nan, math.nan)
@@ -164,7 +170,7 @@ def _mean(values: np.ndarray, results: Results, kept: np.ndarray) -> Interval:
     return bootstrap(values[kept][None], ones, own)[0]
 
 
-def _clusters(results: Results) -> tuple[np.ndarray, str]:
+def _clusters(results: TrajectoryResults) -> tuple[np.ndarray, str]:
     """Return (E,) int of what is resampled, and its unit: "place" or "episode"."""
     names: Sequence[str] = [facts.world for facts in results.facts]
     worlds, index = np.unique(np.array(names, str), return_inverse=True)
@@ -173,7 +179,7 @@ def _clusters(results: Results) -> tuple[np.ndarray, str]:
     return np.arange(len(names)), "episode"
 
 
-def _unit_words(results: Results) -> str:
+def _unit_words(results: TrajectoryResults) -> str:
     unit = _clusters(results)[1]
     places = len({facts.world for facts in results.facts})
     how = f"{places} places" if unit == "place" else (

@@ -6,16 +6,21 @@ import argparse
 import os
 import re
 
-from edge.chat import client_of
+from edge.chat import make_chat_client
 from edge.config import Config, WriterModel, load
 from edge.host import resources
-from edge.lab.eval.trial.files import Folder
-from edge.lab.eval.trial.trial import Outcome, carry_out
-from edge.lab.eval.trial.views import View, ViewError, kitti_view, street_view
-from edge.tasks.brief import known_names
-from edge.tasks.reading import named
+from edge.lab.eval.trial.files import RunFolder
+from edge.lab.eval.trial.scene_capture import (
+    SceneCapture,
+    SceneCaptureError,
+    capture_kitti,
+    capture_street,
+)
+from edge.lab.eval.trial.task_run import TaskRun, run_task
+from edge.tasks.mission_spec import known_names
+from edge.tasks.reading import named_objects
 from edge.tasks.write import check_instruction
-from edge.text import aligned, one_line
+from edge.text import format_table, one_line
 
 _STREET = re.compile(r"street:(\d{1,9})")
 
@@ -30,16 +35,16 @@ def run(args: argparse.Namespace) -> int:
     check_instruction(args.instruction)
     config = _config(args)
     words = _words(args.instruction, config) if args.objects == "detector" else None
-    folder = Folder(resources.expand(args.out))
-    outcome, failed = carry_out(args.instruction, _view(args, config, words), config)
+    folder = RunFolder(resources.expand(args.out))
+    outcome, failed = run_task(args.instruction, _view(args, config, words), config)
     folder.save(outcome)
-    print(aligned(table(outcome, folder)))
+    print(format_table(table(outcome, folder)))
     if failed is not None:
         raise failed
     return os.EX_OK
 
 
-def table(outcome: Outcome, folder: Folder) -> list[tuple[str, str]]:
+def table(outcome: TaskRun, folder: RunFolder) -> list[tuple[str, str]]:
     """Return the result as rows of a name and a value."""
     view, refined = outcome.view, outcome.refined
     scene, rows = view.scene, [("place", one_line(view.name))]
@@ -59,15 +64,19 @@ def table(outcome: Outcome, folder: Folder) -> list[tuple[str, str]]:
     return [*rows, ("files", f"{folder.path}: {', '.join(folder.written)}")]
 
 
-def _view(args: argparse.Namespace, config: Config, words: tuple[str, ...] | None) -> View:
+def _view(args: argparse.Namespace, config: Config, words: tuple[str, ...] | None) -> SceneCapture:
     seed = _STREET.fullmatch(args.place)
     if seed is None and args.place.startswith("street:"):
-        raise ViewError(f"{one_line(args.place)}: not a street; give a number, such as street:3")
+        raise SceneCaptureError(
+            f"{one_line(args.place)}: not a street; give a number, such as street:3"
+        )
     if seed is None:
-        return kitti_view(resources.expand(args.place), args.frames, config, words)
+        return capture_kitti(resources.expand(args.place), args.frames, config, words)
     if args.frames:
-        raise ViewError(f"{args.place}: a street has no frames; omit --frames, or give a folder")
-    return street_view(int(seed[1]), config, words)
+        raise SceneCaptureError(
+            f"{args.place}: a street has no frames; omit --frames, or give a folder"
+        )
+    return capture_street(int(seed[1]), config, words)
 
 
 def _words(instruction: str, config: Config) -> tuple[str, ...]:
@@ -77,7 +86,7 @@ def _words(instruction: str, config: Config) -> tuple[str, ...]:
     names of objects.
     """
     if not isinstance(config.tasks.planner, WriterModel):
-        return named(instruction)
+        return named_objects(instruction)
     return known_names(instruction)
 
 
@@ -92,5 +101,5 @@ def _config(args: argparse.Namespace) -> Config:
         tasks = config.tasks.model_copy(update={"planner": planner})
         config = config.model_copy(update={"tasks": tasks})
     if isinstance(planner, WriterModel):
-        client_of(planner).close()  # reports an invalid URL or key before the work
+        make_chat_client(planner).close()  # reports an invalid URL or key before the work
     return config

@@ -14,12 +14,12 @@ import numpy as np
 from edge.config import WriterModel
 from edge.errors import FileError
 from edge.host.files import make_writable, save
-from edge.lab.eval.trial.trial import Outcome, ground_heights_m
+from edge.lab.eval.trial.task_run import TaskRun, ground_heights_m
 from edge.lab.report import camera_picture, trajectory_map
 from edge.lab.report.recorder import machine
 from edge.lab.report.view3d import Line, coarse_and_refined, scene_page
-from edge.tasks.picture import annotated
-from edge.tasks.prompt import picture, prompt, words
+from edge.tasks.picture import draw_marks
+from edge.tasks.prompt import annotated_jpeg, prompt, prompt_text
 from edge.text import one_line
 
 OBJECTS, CAMERA, MAP, PAGE = "objects.png", "camera.png", "map.png", "scene.html"
@@ -27,7 +27,7 @@ JSON, CSV, MODEL = "trajectory.json", "trajectory.csv", "model"
 COLUMNS = ("x_m", "y_m", "z_m", "heading_rad", "speed_mps", "time_s")
 
 
-class Folder:
+class RunFolder:
     """Writes the files.
 
     Args:
@@ -54,14 +54,14 @@ class Folder:
                 f"{path}: cannot be written: {error.strerror}: choose another --out"
             ) from None
 
-    def save(self, outcome: Outcome) -> None:
+    def save(self, outcome: TaskRun) -> None:
         """Write all results that there are.
 
         Raises:
             FileError: a file cannot be written.
         """
         view, refined, scene = outcome.view, outcome.refined, outcome.view.scene
-        self._picture(OBJECTS, annotated(scene))
+        self._picture(OBJECTS, draw_marks(scene))
         coarse_m = outcome.coarse_m
         laid_m = None
         if coarse_m is not None:
@@ -90,7 +90,7 @@ class Folder:
         self.written.append(name)
 
 
-def as_json(outcome: Outcome) -> dict[str, object]:
+def as_json(outcome: TaskRun) -> dict[str, object]:
     """Return the trajectory and its origin, JSON-ready.
 
     Lengths are in metres, angles in radians, times in seconds, all in the frame `map`.
@@ -114,7 +114,7 @@ def as_json(outcome: Outcome) -> dict[str, object]:
     }
 
 
-def _csv(outcome: Outcome) -> str:
+def _csv(outcome: TaskRun) -> str:
     refined, out = outcome.refined, io.StringIO()
     assert refined is not None
     rows = csv.writer(out, lineterminator="\n")
@@ -123,7 +123,7 @@ def _csv(outcome: Outcome) -> str:
     return out.getvalue()
 
 
-def _page(outcome: Outcome, laid_m: np.ndarray | None) -> str:
+def _page(outcome: TaskRun, laid_m: np.ndarray | None) -> str:
     view, refined = outcome.view, outcome.refined
     lines: tuple[Line, ...] = ()
     if laid_m is not None and refined is not None:
@@ -144,13 +144,13 @@ def _page(outcome: Outcome, laid_m: np.ndarray | None) -> str:
     )  # fmt: skip
 
 
-def _of_the_model(outcome: Outcome) -> dict[str, bytes]:
+def _of_the_model(outcome: TaskRun) -> dict[str, bytes]:
     """Return the prompt and picture for the model, and each of its answers, by file name."""
     tasks, scene = outcome.config.tasks, outcome.view.scene
     assert isinstance(tasks.planner, WriterModel)
-    question = words(outcome.instruction, scene, tasks.trajectory)
+    question = prompt_text(outcome.instruction, scene, tasks.trajectory)
     files = {"prompt.txt": _bytes(f"{prompt()}\n\n{question}\n")}
-    jpeg = picture(scene) if tasks.planner.picture else None
+    jpeg = annotated_jpeg(scene) if tasks.planner.picture else None
     if jpeg is not None:
         files["picture.jpg"] = jpeg
     for k, round in enumerate(outcome.rounds, start=1):

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from edge.lab.sim import assemblies
-from edge.lab.sim.generator.contents import CONTENTS, STRAY_P, STRAYS, Item
-from edge.lab.sim.generator.draws import QUARTERS, Dice, Rect, at_wall, wall_span_m
+from edge.lab.sim.generator.contents import CONTENTS, STRAY_P, STRAYS, FurnitureRule
 from edge.lab.sim.generator.layout import WALL_M, Door
+from edge.lab.sim.generator.rng import QUARTERS, PortableRng, Rect, at_wall, wall_span_m
 
 PASSAGE_M = 0.3
 """Half the width of the passage that is left to every door and object."""
@@ -30,7 +30,7 @@ Pose = tuple[float, float, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PlacedItem:
     """An object in a room; `size_m` is depth, width, height, as seen from its front."""
 
     category: str
@@ -57,7 +57,7 @@ def _box(pose: Pose, size_m: tuple[float, float, float]) -> Rect:
     return Rect(x - 0.5 * a, y - 0.5 * b, x + 0.5 * a, y + 0.5 * b)
 
 
-class Ways:
+class RoomReachability:
     """Raster of the places that a robot's centre can reach in a room."""
 
     def __init__(self, rect: Rect, doors: list[Door]) -> None:
@@ -66,7 +66,7 @@ class Ways:
         self._shape = max(1, int(depth / _CELL_M)), max(1, int(width / _CELL_M))
         self._doors = [self._cell(door.x_m, door.y_m) for door in doors]
 
-    def left_by(self, things: list[Placed]) -> np.ndarray | None:
+    def reachable_with(self, things: list[PlacedItem]) -> np.ndarray | None:
         """Return (rows, columns) bool: cells that a robot can reach from the doors.
 
         None if it cannot get from each door to all others and to all objects.
@@ -117,14 +117,14 @@ class RoomFurnisher:
         ways: the reachable floor.
     """
 
-    def __init__(self, dice: Dice, kind: str, rect: Rect, doors: list[Door]) -> None:
+    def __init__(self, dice: PortableRng, kind: str, rect: Rect, doors: list[Door]) -> None:
         self.dice, self.kind = dice, kind
-        self.things: list[Placed] = []
+        self.things: list[PlacedItem] = []
         self.inside = rect.grown(-_OFF_WALL_M)
-        self.ways = Ways(rect, doors)
-        self._doorways = [door.kept_free(_BEFORE_DOOR_M) for door in doors]
+        self.ways = RoomReachability(rect, doors)
+        self._doorways = [door.clear_area(_BEFORE_DOOR_M) for door in doors]
 
-    def furnish(self) -> list[Placed]:
+    def furnish(self) -> list[PlacedItem]:
         """Place the objects of this kind of room; try again if a necessary one finds no place."""
         needed = {item.category for item in CONTENTS[self.kind] if item.p == 1.0 and not item.by}
         for _ in range(_ROOM_TRIES):
@@ -143,7 +143,7 @@ class RoomFurnisher:
         if self.dice.chance(STRAY_P):
             self.put(self.dice.pick(STRAYS))
 
-    def put(self, item: Item) -> bool:
+    def put(self, item: FurnitureRule) -> bool:
         """Place an object; return True if there was a place for it."""
         dice, kind = self.dice, assemblies.CATEGORIES[item.category]
         size = tuple(round(v * dice.between(0.93, 1.07), 3) for v in kind.size_m)
@@ -151,7 +151,7 @@ class RoomFurnisher:
         color = tuple(round(min(max(v * shade, 4.0), 250.0), 1) for v in dice.pick(kind.colors))
         for pose, z_m in PLACES[item.where](self, item, size):
             x, y, quarter = pose
-            thing = Placed(item.category, round(x, 3), round(y, 3), quarter, size, color, z_m)
+            thing = PlacedItem(item.category, round(x, 3), round(y, 3), quarter, size, color, z_m)
             if self._fits(thing):
                 self.things.append(thing)
                 return True
@@ -159,12 +159,12 @@ class RoomFurnisher:
 
     def draw_start(self) -> tuple[float, float, float]:
         """Return x, y and yaw in degrees of a place that a robot can start from."""
-        rows, cols = np.nonzero(self.ways.left_by(self.things))
+        rows, cols = np.nonzero(self.ways.reachable_with(self.things))
         k = self.dice.count(0, len(rows) - 1)
         x, y = self.ways.xy_m(int(rows[k]), int(cols[k]))
         return round(x, 3), round(y, 3), float(self.dice.count(-179, 180))
 
-    def last(self, categories: tuple[str, ...]) -> Placed | None:
+    def last(self, categories: tuple[str, ...]) -> PlacedItem | None:
         """Return the newest object of the first of these categories that the room has."""
         for category in categories:
             for thing in reversed(self.things):
@@ -172,10 +172,10 @@ class RoomFurnisher:
                     return thing
         return None
 
-    def _fits(self, new: Placed) -> bool:
-        return self._has_room(new) and self.ways.left_by([*self.things, new]) is not None
+    def _fits(self, new: PlacedItem) -> bool:
+        return self._has_room(new) and self.ways.reachable_with([*self.things, new]) is not None
 
-    def _has_room(self, new: Placed) -> bool:
+    def _has_room(self, new: PlacedItem) -> bool:
         """Return True if the object is within the walls and overlaps nothing."""
         box = new.box
         if not self.inside.grown(0.011).holds(box):
@@ -200,7 +200,9 @@ Candidates = Iterator[tuple[Pose, float]]
 Size = tuple[float, float, float]
 
 
-def _by_wall(room: RoomFurnisher, item: Item, size: Size, in_corner: bool = False) -> Candidates:
+def _by_wall(
+    room: RoomFurnisher, item: FurnitureRule, size: Size, in_corner: bool = False
+) -> Candidates:
     """Yield poses with its back to a wall; half of them (or all) at the wall's end."""
     dice = room.dice
     for _ in range(_TRIES):
@@ -214,19 +216,19 @@ def _by_wall(room: RoomFurnisher, item: Item, size: Size, in_corner: bool = Fals
         yield (*at_wall(room.inside, side, along, 0.5 * size[0]), side), 0.0
 
 
-def _in_corner(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+def _in_corner(room: RoomFurnisher, item: FurnitureRule, size: Size) -> Candidates:
     """Yield poses in a corner, then by a wall."""
     yield from _by_wall(room, item, size, in_corner=True)
     yield from _by_wall(room, item, size)
 
 
-def _hung(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+def _hung(room: RoomFurnisher, item: FurnitureRule, size: Size) -> Candidates:
     """Yield poses on a wall, higher than the furniture and the robot."""
     z_m = round(room.dice.between(1.3, 1.6), 3)
     return ((pose, z_m) for pose, _ in _by_wall(room, item, size))
 
 
-def _in_middle(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+def _in_middle(room: RoomFurnisher, item: FurnitureRule, size: Size) -> Candidates:
     r, dice = room.inside, room.dice
     for _ in range(_TRIES):
         x = 0.5 * (r.x0 + r.x1) + r.width_m * dice.between(-0.15, 0.15)
@@ -234,13 +236,13 @@ def _in_middle(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
         yield (x, y, dice.count(0, 3)), 0.0
 
 
-def _anywhere(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+def _anywhere(room: RoomFurnisher, item: FurnitureRule, size: Size) -> Candidates:
     r, dice = room.inside, room.dice
     for _ in range(_TRIES):
         yield (dice.between(r.x0, r.x1), dice.between(r.y0, r.y1), dice.count(0, 3)), 0.0
 
 
-def _next_to(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+def _next_to(room: RoomFurnisher, item: FurnitureRule, size: Size) -> Candidates:
     """Yield poses to the left and right of the object it belongs to, with their backs in line."""
     other = room.last(item.by)
     if other is not None:
@@ -250,7 +252,7 @@ def _next_to(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
             yield (*other.local(back, left), other.quarter), 0.0
 
 
-def _before(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+def _before(room: RoomFurnisher, item: FurnitureRule, size: Size) -> Candidates:
     """Yield the pose in front of the object it belongs to, facing it."""
     other = room.last(item.by)
     if other is not None:
@@ -258,7 +260,7 @@ def _before(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
         yield (*other.local(ahead, 0.0), (other.quarter + 2) % 4), 0.0
 
 
-def _around(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+def _around(room: RoomFurnisher, item: FurnitureRule, size: Size) -> Candidates:
     """Yield free places at a table, facing it: two on each long side, one at each end."""
     table = room.last(item.by)
     if table is None:
@@ -272,7 +274,7 @@ def _around(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
         yield (*table.local(forward, left), (table.quarter + turn) % 4), 0.0
 
 
-def _across(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+def _across(room: RoomFurnisher, item: FurnitureRule, size: Size) -> Candidates:
     """Yield the pose at the wall that the object it belongs to faces; then at any wall."""
     other = room.last(item.by)
     if other is not None:
@@ -285,7 +287,7 @@ def _across(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
     yield from _by_wall(room, item, size)
 
 
-def _on(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+def _on(room: RoomFurnisher, item: FurnitureRule, size: Size) -> Candidates:
     """Yield a pose on top of the object it belongs to, if that is large enough."""
     other = room.last(item.by)
     if other is None or size[0] > other.size_m[0] or size[1] > 1.1 * other.size_m[1]:
@@ -295,7 +297,7 @@ def _on(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
     yield (*other.local(0.0, left), other.quarter), other.size_m[2]
 
 
-def _on_floor(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+def _on_floor(room: RoomFurnisher, item: FurnitureRule, size: Size) -> Candidates:
     """Yield poses for a rug: before or under the object it belongs to, or in the middle."""
     other = room.last(item.by)
     if other is not None:
@@ -305,7 +307,7 @@ def _on_floor(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
     yield from _in_middle(room, item, size)
 
 
-PLACES: dict[str, Callable[[RoomFurnisher, Item, Size], Candidates]] = {
+PLACES: dict[str, Callable[[RoomFurnisher, FurnitureRule, Size], Candidates]] = {
     "wall": _by_wall,
     "corner": _in_corner,
     "middle": _in_middle,

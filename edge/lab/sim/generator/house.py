@@ -11,10 +11,10 @@ from __future__ import annotations
 from edge.config import Config, WorldGenerated
 from edge.lab.sim.boxworld import BoxWorld
 from edge.lab.sim.generator.contents import FLOOR_COLORS, FLOORS, WALL_COLORS
-from edge.lab.sim.generator.draws import Dice
-from edge.lab.sim.generator.furnish import Placed, RoomFurnisher
-from edge.lab.sim.generator.layout import WALL_M, Stretch, draw_layout
-from edge.lab.sim.house import House, Opening, Room, Thing, Wall, build_house
+from edge.lab.sim.generator.furnish import PlacedItem, RoomFurnisher
+from edge.lab.sim.generator.layout import WALL_M, WallSegment, draw_layout
+from edge.lab.sim.generator.rng import PortableRng
+from edge.lab.sim.house import House, HouseObject, Opening, Room, Wall, build_house
 
 HELD_OUT = 1000
 _KEY = 12
@@ -36,7 +36,7 @@ def generated_house(seed: int) -> House:
         >>> generated_house(7).name
         'generated-7'
     """
-    dice = Dice(_KEY, seed)
+    dice = PortableRng(_KEY, seed)
     layout = draw_layout(dice)
     rooms, things, starts = [], [], []
     for k, room in enumerate(layout.rooms):
@@ -60,7 +60,7 @@ def generated_house(seed: int) -> House:
     )
 
 
-def _wall(dice: Dice, s: Stretch) -> Wall:
+def _wall(dice: PortableRng, s: WallSegment) -> Wall:
     openings: tuple[Opening, ...] = ()
     if s.door is not None:
         at_m = (s.door.x_m - s.x0) + (s.door.y_m - s.y0)
@@ -69,8 +69,8 @@ def _wall(dice: Dice, s: Stretch) -> Wall:
     return Wall(start=(s.x0, s.y0), end=(s.x1, s.y1), color=color, openings=openings)
 
 
-def _thing(placed: Placed) -> Thing:
-    return Thing(
+def _thing(placed: PlacedItem) -> HouseObject:
+    return HouseObject(
         category=placed.category,
         at=(placed.x_m, placed.y_m),
         z_m=placed.z_m,
@@ -80,6 +80,6 @@ def _thing(placed: Placed) -> Thing:
     )
 
 
-def _paint(dice: Dice, colors: tuple[tuple[int, int, int], ...]) -> tuple[float, ...]:
+def _paint(dice: PortableRng, colors: tuple[tuple[int, int, int], ...]) -> tuple[float, ...]:
     shade = dice.between(0.85, 1.05)
     return tuple(round(min(max(v * shade, 5.0), 250.0), 1) for v in dice.pick(colors))

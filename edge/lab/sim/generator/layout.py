@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 
-from edge.lab.sim.generator.draws import Dice, Rect
+from edge.lab.sim.generator.rng import PortableRng, Rect
 
 MOST_ROOMS = 10
 FEWEST_ROOMS = 4
@@ -86,7 +86,7 @@ class Door:
     width_m: float
     upright: bool
 
-    def kept_free(self, deep_m: float) -> Rect:
+    def clear_area(self, deep_m: float) -> Rect:
         """Return the doorway and `deep_m` of floor on both sides."""
         wide = 0.5 * self.width_m + 0.05
         a, b = (deep_m, wide) if self.upright else (wide, deep_m)
@@ -94,7 +94,7 @@ class Door:
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class WallSegment:
     """A piece of wall along an axis, from its lower end, with its door if it has one."""
 
     x0: float
@@ -105,13 +105,13 @@ class Stretch:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class HouseLayout:
     rooms: tuple[PlannedRoom, ...]
     doors: tuple[Door, ...]
-    walls: tuple[Stretch, ...]
+    walls: tuple[WallSegment, ...]
 
 
-def draw_layout(dice: Dice) -> Layout:
+def draw_layout(dice: PortableRng) -> HouseLayout:
     """Return rooms of usual sizes, all connected by doors."""
     kinds = draw_kinds(dice)
     while True:
@@ -123,12 +123,12 @@ def draw_layout(dice: Dice) -> Layout:
         if joined is None:
             continue
         doors = {pair: _draw_door(dice, rooms, pair, shared[pair]) for pair in joined}
-        walls = [Stretch(s.x0, s.y0, s.x1, s.y1, doors.get(pair)) for pair, s in shared.items()]
+        walls = [WallSegment(s.x0, s.y0, s.x1, s.y1, doors.get(pair)) for pair, s in shared.items()]
         walls += _outer_walls(rooms, list(shared.values()))
-        return Layout(tuple(rooms), tuple(doors.values()), tuple(walls))
+        return HouseLayout(tuple(rooms), tuple(doors.values()), tuple(walls))
 
 
-def draw_kinds(dice: Dice) -> list[str]:
+def draw_kinds(dice: PortableRng) -> list[str]:
     """Return the kinds of a home's rooms."""
     count = dice.count(FEWEST_ROOMS, MOST_ROOMS)
     kinds = [LIVING, KITCHEN, BEDROOM, BATHROOM]
@@ -141,7 +141,7 @@ def draw_kinds(dice: Dice) -> list[str]:
     return kinds
 
 
-def _draw_rooms(dice: Dice, kinds: Sequence[str]) -> list[PlannedRoom] | None:
+def _draw_rooms(dice: PortableRng, kinds: Sequence[str]) -> list[PlannedRoom] | None:
     """Return the rooms; None if one came out too small or too slim."""
     wanted = [(kind, dice.between(*AREA_M2[kind])) for kind in kinds if kind != HALLWAY]
     if dice.chance(0.3):
@@ -163,13 +163,13 @@ def _draw_rooms(dice: Dice, kinds: Sequence[str]) -> list[PlannedRoom] | None:
 Wanted = Sequence[tuple[str, float]]
 
 
-def _in_block(dice: Dice, wanted: Wanted) -> list[tuple[str, Rect]]:
+def _in_block(dice: PortableRng, wanted: Wanted) -> list[tuple[str, Rect]]:
     area = sum(a for _, a in wanted)
     width = math.sqrt(area * dice.between(1.0, 1.7))
     return _cut(Rect(0.0, 0.0, width, area / width), dice.shuffled(wanted))
 
 
-def _along_hallway(dice: Dice, wanted: Wanted) -> list[tuple[str, Rect]]:
+def _along_hallway(dice: PortableRng, wanted: Wanted) -> list[tuple[str, Rect]]:
     """Return rooms on both sides of a hallway; sometimes the living room lies across its end."""
     wanted = list(wanted)
     across = wanted.pop(0) if dice.chance(0.5) else None
@@ -206,7 +206,7 @@ def _cut(rect: Rect, wanted: Wanted) -> list[tuple[str, Rect]]:
     return _cut(first, wanted[: k + 1]) + _cut(second, wanted[k + 1 :])
 
 
-def _shared_walls(rooms: list[PlannedRoom]) -> dict[tuple[int, int], Stretch]:
+def _shared_walls(rooms: list[PlannedRoom]) -> dict[tuple[int, int], WallSegment]:
     """Return the piece of wall between each two rooms that share one."""
     shared = {}
     for i, j in combinations(range(len(rooms)), 2):
@@ -214,12 +214,12 @@ def _shared_walls(rooms: list[PlannedRoom]) -> dict[tuple[int, int], Stretch]:
         low, high = max(a.y0, b.y0), min(a.y1, b.y1)
         left, right = max(a.x0, b.x0), min(a.x1, b.x1)
         if (left == right and low < high) or (low == high and left < right):
-            shared[i, j] = Stretch(left, low, right, high)
+            shared[i, j] = WallSegment(left, low, right, high)
     return shared
 
 
 def _joined(
-    dice: Dice, rooms: list[PlannedRoom], shared: dict[tuple[int, int], Stretch]
+    dice: PortableRng, rooms: list[PlannedRoom], shared: dict[tuple[int, int], WallSegment]
 ) -> list[tuple[int, int]] | None:
     """Return the pairs of rooms with a door: a spanning tree of the cheapest ones, and some more.
 
@@ -241,7 +241,9 @@ def _joined(
     return joined if len(set(group)) == 1 else None
 
 
-def _draw_door(dice: Dice, rooms: list[PlannedRoom], pair: tuple[int, int], wall: Stretch) -> Door:
+def _draw_door(
+    dice: PortableRng, rooms: list[PlannedRoom], pair: tuple[int, int], wall: WallSegment
+) -> Door:
     width, room_m = dice.between(*DOOR_M), _length(wall) - WALL_M - 2 * _BESIDE_DOOR_M
     wide = frozenset(rooms[i].kind for i in pair) in _WIDE and dice.chance(0.4)
     if wide and room_m >= _WIDE_M[1]:
@@ -255,23 +257,23 @@ def _draw_door(dice: Dice, rooms: list[PlannedRoom], pair: tuple[int, int], wall
     return Door(pair, round(x, 2), round(y, 2), round(width, 2), upright)
 
 
-def _length(wall: Stretch) -> float:
+def _length(wall: WallSegment) -> float:
     return (wall.x1 - wall.x0) + (wall.y1 - wall.y0)
 
 
-def _outer_walls(rooms: list[PlannedRoom], shared: list[Stretch]) -> list[Stretch]:
+def _outer_walls(rooms: list[PlannedRoom], shared: list[WallSegment]) -> list[WallSegment]:
     """Return the parts of each room's sides that are not shared walls."""
     walls = []
     for r in (room.rect for room in rooms):
         for side in (
-            Stretch(r.x0, r.y0, r.x0, r.y1), Stretch(r.x1, r.y0, r.x1, r.y1),
-            Stretch(r.x0, r.y0, r.x1, r.y0), Stretch(r.x0, r.y1, r.x1, r.y1),
+            WallSegment(r.x0, r.y0, r.x0, r.y1), WallSegment(r.x1, r.y0, r.x1, r.y1),
+            WallSegment(r.x0, r.y0, r.x1, r.y0), WallSegment(r.x0, r.y1, r.x1, r.y1),
         ):  # fmt: skip
             walls += _left_of(side, shared)
     return walls
 
 
-def _left_of(side: Stretch, shared: list[Stretch]) -> list[Stretch]:
+def _left_of(side: WallSegment, shared: list[WallSegment]) -> list[WallSegment]:
     upright = side.x0 == side.x1
     taken = []
     for s in shared:
@@ -285,5 +287,5 @@ def _left_of(side: Stretch, shared: list[Stretch]) -> list[Stretch]:
     for (_, low), (high, _) in pairwise(edges):
         if high > low:
             ends = (side.x0, low, side.x0, high) if upright else (low, side.y0, high, side.y0)
-            left.append(Stretch(*ends))
+            left.append(WallSegment(*ends))
     return left

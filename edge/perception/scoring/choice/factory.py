@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from edge.config import ChoiceOnnx, ChoiceOpenai, ChoiceText, ModelProcess, Perception
+from edge.config import ChoiceOnnx, ChoiceOpenai, ChoiceText, ModelProcessConfig, PerceptionConfig
 from edge.perception.runtime.card_types import MarksCard
 from edge.perception.runtime.cards import load_card
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.scoring.choice.mark_scorer import MarkScorer, check_size, open_network
 from edge.perception.scoring.choice.process import ProcessMarks, ProcessModel
-from edge.perception.scoring.choice.question import Choice, View
+from edge.perception.scoring.choice.question import FrontierChoice, MarkedView
 from edge.perception.scoring.choice.server import make_server_choice
 
 
@@ -19,15 +19,15 @@ class ViewScorer(Protocol):
 
     name: str
 
-    def look(self, view: View) -> Any: ...
+    def look(self, view: MarkedView) -> Any: ...
 
-    def answer(self, looked: Any) -> Choice | None: ...
+    def answer(self, looked: Any) -> FrontierChoice | None: ...
 
     def close(self) -> None: ...
 
 
 def make_choice(
-    choice: ChoiceOnnx | ChoiceOpenai | ChoiceText, perception: Perception
+    choice: ChoiceOnnx | ChoiceOpenai | ChoiceText, perception: PerceptionConfig
 ) -> ViewScorer:
     """Make the scorer that the configuration names, ready to be asked.
 
@@ -46,7 +46,7 @@ def make_choice(
     return make_server_choice(choice)
 
 
-def open_choice(choice: ChoiceOnnx, process: ModelProcess | None = None) -> ViewScorer:
+def open_choice(choice: ChoiceOnnx, process: ModelProcessConfig | None = None) -> ViewScorer:
     """Open the scorer of a local model; the card's task decides its type.
 
     Args:
@@ -67,11 +67,15 @@ def open_choice(choice: ChoiceOnnx, process: ModelProcess | None = None) -> View
             open_network(card, choice) if process is None else ProcessMarks(card, choice, process)
         )
         return MarkScorer(card, network, choice.time_limit_s)
-    from edge.perception.scoring.choice.onnx_scorer import OnnxChoice, choice_card, open_model
+    from edge.perception.scoring.choice.onnx_scorer import (
+        OnnxFrontierScorer,
+        choice_card,
+        open_model,
+    )
 
     model = (
         open_model(choice)
         if process is None
         else ProcessModel(choice_card(choice), choice, process)
     )
-    return OnnxChoice(model, choice.max_image_px, choice.time_limit_s)
+    return OnnxFrontierScorer(model, choice.max_image_px, choice.time_limit_s)

@@ -17,18 +17,25 @@ from edge.perception.embedding.encoders import open_text_encoder
 from edge.perception.embedding.text import TextEncoder
 from edge.perception.runtime.card_types import MARK_FIELDS, OTHERS_FIELDS, MarksCard, TextCard
 from edge.perception.runtime.cards import load_card_of, verify_model
-from edge.perception.runtime.deadline import FIRST_RUN_S, Deadline
+from edge.perception.runtime.deadline import FIRST_RUN_S, InferenceTimeout
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.sessions import TENSORRT, open_session
-from edge.perception.scoring.choice.question import MAX_MARKS, Choice, Mark, View, Ways, choice_of
+from edge.perception.scoring.choice.question import (
+    MAX_MARKS,
+    FrontierChoice,
+    Mark,
+    MarkCosts,
+    MarkedView,
+    choice_of,
+)
 
 FAR_M = 20.0
 """Path lengths from here on, and unreachable marks, look the same to the network."""
 _KEY = "perception.choice.providers"
 
 
-class Network(Protocol):
+class MarkModel(Protocol):
     """Interface of the mark network; see `MarkNetwork`."""
 
     name: str
@@ -70,7 +77,7 @@ class MarkNetwork:
                 f"{card.text_encoder} have {text.dim}: name another text_encoder"
             )
         self.name, self._text = card.name, text
-        self._scale, self._deadline = np.float32(card.preprocess.scale), Deadline(card.name)
+        self._scale, self._deadline = np.float32(card.preprocess.scale), InferenceTimeout(card.name)
         if TENSORRT in providers:
             raise ModelError(
                 f"{_KEY}: {TENSORRT!r} alone runs detectors only; name onnxruntime's "
@@ -142,7 +149,7 @@ def _shares(logits: np.ndarray) -> np.ndarray:
     return (p / p.sum()).astype(np.float32)
 
 
-class Looked(NamedTuple):
+class MarkInput(NamedTuple):
     """Input of the network for a view.
 
     Attributes:
@@ -151,7 +158,7 @@ class Looked(NamedTuple):
         others: (OTHERS_FIELDS,) float32; see `MarksCard`.
     """
 
-    view: View
+    view: MarkedView
     image: np.ndarray
     marks: np.ndarray
     others: np.ndarray
@@ -169,11 +176,11 @@ class MarkScorer:
         name: the model's card.
     """
 
-    def __init__(self, card: MarksCard, network: Network, limit_s: float) -> None:
+    def __init__(self, card: MarksCard, network: MarkModel, limit_s: float) -> None:
         self.name, self._card = card.name, card
         self._network, self._limit_s = network, limit_s
 
-    def look(self, view: View) -> Looked:
+    def look(self, view: MarkedView) -> MarkInput:
         """Prepare the network's input; the observation is not needed afterwards.
 
         Raises:
@@ -188,9 +195,9 @@ class MarkScorer:
         if image is rgb:
             image = rgb.copy()
         rows = as_input(view.marks[:MAX_MARKS], view.ways, scale, top, left, hw)
-        return Looked(view, image, rows, view.ways.others)
+        return MarkInput(view, image, rows, view.ways.others)
 
-    def answer(self, looked: Looked) -> Choice | None:
+    def answer(self, looked: MarkInput) -> FrontierChoice | None:
         """Get both answers at once.
 
         Returns:
@@ -233,7 +240,7 @@ def letterboxed(
 
 
 def as_input(
-    marks: Sequence[Mark], ways: Ways, scale: float, top: int, left: int, hw: tuple[int, int]
+    marks: Sequence[Mark], ways: MarkCosts, scale: float, top: int, left: int, hw: tuple[int, int]
 ) -> np.ndarray:
     """Return the marks as the network takes them, (n, MARK_FIELDS) float32; see `MarksCard`."""
     out = np.zeros((len(marks), MARK_FIELDS), np.float32)

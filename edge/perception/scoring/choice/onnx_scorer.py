@@ -16,40 +16,40 @@ from edge.perception.scoring.choice.question import (
     LETTERS,
     MAX_MARKS,
     SYSTEM,
-    Choice,
+    FrontierChoice,
     Mark,
-    View,
+    MarkedView,
     choice_of,
     describe,
     direction_question,
     scene_question,
 )
 from edge.perception.scoring.vlm.answers import YES_NO
-from edge.perception.scoring.vlm.model import Asked, LanguageModel
+from edge.perception.scoring.vlm.model import LanguageModel, MultipleChoice
 
 
-class Model(Protocol):
+class ChoiceModel(Protocol):
     """Interface of the model; see `LanguageModel`."""
 
     name: str
     sees: bool
 
     def ask(
-        self, rules: str, view: np.ndarray | str, asked: Sequence[Asked], limit_s: float
+        self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice], limit_s: float
     ) -> list[np.ndarray]: ...
 
     def close(self) -> None: ...
 
 
-class Shown(NamedTuple):
+class ModelPrompt(NamedTuple):
     """A view as the model gets it: an image with letters, or text."""
 
-    view: View
+    view: MarkedView
     part: np.ndarray | str
     marks: tuple[Mark, ...]
 
 
-class OnnxChoice:
+class OnnxFrontierScorer:
     """A scorer (`edge.perception.worker`) of views, by a local language model.
 
     Args:
@@ -61,24 +61,24 @@ class OnnxChoice:
         name: the model's card.
     """
 
-    def __init__(self, model: Model, max_image_px: int, time_limit_s: float) -> None:
+    def __init__(self, model: ChoiceModel, max_image_px: int, time_limit_s: float) -> None:
         self.name = model.name
         self._model, self._max_px, self._limit_s = model, max_image_px, time_limit_s
 
-    def look(self, view: View) -> Shown:
+    def look(self, view: MarkedView) -> ModelPrompt:
         """Prepare the model's input; the observation is not needed afterwards.
 
         Raises:
             ModelError: the model takes images, and the observation has none.
         """
         if not self._model.sees:
-            return Shown(view, describe(view), view.marks)
+            return ModelPrompt(view, describe(view), view.marks)
         rgb = view.observation.rgb
         if rgb is None:
             raise ModelError(f"observation {view.observation.seq}: no image for {self.name}")
-        return Shown(view, *draw(rgb, view.marks, self._max_px))
+        return ModelPrompt(view, *draw(rgb, view.marks, self._max_px))
 
-    def answer(self, shown: Shown) -> Choice | None:
+    def answer(self, shown: ModelPrompt) -> FrontierChoice | None:
         """Ask both questions.
 
         Returns:
@@ -98,11 +98,11 @@ class OnnxChoice:
         self._model.close()
 
 
-def asked_of(n_marks: int, target: str) -> tuple[Asked, Asked]:
+def asked_of(n_marks: int, target: str) -> tuple[MultipleChoice, MultipleChoice]:
     """Return both questions of ViTL IV-B1 with their possible answers."""
     return (
-        Asked(direction_question(n_marks, target), tuple(LETTERS[: n_marks + 1])),
-        Asked(scene_question(target), YES_NO),
+        MultipleChoice(direction_question(n_marks, target), tuple(LETTERS[: n_marks + 1])),
+        MultipleChoice(scene_question(target), YES_NO),
     )
 
 

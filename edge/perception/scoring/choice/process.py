@@ -12,7 +12,7 @@ import numpy as np
 
 from edge import config
 from edge.host.children import python_module
-from edge.perception.process.kept import KeptProcess, Pause
+from edge.perception.process.supervised import RestartDelay, SupervisedProcess
 from edge.perception.process.wire import ModelProcessError
 from edge.perception.runtime.card_types import ChoiceCard, DirectionsCard
 from edge.perception.runtime.health import log_progress
@@ -20,7 +20,7 @@ from edge.perception.scoring.vlm.answers import YES_NO
 from edge.text import bounded_repr
 
 if TYPE_CHECKING:
-    from edge.perception.scoring.vlm.model import Asked
+    from edge.perception.scoring.vlm.model import MultipleChoice
 
 log = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ LIMIT = "perception.choice.time_limit_s and perception.process.timeout_s"
 _SUM_ERROR = 1e-3
 
 
-class _Process(KeptProcess):
+class _Process(SupervisedProcess):
     """The process of a card; see `edge.perception.process`.
 
     While no process is ready, each question raises at once.
@@ -44,7 +44,7 @@ class _Process(KeptProcess):
     """
 
     def __init__(
-        self, card: DirectionsCard, choice: config.ChoiceOnnx, rules: config.ModelProcess
+        self, card: DirectionsCard, choice: config.ChoiceOnnx, rules: config.ModelProcessConfig
     ) -> None:
         super().__init__(card.name, rules)
         self._request = {"choice": choice.model_dump(mode="json")}
@@ -69,16 +69,16 @@ class _Process(KeptProcess):
         return link.ask(request, rgb, patience_s, LIMIT, partial(_decode, sizes))
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
-        """See `KeptProcess`."""
+        """See `SupervisedProcess`."""
         return self._run_link(first, self._request, log_progress, PROGRAM)
 
     def _ready(self, again: bool) -> None:
-        """See `KeptProcess`."""
+        """See `SupervisedProcess`."""
         if again:
             log.info("model %s: its process runs", self.name)
 
-    def _ended(self, why: str, failed: Exception | None, pause: Pause) -> None:
-        """See `KeptProcess`."""
+    def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
+        """See `SupervisedProcess`."""
         often = "ended too often, " if pause.limit else ""
         self._why = f"{why}; {often}restarts in {pause.seconds:.1f} s"
         self._link = None
@@ -94,14 +94,14 @@ class ProcessModel(_Process):
     """
 
     def __init__(
-        self, card: ChoiceCard, choice: config.ChoiceOnnx, rules: config.ModelProcess
+        self, card: ChoiceCard, choice: config.ChoiceOnnx, rules: config.ModelProcessConfig
     ) -> None:
         """See `_Process`."""
         self.sees = card.vision_encoder is not None
         super().__init__(card, choice, rules)
 
     def ask(
-        self, rules: str, view: np.ndarray | str, asked: Sequence[Asked], limit_s: float
+        self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice], limit_s: float
     ) -> list[np.ndarray]:
         """See `LanguageModel.ask` and `_put`."""
         words, rgb = (view, None) if isinstance(view, str) else (None, view)

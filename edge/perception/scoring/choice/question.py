@@ -48,7 +48,7 @@ class Mark(NamedTuple):
     distance_m: float
 
 
-class Sighting(NamedTuple):
+class DetectedObject(NamedTuple):
     """An object that was just detected, with its position relative to the robot."""
 
     label: str
@@ -56,7 +56,7 @@ class Sighting(NamedTuple):
     distance_m: float
 
 
-class Ways(NamedTuple):
+class MarkCosts(NamedTuple):
     """Path lengths and expected gains of the frontiers, by the robot's map.
 
     Attributes:
@@ -72,7 +72,7 @@ class Ways(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class MarkedView:
     """The input of VLM frontier selection: an image with marks, and a target.
 
     Attributes:
@@ -88,13 +88,13 @@ class View:
     observation: Observation
     target: str
     marks: tuple[Mark, ...]
-    sightings: tuple[Sighting, ...] = ()
+    sightings: tuple[DetectedObject, ...] = ()
     lift: np.ndarray | None = None
-    ways: Ways | None = None
+    ways: MarkCosts | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Choice:
+class FrontierChoice:
     """A model's answer for one view.
 
     Attributes:
@@ -119,7 +119,9 @@ class Choice:
         return np.float32(self.scene) * self.p
 
 
-def choice_of(view: View, marks: Sequence[Mark], p: np.ndarray, scene: float) -> Choice:
+def choice_of(
+    view: MarkedView, marks: Sequence[Mark], p: np.ndarray, scene: float
+) -> FrontierChoice:
     """Build the answer for a view.
 
     Args:
@@ -128,7 +130,7 @@ def choice_of(view: View, marks: Sequence[Mark], p: np.ndarray, scene: float) ->
         p: (n + 1,) probability of each of them, and of "explore elsewhere".
         scene: probability that the view leads to the target.
     """
-    return Choice(
+    return FrontierChoice(
         view.observation.stamp_ns, view.target, tuple(mark.id for mark in marks),
         p[:-1].astype(np.float32), float(p[-1]), scene,
     )  # fmt: skip
@@ -145,7 +147,7 @@ def scene_question(target: str) -> str:
     return SCENE.format(target=target)
 
 
-def describe(view: View) -> str:
+def describe(view: MarkedView) -> str:
     """Describe detections and lettered frontiers in words.
 
     >>> import numpy as np

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from edge.config import ChoiceOnnx
-from edge.host.priority import give_way
+from edge.host.priority import lower_priority
 from edge.perception.process import wire
-from edge.perception.process.child import begin, by_kind
+from edge.perception.process.child import as_memory_error, set_up_child
 from edge.perception.process.wire import FrameView
 from edge.perception.runtime.card_types import MarksCard
 from edge.perception.runtime.cards import load_card
@@ -28,8 +28,8 @@ Answer = Callable[[dict[str, Any], Any], list[np.ndarray]]
 
 def main() -> int:
     """Read the request from stdin, load the model, and answer until the service ends it."""
-    request, questions, control, frames = begin()
-    give_way()  # before it starts threads
+    request, questions, control, frames = set_up_child()
+    lower_priority()  # before it starts threads
     try:
         answer = open_answer(ChoiceOnnx.model_validate(request["choice"]))
     except Exception as error:
@@ -56,12 +56,12 @@ def open_answer(choice: ChoiceOnnx) -> Answer:
             request["target"], request["limit_s"],
         )  # fmt: skip
     from edge.perception.scoring.choice.onnx_scorer import open_model
-    from edge.perception.scoring.vlm.model import Asked
+    from edge.perception.scoring.vlm.model import MultipleChoice
 
     model = open_model(choice)
 
     def answer(request: dict[str, Any], image: np.ndarray | None) -> list[np.ndarray]:
-        asked = [Asked(question, tuple(answers)) for question, answers in request["asked"]]
+        asked = [MultipleChoice(question, tuple(answers)) for question, answers in request["asked"]]
         view = request["view"] if image is None else image
         return model.ask(request["rules"], view, asked, request["limit_s"])
 
@@ -77,7 +77,7 @@ def answer_questions(questions: socket.socket, answer: Answer, frames: FrameView
             image = None if request["hw"] is None else frames.read(seq, request["hw"])
             found = answer(request, image)
         except Exception as error:
-            questions.send(wire.encode_error(by_kind(error), seq=seq))
+            questions.send(wire.encode_error(as_memory_error(error), seq=seq))
         else:
             questions.send(wire.encode(seq=seq, p=[p.tolist() for p in found]))
 

@@ -15,9 +15,9 @@ from edge.perception.scoring.choice.picture import data_url, draw
 from edge.perception.scoring.choice.question import (
     LETTERS,
     SYSTEM,
-    Choice,
+    FrontierChoice,
     Mark,
-    View,
+    MarkedView,
     choice_of,
     describe,
     direction_question,
@@ -27,7 +27,7 @@ from edge.perception.scoring.vlm.answers import YES_NO, NoAnswerError, probabili
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class ServerPrompt:
     """A view as the model gets it.
 
     Attributes:
@@ -35,12 +35,12 @@ class Shown:
         marks: the marks that have a letter, in the letters' order.
     """
 
-    view: View
+    view: MarkedView
     part: dict[str, Any]
     marks: tuple[Mark, ...]
 
 
-def show_picture(max_px: int, view: View) -> Shown:
+def show_picture(max_px: int, view: MarkedView) -> ServerPrompt:
     """Draw letters on the image; nothing of the observation is kept.
 
     Raises:
@@ -51,15 +51,15 @@ def show_picture(max_px: int, view: View) -> Shown:
         raise ValueError(f"observation {view.observation.seq}: no image to show")
     image, marks = draw(rgb, view.marks, max_px)
     part = {"type": "image_url", "image_url": {"url": data_url(image)}}
-    return Shown(view, part, marks)
+    return ServerPrompt(view, part, marks)
 
 
-def show_words(view: View) -> Shown:
+def show_words(view: MarkedView) -> ServerPrompt:
     """Describe detections and letters in words."""
-    return Shown(view, {"type": "text", "text": describe(view)}, view.marks)
+    return ServerPrompt(view, {"type": "text", "text": describe(view)}, view.marks)
 
 
-class ChoiceScorer:
+class ServerFrontierScorer:
     """A scorer (`edge.perception.worker`) of views, by a chat server.
 
     Both messages begin alike (the rules, then the view) and differ only at the end. So a server
@@ -69,16 +69,16 @@ class ChoiceScorer:
         name: model and server, for people.
     """
 
-    def __init__(self, client: ChatClient, show: Callable[[View], Shown]) -> None:
+    def __init__(self, client: ChatClient, show: Callable[[MarkedView], ServerPrompt]) -> None:
         self.name = f"{client.model} at {client.url}"
         self._client = client
         self._show = show
 
-    def look(self, view: View) -> Shown:
+    def look(self, view: MarkedView) -> ServerPrompt:
         """Prepare the model's input; the observation is not needed afterwards."""
         return self._show(view)
 
-    def answer(self, shown: Shown) -> Choice | None:
+    def answer(self, shown: ServerPrompt) -> FrontierChoice | None:
         """Ask both questions, one after the other, within the client's time limit for both.
 
         Returns:
@@ -99,7 +99,7 @@ class ChoiceScorer:
         """Abort the current request; may be called from another thread."""
         self._client.close()
 
-    def _ask(self, shown: Shown, question: str, answers: Any, begin_s: float) -> Any:
+    def _ask(self, shown: ServerPrompt, question: str, answers: Any, begin_s: float) -> Any:
         messages = [
             {"role": "system", "content": SYSTEM},
             {"role": "user", "content": _content(shown.part, question)},
@@ -119,7 +119,7 @@ def _content(part: dict[str, Any], question: str) -> str | list[dict[str, Any]]:
     return [part, {"type": "text", "text": question}]
 
 
-def make_server_choice(config: ChoiceOpenai | ChoiceText) -> ChoiceScorer:
+def make_server_choice(config: ChoiceOpenai | ChoiceText) -> ServerFrontierScorer:
     """Make the scorer that the configuration names; the key comes from the environment.
 
     Raises:
@@ -131,5 +131,5 @@ def make_server_choice(config: ChoiceOpenai | ChoiceText) -> ChoiceScorer:
     except ChatError as error:
         raise ChatError(f"perception.choice: {error}") from None
     if config.kind == "openai":
-        return ChoiceScorer(client, partial(show_picture, config.max_image_px))
-    return ChoiceScorer(client, show_words)
+        return ServerFrontierScorer(client, partial(show_picture, config.max_image_px))
+    return ServerFrontierScorer(client, show_words)

@@ -66,7 +66,7 @@ def _key(text: str) -> str:
     return text if len(text) == 1 else text.casefold()
 
 
-def spellings(vocabulary: Sequence[str], answers: Sequence[str]) -> list[np.ndarray]:
+def answer_token_ids(vocabulary: Sequence[str], answers: Sequence[str]) -> list[np.ndarray]:
     """Find the tokens of a vocabulary that mean each answer, as `probabilities` reads them.
 
     Args:
@@ -88,7 +88,7 @@ def spellings(vocabulary: Sequence[str], answers: Sequence[str]) -> list[np.ndar
     return [np.array(ids, np.int64) for ids in found]
 
 
-def shares(logits: np.ndarray, ids: Sequence[np.ndarray]) -> np.ndarray:
+def answer_probabilities(logits: np.ndarray, ids: Sequence[np.ndarray]) -> np.ndarray:
     """Return the softmax over exactly the answers, from all logits (ViTL eq. 4).
 
     Args:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge.perception.runtime.deadline import Deadline
+from edge.perception.runtime.deadline import InferenceTimeout
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.sessions import DTYPES
 from edge.perception.scoring.vlm.files import ModelFiles
@@ -15,7 +15,7 @@ from edge.perception.scoring.vlm.files import ModelFiles
 _PAST, _PRESENT, _LOGITS = "past_key_values.", "present.", "logits"
 
 
-class Past(NamedTuple):
+class KeyValueCache(NamedTuple):
     """Keys and values of the tokens read so far, by input name.
 
     Attributes:
@@ -26,12 +26,12 @@ class Past(NamedTuple):
     length: int
     kept: dict[str, np.ndarray]
 
-    def first(self, length: int) -> Past:
+    def first(self, length: int) -> KeyValueCache:
         """Return the cache of the first tokens only."""
         if length >= self.length:
             return self
         cut = {name: np.ascontiguousarray(a[:, :, :length]) for name, a in self.kept.items()}
-        return Past(length, cut)
+        return KeyValueCache(length, cut)
 
 
 class Decoder:
@@ -52,7 +52,7 @@ class Decoder:
     """
 
     def __init__(
-        self, files: ModelFiles, session: Any, embedding: Any | None, deadline: Deadline
+        self, files: ModelFiles, session: Any, embedding: Any | None, deadline: InferenceTimeout
     ) -> None:
         self._files, self._session, self._embedding = files, session, embedding
         self._deadline = deadline
@@ -61,7 +61,7 @@ class Decoder:
         self.takes_ids = embedding is None
         self._check()
         self._presents = [name for name in self._outputs if name.startswith(_PRESENT)]
-        self.nothing = Past(0, dict(self._no_past()))
+        self.nothing = KeyValueCache(0, dict(self._no_past()))
 
     def _check(self) -> None:
         first = "input_ids" if self.takes_ids else "inputs_embeds"
@@ -110,7 +110,7 @@ class Decoder:
         name = self._embedding.get_inputs()[0].name
         return self._embedding.run(None, {name: ids[None]}, self._deadline.options)[0][0]
 
-    def read(self, rows: np.ndarray, places: np.ndarray, past: Past) -> Past:
+    def read(self, rows: np.ndarray, places: np.ndarray, past: KeyValueCache) -> KeyValueCache:
         """Read more tokens.
 
         Args:
@@ -123,14 +123,14 @@ class Decoder:
         """
         return self._run(rows, places, past, self._presents)[0]
 
-    def next_logits(self, rows: np.ndarray, places: np.ndarray, past: Past) -> np.ndarray:
+    def next_logits(self, rows: np.ndarray, places: np.ndarray, past: KeyValueCache) -> np.ndarray:
         """Return (v,) float32 for the token that comes after `rows`; see `read`."""
         logits = self._run(rows, places, past, [_LOGITS])[1]
         return logits.reshape(-1, logits.shape[-1])[-1].astype(np.float32)
 
     def _run(
-        self, rows: np.ndarray, places: np.ndarray, past: Past, wanted: Sequence[str]
-    ) -> tuple[Past, np.ndarray]:
+        self, rows: np.ndarray, places: np.ndarray, past: KeyValueCache, wanted: Sequence[str]
+    ) -> tuple[KeyValueCache, np.ndarray]:
         n, length = len(rows), past.length + len(rows)
         offered = {
             "input_ids": rows[None],
@@ -153,7 +153,7 @@ class Decoder:
                 f"model {self._files.name}: its decoder returns a cache of another length than "
                 f"the {length} tokens that it has read, {n} of them now"
             )
-        return Past(length, kept), logits
+        return KeyValueCache(length, kept), logits
 
     def _places(self, places: np.ndarray) -> np.ndarray:
         """Return positions as the decoder takes them: (1, n), or (3, 1, n) for M-RoPE."""

@@ -14,12 +14,12 @@ import numpy as np
 
 from edge.perception.runtime.card_types import ChoiceCard
 from edge.perception.runtime.cards import verify_parts
-from edge.perception.runtime.deadline import FIRST_RUN_S, Deadline
+from edge.perception.runtime.deadline import FIRST_RUN_S, InferenceTimeout
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.onnx_file import check_fixed
 from edge.perception.runtime.sessions import DTYPES, TENSORRT_PROVIDERS, open_session
-from edge.perception.scoring.vlm.answers import shares, spellings
-from edge.perception.scoring.vlm.decoder import Decoder, Past
+from edge.perception.scoring.vlm.answers import answer_probabilities, answer_token_ids
+from edge.perception.scoring.vlm.decoder import Decoder, KeyValueCache
 from edge.perception.scoring.vlm.files import common_prefix, read_files, vocabulary
 from edge.perception.scoring.vlm.pictures import make_prepare, positions
 from edge.perception.scoring.vlm.prompt import Prompter
@@ -28,7 +28,7 @@ PROVIDERS_KEY = "perception.choice.providers"
 _BLANK_PX = 64
 
 
-class Asked(NamedTuple):
+class MultipleChoice(NamedTuple):
     """A question and its possible answers."""
 
     question: str
@@ -55,7 +55,7 @@ class LanguageModel:
     def __init__(
         self,
         card: ChoiceCard,
-        asked: Sequence[Asked],
+        asked: Sequence[MultipleChoice],
         providers: Sequence[str] = ("CPUExecutionProvider",),
         threads: int = 2,
         device_id: int = 0,
@@ -70,7 +70,7 @@ class LanguageModel:
             return open_session(where, providers, threads, device_id, key=PROVIDERS_KEY)
 
         self.name, self.sees = card.name, card.vision_encoder is not None
-        self._card, self._deadline = card, Deadline(card.name)
+        self._card, self._deadline = card, InferenceTimeout(card.name)
         self._prompter = Prompter(files)
         self._ids = self._spelled({answer for one in asked for answer in one.answers})
         self._vision: Any = None
@@ -87,7 +87,11 @@ class LanguageModel:
     def _spelled(self, answers: set[str]) -> dict[str, np.ndarray]:
         ordered = sorted(answers)
         found = dict(
-            zip(ordered, spellings(vocabulary(self._prompter.tokenizer), ordered), strict=True)
+            zip(
+                ordered,
+                answer_token_ids(vocabulary(self._prompter.tokenizer), ordered),
+                strict=True,
+            )
         )
         if missing := [answer for answer in ordered if not len(found[answer])]:
             raise ModelError(
@@ -97,7 +101,7 @@ class LanguageModel:
         return found
 
     def ask(
-        self, rules: str, view: np.ndarray | str, asked: Sequence[Asked], limit_s: float
+        self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice], limit_s: float
     ) -> list[np.ndarray]:
         """Answer questions about one view.
 
@@ -116,7 +120,9 @@ class LanguageModel:
         with self._deadline.within(limit_s):
             return self._ask(rules, view, asked)
 
-    def _ask(self, rules: str, view: np.ndarray | str, asked: Sequence[Asked]) -> list[np.ndarray]:
+    def _ask(
+        self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice]
+    ) -> list[np.ndarray]:
         prompter, words = self._prompter, view if isinstance(view, str) else None
         texts = [prompter.text(rules, words, one.question) for one in asked]
         features, grid = np.empty((0, 0), np.float32), None
@@ -139,7 +145,7 @@ class LanguageModel:
 
     def _read(
         self, ids: np.ndarray, features: np.ndarray, grid: tuple[int, int, int] | None
-    ) -> Past:
+    ) -> KeyValueCache:
         """Return the cache after `ids`; the common beginning with the last call is not read again.
 
         The image tokens of all images are alike, so only tokens before an image are kept.
@@ -202,7 +208,7 @@ class LanguageModel:
                 f"model {self.name}: {len(logits)} logits, fewer than its tokenizer has "
                 "tokens: the files are of two models"
             )
-        p = shares(logits, ids)
+        p = answer_probabilities(logits, ids)
         if not np.isfinite(p).all():
             raise ModelError(
                 f"model {self.name}: logits of the answers are not finite: it is damaged, or its "

@@ -23,7 +23,7 @@ MAX_EDGE_PX = 4096
 _MAX_FRAMES = 16
 
 
-class Picture(NamedTuple):
+class PreparedImage(NamedTuple):
     """A prepared image.
 
     Attributes:
@@ -38,7 +38,7 @@ class Picture(NamedTuple):
     grid: tuple[int, int, int] | None
 
 
-Prepare = Callable[[np.ndarray], Picture]
+Prepare = Callable[[np.ndarray], PreparedImage]
 """Prepares an image, (h, w, 3) uint8 RGB."""
 
 
@@ -118,7 +118,7 @@ def _idefics3(
     most_squares = most_tokens // length if settings.get("do_image_splitting", True) else 1
     fake, whole, marks = "<fake_token_around_image>", "<global-img>", image_token * length
 
-    def prepare(rgb: np.ndarray) -> Picture:
+    def prepare(rgb: np.ndarray) -> PreparedImage:
         edge = longest
         while edge > side and 1 + math.prod(_tiling(rgb, edge, side)) > most_squares:
             edge = (math.ceil(edge / side) - 1) * side
@@ -139,7 +139,7 @@ def _idefics3(
         pixels = np.stack([normalise(square) for square in squares])[None]
         mask = np.ones((1, len(squares), side, side), bool)
         feeds = {"pixel_values": pixels, "pixel_attention_mask": mask}
-        return Picture(feeds, f"{text}{fake}{whole}{marks}{fake}", None)
+        return PreparedImage(feeds, f"{text}{fake}{whole}{marks}{fake}", None)
 
     return prepare
 
@@ -186,7 +186,7 @@ def _qwen2_vl(
     most = min(most, most_tokens * per_token_px, MAX_EDGE_PX**2)
     normalise = _Normalise(settings)
 
-    def prepare(rgb: np.ndarray) -> Picture:
+    def prepare(rgb: np.ndarray) -> PreparedImage:
         height, width = smart_resize(rgb.shape[0], rgb.shape[1], patch * merge, least, most)
         planes = normalise(_resize(rgb, (width, height), resample))
         rows, columns = height // patch, width // patch
@@ -199,7 +199,7 @@ def _qwen2_vl(
         grid = np.array([[1, rows, columns]], np.int64)
         feeds = {"pixel_values": patches, "image_grid_thw": grid, "grid_thw": grid}
         tokens = (1, rows // merge, columns // merge)
-        return Picture(feeds, image_token * math.prod(tokens), tokens)
+        return PreparedImage(feeds, image_token * math.prod(tokens), tokens)
 
     return prepare
 

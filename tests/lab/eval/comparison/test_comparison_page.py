@@ -15,11 +15,11 @@ from made_outcomes import failure, many, record
 from edge.lab.eval.comparison import page, plots
 from edge.lab.eval.comparison.outcomes import gather
 from edge.lab.eval.comparison.statistics import compare
-from edge.lab.eval.comparison.worlds import Drawing
+from edge.lab.eval.comparison.worlds import FloorPlanDrawing
 
 BAD = '<script>alert("x")</script>&\'"'
 BOX = np.array([[2.0, 2.0], [3.0, 2.0], [3.0, 3.0], [2.0, 3.0]])
-DRAWING = Drawing(b"png", 0.0, 4.0, 5.0, 4.0, {"bed": [BOX]})
+DRAWING = FloorPlanDrawing(b"png", 0.0, 4.0, 5.0, 4.0, {"bed": [BOX]})
 
 
 @pytest.fixture(autouse=True)

@@ -13,7 +13,7 @@ from edge.cli.main import main
 from edge.config import load
 from edge.lab.eval import episodes as eps
 from edge.lab.eval.comparison import run
-from edge.lab.eval.outcome import Outcome
+from edge.lab.eval.outcome import EpisodeOutcome
 
 START = (1.5, 1.5, 0.0)
 DEMO = {"kind": "house", "house": "demo"}
@@ -22,7 +22,7 @@ DEMO = {"kind": "house", "house": "demo"}
 @pytest.fixture
 def folder(tmp_path):
     """Two columns on an episode in the demo house, and on one of a run before."""
-    sensing = eps.sensing_of(load("demo"))
+    sensing = eps.sensing_settings(load("demo"))
     planned = [eps.make_episode(DEMO, "demo", START, 5.0, sensing, t) for t in ("bed", "sofa")]
     eps.write(tmp_path / run.EPISODES_NAME, planned)
     lines = [
@@ -77,10 +77,10 @@ def test_what_cannot_be_compared_is_told_in_a_line(folder, capsys, spoil, option
 
 
 def test_what_is_told_after_a_run():
-    assert run.told([]) == "no outcomes"
-    fields = {f.name for f in dataclasses.fields(Outcome)}
-    made = Outcome(**{k: v for k, v in record().items() if k in fields})
-    assert "100.0 [20.7, 100.0]" in run.told([made])
+    assert run.summary_text([]) == "no outcomes"
+    fields = {f.name for f in dataclasses.fields(EpisodeOutcome)}
+    made = EpisodeOutcome(**{k: v for k, v in record().items() if k in fields})
+    assert "100.0 [20.7, 100.0]" in run.summary_text([made])
 
 
 def test_older_outcomes_are_passed_over_aloud():

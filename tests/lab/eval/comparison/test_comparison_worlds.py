@@ -36,9 +36,9 @@ def test_what_was_left_at_first_sight(house):
     )
     left_m = np.full(outcomes.ran.shape, np.nan)
     inside = [e for e in range(4) if outcomes.world[e] == house.name]
-    worlds.left_at_sight_m(house, inside, outcomes, RADIUS_M, left_m)
+    worlds.fill_left_at_sight_m(house, inside, outcomes, RADIUS_M, left_m)
     field = geodesic.distance_field(house.plan, worlds.named(house, "bed"), RADIUS_M, 1.0)
-    assert left_m[0, 0] == geodesic.at(house.plan, field, *start[:2]) > 1.0
+    assert left_m[0, 0] == geodesic.value_at(house.plan, field, *start[:2]) > 1.0
     assert np.isnan(np.delete(left_m.ravel(), 0)).all()
 
 

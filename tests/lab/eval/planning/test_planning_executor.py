@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edge.lab.eval.planning.delexicalised import delexicalise
 from edge.lab.eval.planning.executor import (
     COMPLETE,
     DONE,
@@ -16,22 +17,21 @@ from edge.lab.eval.planning.executor import (
     NO_ANSWER,
     NOTHING,
     VIOLATED,
-    Episode,
-    Problem,
+    EpisodeResult,
+    PlanningProblem,
     draws_of,
     run_episode,
 )
-from edge.lab.eval.planning.lifted import lift
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import parse
 
 LUCKY, UNLUCKY = 0.0, 0.999
 
 
-def problem_of(text: str, others: int | None = None) -> Problem:
+def problem_of(text: str, others: int | None = None) -> PlanningProblem:
     formula = parse(text)
-    others = lift(formula).others if others is None else others
-    return Problem.of(compile_formula(formula), others)
+    others = delexicalise(formula).others if others is None else others
+    return PlanningProblem.of(compile_formula(formula), others)
 
 
 def luck(*rows: tuple[float, float]) -> np.ndarray:
@@ -55,7 +55,7 @@ def say(*targets: int):
 
 def test_problem_puts_other_objects_behind_the_formulas():
     problem = problem_of("F (chair & F bed)")
-    assert (problem.n_letters, problem.n_objects) == (2, 6)
+    assert (problem.n_propositions, problem.n_objects) == (2, 6)
     assert problem.moves.shape == (3, 7)
     for other in range(2, 7):
         np.testing.assert_array_equal(problem.moves[:, other], [0, 1, 2])
@@ -64,21 +64,21 @@ def test_problem_puts_other_objects_behind_the_formulas():
 @pytest.mark.parametrize(
     ("formula", "targets", "draws", "expected"),
     [
-        ("true", [], luck(), Episode(COMPLETE, 0, 0)),
-        ("F bed", [], luck(), Episode(GAVE_UP, 0, 0)),
-        ("F bed", [INVALID], luck(), Episode(NO_ANSWER, 0, 0)),
-        ("F bed", [0], luck(), Episode(COMPLETE, 1, 1)),
-        ("F bed", [0, 0], luck((UNLUCKY, 0.0)), Episode(COMPLETE, 2, 2)),
-        ("F sofa & G !bed", [1, 0], luck(), Episode(VIOLATED, 1, 1)),
+        ("true", [], luck(), EpisodeResult(COMPLETE, 0, 0)),
+        ("F bed", [], luck(), EpisodeResult(GAVE_UP, 0, 0)),
+        ("F bed", [INVALID], luck(), EpisodeResult(NO_ANSWER, 0, 0)),
+        ("F bed", [0], luck(), EpisodeResult(COMPLETE, 1, 1)),
+        ("F bed", [0, 0], luck((UNLUCKY, 0.0)), EpisodeResult(COMPLETE, 2, 2)),
+        ("F sofa & G !bed", [1, 0], luck(), EpisodeResult(VIOLATED, 1, 1)),
         # The failed attempt on a shows b (the first object not known): it is reached directly.
-        ("F a & F b", [0, 1, 0], luck((UNLUCKY, 0.0)), Episode(COMPLETE, 2, 3)),
+        ("F a & F b", [0, 1, 0], luck((UNLUCKY, 0.0)), EpisodeResult(COMPLETE, 2, 3)),
         # What was reached stays known: going there again is no exploration.
-        ("F (a & F (b & F a))", [0, 1, 0], luck(), Episode(COMPLETE, 2, 3)),
+        ("F (a & F (b & F a))", [0, 1, 0], luck(), EpisodeResult(COMPLETE, 2, 3)),
         # An object that the formula does not name is nothing to the automaton.
-        ("F bed", [3, 0], luck(), Episode(COMPLETE, 2, 2)),
-        ("X bed", [NOTHING, 0], luck(), Episode(COMPLETE, 1, 1)),
-        ("X bed", [3, 0], luck(), Episode(COMPLETE, 2, 2)),
-        ("F bed & !bed", [0], luck(), Episode(VIOLATED, 1, 1)),
+        ("F bed", [3, 0], luck(), EpisodeResult(COMPLETE, 2, 2)),
+        ("X bed", [NOTHING, 0], luck(), EpisodeResult(COMPLETE, 1, 1)),
+        ("X bed", [3, 0], luck(), EpisodeResult(COMPLETE, 2, 2)),
+        ("F bed & !bed", [0], luck(), EpisodeResult(VIOLATED, 1, 1)),
     ],
 )
 def test_run(formula, targets, draws, expected):
@@ -89,7 +89,7 @@ def test_success_on_the_last_decision_counts():
     problem, decisions = problem_of("F a", others=0), iter(range(MAX_DECISIONS))
     last = MAX_DECISIONS - 1
     episode = run_episode(problem, 1.0, lambda s: 0 if next(decisions) == last else NOTHING, luck())
-    assert episode == Episode(COMPLETE, 1, 1)
+    assert episode == EpisodeResult(COMPLETE, 1, 1)
 
 
 def test_draws_depend_on_all_their_keys_and_nothing_else():

@@ -10,11 +10,12 @@ import pytest
 from chat_server import completion, send, serving
 from small_house import small_house
 
-from edge.chat import ChatError, CutOffError
+from edge.chat import ChatError, TokenLimitError
 from edge.host.ports import free_port
-from edge.lab.eval.columns import make_columns
+from edge.lab.eval.columns import make_arms
 from edge.lab.eval.drive import in_process, run_episode
-from edge.lab.eval.episodes import make_episode, sensing_of
+from edge.lab.eval.episodes import make_episode, sensing_settings
+from edge.lab.eval.planning.delexicalised import compiled, delexicalise
 from edge.lab.eval.planning.executor import (
     COMPLETE,
     DONE,
@@ -22,10 +23,9 @@ from edge.lab.eval.planning.executor import (
     INVALID,
     NO_ANSWER,
     VIOLATED,
-    Problem,
-    Situation,
+    PlannerInput,
+    PlanningProblem,
 )
-from edge.lab.eval.planning.lifted import compiled, lift
 from edge.lab.eval.planning.llm_planner import (
     MAX_QUESTIONS,
     LlmPlanner,
@@ -37,13 +37,13 @@ from edge.lab.eval.planning.llm_planner import (
 )
 from edge.lab.eval.planning.planners import PLANNERS
 from edge.lab.eval.planning.sweep import NOT_RUN, Settings, run_tasks
-from edge.lab.eval.planning.templates import SPOKEN, Task, generate
+from edge.lab.eval.planning.templates import SPOKEN, BenchmarkTask, generate
 from edge.mission.logic.ltl import parse, propositions
-from edge.mission.planning.planner import Knowledge
+from edge.mission.planning.planner import MissionKnowledge
 
 FORMULA = parse("F (bed & F houseplant) & G !sofa")
 SENTENCE = "Reach a bed and then a potted plant. Never reach a couch."
-TASK = Task(7, "own", propositions(FORMULA), SENTENCE, FORMULA)
+TASK = BenchmarkTask(7, "own", propositions(FORMULA), SENTENCE, FORMULA)
 SETTINGS = Settings(("vitl",), (1.0,))
 
 
@@ -76,7 +76,7 @@ def run_one(answer):
 
 def test_prompt_is_the_papers():
     # World: bed, houseplant, sofa, then chair, toilet, television.
-    text = prompt(TASK, Situation(0, seen=0b110011, reached=0b1, order=(0, 0)))
+    text = prompt(TASK, PlannerInput(0, seen=0b110011, reached=0b1, order=(0, 0)))
     assert text.splitlines() == [
         "Role: You are a navigation planner. Determine the next target object for an agent to "
         "satisfy the task as fast as possible.",
@@ -126,7 +126,7 @@ def test_outcomes(answers, outcome):
 def test_rambling_is_the_models_failure_and_going_in_circles_ends():
     def rambling(*words):
         def ramble(question):
-            raise CutOffError("too long", words[question.count("[bed")])
+            raise TokenLimitError("too long", words[question.count("[bed")])
 
         return ramble
 
@@ -141,7 +141,7 @@ def test_same_question_is_asked_once():
     asked = []
     choose = llm_chooser(TASK, lambda q: asked.append(q) or "TARGET: bed")
     for draw in (0.1, 0.9):
-        assert choose(Situation(0, draw=draw)) == 0
+        assert choose(PlannerInput(0, draw=draw)) == 0
     assert len(asked) == 1
 
 
@@ -151,8 +151,8 @@ def perfect(tasks):
 
     def answer(question):
         task = by_sentence[re.search(r"Task: (.*)", question)[1]]
-        lifted = lift(task.formula)
-        problem = Problem.of(lifted.automaton, lifted.others)
+        lifted = delexicalise(task.formula)
+        problem = PlanningProblem.of(lifted.automaton, lifted.others)
         spoken = [SPOKEN.get(name, name) for name in task.objects]
         order = re.search(r"order\): \[(.*)\]", question)[1].split(", ")
         reached = [spoken.index(word) for word in order if word]
@@ -160,7 +160,7 @@ def perfect(tasks):
         state, seen = 0, sum(1 << spoken.index(word) for word in observed if word in spoken)
         for i in reached:
             state, seen = problem.moves[state, i], seen | 1 << i
-        target = PLANNERS["optimal"].make(problem)(1.0)(Situation(state, seen))
+        target = PLANNERS["optimal"].make(problem)(1.0)(PlannerInput(state, seen))
         return f"TARGET: {spoken[target]}"
 
     return answer
@@ -233,10 +233,15 @@ def planning(*rules: tuple[str, str]):
 @pytest.mark.parametrize(
     ("said", "knowledge", "target", "reason"),
     [
-        ("TARGET: couch", Knowledge(), "sofa", "chosen by the language model"),
-        ("DONE", Knowledge(), None, "names no target"),
-        ("TARGET: piano", Knowledge(), None, "names no target"),
-        ("TARGET: bed", Knowledge(failed=frozenset({"bed"})), None, "asks for bed, which failed"),
+        ("TARGET: couch", MissionKnowledge(), "sofa", "chosen by the language model"),
+        ("DONE", MissionKnowledge(), None, "names no target"),
+        ("TARGET: piano", MissionKnowledge(), None, "names no target"),
+        (
+            "TARGET: bed",
+            MissionKnowledge(failed=frozenset({"bed"})),
+            None,
+            "asks for bed, which failed",
+        ),
     ],
 )
 def test_what_the_model_says_is_the_plan(said, knowledge, target, reason):
@@ -251,8 +256,11 @@ def test_what_the_model_says_is_the_plan(said, knowledge, target, reason):
 def test_no_step_is_left_where_the_mission_is_fulfilled_or_what_is_named_leads_no_further():
     with planning(("", "TARGET: bed")) as (planner, server):
         bed = AUTOMATON.step(0, "bed")
-        assert "leads no further" in planner.plan(bed, Knowledge(reached=frozenset({"bed"}))).reason
-        assert planner.plan(AUTOMATON.step(bed, "sofa"), Knowledge()).feasible
+        assert (
+            "leads no further"
+            in planner.plan(bed, MissionKnowledge(reached=frozenset({"bed"}))).reason
+        )
+        assert planner.plan(AUTOMATON.step(bed, "sofa"), MissionKnowledge()).feasible
         assert len(server.requests) == 1
 
 
@@ -271,10 +279,12 @@ def test_a_column_of_missions_may_be_planned_by_a_model(tmp_path, rules, success
             "kind": "edge.lab.eval.planning.llm_planner:LlmPlanner",
             "options": {"url": server.url},
         }
-        (column,) = make_columns(config, {"llm": {"mission": {"planner": planner}}})
+        (column,) = make_arms(config, {"llm": {"mission": {"planner": planner}}})
         start = (1.0, 2.0, 0.0)
         world = config.sim.world.model_dump(mode="json")
-        episode = make_episode(world, "small", start, 5.0, sensing_of(config), instruction=MISSION)
+        episode = make_episode(
+            world, "small", start, 5.0, sensing_settings(config), instruction=MISSION
+        )
         outcome = run_episode(column, episode, in_process)
     assert (outcome.success, reason in outcome.reason) == (success, True), outcome.reason
 
@@ -283,7 +293,7 @@ def test_a_server_that_is_not_there_is_no_failure_of_the_model(tmp_path):
     config = small_house(tmp_path)
     options = {"url": f"http://127.0.0.1:{free_port()}/v1"}
     planner = {"kind": "edge.lab.eval.planning.llm_planner:LlmPlanner", "options": options}
-    (column,) = make_columns(config, {"llm": {"mission": {"planner": planner}}})
+    (column,) = make_arms(config, {"llm": {"mission": {"planner": planner}}})
     world = config.sim.world.model_dump(mode="json")
     episode = make_episode(world, "small", (1.0, 2.0, 0.0), 5.0, {}, instruction=MISSION)
     outcome = run_episode(column, episode, in_process)

@@ -9,7 +9,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from edge.lab.eval.planning.executor import DONE, Problem, Situation
+from edge.lab.eval.planning.executor import DONE, PlannerInput, PlanningProblem
 from edge.lab.eval.planning.executor import NOTHING as WAIT
 from edge.lab.eval.planning.optimum import MAX_VALUES, Optimum, solvable
 from edge.mission.logic.automaton import NOTHING, compile_formula
@@ -112,21 +112,21 @@ class Exploration:
         return self._steps.get(state, math.inf)
 
 
-def problem_of(text: str, others: int = 0) -> Problem:
-    return Problem.of(compile_formula(parse(text)), others)
+def problem_of(text: str, others: int = 0) -> PlanningProblem:
+    return PlanningProblem.of(compile_formula(parse(text)), others)
 
 
 @pytest.mark.parametrize(("text", "best"), [("true", DONE), ("F a & G !a", DONE), ("X a", WAIT)])
 def test_nothing_to_go_to(text, best):
-    assert Optimum(problem_of(text), 0.5).choose(Situation(0)) == best
+    assert Optimum(problem_of(text), 0.5).choose(PlannerInput(0)) == best
 
 
 def test_looking_for_another_thing_can_be_better_luck():
     """At p_obs = 0.1 the tv's attempt, which serves nothing else, shows the chair 9 times of 10."""
     problem = problem_of("F chair & (F tv | true)")
     letters = problem.automaton.letters
-    assert letters[Optimum(problem, 0.1).choose(Situation(0))] == "tv"
-    assert letters[Optimum(problem, 0.5).choose(Situation(0))] == "chair"
+    assert letters[Optimum(problem, 0.1).choose(PlannerInput(0))] == "tv"
+    assert letters[Optimum(problem, 0.5).choose(PlannerInput(0))] == "chair"
 
 
 @pytest.mark.parametrize(

@@ -7,15 +7,15 @@ from itertools import permutations
 import numpy as np
 import pytest
 
+from edge.lab.eval.planning.delexicalised import delexicalise, world_of
 from edge.lab.eval.planning.executor import (
     COMPLETE,
     MAX_DECISIONS,
     NOTHING,
-    Problem,
+    PlanningProblem,
     draws_of,
     run_episode,
 )
-from edge.lab.eval.planning.lifted import lift, world_of
 from edge.lab.eval.planning.optimum import Optimum
 from edge.lab.eval.planning.planners import PLANNERS, valid_targets
 from edge.lab.eval.planning.sweep import Settings, run_tasks
@@ -32,9 +32,9 @@ CASE_2 = parse(
 )
 
 
-def problem_of(formula) -> Problem:
-    lifted = lift(formula)
-    return Problem.of(lifted.automaton, lifted.others)
+def problem_of(formula) -> PlanningProblem:
+    lifted = delexicalise(formula)
+    return PlanningProblem.of(lifted.automaton, lifted.others)
 
 
 def way(formula, planner: str, p_obs: float = 1.0) -> tuple[str, ...]:
@@ -61,7 +61,7 @@ def test_case_studies_under_the_weak_until(planner):
 
 def test_case_studies_optima_are_what_brute_force_finds():
     def optima(formula):
-        automaton = lift(formula).automaton
+        automaton = delexicalise(formula).automaton
         objects = propositions(formula)
         words = permutations(range(6), 3)
         found = [w for w in words if automaton.accepts([automaton.letters[i] for i in w])]
@@ -111,7 +111,7 @@ def test_simulation_agrees_with_the_exact_value():
         assert all(run.outcome == COMPLETE for run in runs)
         counts = np.array([run.explorations for run in runs])
         error = counts.std(ddof=1) / np.sqrt(episodes)
-        exact = optimum.value[0, problem.n_objects - problem.n_letters, 0]
+        exact = optimum.value[0, problem.n_objects - problem.n_propositions, 0]
         assert abs(counts.mean() - exact) < 4.5 * error + 1e-3, task.sentence
 
 

@@ -9,16 +9,16 @@ import pytest
 
 from edge.lab.eval.planning.executor import COMPLETE, VIOLATED
 from edge.lab.eval.planning.report import rows_of
-from edge.lab.eval.planning.sweep import NOT_RUN, Results
+from edge.lab.eval.planning.sweep import NOT_RUN, SweepResults
 
 
-def results_of(planners, outcome, explorations, steps, bound, p_obs=(0.5,)) -> Results:
+def results_of(planners, outcome, explorations, steps, bound, p_obs=(0.5,)) -> SweepResults:
     shape = (len(planners), len(p_obs), len(bound), 1)
 
     def array(data, dtype):
         return np.array(data, dtype).reshape(shape)
 
-    return Results(
+    return SweepResults(
         tuple(planners), tuple(p_obs), array(outcome, np.int8), array(explorations, np.int32),
         array(steps, np.int32), np.array(bound, np.int32),
     )  # fmt: skip

@@ -120,12 +120,12 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
         import signal, sys, time
         from edge.cli.parsers import make_parser
         from edge.lab.eval.planning import run as command
-        from edge.host import bars
+        from edge.host import progress
         def reach(bar, done):
             print("working", flush=True)
             time.sleep(3600)
         if __name__ == "__main__":
-            bars.Bar.reach = reach
+            progress.Bar.reach = reach
             # Who was started in the background by a shell script ignores it.
             signal.signal(signal.SIGINT, signal.default_int_handler)
             args = make_parser().parse_args(["eval", "planning", *sys.argv[1:]])

@@ -8,7 +8,7 @@ from collections import Counter
 import pytest
 
 from edge import names
-from edge.lab.eval.planning.lifted import HM3D_OBJECTS, lift
+from edge.lab.eval.planning.delexicalised import HM3D_OBJECTS, delexicalise
 from edge.lab.eval.planning.templates import (
     FAMILIES,
     JOINTS,
@@ -80,7 +80,7 @@ def test_tasks_are_distinct_can_be_fulfilled_and_name_their_objects(tasks):
     assert [task.id for task in tasks] == list(range(400))
     assert len({task.formula for task in tasks}) == len({task.sentence for task in tasks}) == 400
     for task in tasks:
-        assert lift(task.formula).automaton.steps_left[0] > 0
+        assert delexicalise(task.formula).automaton.steps_left[0] > 0
         assert task.objects == propositions(task.formula)
         assert set(task.objects) <= set(HM3D_OBJECTS)
         assert parse(to_text(task.formula)) == task.formula

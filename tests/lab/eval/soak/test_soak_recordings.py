@@ -9,7 +9,7 @@ import pytest
 from recordings import Recording
 from simulated import simulated
 
-from edge.lab.eval.soak.recordings import FIRST, Recordings, below
+from edge.lab.eval.soak.recordings import FIRST, RecordingCheck, below
 from edge.recording.file import PARTIAL
 from edge.recording.rolling import files_of
 
@@ -17,9 +17,9 @@ NAME = "edge-20261126T010203.000Z.mcap"
 MCAP = {"kind": "mcap", "options": {"folder": "elsewhere", "keep_mb": 512}}
 
 
-def recorded(out: Path) -> Recordings:
+def recorded(out: Path) -> RecordingCheck:
     config = simulated({"sinks": ["zenoh", MCAP]})
-    return Recordings(config.model_copy(update={"sinks": below(config.sinks, out)}), out)
+    return RecordingCheck(config.model_copy(update={"sinks": below(config.sinks, out)}), out)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def lay(out: Path, content: bytes, name: str = NAME) -> Path:
 
 
 def test_where_nothing_records_nothing_is_held(tmp_path):
-    recordings = Recordings(simulated(), tmp_path)
+    recordings = RecordingCheck(simulated(), tmp_path)
     recordings.look()
     assert recordings.judge() == {}
     assert recordings.problem == ""

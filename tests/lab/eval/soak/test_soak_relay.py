@@ -11,7 +11,7 @@ from live_patience import eventually
 from edge.bus import topics
 from edge.bus.session import Ring, zenoh_session
 from edge.bus.wire import messages
-from edge.config import Zenoh
+from edge.config import ZenohConfig
 from edge.geometry import SE2
 from edge.host.ports import free_port
 from edge.lab.eval.soak import relay
@@ -58,7 +58,7 @@ def test_garbage_comes_before_what_is_well(payload):
 
 
 def test_it_passes_both_ways_until_it_is_cut():
-    robot, service = (Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}") for _ in range(2))
+    robot, service = (ZenohConfig(endpoint=f"tcp/127.0.0.1:{free_port()}") for _ in range(2))
     stop = threading.Event()
     with zenoh_session(service, "listen") as at_service:
         seen = Ring(at_service, service.key(topics.ODOMETRY.key), 16)

@@ -10,10 +10,10 @@ import pytest
 
 from edge.errors import UserError
 from edge.lab.eval.soak.faults import FAULTS, Fault
-from edge.lab.eval.soak.schedule import Drawn, make, rounds
+from edge.lab.eval.soak.schedule import ScheduledFault, make, rounds
 
 
-def drawn(seed: int, n: int) -> list[tuple[Drawn, ...]]:
+def drawn(seed: int, n: int) -> list[tuple[ScheduledFault, ...]]:
     return list(islice(rounds(FAULTS, np.random.default_rng(seed)), n))
 
 
@@ -28,7 +28,7 @@ def test_every_round_has_all_faults_and_each_seed_another_order():
 def run(faults: list[Fault]) -> tuple[list[str], str]:
     """What was said of them, and what came of it."""
     watch = SimpleNamespace(mutes=False)
-    steps = make([Drawn(fault, 0.0) for fault in faults], None, watch, None)
+    steps = make([ScheduledFault(fault, 0.0) for fault in faults], None, watch, None)
     while True:
         try:
             next(steps)

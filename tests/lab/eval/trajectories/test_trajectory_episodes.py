@@ -9,7 +9,7 @@ import pytest
 
 from edge.lab.eval.trajectories.episodes import episodes
 from edge.lab.eval.trajectory_metrics import contacts
-from edge.tasks.chain import Chain, boxes_alone
+from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks
 from edge.types import Detections
 
 SOURCES = {
@@ -51,7 +51,7 @@ def test_what_a_detector_misses_is_not_in_the_scene_but_meant(shared_dir):
         return Detections(observation, none.reshape(0, 4), none, none.astype(np.int32), tuple(tags))
 
     spec = [SOURCES["kitti"].format(shared_dir)]
-    blind = Chain(lambda observation: ("car",), boxes, boxes_alone)
+    blind = PerceptionPipeline(lambda observation: ("car",), boxes, boxes_as_masks)
     (told,), (seen,) = (list(episodes(spec, 1, chain)) for chain in (None, blind))
     assert (seen.id, seen.task.instruction) == (told.id, told.task.instruction)
     np.testing.assert_array_equal(seen.truth.cells, told.truth.cells)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from edge.lab.eval.trajectories.outdoor import LEAST_POINTS, ROBOT_M, outdoor_episode
-from edge.lab.eval.trajectory_metrics import likeness
+from edge.lab.eval.trajectory_metrics import trajectory_scores
 from edge.tasks.refine import refine
-from edge.tasks.value_map import Body
+from edge.tasks.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 NUMBERS = range(16)
@@ -57,8 +57,8 @@ def test_the_scan_is_a_lidars(number):
 @pytest.mark.parametrize("number", NUMBERS)
 def test_what_the_rule_leads_by_can_be_refined(number):
     this = episode(number)
-    got = refine(this.scene, this.task.segments, (), Body(ROBOT_M, 1.0), LIMITS)
-    like = likeness(got.poses[:, :2], this.task.reference_m, this.scene.occupancy, ROBOT_M)
+    got = refine(this.scene, this.task.segments, (), PathMargins(ROBOT_M, 1.0), LIMITS)
+    like = trajectory_scores(got.poses[:, :2], this.task.reference_m, this.scene.occupancy, ROBOT_M)
     assert (like.success, like.contacts) == (True, 0)
     assert got.off_region_m == 0.0
 

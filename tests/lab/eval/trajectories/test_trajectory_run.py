@@ -10,15 +10,15 @@ from chat_server import saying, serving
 from made_episodes import episode
 
 from edge.cli.main import main
-from edge.config import Tasks, WriterModel
+from edge.config import TasksConfig, WriterModel
 from edge.errors import UserError
 from edge.lab.eval.trajectories import methods
 from edge.lab.eval.trajectories.episodes import episodes
 from edge.lab.eval.trajectories.methods import METHODS, make, methods_of
-from edge.lab.eval.trajectories.outcomes import Folder, gather
+from edge.lab.eval.trajectories.outcomes import ResultsFolder, gather
 from edge.lab.eval.trajectories.run import run_all
 
-RULES = Tasks()
+RULES = TasksConfig()
 PAST = "drive past the left of the van, then stop at the gate"
 SCRIPT = """```python
 way = a_star_plan(robot()["position"], det_object("gate")[0]["nearest_reachable"][1])
@@ -31,7 +31,7 @@ def ran(found, names, folder, config=RULES):
 
 
 def test_no_episodes(tmp_path):
-    folder = Folder(tmp_path / "new")
+    folder = ResultsFolder(tmp_path / "new")
     assert ran([], ["ours"], folder) == []
     assert gather([], []).methods == ()
 
@@ -53,7 +53,7 @@ def test_each_method_does_what_it_is_told():
 
 
 def test_a_refusal_is_a_failure_and_the_robot_stays(tmp_path):
-    folder = Folder(tmp_path)
+    folder = ResultsFolder(tmp_path)
     there = episode("go to the elephant", to_m=(0.5, 0.0))
     for outcome in ran([there], list(methods_of(RULES)), folder):
         assert (outcome.success, outcome.refused) == (False, "not understood")
@@ -63,11 +63,11 @@ def test_a_refusal_is_a_failure_and_the_robot_stays(tmp_path):
 
 
 def test_what_is_there_is_not_run_again(tmp_path, monkeypatch):
-    first = ran([episode(PAST)], ["ours"], Folder(tmp_path))
+    first = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path))
     text = (tmp_path / "outcomes.jsonl").read_bytes()
     (tmp_path / "outcomes.jsonl").write_bytes(text + b'{"episode": "bro')
     monkeypatch.setattr("edge.lab.eval.trajectories.run.make", None)
-    assert ran([episode(PAST)], ["ours"], Folder(tmp_path)) == first
+    assert ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path)) == first
     assert (tmp_path / "outcomes.jsonl").read_bytes() == text
 
 
@@ -77,17 +77,17 @@ def test_a_crash_is_told_and_run_again(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(methods, "write", broken)
-        (outcome,) = ran([episode(PAST)], ["ours"], Folder(tmp_path))
+        (outcome,) = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path))
     assert (outcome.refused, outcome.success) == ("crashed", False)
     assert "\n" not in outcome.reason
-    (outcome,) = ran([episode(PAST)], ["ours"], Folder(tmp_path))
+    (outcome,) = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path))
     assert outcome.refused == ""
 
 
 def test_a_model_writes_with_a_picture_and_without(tmp_path):
     with serving(saying(SCRIPT)) as server:
-        config = Tasks(planner=WriterModel(url=server.url, model="small"))
-        found = ran([episode("go to the gate")], list(METHODS), Folder(tmp_path), config)
+        config = TasksConfig(planner=WriterModel(url=server.url, model="small"))
+        found = ran([episode("go to the gate")], list(METHODS), ResultsFolder(tmp_path), config)
         asked = [request["messages"][1]["content"] for _, _, request in server.requests]
     assert {outcome.writer for outcome in found} == {"small"}
     assert [outcome.refused for outcome in found] == [""] * len(METHODS)
@@ -97,8 +97,8 @@ def test_a_model_writes_with_a_picture_and_without(tmp_path):
 
 def test_an_answer_that_comes_too_late_is_a_failure(tmp_path):
     with serving(lambda handler: server.stopping.wait(20.0)) as server:
-        config = Tasks(planner=WriterModel(url=server.url, time_limit_s=0.2))
-        (outcome,) = ran([episode(PAST)], ["ours"], Folder(tmp_path), config)
+        config = TasksConfig(planner=WriterModel(url=server.url, time_limit_s=0.2))
+        (outcome,) = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path), config)
     assert (outcome.refused, outcome.success) == ("too late", False)
     assert "no whole answer within 0.2 s" in outcome.reason
 

@@ -10,8 +10,8 @@ from made_episodes import facts, outcome
 
 from edge.errors import UserError
 from edge.lab.eval.trajectories import pictures, tables
-from edge.lab.eval.trajectories.meaning import CATEGORIES
-from edge.lab.eval.trajectories.outcomes import Folder, gather
+from edge.lab.eval.trajectories.outcomes import ResultsFolder, gather
+from edge.lab.eval.trajectories.references import CATEGORIES
 
 FACTS = [facts(k, CATEGORIES[k % 3], ("to", "past", "then")[k % 3]) for k in range(12)]
 OURS = [outcome(k, error_m=0.5 + (k % 4)) for k in range(12)]
@@ -70,7 +70,7 @@ def test_pictures_take_hostile_words_as_they_are():
 def test_a_folder_of_something_else_is_told_in_a_line(tmp_path, name, line):
     (tmp_path / name).write_bytes(line + b"\n")
     with pytest.raises(UserError, match=f"{name}: line 1: not an") as told:
-        Folder(tmp_path)
+        ResultsFolder(tmp_path)
     assert "\n" not in str(told.value)
 
 

@@ -1,0 +1,239 @@
+"""`edge mission`: start, pause, resume, cancel and query missions of a service or a fleet.
+
+The command line takes the arguments from here, so nothing expensive is imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+
+from edge.bus import client
+from edge.cli.options import CONFIG, WHERE, count, dispatch_on_option, lazy_handler, positive
+from edge.text import one_line
+
+ANSWER_S = 5.0
+_ROW_CHARS = 1000
+NEW_S = 120.0  # a language model may be asked twice, and the mission compiled
+
+PATIENCE_S = 10.0
+_TEXT = {"help": "instruction in words, for mission.translator of the configuration"}
+_ROBOTS = {"nargs": "*", "metavar": "ROBOT", "help": "with --fleet: names of robots; default: all"}
+
+_VERBS = {
+    "new": "start a mission, in place of the running one",
+    "pause": "stop the robot, and keep the mission",
+    "resume": "continue after a pause",
+    "cancel": "end the running mission",
+    "status": "show the state of the mission",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-def]
+    """Add a subcommand for each verb; return the subparsers, so that others can be added."""
+    actions = parser.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
+    for verb, text in _VERBS.items():
+        is_new = verb == "new"
+        action = actions.add_parser(verb, help=text)
+        option = action.add_argument
+        option("config", help=f"{CONFIG}; with --fleet {WHERE}")
+        option("text" if is_new else "robots", **_TEXT if is_new else _ROBOTS)
+        option(
+            "--timeout", type=_seconds, metavar="S",
+            help=f"time to wait for the answer (default: {NEW_S if is_new else ANSWER_S:g})",
+        )  # fmt: skip
+        option("--json", action="store_true", help="print the answer as JSON")
+        option(
+            "--fleet",
+            action="store_true",
+            help="send it to the robots of a fleet, not to one service",
+        )
+        alone, of_fleet = ((), ("--robots",)) if not is_new else _add_new(action)
+        function = lazy_handler("edge.cli.fleet", "new" if is_new else "ask")
+        dispatch_on_option(action, "--fleet", function, of_fleet, run, alone)
+    return actions
+
+
+def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Add the options of `new`; return those only without `--fleet`, and those only with it."""
+    kind = action.add_mutually_exclusive_group()
+    kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
+    kind.add_argument("--task", action="store_true", help="TEXT describes a path to drive")
+    add_reading(kind)
+    fleet = action.add_argument_group("with --fleet")
+    whom = fleet.add_mutually_exclusive_group()
+    whom.add_argument(
+        "--to", nargs="+", metavar="ROBOT", help="send the whole mission to each of these robots; "
+        "default: `any`, the free robot that knows most of the objects and is nearest to them",
+    )  # fmt: skip
+    whom.add_argument(
+        "--share", action="store_true", help="divide the mission among several robots, if possible"
+    )
+    fleet.add_argument(
+        "--anew",
+        action="store_true",
+        help="start again, although the same mission is still running",
+    )
+    fleet.add_argument(
+        "--patience", type=positive, metavar="S", help="time to wait for a lost robot before "
+        f"another one gets its part (default: {PATIENCE_S:g})",
+    )  # fmt: skip
+    return ("--task", "--reading", "--timeout"), ("--to", "--share", "--anew", "--patience")
+
+
+def add_reading(parser) -> None:  # type: ignore[no-untyped-def]
+    """Add the option that chooses a reading of an ambiguous instruction."""
+    parser.add_argument(
+        "--reading", type=count, metavar="N",
+        help="number of the reading that is meant, if the instruction is ambiguous",
+    )  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge mission new | pause | resume | cancel | status`.
+
+    Raises:
+        RequestError: no service is running, it does not answer, or it refuses.
+        ConfigError: the configuration cannot be read.
+    """
+    from edge.bus import topics
+    from edge.config import load
+
+    settings = load(args.config).zenoh
+    request = {"do": args.do}
+    if args.do == "new":
+        kind = "formula" if args.formula else "task" if args.task else "instruction"
+        request[kind] = args.text
+        if args.reading is not None:
+            request["reading"] = args.reading
+    key = settings.key(topics.MISSION_REQUEST)
+    timeout_s = args.timeout or (NEW_S if args.do == "new" else ANSWER_S)
+    with client.connect(settings, timeout_s, "mission") as session:
+        answer = client.send_request(session, key, request, timeout_s, "mission")
+    print(json.dumps(answer, indent=2) if args.json else as_text(answer))
+    return 0
+
+
+def as_text(answer: dict) -> str:
+    """Return the answer as text, one line for each field of `_ROWS` that it has."""
+    rows = [(name, one_line(format_row(answer), _ROW_CHARS)) for name, format_row in _ROWS.items()]
+    width = max(map(len, _ROWS)) + 2
+    return "\n".join(f"{name + ':':{width}}{text}" for name, text in rows if text) or "done"
+
+
+def _text(key: str, between: str = ", ") -> Callable[[dict], str]:
+    """Return a function that formats the value of a key; a list is joined, None is empty."""
+
+    def format_value(answer: dict) -> str:
+        value = answer.get(key)
+        if isinstance(value, list):
+            return between.join(str(entry) or "nothing for a step" for entry in value)
+        return "" if value is None else str(value)
+
+    return format_value
+
+
+def _state(answer: dict) -> str:
+    state, states = answer.get("state"), answer.get("states")
+    known = isinstance(state, int) and isinstance(states, int)
+    return f"{state} (of 0 … {states - 1})" if known else _text("state")(answer)
+
+
+def _phase(answer: dict) -> str:
+    paused = "paused (continue with `edge mission resume`)" if answer.get("paused") else ""
+    return "; ".join(filter(None, [paused, _text("phase")(answer), _text("reason")(answer)]))
+
+
+def _amiss(answer: dict) -> str:
+    """Return the reasons why the robot is not ready, as in `/readyz`."""
+    robot = answer.get("robot")
+    return _text("amiss", "; ")(robot) if isinstance(robot, dict) else ""
+
+
+def _reading(answer: dict) -> str:
+    """Return the number of the reading that was chosen, such as `1 of 2`."""
+    reading, readings = answer.get("reading"), answer.get("readings")
+    return f"{reading} of {len(readings)}" if reading and isinstance(readings, list) else ""
+
+
+def _overtaken(answer: dict) -> str:
+    number = answer.get("overtaken")
+    return f"{number} missions that were waiting to start" if number else ""
+
+
+def _of_task(format_task: Callable[[dict], str]) -> Callable[[dict], str]:
+    """Return a function that formats the task of an answer, if it has one."""
+
+    def format_answer(answer: dict) -> str:
+        task = answer.get("task")
+        return format_task(task) if isinstance(task, dict) else ""
+
+    return format_answer
+
+
+def _trajectory(task: dict) -> str:
+    length_m, driven_m, again = (task.get(key) for key in ("length_m", "driven_m", "refinements"))
+    if not task.get("trajectory") or not _are_numbers(length_m, driven_m):
+        return ""
+    more = again - 1 if _are_numbers(again) else 0
+    changed = f", refined again {more:g} times because the map changed" if more > 0 else ""
+    return f"{driven_m:.1f} of {length_m:.1f} m driven{changed}"
+
+
+def _steps(task: dict) -> str:
+    """Return the state of each step, if there are several."""
+    steps = task.get("steps")
+    if not isinstance(steps, list) or len(steps) < 2:
+        return ""
+    valid = (step for step in steps if isinstance(step, dict))
+    return "; ".join(f"{step.get('state')}: {step.get('said')}" for step in valid)
+
+
+def _answers(task: dict) -> str:
+    """Return the number of a model's answers, and the error of the newest one."""
+    answers, rounds = task.get("answers"), task.get("rounds")
+    if not _are_numbers(answers) or not answers:
+        return ""
+    newest = rounds[-1] if isinstance(rounds, list) and rounds else None
+    error = newest.get("error") if isinstance(newest, dict) else None
+    return f"{answers:g}" + (f", the newest: {error}" if error else "")
+
+
+def _are_numbers(*values: object) -> bool:
+    return all(type(value) in (int, float) for value in values)
+
+
+_ROWS: dict[str, Callable[[dict], str]] = {
+    "stopped": _overtaken,
+    "instruction": _text("instruction"),
+    "understood": _text("english"),
+    "reading": _reading,
+    "formula": _text("formula"),
+    "warning": _text("warnings"),
+    "state": _state,
+    "phase": _phase,
+    "not ready": _amiss,
+    "target": _text("target"),
+    "why": _text("why"),
+    "plan": _text("plan", ", then "),
+    "seen": _text("detected"),
+    "reached": _text("reached"),
+    "failed": _text("failed"),
+    "forbidden": _text("forbidden"),
+    "task": _of_task(_text("phase")),
+    "steps": _of_task(_steps),
+    "written by": _of_task(_text("writer")),
+    "read as": _of_task(_text("understood")),
+    "missing": _of_task(_text("missing")),
+    "answers": _of_task(_answers),
+    "trajectory": _of_task(_trajectory),
+    "notes": _of_task(_text("notes", "; ")),
+}
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= 3600:
+        raise argparse.ArgumentTypeError(f"must be in (0, 3600], got {text}")
+    return value

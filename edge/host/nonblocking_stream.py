@@ -1,0 +1,105 @@
+"""A non-blocking standard stream: its reader may be slow, stopped, or gone."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import threading
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import TextIO
+
+from edge.host.interruptible import start_detached_thread
+
+MOST_WAITING = 2000
+_END_S = 1.0
+
+
+class NonBlockingStream(io.TextIOBase):
+    """A stream that accepts text without blocking; a thread writes it to the descriptor.
+
+    At most `MOST_WAITING` writes are queued. Further writes are dropped, and a line with their
+    number is written in their place. Errors of the descriptor are ignored.
+
+    Args:
+        stream: stream to write to.
+
+    Raises:
+        OSError: the stream has no descriptor.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self._descriptor = stream, stream.fileno()
+        self._waiting: deque[str] = deque()
+        self._lost = 0
+        self._ends = False
+        self._hand = threading.Condition()
+        self._thread = start_detached_thread("stderr", self._pass_on)
+
+    def write(self, text: str) -> int:
+        """Queue the text without blocking; after `end`, write it to the stream directly."""
+        with self._hand:
+            if not self._ends:
+                if len(self._waiting) < MOST_WAITING:
+                    self._waiting.append(text)
+                else:
+                    self._lost += 1
+                self._hand.notify()
+                return len(text)
+        return self._stream.write(text)
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def end(self) -> None:
+        """Stop queueing, and wait at most 1 s until all text is written."""
+        with self._hand:
+            self._ends = True
+            self._hand.notify()
+        self._thread.join(_END_S)
+
+    def _pass_on(self) -> None:
+        while True:
+            with self._hand:
+                while not (self._waiting or self._ends):
+                    self._hand.wait()
+                texts = [self._waiting.popleft() for _ in range(len(self._waiting))]
+                if self._lost:
+                    texts.append(
+                        f"({self._lost} lines of output were dropped: the reader is too slow)\n"
+                    )
+                    self._lost = 0
+            if not texts:
+                return
+            # Not through the stream's buffer, whose lock the interpreter needs at exit.
+            with suppress(OSError):
+                _write_all(self._descriptor, "".join(texts).encode("utf-8", "backslashreplace"))
+
+
+def _write_all(descriptor: int, content: bytes) -> None:
+    left = memoryview(content)
+    while left:
+        left = left[os.write(descriptor, left) :]
+
+
+@contextmanager
+def nonblocking_stderr() -> Iterator[None]:
+    """Replace `sys.stderr` with an `NonBlockingStream` in this block, if it has a descriptor."""
+    stderr = sys.stderr
+    try:
+        outlet = NonBlockingStream(stderr)
+    except (OSError, AttributeError):  # captured in memory, so it never blocks
+        yield
+        return
+    stderr.flush()
+    sys.stderr = outlet
+    try:
+        yield
+    finally:
+        outlet.end()
+        sys.stderr = stderr

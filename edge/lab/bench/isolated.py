@@ -1,0 +1,76 @@
+"""Runner of one measurement in its own process: `python -m MODULE JOB OUT`, both pickled.
+
+The measured time and memory then belong to this model only, and a crash ends only this process.
+"""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from edge.errors import UserError
+from edge.host.children import python_module
+from edge.host.private_folder import private_folder
+from edge.logs import setup
+from edge.text import one_line
+
+
+def main(argv: list[str], measure: Callable[[Any], Any]) -> int:
+    """Run in the child process: measure one job and write the result.
+
+    Args:
+        argv: paths of the job file and of the result file, both pickles.
+        measure: function that maps the job to its result.
+
+    Returns:
+        The exit status: 0, or 1 with one line on stdout that says why.
+    """
+    setup("error")
+    job, out = map(Path, argv)
+    try:
+        out.write_bytes(pickle.dumps(measure(pickle.loads(job.read_bytes()))))
+    except UserError as error:
+        print(one_line(error, 1000))
+        return 1
+    except Exception as error:  # a runtime error fails one row of the table, not the benchmark
+        print(one_line(f"{type(error).__name__}: {error}"))
+        return 1
+    return 0
+
+
+def run_isolated(module: str, job: object, limit_s: float, key: str = "") -> Any:
+    """Run a measurement in its own process.
+
+    Args:
+        module: module to run; it must call `main`.
+        job: argument of its `measure` function; must be picklable.
+        limit_s: the process is killed after this time.
+        key: origin of the limit, for the error message.
+
+    Returns:
+        The result, or one line of text (str) that says why there is none.
+    """
+    with private_folder("edge-bench-") as folder:
+        asked, out = folder / "job", folder / "out"
+        asked.write_bytes(pickle.dumps(job))
+        try:
+            done = subprocess.run(
+                [*python_module(module), str(asked), str(out)], stdout=subprocess.PIPE, text=True,
+                errors="replace", check=False, timeout=limit_s,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return f"failed: not done after {limit_s:g} s" + (f" ({key})" if key else "")
+        if done.returncode:
+            return f"failed: {_reason(done)}"
+        return pickle.loads(out.read_bytes())
+
+
+def _reason(done: subprocess.CompletedProcess[str]) -> str:
+    """Return why a process ended: its signal, or its last line on stdout."""
+    if done.returncode < 0:
+        return f"its process was ended by signal {-done.returncode}"
+    lines = done.stdout.split("\n")
+    return next(filter(str.strip, reversed(lines)), f"exit code {done.returncode}")

@@ -1,0 +1,71 @@
+"""Language equivalence of two formulas, with a distinguishing trace if they differ."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from edge.mission.logic.automaton import Automaton, compile_formula, shortest_trace
+from edge.mission.logic.ltl import Formula, postorder, weak_until
+
+Trace = tuple[str, ...]
+
+_compiled = lru_cache(maxsize=8192)(compile_formula)
+
+
+def distinguishing_trace(a: Formula, b: Formula, silent_end: bool = False) -> Trace | None:
+    """Return a shortest trace that only one of the formulas accepts; None if they are equivalent.
+
+    Args:
+        a: a formula.
+        b: the other formula.
+        silent_end: compare the traces as if nothing more were ever reached after them. A formula
+            for infinite traces applies to a mission, which ends, in this way.
+
+    Raises:
+        CompileError: an automaton grows beyond the compiler's limits.
+    """
+    if a == b:
+        return None
+    first, second = _compiled(a), _compiled(b)
+    accepts = [_accepting(automaton, silent_end) for automaton in (first, second)]
+    return shortest_trace(first, second, lambda s, t: bool(accepts[0][s] != accepts[1][t]))
+
+
+def satisfiable(formula: Formula, silent_end: bool = False) -> bool:
+    """Return True if any trace fulfils the formula."""
+    return bool(_accepting(_compiled(formula), silent_end).any())
+
+
+def with_weak_untils(formula: Formula) -> Formula:
+    """Return the formula with each `!x U y` of two propositions replaced by the weak `!x W y`."""
+    done: dict[int, Formula] = {}
+    for node in postorder(formula):
+        args = tuple(done[id(arg)] for arg in node.args)
+        if node.op == "U" and _is_ban(args[0]) and args[1].op == "ap":
+            done[id(node)] = weak_until(*args)
+        else:
+            done[id(node)] = Formula(node.op, args, node.name)
+    return done[id(formula)]
+
+
+def _is_ban(f: Formula) -> bool:
+    return f.op == "!" and f.args[0].op == "ap"
+
+
+def _accepting(automaton: Automaton, silent_end: bool) -> np.ndarray:
+    """Return (n_states,) bool: the accepting states.
+
+    With a silent end, a state counts if it accepts after enough steps in which nothing is reached.
+    Languages of LTLf are star-free, so repeating one proposition always ends in one state.
+    """
+    if not silent_end:
+        return automaton.accepting
+    ends = np.arange(automaton.n_states)
+    for _ in range(automaton.n_states):
+        after = automaton.delta[ends, -1]
+        if np.array_equal(after, ends):
+            break
+        ends = after
+    return automaton.accepting[ends]

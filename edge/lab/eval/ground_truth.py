@@ -1,0 +1,268 @@
+"""Ground-truth logger: the true course of an episode, recorded tick by tick from the simulator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from edge import names
+from edge.config import Config
+from edge.lab.eval.metrics import REACHED_M
+from edge.lab.eval.revisits import RevisitCounter
+from edge.lab.sim.base import World, WorldObject
+from edge.loop.result import TickResult
+from edge.types import Goal, Instance, MissionStatus, Observation
+
+TRAIL_M = 0.25
+MIN_PX = 40  # pixels of an object from which it counts as seen
+CONFIRMED_STATES = ("confirmed", "reached")
+SAME_M = 0.5  # an instance within this distance of an object is that object
+STANDING_M, STANDING_S = 1.0, 60.0  # a robot within this radius for this time is stuck
+
+
+class GroundTruth(NamedTuple):
+    """The simulator's ground truth of one instant.
+
+    Attributes:
+        x_m: x of the robot in `map`.
+        y_m: y of the robot in `map`.
+        yaw_rad: its heading.
+        path_m: driven so far.
+        collisions: so far.
+        ids: (h, w) uint16 object ids of the picture, 0 = none.
+    """
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    path_m: float
+    collisions: int
+    ids: np.ndarray
+
+
+@dataclass
+class FirstSight:
+    """The first time that a target was in view.
+
+    Attributes:
+        seconds: since the start.
+        path_m: driven until then.
+    """
+
+    seconds: float
+    path_m: float
+
+
+class GroundTruthLogger:
+    """Sink that compares the service's results with ground truth.
+
+    Args:
+        config: of the episode.
+        world: the simulated world.
+        truth: returns the ground truth of an observation's stamp [ns].
+
+    Attributes:
+        fault: the first error in this sink. The service ignores errors of its sinks.
+        things: by target, the objects of the world.
+        now: the latest ground truth; None before the first.
+        sights: by target that was seen, the first time.
+        stops: for each `reached` report, the label and the true distance [m].
+        confirmed: by target, the ids of instances that were confirmed correctly.
+        mistaken: ids of instances that were confirmed but are not the target.
+        revisited_m2: floor that a search saw again after an earlier leg of the mission; None for a
+            single target.
+    """
+
+    def __init__(self, config: Config, world: World, truth: Callable[[int], GroundTruth]) -> None:
+        self._world, self._truth = world, truth
+        visible_px(
+            np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.float32), np.zeros(1, bool), 0.0
+        )
+        detector = config.perception.detector
+        simulated = detector.kind == "sim"
+        self._range_m = detector.max_range_m if simulated else config.perception.lift_max_range_m
+        self.fault: Exception | None = None
+        self.now: GroundTruth | None = None
+        self.seconds = 0.0
+        self.things: dict[str, list[WorldObject]] = {}
+        self._target_masks: dict[str, np.ndarray] = {}
+        self.trail: list[list[float]] = []
+        self.goals: list[Goal] = []
+        self.status: MissionStatus | None = None
+        self.first_sights: dict[str, FirstSight] = {}
+        self.stops: list[tuple[str, float]] = []
+        self.confirmed: dict[str, set[int]] = {}
+        self.false_confirmed: set[int] = set()
+        self.revisited_m2: float | None = None
+        self._legs = RevisitCounter(config, world, self._range_m)
+        self._began_ns = 0
+        self._anchor = (0.0, 0.0, 0.0)
+
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        try:
+            self.goals += result.goals
+            self.status = result.status
+            if result.observation is not None:
+                self._on_observation(result, result.observation)
+        except Exception as error:
+            self.fault = self.fault or error
+            raise
+
+    def _on_observation(self, result: TickResult, observation: Observation) -> None:
+        truth = self._truth(observation.stamp_ns)
+        if self.now is None:
+            self._begin(result.targets, truth, observation.stamp_ns)
+        self.now, self.seconds = truth, 1e-9 * (observation.stamp_ns - self._began_ns)
+        self._follow(truth)
+        self._record_sights(truth, observation.depth_m)
+        if result.events:
+            self._judge_steps(result, truth)
+        instances = result.instances()
+        self._judge_instances(instances)
+        if len(result.targets) > 1:
+            self._follow_leg(result.status.target, instances, truth)
+
+    def _begin(self, targets: Sequence[str], truth: GroundTruth, stamp_ns: int) -> None:
+        self.things = {target: named(self._world, target) for target in targets}
+        most = max((thing.id for thing in self._world.objects), default=0)
+        self._target_masks = {
+            target: mask_of(things, most) for target, things in self.things.items()
+        }
+        self.confirmed = {target: set() for target in targets}
+        self._began_ns, self._anchor = stamp_ns, (0.0, truth.x_m, truth.y_m)
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to release."""
+
+    def _follow(self, truth: GroundTruth) -> None:
+        place = [round(truth.x_m, 3), round(truth.y_m, 3)]
+        if not self.trail or math.dist(self.trail[-1], place) >= TRAIL_M:
+            self.trail.append(place)
+        if math.dist(self._anchor[1:], (truth.x_m, truth.y_m)) > STANDING_M:
+            self._anchor = (self.seconds, truth.x_m, truth.y_m)
+
+    def _record_sights(self, truth: GroundTruth, depth_m: np.ndarray | None) -> None:
+        for target, mask in self._target_masks.items():
+            if target in self.first_sights or depth_m is None or not len(self.things[target]):
+                continue
+            if visible_px(truth.ids, depth_m, mask, self._range_m) >= MIN_PX:
+                self.first_sights[target] = FirstSight(self.seconds, truth.path_m)
+
+    def _judge_steps(self, result: TickResult, truth: GroundTruth) -> None:
+        steps = result.mission().steps
+        reached = [step.label for step in steps if step.kind == "reached"]
+        for label in reached[len(self.stops) :]:
+            self.stops.append((label, self.distance_to_target_m(label, truth.x_m, truth.y_m)))
+
+    def _judge_instances(self, instances: Sequence[Instance]) -> None:
+        for instance in instances:
+            if instance.state not in CONFIRMED_STATES:
+                continue
+            known = self.confirmed.get(instance.label)
+            if known is None or instance.id in known or instance.id in self.false_confirmed:
+                continue
+            x, y = instance.center_m[:2].tolist()
+            right = self.distance_to_target_m(instance.label, x, y) <= SAME_M
+            (known if right else self.false_confirmed).add(instance.id)
+
+    def _follow_leg(self, target: str, instances: Sequence[Instance], truth: GroundTruth) -> None:
+        """Count revisited floor. A leg ends if the target changes or is reached."""
+        known = [
+            i.center_m[:2] for i in instances if i.label == target and i.state in CONFIRMED_STATES
+        ]
+        where = truth.x_m, truth.y_m, truth.yaw_rad
+        # The number of stops tells two legs with the same target apart.
+        turn, known_xy_m = (target, len(self.stops)), np.reshape(known, (-1, 2))
+        self._legs.update(turn, target, known_xy_m, *where)
+        self.revisited_m2 = self._legs.revisited_m2
+
+    # -- the outcome ------------------------------------------------------------------------------
+
+    def distance_to_target_m(self, target: str, x_m: float, y_m: float) -> float:
+        """Return the distance to the nearest footprint of a target; inf if there is none."""
+        things = self.things.get(target, [])
+        return min((thing.distance_m(x_m, y_m) for thing in things), default=math.inf)
+
+    @property
+    def wrong_stops(self) -> list[tuple[str, float]]:
+        """The entries of `stops` that were too far from any such object."""
+        return [stop for stop in self.stops if stop[1] > REACHED_M]
+
+    @property
+    def stuck_s(self) -> float:
+        """Time for which the robot has stayed within `STANDING_M` [s]."""
+        return self.seconds - self._anchor[0]
+
+    def first_sight(self) -> FirstSight | None:
+        """Return the first time that any target was seen; None: never."""
+        return min(self.first_sights.values(), key=lambda sight: sight.seconds, default=None)
+
+    def failure(self, pursued: str) -> str | None:
+        """Return the kind of failure, one of `edge.lab.eval.outcome.FAILURES`; None for a success.
+
+        The first that holds:
+
+        - `wrong thing`: a `reached` report was wrong.
+        - `stuck`: the robot stayed in one place for the last minute.
+        - `seen, not confirmed`: the target was in view but never confirmed.
+        - `budget`: time or path ran out.
+        - `never seen`: the mission was abandoned, and the target was never in view.
+        - `stuck`: the mission was abandoned although the target was confirmed.
+
+        Args:
+            pursued: the target at the end.
+        """
+        if self.wrong_stops:
+            return "wrong thing"
+        if self.status is not None and self.status.phase == "reached":
+            return None
+        out_of = self.status is None or not self.status.done or "limit of" in self.status.reason
+        if self.stuck_s >= STANDING_S:
+            return "stuck"
+        if pursued in self.first_sights and not self.confirmed.get(pursued):
+            return "seen, not confirmed"
+        if out_of:
+            return "budget"
+        return "never seen" if pursued not in self.first_sights else "stuck"
+
+
+def named(world: World, target: str) -> list[WorldObject]:
+    """Return the world's objects that a target means: those of its name, else of its noun."""
+    exact = [item for item in world.objects if names.same_name(item.label, target)]
+    return exact or [item for item in world.objects if names.same_name(item.label, _noun(target))]
+
+
+def _noun(target: str) -> str:
+    known = (noun for noun in names.head_nouns(target) if names.is_known(noun))
+    return next(known, target)
+
+
+def mask_of(things: Sequence[WorldObject], most: int) -> np.ndarray:
+    """Return (most + 1,) bool by object id: True for these objects."""
+    mask = np.zeros(most + 1, np.bool_)
+    mask[[thing.id for thing in things]] = True
+    return mask
+
+
+@njit(nogil=True, cache=True)
+def visible_px(ids: np.ndarray, depth_m: np.ndarray, mine: np.ndarray, range_m: float) -> int:
+    """Count the pixels that show one of the objects within a range.
+
+    Args:
+        ids: (h, w) uint16 object ids.
+        depth_m: (h, w) float32, NaN = no return.
+        mine: (n,) bool by object id.
+        range_m: the range.
+    """
+    count = 0
+    for v in range(ids.shape[0]):
+        for u in range(ids.shape[1]):
+            if mine[ids[v, u]] and depth_m[v, u] <= range_m:
+                count += 1
+    return count

@@ -1,0 +1,68 @@
+"""A seeded drive through the built-in house, as the messages of the robot's sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from edge.bus.topics import Topic
+from edge.config import Config, WorldHouse
+from edge.lab.motion.controller import Controller
+from edge.lab.sim.base import World, free_poses
+from edge.lab.sim.robot import DriveTrain, MotionState
+from edge.lab.sim.sensors import CameraRig, odometry_message
+from edge.lab.sim.worlds import load_world
+
+_START_NS = 1_000_000_000
+_STOPS = 40
+
+
+def house_drive(config: Config, seconds: float) -> Iterator[tuple[Topic, int, bytes]]:
+    """Yield the messages of a robot that drives from room to room, in order of time.
+
+    Args:
+        config: its sensors and robot are used; the world is the built-in house.
+        seconds: simulated length.
+
+    Yields:
+        (topic, stamp in ns, CDR or JSON payload) of the camera and the odometry, each at its rate.
+    """
+    sim = config.sim.model_copy(update={"world": WorldHouse(), "start": None})
+    config = config.model_copy(update={"sim": sim})
+    world = load_world(config)
+    rig = CameraRig(config, world)
+    frame_ns = int(1e9 / config.sensors.camera.rate_hz)
+    frame_due_ns = _START_NS
+    for motion in _drive(config, world, seconds):
+        batch = [odometry_message(motion)]
+        if motion.stamp_ns >= frame_due_ns:
+            frame_due_ns += frame_ns
+            rig.look(motion.pose)
+            batch += [*rig.description(motion.stamp_ns), *rig.messages(motion.stamp_ns)]
+        for topic, payload in batch:
+            yield topic, motion.stamp_ns, payload
+
+
+def _drive(config: Config, world: World, seconds: float) -> Iterator[MotionState]:
+    """Yield the robot's motion at the odometry's rate, from stop to stop on the true map."""
+    train = DriveTrain(config.robot, config.sim, world, world.start, _START_NS)
+    controller = Controller(config)
+    plan = world.plan
+    inflated = plan.clearance_m <= config.robot.radius_m
+    controller.on_map(replace(plan.grid, cells=np.where(inflated, np.int8(100), np.int8(0))))
+    stops = iter(free_poses(world, _STOPS, config.sim.seed, config.robot.radius_m, 0.3))
+    dt_s = 1.0 / config.sensors.odometry_hz
+    goal_id = 0
+    arrived = True
+    while train.motion.stamp_ns < _START_NS + int(seconds * 1e9):
+        now_ns = train.motion.stamp_ns
+        if arrived:
+            goal_id += 1
+            controller.on_goal(goal_id, next(stops))
+        motion = train.motion
+        command, answers = controller.step(motion.pose, motion.v_mps, motion.w_radps, now_ns)
+        arrived = any(a.state in ("reached", "failed") for a in answers)
+        yield motion
+        train.step(dt_s, command.v_mps, command.w_radps)

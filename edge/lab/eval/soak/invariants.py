@@ -1,0 +1,110 @@
+"""Conditions that a soak checks on the service from outside."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from edge.errors import UserError
+
+if TYPE_CHECKING:
+    from edge.lab.eval.soak.harness import SoakHarness
+    from edge.lab.eval.soak.monitor import SoakMonitor
+
+
+class FaultWindow(NamedTuple):
+    """Begin and end of a fault (`time.monotonic` [s]). While it lasts, the end equals the begin."""
+
+    began_s: float
+    ended_s: float
+
+
+Invariant = Callable[["SoakHarness", "SoakMonitor", FaultWindow], str]
+"""Returns the reason why a condition does not hold; "" if it holds."""
+
+LIVE_PAGES = ("/live/now", "/live/story", "/live/map", "/live/camera", "/live/layers/0")
+"""Requests of an open live page."""
+_OF_USUAL = 0.5  # share of the usual tick rate, as the machine may have other work
+
+
+def recovered(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+    """Check that `/readyz` is 200 and that ticks come at least half as often as before."""
+    if watch.seen_s <= when.ended_s or not watch.is_ready:
+        return f"not ready: {'; '.join(watch.ready) or 'not asked yet'}"
+    ticks_hz, usual_hz = watch.ticks_hz(when.ended_s), watch.usual_hz
+    if ticks_hz < _OF_USUAL * usual_hz:
+        return f"{ticks_hz:.1f} ticks per second, {usual_hz:.1f} before"
+    return ""
+
+
+def reports_no_view(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+    """Check that `/readyz` reports that the service sees nothing."""
+    if watch.seen_s > when.began_s and any("no usable observations" in why for why in watch.ready):
+        return ""
+    return (
+        f"/readyz does not report a lack of sensor data, but: {'; '.join(watch.ready) or 'ready'}"
+    )
+
+
+def log_has(pattern: str) -> Invariant:
+    """Return a check that the log has a line that matches the pattern."""
+
+    def hold(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+        if any(re.search(pattern, line) for line in stage.log.since(when.began_s)):
+            return ""
+        return f"no line of the log matches {pattern!r}"
+
+    hold.__doc__ = f"Check that a line of the log matches `{pattern}`."
+    return hold
+
+
+def checkpoint_fails(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+    """Check that the status reports that the checkpoint cannot be written."""
+    checkpoint = watch.status.get("checkpoint") or {}
+    if watch.status_s > when.began_s and checkpoint.get("problem"):
+        return ""
+    return "the status does not report that the checkpoint cannot be written"
+
+
+def checkpoint_written(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+    """Check that the checkpoint is written again."""
+    checkpoint = watch.status.get("checkpoint") or {}
+    if watch.status_s > when.ended_s and not checkpoint.get("problem"):
+        return ""
+    return f"the checkpoint is not written: {checkpoint.get('problem')}"
+
+
+def recording_fails(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+    """Check that the status reports that the recording cannot be written."""
+    if all(sink["problem"] for sink in _recorders(watch)) and watch.status_s > when.began_s:
+        return ""
+    return "the status does not report that the recording cannot be written"
+
+
+def recording_goes_on(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+    """Check that the recording continues."""
+    if watch.status_s <= when.ended_s:
+        return "no status message since"
+    stopped = [sink for sink in _recorders(watch) if sink["problem"] or not sink["file"]]
+    return f"nothing is recorded: {stopped[0]['problem']}" if stopped else ""
+
+
+def _recorders(watch: SoakMonitor) -> list[dict[str, Any]]:
+    """Return the status of each sink that writes files."""
+    return [sink for sink in (watch.status.get("sinks") or {}).values() if "file" in sink]
+
+
+def page_answers(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+    """Check that the live page is served."""
+    silent = [path for path in LIVE_PAGES if not stage.text(path)]
+    return f"{silent[0]}: no answer" if silent else ""
+
+
+def answers_requests(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+    """Check that a request is answered."""
+    try:
+        stage.mission(do="status")
+    except UserError as error:
+        return str(error)
+    return ""

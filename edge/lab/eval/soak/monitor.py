@@ -1,0 +1,229 @@
+"""Monitor of the service from outside: its topics, its pages, its processes."""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zenoh
+from prometheus_client.parser import text_string_to_metric_families
+
+from edge.bus import topics
+from edge.host.checkpoint import CheckpointFormat
+from edge.host.processes import usage
+from edge.lab.eval.soak import jitter
+from edge.lab.eval.soak.harness import SoakHarness
+from edge.lab.eval.soak.recordings import RecordingCheck
+from edge.loop.map_checkpoint import MAP, SUFFIX
+from edge.loop.service_health import PROBES
+from edge.mission.checkpoint import MISSION
+from edge.text import read_json_object
+
+log = logging.getLogger("edge.lab.eval.soak")
+
+_KEPT_BEATS = 4096
+_MINUTE_S = 60.0
+_DROPPED = "edge_source_dropped_total"
+_LOGGED = re.compile(r"\d\d:\d\d:\d\d")
+
+
+class SoakMonitor:
+    """State of the service, for the soak's own thread. Zenoh's callbacks take a lock.
+
+    Times are `time.monotonic` in seconds.
+
+    Attributes:
+        status: the newest status message.
+        status_s: its time.
+        beats: the newest messages of `edge.lab.eval.soak.jitter` with their times, oldest first.
+        ready: problems that `/readyz` reports.
+        is_ready: `/readyz` was 200.
+        seen_s: time of the last sample.
+        alive_s: time at which `/healthz` was last 200.
+        counts: number of goals, and of goals reached and failed.
+        checkpoint: why the mission's checkpoint cannot be read; "" if it can.
+        places: the same for the map's checkpoint.
+        recordings: check of the recordings.
+        calm: there is no fault; can be set.
+        mutes: a fault stops all published messages; can be set.
+        muted_s: last time of that.
+    """
+
+    def __init__(self, stage: SoakHarness) -> None:
+        self._stage = stage
+        self._lock = threading.Lock()
+        self.status: dict[str, Any] = {}
+        self.latency: dict[str, Any] = {}
+        self.beats: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_KEPT_BEATS)
+        self.status_s = self.alive_s = self.seen_s = self.began_s = time.monotonic()
+        self.ready: tuple[str, ...] = ()
+        self.is_ready = False
+        self.counts: Counter[str] = Counter()
+        self.checkpoint = self.places = ""
+        self.recordings = RecordingCheck(stage.config, stage.out)
+        self.calm = True
+        self.mutes = False
+        self.muted_s = self.began_s
+        self._calm_hz: deque[float] = deque(maxlen=600)
+        heard: dict[str, Callable[[dict[str, Any]], None]] = {
+            topics.STATUS.key: self._on_status,
+            topics.LATENCY.key: self._on_latency,
+            topics.GOAL_STATUS.key: self._on_answer,
+            jitter.KEY: self._on_beat,
+        }
+        for key, take in heard.items():
+            full = stage.config.zenoh.key(key)
+            stage.session.declare_subscriber(full, partial(self._on_json, take))
+        goal = stage.config.zenoh.key(topics.GOAL.key)
+        self._goals: set[bytes] = set()
+        stage.session.declare_subscriber(goal, self._on_goal)
+
+    # -- on Zenoh's threads -----------------------------------------------------------------------
+
+    def _on_json(self, take: Callable[[dict[str, Any]], None], sample: zenoh.Sample) -> None:
+        try:
+            message = read_json_object(sample.payload.to_bytes())
+        except ValueError:  # the soak itself sends garbage
+            return
+        with self._lock:
+            take(message)
+
+    def _on_status(self, message: dict[str, Any]) -> None:
+        self.status, self.status_s = message, time.monotonic()
+
+    def _on_latency(self, message: dict[str, Any]) -> None:
+        self.latency = message
+
+    def _on_beat(self, message: dict[str, Any]) -> None:
+        self.beats.append((time.monotonic(), message))
+        if self.calm and message["ticks"]:
+            self._calm_hz.append(message["ticks"] / message["seconds"])
+
+    def _on_answer(self, message: dict[str, Any]) -> None:
+        if isinstance(state := message.get("state"), str) and state in ("reached", "failed"):
+            self.counts[f"goals {state}"] += 1
+
+    def _on_goal(self, sample: zenoh.Sample) -> None:
+        """Count a goal once: it is sent again until it is answered."""
+        payload = sample.payload.to_bytes()
+        with self._lock:
+            if payload not in self._goals:
+                self._goals = {payload}
+                self.counts["goals"] += 1
+
+    # -- on the soak's thread --------------------------------------------------------------------
+
+    @property
+    def usual_hz(self) -> float:
+        """Median rate of ticks without a fault [1/s]."""
+        with self._lock:
+            known = list(self._calm_hz)
+        return float(np.median(known)) if known else 0.0
+
+    def ticks_hz(self, since_s: float) -> float:
+        """Return the tick rate by the newest two beats after `since_s`; 0 if there are not two."""
+        with self._lock:
+            newest = list(self.beats)[-2:]
+        if len(newest) < 2 or newest[0][0] < since_s + newest[0][1]["seconds"]:
+            return 0.0
+        seconds = sum(message["seconds"] for _, message in newest)
+        return float(sum(message["ticks"] for _, message in newest) / seconds)
+
+    @property
+    def beat_s(self) -> float:
+        """Time of the newest beat."""
+        with self._lock:
+            return self.beats[-1][0] if self.beats else self.began_s
+
+    def look(self) -> dict[str, Any]:
+        """Take a sample of pages, processes and checkpoints. Return it, JSON-ready."""
+        stage, now_s = self._stage, time.monotonic()
+        codes = {path: stage.page(path) for path in PROBES}
+        health, ready = (codes[path] for path in PROBES)
+        if health[0] == 200:
+            self.alive_s = now_s
+        self.is_ready = ready[0] == 200
+        self.ready = tuple(ready[1].get("why", ("no answer",)))
+        self.seen_s = now_s
+        if self.mutes:
+            self.muted_s = now_s
+        mission = Path(stage.config.mission.checkpoint)
+        self.checkpoint = _unreadable(mission, MISSION)
+        places = mission.with_name(mission.name + SUFFIX)
+        self.places = _unreadable(places, MAP)
+        self.recordings.look()
+        stage.update_descendants()
+        with self._lock:
+            status, latency = self.status, self.latency
+            newest = self.beats[-1] if self.beats else (now_s, {})
+        sample: dict[str, Any] = {
+            "healthz": health[0],
+            "readyz": ready[0],
+            "why": list(self.ready) if not self.is_ready else [],
+            "beat_age_s": round(now_s - newest[0], 2),
+            **{key: value for key, value in newest[1].items() if key != "seconds"},
+            "dropped": dropped(stage.text("/metrics")),
+            "phase": status.get("phase"),
+            "instruction": status.get("instruction"),
+            "checkpoint": status.get("checkpoint"),
+            "sinks": status.get("sinks"),
+            "places_age_s": _age_s(places),
+            "recorded_mb": round(self.recordings.size_mb, 2),
+            "loop": status.get("loop"),
+            "detector": status.get("detector"),
+            "missed": latency.get("tick", {}).get("overruns"),
+            "log_a_minute": sum(map(_is_logged, stage.log.since(now_s - _MINUTE_S))),
+            "goals": self.counts["goals"],
+            "goals_reached": self.counts["goals reached"],
+            "goals_failed": self.counts["goals failed"],
+        }
+        model = stage.model_process()
+        for name, pid in (("service", stage.service.pid), ("model", model and model.pid)):
+            used = usage(pid) if pid is not None else None
+            sample[name] = used and {
+                "pid": pid,
+                "memory_mb": round(used.memory_mb, 2),
+                "shared_mb": round(used.shared_mb, 2),
+                "threads": used.threads,
+                "descriptors": used.descriptors,
+                "cpu_s": round(used.cpu_s, 2),
+            }
+        return sample
+
+
+def dropped(page: str) -> dict[str, int]:
+    """Return the messages that became part of no observation, by reason, from `/metrics`."""
+    samples = (s for family in text_string_to_metric_families(page) for s in family.samples)
+    return {s.labels["reason"]: int(s.value) for s in samples if s.name == _DROPPED and s.value}
+
+
+def _is_logged(line: str) -> bool:
+    """Return True for a line of the log; a list of threads after a signal is not one."""
+    return _LOGGED.match(line) is not None
+
+
+def _age_s(path: Path) -> float | None:
+    try:
+        return round(time.time() - path.stat().st_mtime, 1)
+    except FileNotFoundError:
+        return None
+
+
+def _unreadable(path: Path, form: CheckpointFormat) -> str:
+    """Return why a checkpoint cannot be read; "" if it can, or if it is not there yet."""
+    try:
+        with path.open("rb") as file:
+            form.decode(file.read(form.max_bytes + 1))
+    except FileNotFoundError:
+        return ""
+    except (OSError, ValueError) as error:
+        return str(error)
+    return ""

@@ -1,0 +1,356 @@
+"""Reference trajectories of instructions (OpenNav IV).
+
+The paper draws them by hand; here a rule makes them.
+
+| instruction | reference |
+|---|---|
+| go to A, stop at A | to the stop at A. Candidates are points with a free line to A, nearly as near to A as the nearest (`ABOUT_M`). The stop is the candidate nearest to where the robot comes from |
+| drive past the left of A, then stop at B | by a point abeam of A, on its left as seen from the robot's start; then to the stop at B |
+| go around the left of A, then stop at B, if B is behind A or on its other side | along an arc on that side of A, until B is abeam; then to the stop at B |
+| go to A, then stop at B | to the stop at A, then to the stop at B |
+
+A point abeam of A leaves `ASIDE_M` between A and the robot. From point to point the reference is the
+cheapest path over drivable ground. Cells within `COMFORT_M` of the necessary clearance cost more. If a
+path is longer than twice the straight line plus 5 m, the task is left out.
+
+An object gets an unambiguous name:
+
+| name | category |
+|---|---|
+| the car: there is only one; the red car: only one is red | specific |
+| the second car on the left: counted from the nearest, if the order is clear | ambiguous |
+| any instruction that leads past one object to another | high-level |
+
+The module does not use the planner of `edge.tasks`, so the references are independent of it.
+"""  # noqa: E501 (a table)
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from edge import names
+from edge.geometry import SE2, Grid
+from edge.lab.sim.generator.rng import PortableRng
+from edge.tasks.value_map import closed_cells
+from edge.trajectory import astar, smoothing
+from edge.trajectory.costmap import CostMap, from_occupancy, from_weights
+
+KINDS = ("to", "past", "around", "then")
+CATEGORIES = ("specific", "ambiguous", "high-level")
+ASIDE_M, COMFORT_M, ABOUT_M = 0.8, 1.0, 0.35
+FARTHEST_STOP_M = 4.0
+"""A stop farther from an object than this does not count as going to it."""
+ESCAPE_M = 1.0
+_AHEAD_RAD = math.radians(60.0)  # largest bearing of a task's objects
+_ASIDE_RAD = math.radians(8.0)  # a smaller bearing is neither left nor right
+_APART_M = 1.0  # least difference in distance between objects that are counted
+_ARC_FROM_RAD, _ARC_STEP_RAD = math.radians(60.0), math.radians(30.0)
+_AROUND_RAD = math.radians(150.0), math.radians(300.0)  # of the next object, see `_abeam`
+_ORDER = ("nearest", "second", "third")
+# The viewer's left is clockwise from the direction object → viewer.
+_TURN = {"left": -1.0, "right": 1.0}
+_LEAST_LEG_M = 3.0
+_OWN_CELLS = 1.5  # how far an object's occupied cells may lie outside its outline
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmark:
+    """An object that an instruction may name.
+
+    Attributes:
+        id: unique.
+        label: its class.
+        look: a word that distinguishes it from others of its class, such as its colour; "": none.
+        at_m: (2,) float64, its middle in `map`.
+        outline_m: (n, 2) float64, n >= 1, points of its outline on the ground, at most a cell
+            apart.
+    """
+
+    id: int
+    label: str
+    look: str
+    at_m: np.ndarray
+    outline_m: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A place with its objects, and the pose of a robot.
+
+    Attributes:
+        pose: of the robot.
+        things: the objects.
+        occupancy: int8 cells, 100 for occupied. The robot can drive over all others if `drivable`.
+        drivable: (h, w) bool, the same cells.
+        robot_m: the robot's radius.
+        reach_m: smallest and largest distance of a task's objects from the robot.
+    """
+
+    pose: SE2
+    things: tuple[Landmark, ...]
+    occupancy: Grid
+    drivable: np.ndarray
+    robot_m: float
+    reach_m: tuple[float, float]
+
+    @cached_property
+    def costmap(self) -> CostMap:
+        """Costs of the robot's centre, which rise near obstacles."""
+        closed = closed_cells(self.occupancy, self.robot_m) | ~self.drivable
+        grid = replace(self.occupancy, cells=(closed * 100).astype(np.int8))
+        return from_occupancy(grid, near_m=COMFORT_M, unknown_cost=None)
+
+    @cached_property
+    def reachable(self) -> np.ndarray:
+        """(h, w) bool: True if the robot can get there."""
+        is_open = self.costmap.weight[1:-1, 1:-1] != 0
+        begin = self.begin_m
+        if begin is None:
+            return np.zeros_like(is_open)
+        _, part = cv2.connectedComponents(is_open.view(np.uint8), connectivity=4)
+        return part == part[self.occupancy.cell_of(*begin)]
+
+    @cached_property
+    def stops_m(self) -> dict[int, np.ndarray]:
+        """By id of an object, (n, 2) candidates for a stop; a cache."""
+        return {}
+
+    def gets_to(self, at_m: np.ndarray) -> bool:
+        """Return True if the robot can get to a point."""
+        cell = self.occupancy.cell_of(*at_m)
+        return cell is not None and bool(self.reachable[cell])
+
+    @cached_property
+    def begin_m(self) -> tuple[float, float] | None:
+        """Begin of the robot's paths: its place, or the nearest open cell; None: it is shut in."""
+        here = (self.pose.x_m, self.pose.y_m)
+        cell = self.costmap.cell_of(*here)
+        if cell is None or self.costmap.weight[cell]:
+            return None if cell is None else here
+        nearest = astar.nearest_open(self.costmap, cell, here, ESCAPE_M)
+        if nearest is None:
+            return None
+        x_m, y_m = self.costmap.metres_of(np.array([nearest[1] + 0.5, nearest[0] + 0.5])).tolist()
+        return x_m, y_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrajectoryTask:
+    """An instruction and its reference trajectory.
+
+    Attributes:
+        kind: one of `KINDS`.
+        category: one of `CATEGORIES`.
+        instruction: the text.
+        things: ids of the objects that it names, in order.
+        segments: (n, 2) float64 each, the points of the rule. Without a map, they are joined by
+            straight lines.
+        reference_m: (n, 2) float64, from the robot's place.
+    """
+
+    kind: str
+    category: str
+    instruction: str
+    things: tuple[int, ...]
+    segments: tuple[np.ndarray, ...]
+    reference_m: np.ndarray
+
+
+def tasks(place: Place, kind: str, dice: PortableRng) -> Iterator[TrajectoryTask]:
+    """Yield every task of a kind in a place, in random order."""
+    named = {}
+    for thing in place.things:
+        away_m = place.pose.distance_to(*thing.at_m)
+        within = place.reach_m[0] < away_m < place.reach_m[1]
+        ahead = abs(place.pose.bearing_to(*thing.at_m)) < _AHEAD_RAD
+        if within and ahead and (words := referring_expression(place, thing)):
+            named[thing.id] = words
+    by_id = {thing.id: thing for thing in place.things}
+    for first in dice.shuffled(sorted(named)):
+        for last in dice.shuffled(sorted(named)):
+            if (kind == "to") != (first == last):
+                continue
+            for side in dice.shuffled(("left", "right")):
+                segments = _segments(place, kind, by_id[first], by_id[last], side)
+                reference_m = _way(place, segments) if segments else None
+                if reference_m is None:
+                    continue
+                words = _words(kind, side, named[first], named[last])
+                category = _category(kind, named[first])
+                things = (first,) if kind == "to" else (first, last)
+                yield TrajectoryTask(kind, category, words, things, segments, reference_m)
+                break
+
+
+def referring_expression(place: Place, thing: Landmark) -> str | None:
+    """Return an unambiguous name of an object; None if too many are like it."""
+    like = [other for other in place.things if names.is_kind_of(other.label, thing.label)]
+    if len(like) == 1:
+        return f"the {thing.label}"
+    if thing.look and [other.look for other in like].count(thing.look) == 1:
+        return f"the {thing.look} {thing.label}"
+    bearing, away_m = _seen(place, thing)
+    if not _ASIDE_RAD < abs(bearing) < math.pi / 2:
+        return None
+    before = 0
+    for other in like:
+        at_rad, at_m = _seen(place, other)
+        if other is thing or at_m >= away_m + _APART_M:
+            continue
+        unclear = abs(at_rad) <= _ASIDE_RAD or (at_rad * bearing > 0 and abs(at_rad) >= math.pi / 2)
+        if unclear or (at_rad * bearing > 0 and at_m > away_m - _APART_M):
+            return None
+        before += at_rad * bearing > 0
+    if before >= len(_ORDER):
+        return None
+    return f"the {_ORDER[before]} {thing.label} on the {'left' if bearing > 0 else 'right'}"
+
+
+def box_outline_m(at_m: np.ndarray, size_m: np.ndarray, heading_rad: float) -> np.ndarray:
+    """Return (n, 2) points around a box on the ground, 0.1 m apart."""
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    corners = 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * size_m[:2]
+    return smoothing.resample(corners @ np.array([[c, s], [-s, c]]) + at_m[:2], 0.1)
+
+
+def _seen(place: Place, thing: Landmark) -> tuple[float, float]:
+    """Return bearing [rad] and distance [m] from the robot."""
+    return place.pose.bearing_to(*thing.at_m), place.pose.distance_to(*thing.at_m)
+
+
+def _category(kind: str, name: str) -> str:
+    if kind != "to":
+        return "high-level"
+    return "ambiguous" if name.startswith(tuple(f"the {word} " for word in _ORDER)) else "specific"
+
+
+def _words(kind: str, side: str, first: str, last: str) -> str:
+    return {
+        "to": f"go to {first}",
+        "past": f"drive past the {side} of {first}, then stop at {last}",
+        "around": f"go around the {side} of {first}, then stop at {last}",
+        "then": f"go to {first}, then stop at {last}",
+    }[kind]
+
+
+def _segments(
+    place: Place, kind: str, first: Landmark, last: Landmark, side: str
+) -> tuple[np.ndarray, ...]:
+    """Return the points of the rule; () if it cannot be followed."""
+    here = np.array([place.pose.x_m, place.pose.y_m])
+    if kind == "to":
+        way = [_stop(place, last, here)]
+    elif kind == "then":
+        way = [_stop(place, first, here)]
+    elif kind == "past":
+        if _seen(place, last)[1] < _seen(place, first)[1] + _LEAST_LEG_M:
+            return ()
+        way = [_abeam(place, first, side, math.pi / 2)[None]]
+    else:
+        until_rad = _turn_rad(place, first, side, last.at_m)
+        if not _AROUND_RAD[0] <= until_rad <= _AROUND_RAD[1]:
+            return ()
+        angles_rad = np.arange(_ARC_FROM_RAD, until_rad, _ARC_STEP_RAD)
+        way = [np.array([_abeam(place, first, side, angle) for angle in angles_rad])]
+    if kind != "to" and way[0] is not None:
+        way.append(_stop(place, last, way[0][-1]))
+    if any(points is None for points in way):
+        return ()
+    if kind == "then" and math.dist(way[0][-1], way[1][-1]) <= _LEAST_LEG_M:
+        return ()
+    return tuple(way)
+
+
+def _abeam(place: Place, thing: Landmark, side: str, angle_rad: float) -> np.ndarray:
+    """Return a point `ASIDE_M` off an object, in a direction relative to the robot.
+
+    The angle is 0 on the robot's side of the object, a right angle on its `side`, and pi behind it.
+    """
+    toward = _back_rad(place, thing) + _TURN[side] * angle_rad
+    ray = np.array([math.cos(toward), math.sin(toward)])
+    reach_m = float(((thing.outline_m - thing.at_m) @ ray).max())
+    return thing.at_m + (reach_m + ASIDE_M + place.robot_m) * ray
+
+
+def _turn_rad(place: Place, thing: Landmark, side: str, at_m: np.ndarray) -> float:
+    """Return the angle, as in `_abeam`, of a point: in [0, 2 pi)."""
+    toward = math.atan2(at_m[1] - thing.at_m[1], at_m[0] - thing.at_m[0])
+    return (_TURN[side] * (toward - _back_rad(place, thing))) % math.tau
+
+
+def _back_rad(place: Place, thing: Landmark) -> float:
+    """Return the direction from an object to the robot's start."""
+    return math.atan2(place.pose.y_m - thing.at_m[1], place.pose.x_m - thing.at_m[0])
+
+
+def _stop(place: Place, thing: Landmark, from_m: np.ndarray) -> np.ndarray | None:
+    """Return the (1, 2) stop at an object, for a robot that comes from a point; None: no stop."""
+    if thing.id not in place.stops_m:
+        place.stops_m[thing.id] = _stops(place, thing)
+    near = place.stops_m[thing.id]
+    return near[np.argmin(np.hypot(*(near - from_m).T))][None] if len(near) else None
+
+
+def _stops(place: Place, thing: Landmark) -> np.ndarray:
+    """Return the (n, 2) candidates for a stop at an object.
+
+    They have a free line to it, and are about as near to it as the nearest such point.
+    """
+    centres = place.occupancy.centres_m(*np.nonzero(place.reachable))
+    within = FARTHEST_STOP_M + ABOUT_M
+    low, high = thing.outline_m.min(axis=0) - within, thing.outline_m.max(axis=0) + within
+    centres = centres[((centres > low) & (centres < high)).all(axis=1)]
+    gaps_m, nearest = cKDTree(thing.outline_m).query(centres.reshape(-1, 2))
+    others = _others(place, thing)
+
+    def has_clear_view_of(k: int) -> bool:
+        return smoothing.line_is_free(others, centres[k], thing.outline_m[nearest[k]])
+
+    least = next((k for k in np.argsort(gaps_m, kind="stable") if has_clear_view_of(k)), None)
+    if least is None or gaps_m[least] > FARTHEST_STOP_M:
+        return np.empty((0, 2))
+    near = np.flatnonzero(gaps_m <= gaps_m[least] + ABOUT_M)
+    return centres[[k for k in near if has_clear_view_of(k)]]
+
+
+def _others(place: Place, thing: Landmark) -> CostMap:
+    """Return a cost map that is closed at obstacles other than the object."""
+    grid = place.occupancy
+    mine = np.ones(grid.cells.shape, np.uint8)
+    cells = np.floor(grid.to_cells(thing.outline_m)).astype(np.int64)
+    h, w = mine.shape
+    column, row = cells[((cells >= 0) & (cells < (w, h))).all(axis=1)].T
+    mine[row, column] = 0
+    away = cv2.distanceTransform(mine, cv2.DIST_L2, 5)
+    standing = (grid.cells > 0) & (away > _OWN_CELLS)
+    return from_weights(replace(grid, cells=(~standing).astype(np.uint8)))
+
+
+def _way(place: Place, segments: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Return the cheapest path by all points, smoothed; None if one cannot be reached."""
+    costmap, begin = place.costmap, place.begin_m
+    if begin is None:
+        return None
+    points = np.concatenate([[begin], *segments])
+    if not all(map(place.gets_to, points)):
+        return None
+    pieces: list[np.ndarray] = []
+    workspace = astar.Workspace()
+    for start, end in zip(points[:-1].tolist(), points[1:].tolist(), strict=True):
+        plan = astar.plan(costmap, tuple(start), tuple(end), workspace)
+        if not plan.ok:
+            return None
+        piece = smoothing.smooth(costmap, plan.path_m, costmap.grid.resolution_m)
+        length_m = float(np.hypot(*np.diff(piece, axis=0).T).sum())
+        if length_m > 2.0 * math.dist(start, end) + 5.0:
+            return None
+        pieces.append(piece[1:] if pieces else piece)
+    here = (place.pose.x_m, place.pose.y_m)
+    return np.concatenate([[here] if begin != here else np.empty((0, 2)), *pieces])

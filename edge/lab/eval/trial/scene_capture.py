@@ -1,0 +1,242 @@
+"""Scenes for `edge trajectory`: frames of a recorded street, or the built-in street."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from edge.config import Config, PipelinePlugin, WorldStreet
+from edge.config.components import component_factory
+from edge.errors import UserError
+from edge.lab.eval import kitti
+from edge.lab.sim.sensors import CameraRig, LidarRig
+from edge.lab.sim.street import Street, street
+from edge.lab.sim.worlds import load_world
+from edge.perception.detection.sim import Segmentation, TruthAt
+from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks, open_pipeline
+from edge.tasks.scene import Scene
+from edge.tasks.scene_builder import SceneBuilder
+from edge.text import one_line
+from edge.types import MASK_SIDE, Detections, Observation
+
+LEAST_PX, LEAST_SIDE_PX = 60, 4
+"""An object with fewer pixels or a smaller side in the picture is not seen."""
+ON_GROUND_M = 0.05
+
+
+class SceneCaptureError(UserError):
+    """There is nothing to see, or no detector that could see it; one line."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneCapture:
+    """A scene and its sensor data.
+
+    Attributes:
+        name: of the place.
+        by: source of the objects.
+        scene: the scene.
+        cloud_m: (n, 3) float32 in `map`, every return.
+        base_z_m: height of the ground under the robot, in `map`.
+    """
+
+    name: str
+    by: str
+    scene: Scene
+    cloud_m: np.ndarray
+    base_z_m: float
+
+
+def capture_kitti(
+    folder: Path, numbers: Sequence[int], config: Config, words: Sequence[str] | None = None
+) -> SceneCapture:
+    """Build the scene of some frames of a SemanticKITTI sequence.
+
+    Args:
+        folder: of the sequence.
+        numbers: of the frames; empty: the first frame.
+        config: gives the robot and the detector.
+        words: names that the detector looks for, in addition to the configured ones. The regions
+            are then flat, connected ground. None: objects and kinds of ground come from the labels.
+
+    Raises:
+        UserError: a frame cannot be read, or there is no detector.
+    """
+    labelled = words is None
+    there = kitti.frames_in(folder, labelled)
+    numbers = list(dict.fromkeys(numbers)) or there[:1]
+    for number in numbers:
+        if number not in there:
+            listed = ", ".join(map(str, there))
+            what = "image, scan and labels" if labelled else "image and scan"
+            raise SceneCaptureError(f"{folder}: no frame {number} with {what} ({listed})")
+    frames = kitti.read_frames(folder, numbers, labelled)
+    clearance_m = config.tasks.trajectory.clearance_m
+    if words is None:
+        scene, by = kitti.scene_of(frames, kitti.label_pipeline(frames), clearance_m), "the labels"
+    else:
+        with detector_pipeline(config, words) as (chain, by):
+            scene = kitti.scene_of(frames, chain, clearance_m, by_labels=False)
+    last = frames[-1].observation
+    cloud_m = np.concatenate([_in_map(frame.observation) for frame in frames])
+    name = f"{folder.resolve().name}, frame{'s'[: len(numbers) > 1]} {', '.join(map(str, numbers))}"
+    return SceneCapture(name, by, scene, cloud_m, float(last.T_map_base[2, 3]))
+
+
+def capture_street(seed: int, config: Config, words: Sequence[str] | None = None) -> SceneCapture:
+    """Build the scene of a built-in street, as the configured camera and LiDAR see it at its start.
+
+    The kind of ground under each return is the street's own.
+
+    Args:
+        seed: of the street.
+        config: gives the sensors, the robot and the detector.
+        words: see `capture_kitti`; None: the objects come from the simulator.
+
+    Raises:
+        UserError: there is no LiDAR, or no detector.
+    """
+    sim = config.sim.model_copy(update={"world": WorldStreet(seed=seed), "start": None})
+    config = config.model_copy(update={"sim": sim})
+    if config.sensors.lidar is None:
+        raise SceneCaptureError(f"{config.at('sensors.lidar')}: a street needs a LiDAR: add one")
+    world = load_world(config)
+    camera, lidar = CameraRig(config, world), LidarRig(config, world)
+    camera.look(world.start)
+    lidar.look(world.start)
+    seen = Observation(
+        seq=0, stamp_ns=0, T_map_base=world.start.matrix(), rgb=camera.rgb, depth_m=camera.depth_m,
+        camera=camera.model, T_base_camera=camera.T_base_camera, cloud_m=lidar.cloud_m(),
+        T_base_lidar=lidar.T_base_lidar,
+    )  # fmt: skip
+    labels = tuple(thing.label for thing in world.objects)
+    cloud_m, drawn = _in_map(seen), street(seed)
+    kinds = tuple(dict.fromkeys(ground.label for ground in drawn.grounds))
+    truth = Segmentation(camera.ids, labels)
+
+    def look(chain: PerceptionPipeline) -> Scene:
+        clearance_m = config.tasks.trajectory.clearance_m
+        survey = SceneBuilder(chain, config.mapping, clearance_m, kinds)
+        survey.add(seen, _ground_kind(drawn, kinds, cloud_m))
+        return survey.scene()
+
+    if words is None:
+        scene, by = look(_oracle(truth)), "the simulator"
+    else:
+        with detector_pipeline(config, (*words, *dict.fromkeys(labels)), lambda _: truth) as (
+            chain,
+            by,
+        ):
+            scene = look(chain)
+    return SceneCapture(drawn.name, by, scene, cloud_m, 0.0)
+
+
+@contextmanager
+def detector_pipeline(
+    config: Config, words: Sequence[str], truth: TruthAt | None = None
+) -> Iterator[tuple[PerceptionPipeline, str]]:
+    """Yield the detection pipeline of the configured detector, or a plugin, and its name.
+
+    Args:
+        config: names the detector and the segmenter, or a plugin in `tasks.chain`.
+        words: names to look for, in addition to the detector's `background`.
+        truth: ground truth for a simulated detector; None: the pictures are real.
+
+    Raises:
+        UserError: there is no detector, or nothing to look for.
+    """
+    if config.tasks.chain is not None:
+        yield _own_chain(config, config.tasks.chain, tuple(words)), config.tasks.chain.kind
+        return
+    detector = config.perception.detector
+    if detector.kind == "sim" and truth is None:
+        raise SceneCaptureError(
+            f"{config.at('perception.detector.kind')}: sim sees nothing in a real picture: choose "
+            "a model (onnx), or use --objects labels"
+        )
+    # The detector always looks for its background, but it needs at least one word.
+    words = tuple(words) or tuple(detector.background or ())[:1]
+    if not words:
+        raise SceneCaptureError(
+            f"{config.at('perception.detector.background')}: empty; give names of objects to find"
+        )
+    with open_pipeline(config.perception, words, truth) as chain:
+        yield chain, detector.model if detector.kind == "onnx" else "the simulated detector"
+
+
+def _own_chain(config: Config, own: PipelinePlugin, words: tuple[str, ...]) -> PerceptionPipeline:
+    """Return the plugin pipeline of `tasks.chain`; its errors become `SceneCaptureError`."""
+    where = config.at("tasks.chain")
+    given: dict[str, Any] = {"perception": config.perception, "words": words}
+    needs = ("tags", "boxes", "masks", "captions", "embeddings")
+    make = component_factory(
+        "chain", own.kind, own.options, {}, where, needs, tuple(given), functions=True
+    )
+    made = make(**given)
+
+    def guarded(name: str) -> Callable[..., Any] | None:
+        part = getattr(made, name)
+
+        def called(*args: Any) -> Any:
+            try:
+                return part(*args)
+            except UserError:
+                raise
+            except Exception as error:  # a plugin may raise anything
+                reason = one_line(f"{type(error).__name__}: {error}")
+                raise SceneCaptureError(f"{where}: {own.kind}: {name}: {reason}") from None
+
+        return None if part is None else called
+
+    return PerceptionPipeline(*map(guarded, needs))
+
+
+def _oracle(truth: Segmentation) -> PerceptionPipeline:
+    """Return a detection pipeline with boxes and masks from the picture of ids."""
+    words = tuple(dict.fromkeys(truth.labels))
+
+    def boxes(observation: Observation, tags: Sequence[str]) -> Detections:
+        xyxy, class_id, masks = [], [], []
+        for i, label in enumerate(truth.labels, start=1):
+            shown = (truth.ids == i).astype(np.uint8)
+            x, y, w, h = cv2.boundingRect(shown)
+            if min(w, h) < LEAST_SIDE_PX or np.count_nonzero(shown) < LEAST_PX:
+                continue
+            part = cv2.resize(
+                255 * shown[y : y + h, x : x + w], (MASK_SIDE, MASK_SIDE),
+                interpolation=cv2.INTER_AREA if w > MASK_SIDE < h else cv2.INTER_NEAREST,
+            )  # fmt: skip
+            xyxy.append((x, y, x + w, y + h))
+            class_id.append(words.index(label))
+            masks.append(part >= 128)
+        n = len(xyxy)
+        return Detections(
+            observation, np.array(xyxy, np.float32).reshape(n, 4), np.ones(n, np.float32),
+            np.array(class_id, np.int32), words, model="the simulator",
+            mask=np.array(masks, np.bool_).reshape(n, MASK_SIDE, MASK_SIDE),
+        )  # fmt: skip
+
+    return PerceptionPipeline(lambda observation: words, boxes, boxes_as_masks)
+
+
+def _ground_kind(drawn: Street, kinds: Sequence[str], cloud_m: np.ndarray) -> np.ndarray:
+    """Return (n,) uint8: index into `kinds` plus 1 of the ground of a return; 0: no ground."""
+    x_m, y_m = drawn.to_road(cloud_m[:, :2].astype(np.float64)).T
+    out = np.zeros(len(cloud_m), np.uint8)
+    for ground in drawn.grounds:
+        r = ground.rect
+        inside = (x_m >= r.x0) & (x_m < r.x1) & (y_m >= r.y0) & (y_m < r.y1)
+        out[inside] = 1 + kinds.index(ground.label)
+    out[np.abs(cloud_m[:, 2]) > ON_GROUND_M] = 0
+    return out
+
+
+def _in_map(seen: Observation) -> np.ndarray:
+    T = seen.T_map_base @ seen.T_base_lidar
+    return (seen.cloud_m @ T[:3, :3].T + T[:3, 3]).astype(np.float32)

@@ -1,0 +1,90 @@
+"""Selection of the few camera images of a run that its report shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge import names
+from edge.lab.report.record import Keyframe
+from edge.types import Detections
+
+FRAMES = 8
+FRAME_NS = 1_000_000_000
+BETTER_SCORE = 0.05
+MAX_FRAME_PX = 640
+
+
+class KeyframeBuffer:
+    """At most `capacity` frames: half are the best views of the targets, the rest are the newest.
+
+    Several targets take turns for the best views. Frames with boxes come before frames without.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._best = (capacity + 1) // 2
+        self._frames: list[Keyframe] = []
+        self._taken_ns: int | None = None
+
+    def offer(self, detections: Detections, targets: Sequence[str]) -> None:
+        """Copy the frame if the last one is a second old, or shows the targets less well."""
+        if self._capacity == 0 or detections.observation.rgb is None:
+            return
+        stamp_ns = detections.observation.stamp_ns
+        soon = self._taken_ns is not None and 0 <= stamp_ns - self._taken_ns < FRAME_NS
+        if soon:
+            if not self._better_than_last(detections, targets):
+                return
+            self._frames = [f for f in self._frames if f.stamp_ns != self._taken_ns]
+        self._frames.append(_copy(detections, targets))
+        self._taken_ns = stamp_ns
+        if len(self._frames) > self._capacity:
+            self._frames.remove(self._least())
+
+    def _better_than_last(self, detections: Detections, targets: Sequence[str]) -> bool:
+        last = [f.target_score for f in self._frames if f.stamp_ns == self._taken_ns]
+        return _target_score(detections, targets) > (last[0] if last else 0.0) + BETTER_SCORE
+
+    def _least(self) -> Keyframe:
+        best = self._best_views()
+        others = [f for f in self._frames if not any(f is b for b in best)]
+        return min(others, key=lambda f: (len(f.labels) > 0, f.stamp_ns))
+
+    def _best_views(self) -> list[Keyframe]:
+        """Return the best view of each target, then the second best of each, …: `_best` in all."""
+        ranks: list[tuple[int, float, int, Keyframe]] = []
+        for label in dict.fromkeys(label for f in self._frames for label in f.best):
+            views = [f for f in self._frames if label in f.best]
+            views.sort(key=lambda f: (-f.best[label], -f.stamp_ns))
+            ranks += [(k, -f.best[label], -f.stamp_ns, f) for k, f in enumerate(views)]
+        ranks.sort(key=lambda rank: rank[:3])
+        return list({id(f): f for *_, f in ranks}.values())[: self._best]
+
+    def frames(self) -> tuple[Keyframe, ...]:
+        return tuple(sorted(self._frames, key=lambda f: f.stamp_ns))
+
+
+def _target_score(detections: Detections, targets: Sequence[str]) -> float:
+    wanted = [
+        i for i, prompt in enumerate(detections.prompts) if names.same_as_any(prompt, targets)
+    ]
+    if not wanted or not len(detections):
+        return 0.0
+    return float(detections.score[np.isin(detections.class_id, wanted)].max(initial=0.0))
+
+
+def _copy(detections: Detections, targets: Sequence[str]) -> Keyframe:
+    rgb = detections.observation.rgb
+    assert rgb is not None  # `KeyframeBuffer.offer` has checked
+    stride = -(-max(rgb.shape[:2]) // MAX_FRAME_PX)
+    labels = tuple(detections.prompts[i] for i in detections.class_id)
+    return Keyframe(
+        detections.observation.stamp_ns,
+        np.array(rgb[::stride, ::stride]),
+        detections.xyxy_px / np.float32(stride),
+        np.array(detections.score),
+        labels,
+        np.array([names.same_as_any(label, targets) for label in labels], dtype=bool),
+    )

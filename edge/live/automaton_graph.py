@@ -1,0 +1,258 @@
+"""Graph of an automaton to draw: selection of states, transitions and labels.
+
+Letters that lead from one state to the same next state share an arrow. Two kinds of letters have
+no arrow: those that keep the state, and those that make success impossible. The state lists the
+latter ("not tv"). So a letter that is neither on an arrow nor in that list changes nothing, and the
+drawing is complete.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Collection, Mapping, Sequence
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from edge.mission.logic.automaton import NOTHING, Automaton
+from edge.text import shorten
+
+MAX_WHOLE = 40  # automata with at most this many states are drawn completely
+MAX_PART = 26
+MAX_ARROWS = 160  # more are unreadable
+LABEL_LENGTH, CAPTION_LENGTH, MAX_LINES = 22, 15, 3  # characters, lines
+_NO_BREAK = "\u00a0"
+
+Role = Literal["other", "visited", "plan"]
+
+
+class StateNode(NamedTuple):
+    """A state.
+
+    Attributes:
+        state: its number.
+        initial: True for the initial state.
+        accepting: True if the mission succeeds here.
+        dead: True if success is impossible from here.
+        current: True for the current state.
+        forbidden: lines with letters that make success impossible here.
+        hidden: number of next states that are not shown.
+        title: a full description in one sentence.
+    """
+
+    state: int
+    initial: bool
+    accepting: bool
+    dead: bool
+    current: bool
+    forbidden: tuple[str, ...]
+    hidden: int
+    title: str
+
+
+class StateArrow(NamedTuple):
+    """A transition; `source` and `target` index the scene's nodes."""
+
+    source: int
+    target: int
+    lines: tuple[str, ...]
+    title: str
+    role: Role
+
+
+class AutomatonGraph(NamedTuple):
+    """The graph.
+
+    Attributes:
+        nodes: the initial state first; if it is not shown, the current one.
+        arrows: transitions between them.
+        note: legend, and what is left out.
+    """
+
+    nodes: tuple[StateNode, ...]
+    arrows: tuple[StateArrow, ...]
+    note: str
+
+
+def make_automaton_graph(
+    automaton: Automaton,
+    state: int | None = None,
+    plan: Sequence[str] = (),
+    path: Sequence[str] = (),
+) -> AutomatonGraph:
+    """Select the states and transitions to draw.
+
+    Args:
+        automaton: the automaton.
+        state: the current state, which is marked; None: no mark.
+        plan: letters to reach next, from `state` (or the initial state).
+        path: letters reached so far, from the initial state.
+    """
+    visited = _walk(automaton, 0, path)
+    planned = _walk(automaton, 0 if state is None else state, plan)
+    shown = _shown(automaton, state, planned, visited)
+    index = {s: i for i, s in enumerate(shown)}
+    roles = _roles(visited, path, "visited") | _roles(planned, plan, "plan")
+    nodes, arrows = [], []
+    for s in shown:
+        ways = transitions_from(automaton, s)
+        dead = [] if automaton.dead(s) else _fatal(automaton, s)
+        hidden = [t for t in ways if t not in index and not automaton.dead(t)]
+        nodes.append(_node(automaton, s, s == state, dead, len(hidden)))
+        for t, letters in ways.items():
+            if t not in index or (automaton.dead(t) and (s, t) not in roles):
+                continue
+            arrows.append(_arrow(automaton, (s, t), letters, index, roles))
+    return AutomatonGraph(tuple(nodes), tuple(arrows), _note(automaton, shown, nodes))
+
+
+def _walk(automaton: Automaton, state: int, word: Sequence[str]) -> list[int]:
+    states = [state]
+    for letter in word:
+        states.append(automaton.step(states[-1], letter))
+    return states
+
+
+def _roles(
+    states: Sequence[int], letters: Sequence[str], role: Role
+) -> dict[tuple[int, int], tuple[Role, str]]:
+    """Return the role of each transition along a path, and the letter on which it is taken."""
+    return {pair: (role, letter) for pair, letter in zip(pairwise(states), letters, strict=True)}
+
+
+def transitions_from(automaton: Automaton, state: int) -> dict[int, list[str]]:
+    """Return next states with the letters that lead there, without letters that change nothing."""
+    ways: dict[int, list[str]] = {}
+    for letter, to in zip((*automaton.letters, NOTHING), automaton.delta[state], strict=True):
+        if to != state:
+            ways.setdefault(int(to), []).append(letter)
+    return ways
+
+
+def _fatal(automaton: Automaton, state: int) -> list[str]:
+    row = automaton.delta[state]
+    lost = automaton.steps_left[row] < 0
+    return [a for a, bad in zip((*automaton.letters, NOTHING), lost, strict=True) if bad]
+
+
+def _shown(
+    automaton: Automaton, state: int | None, planned: Sequence[int], visited: Sequence[int]
+) -> list[int]:
+    """Return the states to draw: all of a small automaton, or those near the current state.
+
+    States without a way to success are drawn only if the robot is in one, was in one, or started in
+    one.
+    """
+    here = 0 if state is None else state
+    hopeful = np.flatnonzero(automaton.steps_left >= 0).tolist()
+    wanted = list(dict.fromkeys((here, *planned, *reversed(visited))))
+    whole = list(dict.fromkeys((0, *wanted, *hopeful)))
+    if len(hopeful) <= MAX_WHOLE and _arrows_among(automaton, whole) <= MAX_ARROWS:
+        return whole
+    part = wanted[:MAX_PART]
+    while len(part) > 1 and not _fits(automaton, part):
+        part.pop()
+    level = part[:1]
+    while level:
+        first = level == [here]
+        ways = (t for s in level for t in transitions_from(automaton, s) if not automaton.dead(t))
+        level = [t for t in dict.fromkeys(ways) if t not in part]
+        while level and not _fits(automaton, [*part, *level]):
+            level = level[:-1] if first else []  # show at least some of the next states
+        part += level
+    return sorted(part, key=lambda s: (s != 0, s != here)) if 0 in part else part
+
+
+def _fits(automaton: Automaton, part: Sequence[int]) -> bool:
+    return len(part) <= MAX_PART and _arrows_among(automaton, part) <= MAX_ARROWS
+
+
+def _arrows_among(automaton: Automaton, states: Sequence[int]) -> int:
+    """Return the number of ordered pairs of different states with a transition."""
+    inside = set(states)
+    return sum(len(inside.intersection(automaton.delta[s].tolist()) - {s}) for s in states)
+
+
+def _node(
+    automaton: Automaton, state: int, current: bool, fatal: Sequence[str], hidden: int
+) -> StateNode:
+    accepting, left = bool(automaton.accepting[state]), int(automaton.steps_left[state])
+    parts = [f"state {state}"]
+    parts += ["the robot is here"] if current else []
+    parts += ["accepting"] if accepting else []
+    parts += ["success impossible"] if left < 0 else []
+    parts += [f"at least {left} to reach"] if left > 0 else []
+    parts += [f"not {', '.join(map(_name, fatal))}"] if fatal else []
+    parts += [f"{hidden} more next states, not shown"] if hidden else []
+    words = wrap(f"not {in_words(fatal, automaton.letters)}", CAPTION_LENGTH) if fatal else ()
+    return StateNode(
+        state, state == 0, accepting, left < 0, current, words, hidden, "; ".join(parts)
+    )
+
+
+def _arrow(
+    automaton: Automaton,
+    ends: tuple[int, int],
+    letters: Sequence[str],
+    index: Mapping[int, int],
+    roles: Mapping[tuple[int, int], tuple[Role, str]],
+) -> StateArrow:
+    role, taken = roles.get(ends, ("other", ""))
+    title = f"{ends[0]} to {ends[1]}: {', '.join(map(_name, letters))}"
+    if taken in letters and role != "other":  # name it, and first
+        words = ", ".join(map(_name, dict.fromkeys((taken, *letters))))
+    else:
+        words = in_words(letters, automaton.letters)
+    return StateArrow(index[ends[0]], index[ends[1]], wrap(words), title, role)
+
+
+def _note(automaton: Automaton, shown: Collection[int], nodes: Sequence[StateNode]) -> str:
+    parts = []
+    left_out = set(np.flatnonzero(automaton.steps_left >= 0).tolist()) - set(shown)
+    if left_out:
+        parts.append(f"{len(shown)} of {automaton.n_states} states shown.")
+    if any(node.forbidden for node in nodes):
+        parts.append('"not …": reaching it there makes success impossible.')
+    if any(node.dead for node in nodes):
+        parts.append("Dashed: success is impossible.")
+    if any(node.hidden for node in nodes):
+        parts.append('"+ …": next states that are not shown.')
+    return " ".join([*parts, "Names that a state does not list change nothing there."])
+
+
+def in_words(letters: Sequence[str], alphabet: Sequence[str]) -> str:
+    """Format a set of letters (which may include `NOTHING`) as a short list.
+
+    >>> in_words(["chair", ""], ["chair", "tv"])
+    'chair, nothing'
+    >>> in_words(["a", "b", "c", "d"], ["a", "b", "c", "d", "e"])
+    'all but e'
+    """
+    names = [letter for letter in letters if letter != NOTHING]
+    others = [letter for letter in alphabet if letter not in set(names)]
+    nothing = len(names) < len(letters)
+    if nothing and not others:
+        return "anything or nothing"
+    words = ", ".join(map(_name, names))
+    if len(names) > 3 and len(others) <= 2:
+        words = f"all but {', '.join(map(_name, others))}" if others else f"any of {len(names)}"
+    return ", ".join(part for part in (words, _name(NOTHING) if nothing else "") if part)
+
+
+def _name(letter: str) -> str:
+    return "nothing" if letter == NOTHING else shorten(letter, 60)
+
+
+def wrap(words: str, length: int = LABEL_LENGTH) -> tuple[str, ...]:
+    """Break a list at its commas into at most `MAX_LINES` lines of about `length` characters.
+
+    >>> wrap("potted plant, television, sofa")
+    ('potted plant,', 'television, sofa')
+    """
+    items = [shorten(item, length).replace(" ", _NO_BREAK) for item in words.split(", ")]
+    lines = textwrap.wrap(
+        ", ".join(items), length + 1, max_lines=MAX_LINES, placeholder=" …",
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip
+    return tuple(line.replace(_NO_BREAK, " ") for line in lines)

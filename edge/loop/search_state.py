@@ -1,0 +1,224 @@
+"""Search without candidates: turns on the spot, retries and viewpoints."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from edge.host.checkpoint import Arrays
+from edge.loop.candidates import CandidatePool
+from edge.mapping.coverage import Viewpoint
+from edge.mapping.grid import RollingMap
+from edge.perception.tracking.instances import InstanceTracker
+from edge.policies.base import PolicyInput
+
+# Time without a candidate after which the robot turns on the spot, and the number of turns of a
+# full circle.
+TURN_AFTER_NS, TURNS = 1_000_000_000, 3
+# Seen from afar, the border of known space flickers. A frontier that appears after the search was
+# exhausted must exist for this time.
+LASTING_NS = 2_000_000_000
+# Shortest time of a retry of blocked places. A new frontier appears there a tick or two after the
+# opening, and is used only after `LASTING_NS`.
+_RETRY_NS = LASTING_NS + 1_000_000_000
+# Number of retries, and the pause before the next one: a person in the way may have left.
+_RETRIES, _PAUSE_NS = 2, 10_000_000_000
+# A frontier is unreliable if it was left this many times (for another, or because it vanished)
+# before the robot arrived: it is visible only from afar, or farther than it looks. The robot then
+# either drives all the way to it or ignores it.
+_FICKLE, _SAME_M, LEFT = 3, 0.6, 64
+_SAME_PLACE_M = 0.3  # two goals this near to each other count as the same place
+
+
+@dataclass(slots=True, eq=False)
+class SearchState:
+    """The state of the search for one target.
+
+    Attributes:
+        exhausted: True if no candidate was left and turns on the spot showed nothing new. Later
+            candidates are used, but the robot does not turn again.
+        left: Places of frontiers that were left before the robot arrived.
+    """
+
+    exhausted: bool = False
+    left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
+    _turns: int = 0  # since there was a candidate
+    _idle_since_ns: int | None = None
+    _second_chance: bool = False
+    _missed: tuple[int, tuple[float, float]] | None = None
+    _retry: tuple[int, int] | None = None  # generation of the travel-cost field and time of its end
+    _retries: int = 0
+    _next_retry_ns: int = 0
+
+    def state_dict(self) -> Arrays:
+        """Return the failed attempts by place, but no state that lasts only seconds."""
+        missed = () if self._missed is None else ((self._missed[0], *self._missed[1]),)
+        return {
+            "exhausted": np.array(self.exhausted),
+            "turns": np.array(self._turns),
+            "second_chance": np.array(self._second_chance),
+            "left_m": np.array(self.left, np.float64).reshape(-1, 2),
+            "missed": np.array(missed, np.float64).reshape(-1, 3),
+        }
+
+    @classmethod
+    def of_state_dict(cls, state: Arrays) -> SearchState:
+        """Return the search of a `state_dict` that was checked."""
+        search = cls(bool(state["exhausted"]))
+        search.left.extend((x, y) for x, y in state["left_m"].tolist())
+        search._turns, search._second_chance = int(state["turns"]), bool(state["second_chance"])
+        for i, x, y in state["missed"].tolist():
+            search._missed = (int(i), (x, y))
+        return search
+
+    def fickle(self, xy_m: tuple[float, float]) -> bool:
+        """Return True if a frontier here was left too often before the robot arrived."""
+        return sum(math.dist(xy_m, left) < _SAME_M for left in self.left) >= _FICKLE
+
+    def missed(self, instance_id: int, at_m: tuple[float, float]) -> bool:
+        """Record an instance as out of reach from a place; return True if it was so before."""
+        before, self._missed = self._missed, (instance_id, at_m)
+        return (
+            before is not None
+            and before[0] == instance_id
+            and math.dist(before[1], at_m) <= _SAME_PLACE_M
+        )
+
+    def found(self) -> None:
+        """Record that there is a candidate."""
+        self._idle_since_ns = None
+        if not self.exhausted:
+            self._turns = 0
+
+    def may_turn(self, turning: bool, now_ns: int) -> bool:
+        """Return True if the robot should turn on the spot to see the space behind it.
+
+        Args:
+            turning: True if the robot is already turning.
+            now_ns: Loop time.
+        """
+        if self.exhausted:
+            return False
+        if self._idle_since_ns is None:
+            self._idle_since_ns = now_ns
+        if turning:
+            return True
+        if now_ns - self._idle_since_ns < TURN_AFTER_NS:
+            return False
+        if self._turns == TURNS:
+            self.exhausted = True
+            return False
+        self._turns += 1
+        return True
+
+    def turned(self, now_ns: int) -> None:
+        """Record the end of a turn, done or failed."""
+        self._idle_since_ns = now_ns
+
+    def trying_again(
+        self, context: PolicyInput, grid: RollingMap, pool: CandidatePool, tracker: InstanceTracker
+    ) -> bool:
+        """Retry discarded candidates and blocked places; return True while that may help.
+
+        Discarded candidates and rejected objects get one more chance. Blocked places are opened in
+        the map, up to twice.
+        """
+        first, self._second_chance = not self._second_chance, True
+        if first:
+            pool.lift_discards()
+            tracker.forget_rejected(context.target)
+        if self._retry is not None:
+            generation, until_ns = self._retry
+            if grid.reach.generation < generation or context.now_ns < until_ns:
+                return True
+            self._retry = None
+        if self._retries == _RETRIES or not grid.bumps.closed_m:
+            return first
+        if context.now_ns >= self._next_retry_ns:  # doors open, and people go
+            grid.bumps.open_all()
+            pool.lift_discards()
+            self._retries += 1
+            self._next_retry_ns = context.now_ns + _PAUSE_NS
+            # The travel-cost field that is growing now may have started before the opening. The
+            # next one includes the place.
+            self._retry = (grid.reach.generation + 2, context.now_ns + _RETRY_NS)
+        return True
+
+
+class NextBestView:
+    """A choice of viewpoints from which the detector can see objects better.
+
+    Viewpoints come one after another, until none is worth a goal. Each is tried once.
+
+    Args:
+        enough: Number of images that the robot stays at a viewpoint.
+
+    Attributes:
+        enough: As in `Args`; may be set.
+        done: True if no useful viewpoint is left.
+        views: Number of viewpoints that were seen, at the viewpoint or on the way to it.
+    """
+
+    def __init__(self, enough: int) -> None:
+        self.done = False
+        self.views = 0
+        self.enough = enough
+        self._view: Viewpoint | None = None
+        self._searching = self._given_up = False
+        self._came_at: int | None = None  # the detector's number of images at the arrival
+
+    def choose(self, grid: RollingMap, images: int) -> Viewpoint | None:
+        """Return the viewpoint to go to; None while the search runs, and if there is none.
+
+        Args:
+            grid: The map.
+            images: Number of images that the detector has processed so far.
+        """
+        if self._view is not None and (self._over(images) or not grid.coverage.worth(self._view)):
+            grid.coverage.write_off(self._view)
+            self.views += not self._given_up
+            self.drop()
+        if self._view is None and not self.done:
+            self._search(grid)
+        return self._view
+
+    def came(self, images: int) -> None:
+        """Record that the robot stands at the current viewpoint."""
+        if self._came_at is None:
+            self._came_at = images
+
+    def give_up(self) -> None:
+        """Record that the robot cannot reach the current viewpoint."""
+        self._given_up = True
+
+    def start_over(self) -> None:
+        """Start over for another mission."""
+        self.drop()
+        self.views = 0
+
+    def drop(self) -> None:
+        """Abandon the current viewpoint. It may be found again."""
+        self._view = self._came_at = None
+        self.done = self._searching = self._given_up = False
+
+    def _over(self, images: int) -> bool:
+        stayed = self._came_at is not None and images - self._came_at >= self.enough
+        return stayed or self._given_up
+
+    def _search(self, grid: RollingMap) -> None:
+        coverage = grid.coverage
+        if not self._searching:
+            coverage.start_over()
+        self._searching = True
+        if not coverage.search(grid.reach):
+            return
+        view, self._searching = coverage.view, False
+        if view is None:
+            self.done = True
+        elif coverage.worth(view):
+            self._view = view
+        else:  # its rays just missed the corner of a cell
+            coverage.write_off(view)

@@ -1,0 +1,241 @@
+"""Delexicalisation: replaces the names in an instruction by placeholders for the network.
+
+The network knows no objects. It reads `<0>` for the first object, `<1>` for the second, and so on.
+A repeated object has the same placeholder.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from edge import names
+from edge.mission.language import nouns
+from edge.mission.language.lexicon import AFTER_VERB, PHRASES, TABLE, WORD, expanded
+from edge.mission.language.prefix_notation import MOST_NAMES, NAMES
+from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
+
+MOST_PIECES = 250
+"""Largest number of words and marks in an instruction."""
+LONGEST_NAME = 6  # words
+ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
+_SINGLING = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
+_PLACES = tuple(sorted(PHRASES["place"], key=len, reverse=True))
+_OF_NO_NAME = {"of", "between", "against"}
+_STORIES = {"floor", "floors", "story", "level", "room", "landmark", "door", "street", "building"}
+_AFTER_LETTER = {*AFTER_VERB, ",", ".", "and", "or", "then", "before", "after", "until"}
+_CUT_OFF = nouns.listed("don doesn didn isn aren wasn can won shouldn mustn couldn")
+"""First part of a contraction whose `t` lost the apostrophe."""
+_VERBS_TOO = """
+    swing drop park dock point ring rest stick tap drill paint book fan bat saw scale tie train
+    track frame file mop sponge exit guard
+"""
+_ALSO_VERBS = frozenset(_VERBS_TOO.split())
+"""Words that name an object only after an article; else they are verbs."""
+_MARKS = {",": ",", ":": ",", ".": ".", ";": ".", "!": ".", "?": ".", "&": "and"}
+_NEVER_NAMES = {*ARTICLES, *_MARKS.values(), "robot", "robots", "spot", "spots"}
+_NEVER_ALONE = {"can"}
+_OWN, _WAYS = ("your", "our", "its", "my"), ("path", "way", "route", "road", "trip")
+_VEHICLES = """
+    bus car train taxi cab bike bicycle motorcycle boat ship ferry plane airplane truck van tram
+    subway elevator lift escalator wheelchair scooter foot
+"""
+_RIDING = ("by", "via", "per")
+_RIDDEN = frozenset(names.canonical(name) for name in _VEHICLES.split())
+"""Objects that are a means of transport after "by" without an article."""
+_PIECE = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
+
+
+@dataclass(frozen=True, slots=True)
+class DelexicalisedText:
+    """A delexicalised instruction.
+
+    Attributes:
+        words: lower case, `NAMES[i]` for the object `names[i]`; the only marks are "," and ".".
+        names: canonical names in order of first mention, each once.
+        starts: for each word, the offset of its first character in the instruction.
+    """
+
+    words: tuple[str, ...]
+    names: tuple[str, ...]
+    starts: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    text: str
+    start: int
+    quoted: bool = False
+
+
+def delexicalise_text(text: str) -> DelexicalisedText:
+    """Return the instruction with its names replaced by placeholders.
+
+    Names are those that the grammar knows: the alias table, places and common objects with their
+    qualities ("the small red box"), single letters, and texts in double quotes.
+
+    Raises:
+        TranslationError: the text is too long, has a character that is not allowed, or names more
+            than `MOST_NAMES` objects.
+
+    Example:
+        >>> lift("Go to the bed, then to the sofa.").words
+        ('go', 'to', '<0>', ',', 'then', 'to', '<1>', '.')
+    """
+    pieces = _pieces(text)
+    among_letters = _names_letters(pieces)
+    words: list[str] = []
+    starts: list[int] = []
+    found: list[str] = []
+    at = 0
+    while at < len(pieces):
+        length, name = _name_at(pieces, at, among_letters)
+        if name in _RIDDEN and words and words[-1] in _RIDING:
+            start = pieces[at].start
+            raise not_understood(
+                text[start:], start + 1, "say where to go, without the means of transport"
+            )
+        if name is None:
+            words.append(pieces[at].text)
+            starts.append(pieces[at].start)
+            at += 1
+            continue
+        if name not in found:
+            if len(found) == MOST_NAMES:
+                hint = f"an instruction has at most {MOST_NAMES} objects"
+                raise not_understood(text[pieces[at].start :], pieces[at].start + 1, hint)
+            found.append(name)
+        if words and words[-1] in ARTICLES:
+            words.pop()
+            starts.pop()
+        words.append(NAMES[found.index(name)])
+        starts.append(pieces[at].start)
+        at += length
+    return DelexicalisedText(tuple(words), tuple(found), tuple(starts))
+
+
+def _pieces(text: str) -> list[_Piece]:
+    if len(text) > MAX_CHARS:
+        hint = f"an instruction has at most {MAX_CHARS} characters"
+        raise not_understood(text[MAX_CHARS:], MAX_CHARS + 1, hint)
+    pieces: list[_Piece] = []
+    for match in _PIECE.finditer(text.translate(STRAIGHT)):
+        found, start = match.group(), match.start()
+        if match["quoted"] is not None:
+            if not names.is_name(found[1:-1]):
+                raise not_understood(found, start + 1, "no name")
+            pieces.append(_Piece(found[1:-1], start, quoted=True))
+        elif found.lower() == "t" and pieces and pieces[-1].text in _CUT_OFF:
+            cut = pieces.pop()
+            pieces += [_Piece(part, cut.start) for part in expanded(f"{cut.text}'t")]
+        elif match["word"] is not None:
+            pieces += [_Piece(part, start) for part in expanded(found.lower())]
+        elif found in _MARKS:
+            pieces.append(_Piece(_MARKS[found], start))
+        else:
+            raise not_understood(
+                found, start + 1, "this character is not allowed in an instruction"
+            )
+    if len(pieces) > MOST_PIECES:
+        late = pieces[MOST_PIECES].start
+        raise not_understood(text[late:], late + 1, f"it has more than {MOST_PIECES} words")
+    return pieces
+
+
+def _name_at(pieces: list[_Piece], at: int, among_letters: bool) -> tuple[int, str | None]:
+    """Return the number of pieces and the canonical form of the name here, or (0, None)."""
+    if pieces[at].quoted:
+        return 1, names.canonical(pieces[at].text)
+    if _is_letter(pieces, at, among_letters):
+        return 1, pieces[at].text
+    length = _known_length(pieces, at)
+    if not length or _is_own_way(pieces, at) or _is_verb(pieces, at, length):
+        return 0, None
+    text = " ".join(piece.text for piece in pieces[at : at + length])
+    place, skipped = _place_at(pieces, at + length)
+    if _is_own_way(pieces, at + length + skipped):
+        place = ""  # "the table on your path"
+    if place and (more := _known_length(pieces, at + length + skipped)):
+        where = pieces[at + length + skipped : at + length + skipped + more]
+        other = " ".join(piece.text for piece in where)
+        text = f"{names.normalise(text)} {place} {other}"
+        length += skipped + more
+    return (length, names.canonical(text)) if names.is_name(text) else (0, None)
+
+
+def _is_verb(pieces: list[_Piece], at: int, length: int) -> bool:
+    """Return True if "lift the …" begins here, in which "lift" is a verb."""
+    begins = at == 0 or pieces[at - 1].text in (",", ".", "and", "then", "please")
+    following = pieces[at + length].text if at + length < len(pieces) else ""
+    return begins and length == 1 and following in ARTICLES
+
+
+def _is_own_way(pieces: list[_Piece], at: int) -> bool:
+    """Return True if "your path" ends here, which is no object to go to."""
+    own = 0 < at < len(pieces) and pieces[at - 1].text in _OWN
+    return own and pieces[at].text in _WAYS
+
+
+def _known_length(pieces: list[_Piece], at: int) -> int:
+    """Return the length in pieces of the longest name of known words that begins here."""
+    singled = at > 0 and pieces[at - 1].text in _SINGLING
+    for length in range(min(LONGEST_NAME, len(pieces) - at), 0, -1):
+        run = pieces[at : at + length]
+        texts = [piece.text for piece in run]
+        if any(piece.quoted for piece in run) or nouns.unknown_in(texts) is not None:
+            continue
+        if _NEVER_NAMES & set(texts) or not _begins_name(texts, singled):
+            continue
+        return length
+    return 0
+
+
+def _begins_name(texts: list[str], singled: bool) -> bool:
+    """Return True if these words name an object here; "first" and "check" mostly do not."""
+    if texts[0] in _NEVER_ALONE and len(texts) == 1:
+        return False
+    if singled:
+        return True
+    if texts[0] in nouns.ORDINALS:
+        return any(text in _STORIES for text in texts)
+    if texts[0] in _ALSO_VERBS:
+        return False
+    kind = TABLE.get((texts[0],))
+    return (len(texts) > 1 and texts[0] in nouns.QUALITIES) or kind in (None, "word", "group")
+
+
+def _is_letter(pieces: list[_Piece], at: int, among_letters: bool) -> bool:
+    """Return True if a single letter here is a name; `a` is mostly an article."""
+    text = pieces[at].text
+    if len(text) != 1 or not text.isalpha() or not text.isascii() or text == "i":
+        return False
+    if text != "a":
+        return True
+    after = pieces[at + 1] if at + 1 < len(pieces) else _Piece(".", 0)
+    if after.quoted or (len(after.text) > 1 and _known_length(pieces, at + 1)):
+        return False
+    return after.text in _AFTER_LETTER or among_letters
+
+
+def _names_letters(pieces: list[_Piece]) -> bool:
+    """Return True if letters are names in this text, so that `a` may be one too.
+
+    They are if another letter occurs, or if the text has no other name.
+    """
+    if any(p.text not in "ais" and len(p.text) == 1 and p.text.isalpha() for p in pieces):
+        return True
+    return not any(_known_length(pieces, at) for at in range(len(pieces)))
+
+
+def _place_at(pieces: list[_Piece], at: int) -> tuple[str, int]:
+    """Return a preposition of place here, and the number of pieces of it and its article."""
+    for place in _PLACES:
+        words = place.split()
+        if place not in _OF_NO_NAME and [p.text for p in pieces[at : at + len(words)]] == words:
+            end = at + len(words)
+            article = end < len(pieces) and pieces[end].text in ARTICLES
+            named = pieces[end + article].text if end + article < len(pieces) else ""
+            if named in _WAYS:
+                return "", 0  # "the lamp on your path"
+            return place, len(words) + article
+    return "", 0

@@ -1,0 +1,132 @@
+"""Prefix notation of formulas, as the network writes them.
+
+Each token except names has a fixed number of operands. So every prefix can be completed, and no
+prefix needs to be parsed twice. In addition to the operators of `logic.ltl` there are
+abbreviations: `>=n x`, `<=n x` and `=n x` count separate visits to x. `O x y` is at most one visit
+to x before the first y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from edge.mission.language.goal_tree import Visit, achieved, at_most, at_most_before
+from edge.mission.logic.ltl import (
+    TRUE,
+    Formula,
+    always,
+    ap,
+    conj,
+    disj,
+    eventually,
+    implies,
+    neg,
+    next_,
+    weak_until,
+)
+
+MOST_NAMES = 8
+NAMES = tuple(f"<{i}>" for i in range(MOST_NAMES))
+"""Placeholders of the objects of an instruction, in the order of their first mention."""
+COUNTS = range(1, 6)
+REFUSED = "<refused>"
+"""Output instead of a formula, if no formula expresses the instruction."""
+
+
+def _options(f: Formula) -> tuple[str, ...]:
+    """Return the names of a proposition, or of a disjunction of propositions."""
+    return tuple(part.name for part in (f.args if f.op == "|" else (f,)))
+
+
+def _at_least(f: Formula, n: int) -> Formula:
+    return achieved(Visit(_options(f), n), TRUE, frozenset())
+
+
+def _at_most(f: Formula, n: int) -> Formula:
+    return at_most(_options(f), n)
+
+
+def _exactly(f: Formula, n: int) -> Formula:
+    return conj(_at_least(f, n), _at_most(f, n))
+
+
+def _counting(made: Callable[[Formula, int], Formula], n: int) -> Callable[[Formula], Formula]:
+    return lambda f: made(f, n)
+
+
+OPERATORS: dict[str, tuple[int, Callable[..., Formula]]] = {
+    "F": (1, eventually),
+    "G": (1, always),
+    "X": (1, next_),
+    "!": (1, neg),
+    "&": (2, conj),
+    "|": (2, disj),
+    "W": (2, weak_until),
+    "->": (2, implies),
+    "<->": (2, lambda x, y: Formula("<->", (x, y))),
+    "O": (2, lambda x, y: at_most_before(_options(x), 1, _options(y))),
+} | {
+    f"{sign}{n}": (1, _counting(made, n))
+    for sign, made in ((">=", _at_least), ("<=", _at_most), ("=", _exactly))
+    for n in COUNTS
+}  # fmt: skip
+"""Token → number of operands, and the function that makes a formula of them."""
+_OF_NAMES = {"!", "O"} | {token for token in OPERATORS if token[-1].isdigit()}
+"""Tokens whose operands are names or choices of names."""
+
+
+def arity(token: str) -> int:
+    """Return the number of operands of the token."""
+    return OPERATORS[token][0] if token in OPERATORS else 0
+
+
+def allowed(written: Sequence[str], names: int, most: int) -> Iterator[str]:
+    """Yield the tokens that may come next, so that the formula can be completed within the limits.
+
+    None is yielded when the formula is complete.
+
+    Args:
+        written: the tokens so far.
+        names: number of names that the formula may use.
+        most: largest number of tokens.
+    """
+    open_, narrow = 1, [False]
+    for token in written:
+        inside = narrow.pop()
+        narrow += [inside or token in _OF_NAMES] * arity(token)
+        open_ += arity(token) - 1
+    if open_ == 0:
+        return
+    room = most - len(written) - open_
+    yield from NAMES[:names]
+    if narrow[-1]:
+        if room >= 2 and (not written or written[-1] != "!"):
+            yield "|"
+    else:
+        yield from (token for token, (n, _) in OPERATORS.items() if room >= n)
+    if not written:
+        yield REFUSED
+
+
+def formula_of(tokens: Sequence[str], names: Sequence[str]) -> Formula:
+    """Return the formula of tokens, in which `NAMES[i]` stands for `names[i]`.
+
+    Raises:
+        ValueError: the tokens are no formula.
+
+    Example:
+        >>> str(formula_of(["F", "&", "<0>", "F", "<1>"], ["bed", "sofa"]))
+        'F (bed & F sofa)'
+    """
+    done: list[Formula] = []
+    for token in reversed(tokens):
+        if token in NAMES[: len(names)]:
+            done.append(ap(names[NAMES.index(token)]))
+        elif token in OPERATORS and arity(token) <= len(done):
+            done.append(OPERATORS[token][1](*(done.pop() for _ in range(arity(token)))))
+        else:
+            break
+    else:
+        if len(done) == 1:
+            return done[0]
+    raise ValueError(f"{' '.join(tokens)!r} writes no formula over {len(names)} names")

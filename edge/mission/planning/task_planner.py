@@ -1,0 +1,46 @@
+"""The planner of tasks: the robot must detect the objects that the remaining steps name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from edge.mission.planning.plan import MissionKnowledge, TargetPlan, explain_blocked, listed
+from edge.mission.task_step import TaskStep
+
+
+class TaskPlanner:
+    """Planner that pursues objects not detected yet, in the order of the instruction.
+
+    Args:
+        targets: names that the detector looks for, at least one.
+        steps: steps of the task.
+    """
+
+    def __init__(self, targets: Sequence[str], steps: Sequence[TaskStep]) -> None:
+        self._targets, self._steps = targets, steps
+
+    def plan(
+        self, state: int, knowledge: MissionKnowledge, current: str | None = None
+    ) -> TargetPlan:
+        """Return the plan; it has no steps if nothing is left to detect.
+
+        Args:
+            state: number of driven steps.
+            knowledge: detected and failed objects.
+            current: the present target.
+        """
+        to_see = dict.fromkeys(name for step in self._steps[state:] for name in step.names)
+        failed = tuple(label for label in to_see if label in knowledge.failed)
+        if failed:
+            return TargetPlan(None, (), float("inf"), False, failed, explain_blocked(failed), ())
+        unseen = tuple(label for label in to_see if label not in knowledge.detected)
+        if not unseen:
+            target = current or [*to_see, *self._targets][0]
+            return TargetPlan(target, (), 0.0, True, (), "all objects of the task were seen", ())
+        cost = float(len(unseen))
+        reason = f"{listed(unseen)} {_is(unseen)} still to be seen"
+        return TargetPlan(unseen[0], unseen, cost, True, (), reason, ((unseen[0], cost),))
+
+
+def _is(labels: Sequence[str]) -> str:
+    return "are" if len(labels) > 1 else "is"

@@ -1,0 +1,102 @@
+"""Driving distances for the planner, computed in the background."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edge.config import PlannerInOrder, PlannerPlugin, PlannerVitl
+from edge.geometry import SE2
+from edge.host.worker import Worker
+from edge.mission.planning.distances import distances
+
+if TYPE_CHECKING:
+    from edge.mapping.grid import RollingMap
+    from edge.mission.run import MissionRun
+    from edge.perception.tracking.instances import InstanceTracker
+
+PERIOD_NS = 1_000_000_000
+
+
+class TravelCostEstimator:
+    """Background computation of driving distances: one at a time, at most one a second.
+
+    Args:
+        inline: compute inside `ask`, so that a replay gives identical results.
+    """
+
+    def __init__(self, inline: bool) -> None:
+        self._worker = Worker("surveyor", lambda survey: survey(), inline=inline)
+        self._asked_ns: int | None = None
+
+    def through(self, beside: Callable[[str, Any], Any]) -> None:
+        """Wrap the worker so that its inputs and results are logged or replayed by `beside`."""
+        self._worker = beside("surveyor", self._worker)
+
+    def step(
+        self,
+        mission: MissionRun,
+        grid: RollingMap,
+        tracker: InstanceTracker,
+        pose: SE2,
+        now_ns: int,
+    ) -> None:
+        """Pass a finished survey to the mission, and start another one if it is due."""
+        if (found := self.poll()) is not None and not mission.paused:
+            mission.survey(found, now_ns)
+        if self.due(now_ns):
+            letters = mission.brief.automaton.letters
+            places = {name: at for name, at in mission.places.items() if at is not None}
+            xy_m = [
+                [(places[letter].x_m, places[letter].y_m)]
+                if letter in places
+                else [one.center_m[:2] for one in tracker.of(letter)]
+                for letter in letters
+            ]
+            known = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
+            self.ask(grid, pose, known, now_ns)
+
+    def due(self, now_ns: int) -> bool:
+        """Return True if another survey may start."""
+        rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
+        return rested and self._worker.idle
+
+    def ask(self, grid: RollingMap, pose: SE2, positions: list[np.ndarray], now_ns: int) -> None:
+        """Start a survey.
+
+        Args:
+            grid: the map; the worker takes the snapshot.
+            pose: pose of the robot.
+            positions: for each letter of the automaton, (m, 2) positions of its known instances.
+            now_ns: time of the loop.
+        """
+        self._asked_ns = now_ns
+
+        def work() -> np.ndarray:
+            return distances(grid.snapshot(inflated=50), (pose.x_m, pose.y_m), positions)
+
+        self._worker.submit(work)
+
+    def poll(self) -> np.ndarray | None:
+        """Return a finished survey once; None if there is none."""
+        return self._worker.poll()
+
+    def forget(self) -> None:
+        """Discard the running survey because its targets have changed."""
+        self._worker.forget()
+        self._asked_ns = None
+
+    def close(self) -> None:
+        """Stop; a running survey ends within 0.1 s."""
+        self._worker.close()
+
+
+def make_travel_cost_estimator(
+    planner: PlannerVitl | PlannerInOrder | PlannerPlugin, inline: bool
+) -> TravelCostEstimator | None:
+    """Return a surveyor if the planner uses distances as weights, else None."""
+    if not isinstance(planner, PlannerVitl) or planner.weights != "distance":
+        return None
+    return TravelCostEstimator(inline)

@@ -1,0 +1,168 @@
+"""Supervision of a model process: start it, wait for its end, and start it again."""
+
+from __future__ import annotations
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from concurrent.futures import Future
+from typing import Any, NamedTuple
+
+from edge import config
+from edge.errors import UserError
+from edge.perception.process.link import ModelProcessClient
+from edge.perception.process.wire import FrameFile
+from edge.perception.runtime.health import ProgressCallback
+
+BACKOFF_S, BACKOFF_MAX_S = 0.2, 5.0
+"""First pause before a restart; it doubles up to the second value, in seconds."""
+MOST_ENDS, WINDOW_S = 8, 60.0
+"""After more ends in a row than this, one restart each `WINDOW_S` seconds.
+
+A run of over `WINDOW_S` seconds ends the row."""
+_CLOSE_S = 10.0  # wait for the thread to end after its process was killed
+
+
+class RestartDelay(NamedTuple):
+    """The wait before a restart, and True if the limit of restarts was reached."""
+
+    seconds: float
+    limit: bool
+
+
+class RestartBackoff:
+    """Backoff and limit of restarts.
+
+    Ends count in a row, however long each start takes. An end after a run of over `WINDOW_S` starts
+    a new row. The backoff starts again after a run of over `BACKOFF_MAX_S`.
+    """
+
+    def __init__(self) -> None:
+        self._ends = 0
+        self._backoff_s = BACKOFF_S
+
+    def after(self, ran_s: float) -> RestartDelay:
+        """Return the pause after a process has ended.
+
+        Args:
+            ran_s: how long it was ready; 0 if it never was.
+        """
+        self._ends = 1 if ran_s > WINDOW_S else self._ends + 1
+        if ran_s > BACKOFF_MAX_S:
+            self._backoff_s = BACKOFF_S
+        seconds, self._backoff_s = self._backoff_s, min(2 * self._backoff_s, BACKOFF_MAX_S)
+        if self._ends > MOST_ENDS:
+            return RestartDelay(max(seconds, WINDOW_S), True)
+        return RestartDelay(seconds, False)
+
+
+class SupervisedProcess(ABC):
+    """A thread that starts a process, waits for its end, and starts it again by `RestartBackoff`.
+
+    A subclass starts the process in `_run_once` (by `_run_link`) and handles `_ready` and `_ended`,
+    all on that thread.
+
+    Attributes:
+        name: of the model.
+        restarts: number of restarts begun.
+    """
+
+    def __init__(self, name: str, rules: config.ModelProcessConfig) -> None:
+        self.name, self.restarts = name, 0
+        self._rules = rules
+        self._frames = FrameFile()
+        self._link: ModelProcessClient | None = None
+        self._closing = threading.Event()
+
+    def _begin(self, thread: str) -> None:
+        """Start the thread, and wait until the process is ready for the first time.
+
+        Raises:
+            Exception: the process did not get ready; everything is closed then.
+        """
+        first: Future[None] = Future()
+        self._thread = threading.Thread(target=self._run, args=(first,), name=thread, daemon=True)
+        self._thread.start()
+        try:
+            first.result()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End the process in any state; may be called from another thread.
+
+        A process that survives SIGKILL is left behind, and so is the thread.
+        """
+        self._closing.set()
+        if (link := self._link) is not None:
+            link.stop()
+        self._thread.join(_CLOSE_S)
+        if self._thread.is_alive() and (link := self._link) is not None:
+            link.leave()
+        self._frames.close()
+
+    def _run(self, first: Future[None]) -> None:
+        """Keep a process running until `close`; `first` gets the result of the first start."""
+        restarts = RestartBackoff()
+        while not self._closing.is_set():
+            ran_s, failed = 0.0, None
+            try:
+                ran_s, why = self._run_once(first)
+            except Exception as error:  # such as a model that can no longer be loaded
+                failed, why = error, str(error) if isinstance(error, UserError) else repr(error)
+            if not first.done():
+                first.set_exception(failed)
+                return
+            pause = restarts.after(ran_s)
+            if not self._closing.is_set():
+                self._ended(why, failed, pause)
+            if not self._closing.wait(pause.seconds):
+                self.restarts += 1
+
+    @abstractmethod
+    def _run_once(self, first: Future[None]) -> tuple[float, str]:
+        """Run one process from its start to its end.
+
+        Returns:
+            (seconds that it was ready, how it ended).
+
+        Raises:
+            ModelError, PromptError: see `ModelProcessClient.wait_ready`.
+        """
+
+    def _run_link(
+        self,
+        first: Future[None],
+        request: dict[str, Any],
+        progress: ProgressCallback,
+        program: Sequence[str] = (),
+    ) -> tuple[float, str]:
+        """See `_run_once`; `request` and `program` as `ModelProcessClient` takes them."""
+        link = ModelProcessClient(request, self.name, self._frames, program)
+        try:
+            link.wait_ready(
+                self._rules.start_timeout_s, lambda: self._is_cancelled(first), progress
+            )
+            ready_s, self._link = time.monotonic(), link
+            self._ready(again=first.done())
+            if not first.done():
+                first.set_result(None)
+            if not self._closing.is_set():  # if it is set, `close` may have missed this link
+                link.join()
+            return time.monotonic() - ready_s, link.fault
+        finally:
+            link.close()
+
+    def _is_cancelled(self, first: Future[None]) -> bool:
+        """Return True if the process that is starting is no longer wanted."""
+        return self._closing.is_set()
+
+    @abstractmethod
+    def _ready(self, again: bool) -> None:
+        """Handle a process that is ready; `again`: not for the first time."""
+
+    @abstractmethod
+    def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
+        """Handle a process that ended or failed to start; it restarts after the pause."""

@@ -1,0 +1,189 @@
+"""Replay source: stand-ins for the loop's workers, which give the recorded answers in time."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from edge.loop.input_log import InputLog, LoopInput
+from edge.perception.runtime.health import Health
+from edge.recording import journal
+from edge.recording.file import RecordingError
+from edge.types import Detections, Observation
+
+_MOST_FRAMES = 256  # frames that wait for their detections
+_MOST_FRAMES_BYTES = 1 << 30  # a recording of 1 MB may hold 256 frames of 100 MB
+
+
+class NullModel:
+    """A stand-in for a model, whose answers are in the recording."""
+
+    prompts: tuple[str, ...] = ()
+    invalid_boxes = 0
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def set_prompts(self, prompts: Sequence[str]) -> None:
+        self.prompts = tuple(prompts)
+
+    def detect(self, observation: Observation) -> Detections:
+        raise AssertionError("a model is not called in a replay")
+
+    look = answer = score = detect
+
+    def health(self) -> Health:
+        return Health()
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+@dataclass
+class ReplayTick:
+    """Recorded worker events and decisions of the replayed tick, and frames of earlier ticks.
+
+    Attributes:
+        asked: names of workers that got a question.
+        found: answers by worker.
+        decided: decisions by name.
+        frames: observations that may still get detections, by number.
+        pictures: numbers of those with a recorded image.
+    """
+
+    asked: set[str] = field(default_factory=set)
+    found: dict[str, dict[str, Any]] = field(default_factory=dict)
+    decided: dict[str, str] = field(default_factory=dict)
+    frames: dict[int, Observation] = field(default_factory=dict)
+    pictures: set[int] = field(default_factory=set)
+
+    def begin(self, entries: Sequence[LoopInput]) -> None:
+        self.asked = {e.fields["worker"] for e in entries if e.kind == "asked"}
+        self.found = {
+            e.fields["worker"]: e.fields["what"] for e in entries if e.kind == "found"
+        }  # fmt: skip
+        self.decided = {e.fields["what"]: e.fields["said"] for e in entries if e.kind == "decided"}
+
+    def see(self, observation: Observation, picture: bool) -> None:
+        self.frames[observation.seq] = observation
+        if picture:
+            self.pictures.add(observation.seq)
+        while len(self.frames) > 1 and (
+            len(self.frames) > _MOST_FRAMES
+            or sum(map(_bytes_of, self.frames.values())) > _MOST_FRAMES_BYTES
+        ):
+            self._forget(next(iter(self.frames)))
+
+    def frame(self, seq: int) -> Observation:
+        """Return the frame of this number and forget older ones; detections come in order."""
+        for old in [old for old in self.frames if old < seq]:
+            self._forget(old)
+        if seq not in self.frames:
+            raise RecordingError(f"detections of frame {seq}, but the recording has no such frame")
+        return self.frames[seq]
+
+    def _forget(self, seq: int) -> None:
+        del self.frames[seq]
+        self.pictures.discard(seq)
+
+
+def _bytes_of(observation: Observation) -> int:
+    arrays = (getattr(observation, f.name) for f in fields(observation))
+    return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
+
+
+class _ReplayedWorker:
+    """A stand-in for a worker: it gets questions and gives answers in the recorded ticks."""
+
+    def __init__(
+        self, name: str, worker: Any, now: ReplayTick, decode: Callable[[dict[str, Any], Any], Any]
+    ) -> None:
+        self._name, self._worker, self._now, self._decode = name, worker, now, decode
+        # In one tick an answer may come after the next question.
+        self._asked: deque[Any] = deque(maxlen=2)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._worker, name)
+
+    @property
+    def idle(self) -> bool:
+        return self._name in self._now.asked
+
+    def submit(self, item: Any) -> None:
+        self._asked.append(item)
+
+    def poll(self) -> Any:
+        said = self._now.found.get(self._name)
+        return None if said is None else self._decode(said, self._asked)
+
+    def forget(self) -> None:
+        self._asked.clear()
+
+
+class ReplaySource(InputLog):
+    """Replaces the loop's workers by the recorded answers.
+
+    Args:
+        now: recorded events of the current tick.
+        anew: runs a detector on the recorded images; None: recorded detections are used.
+        own: names of workers that run for real.
+    """
+
+    def __init__(
+        self, now: ReplayTick, anew: Callable[[Observation], Detections] | None, own: Sequence[str]
+    ) -> None:
+        super().__init__()
+        self.unseen = 0
+        self._now, self._anew, self._own = now, anew, own
+        self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
+            "detector": self._detections,
+            "surveyor": lambda said, asked: journal.survey_of(said),
+            "prior": lambda said, asked: journal.rooms_of(said),
+            "similarity": self._similarity,
+            "choice": self._choice,
+            "task": lambda said, asked: journal.draft_of(said),
+        }
+
+    def decided(self, what: str, decide: Callable[[], str], usual: str | None = None) -> str:
+        """Return the recorded decision; if there is none, the usual one.
+
+        Without a usual one, decide now: other settings may need a decision that was not recorded.
+        """
+        said = self._now.decided.get(what, usual)
+        return decide() if said is None else said
+
+    def beside(self, name: str, worker: Any) -> Any:
+        if name in self._own:
+            return worker
+        return _ReplayedWorker(name, worker, self._now, self._decode[name])
+
+    def _detections(self, said: dict[str, Any], asked: Any) -> Detections | None:
+        observation = self._now.frame(said["seq"])
+        if self._anew is None:
+            return journal.detections_of(said, observation)
+        if said["seq"] not in self._now.pictures:
+            self.unseen += 1
+            return None
+        return self._anew(observation)
+
+    def _similarity(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
+        similarity = journal.similarity_of(said)
+        question = _question(asked, similarity.stamp_ns)
+        return None if question is None else (question, similarity)
+
+    def _choice(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
+        """Return the recorded choice; None if other settings led to another question."""
+        choice = journal.choice_of(said)
+        question = _question(asked, choice.stamp_ns)
+        if question is None or not {m.id for m in question.view.marks} >= set(choice.ids):
+            return None
+        return question, choice
+
+
+def _question(asked: Iterable[Any], stamp_ns: int) -> Any:
+    """Return the question about the observation of this stamp; None if there was none."""
+    return next((q for q in asked if q.observation.stamp_ns == stamp_ns), None)

@@ -1,0 +1,319 @@
+"""Encoder of results as messages that Foxglove and ROS 2 can display.
+
+A `ResultEncoder` copies the needed data on the loop's thread and encodes them on another. A
+recording and a live view have the same channels.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge.bus.wire import clouds, compressed, images, markers, messages, transforms
+from edge.bus.wire.kernels import exact_millimetres
+from edge.bus.wire.messages import BASE_FRAME, MAP_FRAME
+from edge.bus.wire.transforms import Transform
+from edge.config import Config
+from edge.geometry import CameraModel
+from edge.loop.result import TickResult
+from edge.loop.status import status_message
+from edge.recording import channels
+from edge.recording.channels import Channel
+from edge.sinks.drawings import PathRing, markers_of
+from edge.sinks.rate_limiter import RateLimiter
+from edge.tasks.follow import path_message
+from edge.tasks.refine import RefinedTrajectory
+from edge.text import one_line
+from edge.types import Detections, Observation
+
+STATUS_HZ = LATENCY_HZ = DRAWN_HZ = INFO_HZ = 1.0
+MOST_MAP_HZ = 1.0
+"""Limit, because a map is as large as several depth images."""
+SHOWN_HZ = 10.0
+"""Rate of pose, transforms and boxes: enough for people."""
+TRAJECTORY_HZ = 0.2
+"""A trajectory may be long; it is also sent when it changes."""
+QUALITY = 85
+CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
+_SPARE = 16
+_NO_DEPTH = np.zeros((0, 0), np.uint16)
+_NO_ARRAYS = {"rgb": None, "depth_m": None, "cloud_m": None}
+_INFO = 2  # of foxglove.Log
+_LINE_LOOP = 2  # of foxglove.PointsAnnotation
+_BOX = {"r": 1.0, "g": 0.6, "b": 0.1, "a": 1.0}
+_DARK = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.6}
+_NOTHING = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
+
+
+class EncodedMessage(NamedTuple):
+    """One encoded message; `stamp_ns` is the time of its data, `sequence` the observation's number.
+
+    The payload has several parts, so that the writer copies pixels and points only once.
+    """
+
+    channel: Channel
+    stamp_ns: int
+    payload: tuple[bytes | memoryview, ...]
+    sequence: int = 0
+
+
+class _Later(NamedTuple):
+    """A message that is not encoded yet; any thread may do it."""
+
+    channel: Channel
+    stamp_ns: int
+    encode: Callable[[], bytes | tuple[bytes | memoryview, ...]]
+    sequence: int = 0
+
+
+@dataclass(frozen=True)
+class ResultSnapshot:
+    """The data of one result to encode.
+
+    Attributes:
+        now_ns: loop time of the result.
+        seen: the observation without its arrays; None: there was none.
+        arrays: copies of the wanted arrays, by the observation's fields; depth as uint16
+            millimetres if these are exact.
+        messages: the messages to encode.
+    """
+
+    now_ns: int
+    seen: Observation | None
+    arrays: dict[str, np.ndarray]
+    messages: list[_Later]
+
+    @property
+    def bytes(self) -> int:
+        """Size of the arrays."""
+        return sum(array.nbytes for array in self.arrays.values())
+
+
+class ResultEncoder:
+    """Encodes results: `take` is for the loop's thread, `tell` for another.
+
+    Args:
+        config: the configuration.
+        rgb_hz: rate of images, as JPEG; depth and clouds are encoded for every observation.
+        wanted: returns True if a channel has a receiver; called by any thread.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        rgb_hz: float,
+        wanted: Callable[[Channel], bool] = lambda channel: True,
+    ) -> None:
+        self._rgb_hz, self._wanted = rgb_hz, wanted
+        map_hz = min(config.report.map_hz, MOST_MAP_HZ)
+        rates = {"map": map_hz, "info": INFO_HZ, "status": STATUS_HZ, "latency": LATENCY_HZ}
+        shown = {"pose": SHOWN_HZ, "boxes": SHOWN_HZ, "drawings": DRAWN_HZ}
+        rates["trajectory"] = TRAJECTORY_HZ
+        self._pace = RateLimiter(rgb=max(rgb_hz, 1e-9), **shown, **rates)
+        self._way = PathRing()
+        self._mission: tuple[str, str, str] | None = None
+        self._trajectory: RefinedTrajectory | None = None
+        self._spans_ns = 0  # spans are sent up to here
+        self._spare: deque[np.ndarray] = deque(maxlen=_SPARE)  # depth buffers, of both threads
+
+    def take(self, result: TickResult, arrays: bool = True) -> ResultSnapshot:
+        """Copy the data of a result that the source will overwrite.
+
+        Args:
+            result: the result.
+            arrays: False to leave out images, depth and clouds.
+        """
+        if result.pose is not None:
+            self._way.add(result.pose)
+        pending: list[_Later] = []
+        seen, kept = result.observation, {}
+        if seen is not None:
+            kept = self._arrays(seen, result.now_ns) if arrays else {}
+            seen = replace(seen, slot=None, **_NO_ARRAYS)
+            if self._pace.is_due("pose", result.now_ns) or "rgb" in kept:
+                pending += _of_pose(seen, "cloud_m" in kept)
+            if seen.camera is not None and self._pace.is_due("info", result.now_ns):
+                pending.append(_of_camera(seen.stamp_ns, seen.camera))
+            pending += _of_arrays(seen, kept)
+        if result.detections is not None and self._pace.is_due("boxes", result.now_ns):
+            pending.append(_of_detections(result.detections))
+        pending += self._of_result(result, result.now_ns)
+        return ResultSnapshot(result.now_ns, seen, kept, pending)
+
+    def _arrays(self, seen: Observation, now_ns: int) -> dict[str, np.ndarray]:
+        """Return copies of the wanted arrays; see `ResultSnapshot.arrays`."""
+        there = {
+            "rgb": (seen.rgb, channels.PICTURE),
+            "depth_m": (seen.depth_m, channels.DEPTH),
+            "cloud_m": (seen.cloud_m, channels.CLOUD),
+        }
+        if not (self._rgb_hz > 0 and self._pace.is_due("rgb", now_ns)):
+            del there["rgb"]
+        return {
+            name: self._depth(array) if name == "depth_m" else array.copy()
+            for name, (array, channel) in there.items()
+            if array is not None and self._wanted(channel)
+        }
+
+    def _depth(self, depth_m: np.ndarray) -> np.ndarray:
+        """Copy depth, as exact millimetres if possible.
+
+        These take half the bytes and compress better. The conversion costs as much as a copy, since
+        the map has just read the array.
+        """
+        mm = self._spare.pop() if self._spare else _NO_DEPTH
+        if mm.shape != depth_m.shape:
+            mm = np.empty(depth_m.shape, np.uint16)
+        if exact_millimetres(depth_m.reshape(-1), mm.reshape(-1)):
+            return mm
+        self._spare.append(mm)
+        return depth_m.copy()
+
+    def _of_result(self, result: TickResult, now_ns: int) -> Iterator[_Later]:
+        for goal in result.goals:
+            encode = partial(messages.encode_pose_stamped, goal.stamp_ns, goal.pose)
+            yield _Later(channels.GOAL, goal.stamp_ns, encode)
+        for answer in result.answers:
+            said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
+            yield _Later(channels.GOAL_STATUS, now_ns, partial(json_bytes, said))
+        for event in result.events:
+            yield _Later(channels.EVENTS, event.now_ns, partial(_log, *event))
+        status = result.status
+        if (status.target, status.phase, status.reason) != self._mission:
+            self._mission = (status.target, status.phase, status.reason)
+            yield _Later(channels.MISSION, now_ns, partial(json_bytes, asdict(status)))
+        if self._pace.is_due("status", now_ns):
+            yield _Later(channels.STATUS, now_ns, partial(json_bytes, status_message(result)))
+        if self._pace.is_due("latency", now_ns):
+            yield _Later(channels.LATENCY, now_ns, lambda: json_bytes(result.latency().as_dict()))
+            yield _Later(channels.SPANS, now_ns, partial(self._spans, result))
+        if self._pace.is_due("map", now_ns):
+            yield _Later(
+                channels.MAP, now_ns,
+                lambda: messages.encode_occupancy_grid(now_ns, result.snapshot()),
+            )  # fmt: skip
+        if self._pace.is_due("drawings", now_ns):
+            way, drawn = self._way.poses(), (result.frontiers(), result.instances(), result.goal)
+            path = partial(transforms.encode_path, now_ns, MAP_FRAME, way)
+            yield _Later(channels.PATH, now_ns, path)
+            yield _Later(
+                channels.MARKERS, now_ns,
+                lambda: markers.encode_markers(now_ns, MAP_FRAME, markers_of(*drawn)),
+            )  # fmt: skip
+
+        yield from self._of_task(result, now_ns)
+
+    def _of_task(self, result: TickResult, now_ns: int) -> Iterator[_Later]:
+        """Yield the trajectory if it changed, and now and then; an empty one after its end."""
+        task = result.task()
+        refined = None if task is None else task.refined
+        due = refined is not None and self._pace.is_due("trajectory", now_ns)
+        if due or refined is not self._trajectory:
+            self._trajectory = refined
+            yield _Later(channels.TRAJECTORY, now_ns, partial(path_message, refined, now_ns))
+
+    def _spans(self, result: TickResult) -> bytes:
+        """Encode the spans since the last call."""
+        spans = result.spans(self._spans_ns)
+        ends_ns = [s.begin_ns + (0 if s.in_tick else s.took_ns) for s in spans]
+        self._spans_ns = max(ends_ns, default=self._spans_ns)
+        return json_bytes({"spans": spans})
+
+    def tell(self, moment: ResultSnapshot) -> Iterator[EncodedMessage]:
+        """Yield the messages in the order of events; payloads are valid until `let_go`."""
+        for channel, stamp_ns, encode, sequence in moment.messages:
+            if self._wanted(channel):
+                made = encode()
+                payload = made if isinstance(made, tuple) else (made,)
+                yield EncodedMessage(channel, stamp_ns, payload, sequence)
+
+    def let_go(self, moment: ResultSnapshot) -> None:
+        """Release a moment: its arrays may be reused."""
+        depth = moment.arrays.pop("depth_m", None)
+        if depth is not None and depth.dtype == np.uint16:
+            self._spare.append(depth)
+
+
+def _of_pose(seen: Observation, cloud: bool) -> Iterator[_Later]:
+    """Yield the pose of the robot and of its sensors."""
+    stamp_ns, T = seen.stamp_ns, seen.T_map_base
+    yield _Later(
+        channels.ODOMETRY, stamp_ns, partial(messages.encode_odometry, stamp_ns, T, 0.0, 0.0)
+    )
+    tf = [Transform(stamp_ns, MAP_FRAME, BASE_FRAME, T)]
+    if seen.camera is not None:
+        tf.append(Transform(stamp_ns, BASE_FRAME, CAMERA_FRAME, seen.T_base_camera))
+    if cloud:
+        tf.append(Transform(stamp_ns, BASE_FRAME, LIDAR_FRAME, seen.T_base_lidar))
+    yield _Later(channels.TF, stamp_ns, partial(transforms.encode_transforms, tf))
+
+
+def _of_camera(stamp_ns: int, camera: CameraModel) -> _Later:
+    encode = partial(messages.encode_camera_info, stamp_ns, CAMERA_FRAME, camera)
+    return _Later(channels.CAMERA_INFO, stamp_ns, encode)
+
+
+def _of_arrays(seen: Observation, arrays: dict[str, np.ndarray]) -> Iterator[_Later]:
+    """Yield the messages of the arrays."""
+    stamp_ns, n = seen.stamp_ns, seen.seq & 0xFFFFFFFF
+    for name, array in arrays.items():
+        channel, frame, encode = _ENCODERS[name]
+        yield _Later(channel, stamp_ns, partial(encode, stamp_ns, frame, array), n)
+
+
+_Encoder = Callable[[int, str, np.ndarray], Any]
+_ENCODERS: dict[str, tuple[Channel, str, _Encoder]] = {
+    "cloud_m": (channels.CLOUD, LIDAR_FRAME, clouds.cloud_parts),
+    "depth_m": (channels.DEPTH, CAMERA_FRAME, images.image_parts),
+    "rgb": (channels.PICTURE, CAMERA_FRAME, partial(compressed.encode_jpeg, quality=QUALITY)),
+}
+
+
+def _of_detections(found: Detections) -> _Later:
+    stamp_ns = found.observation.stamp_ns
+    return _Later(channels.BOXES, stamp_ns, partial(_boxes, stamp_ns, found))
+
+
+def _boxes(stamp_ns: int, found: Detections) -> bytes:
+    """Encode foxglove.ImageAnnotations."""
+    at = _time(stamp_ns)
+    outlines, words = [], []
+    for (x0, y0, x1, y1), score, k in zip(
+        found.xyxy_px.tolist(), found.score.tolist(), found.class_id.tolist(), strict=True
+    ):
+        corners = [{"x": x, "y": y} for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))]
+        outlines.append({
+            "timestamp": at, "type": _LINE_LOOP, "points": corners, "outline_color": _BOX,
+            "outline_colors": [], "fill_color": _NOTHING, "thickness": 2.0,
+        })  # fmt: skip
+        words.append({
+            "timestamp": at, "position": corners[0], "text": f"{found.prompts[k]} {score:.2f}",
+            "font_size": 12.0, "text_color": _BOX, "background_color": _DARK,
+        })  # fmt: skip
+    return json_bytes({"circles": [], "points": outlines, "texts": words})
+
+
+def _log(now_ns: int, text: str) -> bytes:
+    """Encode foxglove.Log."""
+    return json_bytes({
+        "timestamp": _time(now_ns), "level": _INFO, "message": one_line(text, 1000),
+        "name": "edge", "file": "", "line": 0,
+    })  # fmt: skip
+
+
+def _time(stamp_ns: int) -> dict[str, int]:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return {"sec": seconds, "nsec": nanoseconds}
+
+
+def json_bytes(said: Any) -> bytes:
+    return _JSON(said).encode()
+
+
+_JSON = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode

@@ -1,0 +1,88 @@
+"""Preparation of every mission before it runs: a task in words, or a target or formula."""
+
+from __future__ import annotations
+
+import re
+
+from edge import names
+from edge.config import Config, WriterModel
+from edge.memory import Site
+from edge.mission.logic import ltl
+from edge.mission.spec import MissionError, MissionSpec, prepare, spec_of_task
+from edge.mission.task_step import TaskStep
+from edge.mission.translate import Translation
+from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
+from edge.tasks.reading import named_objects, task_steps
+
+_NO_SITE = Site()
+_MOST_WORDS = 4
+"""Largest number of words in a name that `known_names` looks for."""
+
+
+def prepare_mission(
+    config: Config, task: str | None = None, site: Site = _NO_SITE, **mission: str | int | None
+) -> MissionSpec:
+    """Prepare a task if there is one, else the mission that `mission` describes.
+
+    Args:
+        config: of the service.
+        task: instruction in words; None: prepare a mission.
+        site: places that a mission may name.
+        **mission: arguments of `edge.mission.spec.prepare`.
+
+    Raises:
+        UserError: see `prepare_task` and `edge.mission.spec.prepare`.
+    """
+    if task is not None:
+        return prepare_task(config, task)
+    return prepare(config.mission, site=site, **mission)
+
+
+def prepare_task(config: Config, task: str) -> MissionSpec:
+    """Prepare a task: find the objects that it names, before the robot moves.
+
+    The rules split a task into steps; the objects of a step must be seen before the step is driven.
+    A model does the whole task in one step. In that case the detector looks for the known names in
+    the instruction, but none of them has to be seen. If the task names no object, the detector
+    looks for the target of the configuration.
+
+    Raises:
+        TranslationError: the rules do not understand the task; the error names the part.
+        MissionError: the task is empty, too long, or names too many objects.
+    """
+    if not task.strip():
+        raise MissionError("task: empty; say where to go")
+    if len(task) > MOST_INSTRUCTION_CHARS:
+        raise MissionError(
+            f"task: {len(task)} characters, the limit is {MOST_INSTRUCTION_CHARS}; shorten it"
+        )
+    if isinstance(config.tasks.planner, WriterModel):
+        steps = (TaskStep(task),)
+        targets = known_names(task)[: config.mission.max_targets]
+    else:
+        steps, targets = task_steps(task), named_objects(task)
+    translation = Translation(task, ltl.TRUE, task, config.tasks.planner.kind)
+    return spec_of_task(config.mission, translation, targets or (config.mission.target,), steps)
+
+
+def known_names(text: str) -> tuple[str, ...]:
+    """Return the object names in a text that the alias table knows, each object once.
+
+    At each word the longest name wins.
+
+    >>> known_names("Pass the potted plants, then the couch; the sofa is not it.")
+    ('potted plant', 'couch')
+    """
+    words = re.findall(r"[^\W\d_]+", text.lower())
+    found: list[str] = []
+    at = 0
+    while at < len(words):
+        ends = range(min(at + _MOST_WORDS, len(words)), at, -1)
+        end = next((end for end in ends if names.is_known(" ".join(words[at:end]))), None)
+        if end is not None:
+            found.append(names.singular(names.normalise(" ".join(words[at:end]))))
+        at = at + 1 if end is None else end
+    first: dict[str, str] = {}
+    for name in found:
+        first.setdefault(names.canonical(name), name)
+    return tuple(first.values())

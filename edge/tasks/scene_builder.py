@@ -1,0 +1,399 @@
+"""Building of a scene from sensor data: objects, occupancy, regions (OpenNav III-B).
+
+`SceneBuilder` accumulates frames of a camera with LiDAR or depth. `scene_of_map` describes the
+data that the service has already: its rolling map and its instances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import cv2
+import numpy as np
+
+from edge import config, names
+from edge.geometry import SE2, Grid, invert
+from edge.mapping.grid import RollingMap
+from edge.mapping.view import MapView
+from edge.tasks import terrain
+from edge.tasks.captions import caption_with_place
+from edge.tasks.ground import reachable
+from edge.tasks.objects import (
+    MapObject,
+    ObjectMap,
+    box_around,
+    first_in_voxels,
+    main_cluster,
+    overlap_share,
+)
+from edge.tasks.pipeline import PerceptionPipeline, run_pipeline
+from edge.tasks.projection import points_of_masks
+from edge.tasks.scene import Scene, SceneObject
+from edge.tasks.value_map import open_cells
+from edge.types import Detections, Instance, Observation
+
+OFF_GROUND_M = 0.15
+"""Points lower than this are ground, or show too little of an object."""
+MARGIN_SHARE = 0.05
+"""A point is clearly outside a box at this share of the box's size plus one pixel from it."""
+FARTHEST_M = 300.0
+"""Points beyond this are an error of the sensor or the file."""
+MOST_DEPTH_POINTS = 60_000
+GROUND_VOXEL_M = 0.2
+MASK_SCALE = 4
+"""Factor by which masks are enlarged before contours are drawn, for finer corners."""
+
+_INFLATED = 50
+
+OUTDOORS = config.MappingConfig(
+    input="cloud", resolution_m=0.2, extent_m=110.0, range_m=50.0, min_range_m=3.0,
+    inflation_m=0.1, obstacle_min_m=0.25, obstacle_max_m=2.0,
+)  # fmt: skip
+"""Map for a 64-ring LiDAR on a car's roof; points within `min_range_m` are the car itself."""
+
+
+class SceneBuilder:
+    """Builder of a scene from frames of a run, through a perception pipeline (OpenNav eq. 1-2).
+
+    Args:
+        chain: the pipeline.
+        mapping: settings of the occupancy map.
+        radius_m: clearance of the trajectories; at least the robot's radius.
+        ground_labels: kinds of drivable ground, if semantics are available; empty: free ground that
+            is connected to the robot.
+
+    Attributes:
+        objects: the 3-D object map.
+        map: the occupancy map.
+    """
+
+    def __init__(
+        self,
+        chain: PerceptionPipeline,
+        mapping: config.MappingConfig = OUTDOORS,
+        radius_m: float = 0.5,
+        ground_labels: Sequence[str] = (),
+    ) -> None:
+        self.objects, self.map = ObjectMap(), RollingMap(mapping)
+        self._chain, self._radius_m, self._ground_labels = chain, radius_m, tuple(ground_labels)
+        self._range_m = mapping.range_m
+        self._own_m = mapping.min_range_m  # nearer points are the robot's own body
+        self._ground = np.zeros((0, 3), np.float32)  # x, y, and its kind in the place of z
+        self._newest: Observation | None = None
+        self._contours: dict[int, list[np.ndarray]] = {}
+
+    def add(self, observation: Observation, ground_kind: np.ndarray | None = None) -> None:
+        """Add a frame.
+
+        Args:
+            observation: the frame.
+            ground_kind: (n,) uint8 for the points of its cloud, index into `ground_labels` plus 1;
+                0: not drivable, or unknown. None: no semantics.
+
+        Raises:
+            ValueError: the frame has no camera, no image, or neither cloud nor depth, or
+                `ground_kind` has another number of points.
+        """
+        cloud_m, T_base_cloud = cloud_of(observation)
+        if ground_kind is not None and len(ground_kind) != len(cloud_m):
+            raise ValueError(f"{len(cloud_m)} points, but {len(ground_kind)} kinds of ground")
+        fine = plausible_points(cloud_m)
+        if not fine.all():
+            cloud_m = cloud_m[fine]
+            ground_kind = None if ground_kind is None else ground_kind[fine]
+        T_map_base, pose = observation.T_map_base, observation.pose
+        T_map_cloud = T_map_base @ T_base_cloud
+        points_m = _moved(T_map_cloud, cloud_m)
+        self.map.update_cloud(cloud_m, T_map_base, T_base_cloud)
+        base_z_m = float(T_map_base[2, 3])
+        ground = terrain.estimate_ground(points_m, pose.x_m, pose.y_m, base_z_m, self._range_m)
+        above = terrain.height_above(ground, points_m)
+        if ground_kind is not None:
+            far = np.linalg.norm(cloud_m, axis=1) >= self._own_m
+            self._add_ground(points_m[far, :2], ground_kind[far])
+        seen = run_pipeline(self._chain, observation)
+        shown = _in_boxes(seen.found, cloud_m, T_base_cloud, above > OFF_GROUND_M)
+        self._newest, self._contours = observation, {}
+        for i, (which, _) in enumerate(shown):
+            points = points_m[which]
+            points = points[main_cluster(points, T_map_cloud[:3, 3])]
+            thing = self.objects.add(
+                seen.found.prompts[seen.found.class_id[i]], points, seen.caption[i],
+                float(seen.found.score[i]), None if seen.embedding is None else seen.embedding[i],
+                observation.seq,
+            )  # fmt: skip
+            if thing is not None:
+                self._contours.setdefault(thing.id, []).extend(contours_of(seen.found, i))
+
+    def scene(self) -> Scene:
+        """Return the scene around the pose of the newest frame.
+
+        Raises:
+            ValueError: no frame was added.
+        """
+        if self._newest is None:
+            raise ValueError("no frame was added; call Survey.add first")
+        occupancy = terrain.with_blind_spot(uninflated(self.map), self._newest.pose)
+        kind, labels = None, self._ground_labels
+        if labels:
+            xy_m, of = self._ground[:, :2], self._ground[:, 2].astype(np.int64)
+            pose = self._newest.pose
+            kind = terrain.classify_ground(occupancy, pose, xy_m, of, len(labels))
+        contours = {i: lines for i, lines in self._contours.items() if i in self.objects.objects}
+        return _scene(
+            self._newest, occupancy, kind, labels or (terrain.GROUND,),
+            self.objects.objects.values(), contours, self._radius_m,
+        )  # fmt: skip
+
+    def _add_ground(self, xy_m: np.ndarray, kind: np.ndarray) -> None:
+        """Store votes for the kind of ground. Points of other things vote too.
+
+        So a cell at a kerb does not count as half a road.
+        """
+        fine = np.isfinite(xy_m).all(axis=1)
+        new = np.column_stack((xy_m[fine], kind[fine])).astype(np.float32)
+        # One vote for each kind and place, so that near ground has no greater weight.
+        first = first_in_voxels(new, np.array([GROUND_VOXEL_M, GROUND_VOXEL_M, 1.0]))
+        self._ground = np.concatenate((self._ground, new[first]))
+
+
+def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> None:
+    """Add the objects in the boxes of one picture to an object map (OpenNav eq. 2).
+
+    The box of an object also shows things in front of it, such as the chair before a desk. If the
+    detector reports other objects, points in a smaller box do not count for the larger one.
+    Background is outside the object's box in pictures from other places, and those vote against it.
+
+    Args:
+        objects: the object map.
+        found: detections with their context, of a picture with a camera and a cloud or depth.
+        range_m: points beyond this show too little of an object.
+
+    Raises:
+        ValueError: see `cloud_of`.
+    """
+    seen = found.observation
+    cloud_m, T_base_cloud = cloud_of(seen)
+    cloud_m = cloud_m[np.linalg.norm(cloud_m, axis=1) <= range_m]
+    points_m = _moved(seen.T_map_base @ T_base_cloud, cloud_m)
+    pose, base_z_m = seen.pose, float(seen.T_map_base[2, 3])
+    ground = terrain.estimate_ground(points_m, pose.x_m, pose.y_m, base_z_m, range_m)
+    above = terrain.height_above(ground, points_m)
+    around, sensor_m = found.around(), (seen.T_map_base @ T_base_cloud)[:3, 3]
+    keep = above > OFF_GROUND_M
+    smallest_px2 = np.full(len(points_m), np.inf)  # area of another object's box around the point
+    if around is not None:
+        for which, area_px2 in _in_boxes(around, cloud_m, T_base_cloud, keep):
+            smallest_px2[which] = np.minimum(smallest_px2[which], area_px2)
+    for i, (which, area_px2) in enumerate(_in_boxes(found, cloud_m, T_base_cloud, keep)):
+        label, own = found.prompts[found.class_id[i]], smallest_px2[which] >= area_px2
+        points = points_m[which[own]]
+        points = points[main_cluster(points, sensor_m)]
+        thing = objects.add(label, points, score=float(found.score[i]), picture=seen.seq)
+        objects.vote(label, points, 1)
+        objects.vote(label, points_m[which[~own]], -1)
+        if thing is not None:
+            objects.doubt(thing, points_m[_beside(found, label, cloud_m, T_base_cloud)])
+
+
+def scene_of_map(
+    view: MapView,
+    observation: Observation,
+    instances: Iterable[Instance],
+    radius_m: float,
+    found: Detections | None = None,
+    floor: str = "floor",
+    seen: ObjectMap | None = None,
+) -> Scene:
+    """Build a scene from the service's map and instances; each piece of free floor is one region.
+
+    Args:
+        view: the map.
+        observation: the newest frame.
+        instances: they become the objects, with their own ids.
+        radius_m: see `SceneBuilder`.
+        found: boxes of the same picture. A box around an instance's centre is its contour.
+        floor: label of free ground.
+        seen: object map of the same objects. A tracker keeps only a few points of an instance, and
+            may have several instances of a large object.
+    """
+    objects = _whole([one for one in instances if len(one.points_m)], seen or ObjectMap())
+    contours = {} if found is None else _boxed(objects, found)
+    occupancy = terrain.with_blind_spot(uninflated(view), observation.pose)
+    return _scene(observation, occupancy, None, (floor,), objects, contours, radius_m)
+
+
+def _whole(instances: Sequence[Instance], seen: ObjectMap) -> list[MapObject]:
+    """Return the instances with all points that were seen of them.
+
+    Instances of one object are merged, under the first of their ids.
+    """
+    objects: dict[int, MapObject] = {}
+    for one in sorted(instances, key=lambda instance: instance.id):
+        points_m, key = one.points_m, -one.id
+        alike = [
+            thing for thing in seen.objects.values() if names.same_name(thing.label, one.label)
+        ]
+        share = [overlap_share(one.points_m, thing.points_m) for thing in alike]
+        if share and max(share) > 0.0:
+            thing = alike[int(np.argmax(share))]
+            points_m, key = seen.confirmed_points_m(thing), thing.id
+        whole = MapObject(one.id, {one.label: one.score}, points_m, score=one.score, hits=one.hits)
+        objects.setdefault(key, whole)
+    return list(objects.values())
+
+
+def _beside(
+    found: Detections, label: str, cloud_m: np.ndarray, T_base_cloud: np.ndarray
+) -> np.ndarray:
+    """Return the points in the picture that are clearly outside every box of a label, (n,) bool."""
+    seen, camera = found.observation, found.observation.camera
+    x, y, z = _moved(invert(seen.T_base_camera) @ T_base_cloud, cloud_m).T
+    ahead = z > 0.0
+    z = np.where(ahead, z, 1.0)
+    u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
+    beside = ahead & (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)
+    for box_px, k in zip(found.xyxy_px, found.class_id, strict=True):
+        if found.prompts[k] == label:
+            x0, y0, x1, y1 = box_px.tolist()
+            mx, my = MARGIN_SHARE * (x1 - x0) + 1.0, MARGIN_SHARE * (y1 - y0) + 1.0
+            beside &= (u < x0 - mx) | (u > x1 + mx) | (v < y0 - my) | (v > y1 + my)
+    return beside
+
+
+def _in_boxes(
+    found: Detections, cloud_m: np.ndarray, T_base_cloud: np.ndarray, keep: np.ndarray
+) -> Iterator[tuple[np.ndarray, float]]:
+    """Yield the points of each box's object, as indices into the cloud, and the area of the box.
+
+    `keep` is (n,) bool, the points to use.
+    """
+    seen = found.observation
+    T_camera_cloud = invert(seen.T_base_camera) @ T_base_cloud
+    shown = points_of_masks(cloud_m, T_camera_cloud, seen.camera, found.xyxy_px, found.mask, keep)
+    return zip(shown, _areas_px2(found).tolist(), strict=True)
+
+
+def _areas_px2(found: Detections) -> np.ndarray:
+    """Return the area of each box, (n,) float32."""
+    return np.prod(found.xyxy_px[:, 2:] - found.xyxy_px[:, :2], axis=1)
+
+
+def uninflated(view: RollingMap | MapView) -> Grid:
+    """Return a map without inflation: inflated cells become free or unknown, as observed."""
+    grid, n = view.snapshot(_INFLATED), view.window.n
+    rows, columns = np.nonzero(grid.cells == _INFLATED)
+    corner = np.rint(np.array(grid.origin_xy_m) / grid.resolution_m).astype(np.int64)
+    seen = view.layers.raw[(rows + corner[1]) % n, (columns + corner[0]) % n] > 0
+    grid.cells[rows, columns] = np.where(seen, 0, -1)
+    return grid
+
+
+def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
+    """Return the observation's points (n, 3) float32 and their pose T_base_cloud.
+
+    The points are those of the LiDAR, else of the depth image.
+
+    Raises:
+        ValueError: it has neither, or the depth image does not fit its camera.
+    """
+    if observation.cloud_m is not None:
+        return observation.cloud_m, observation.T_base_lidar
+    depth, camera = observation.depth_m, observation.camera
+    if depth is None or camera is None or depth.shape != (camera.height_px, camera.width_px):
+        raise ValueError(
+            f"observation {observation.seq}: neither a cloud nor depth that fits a camera"
+        )
+    stride = max(1, int(np.ceil(np.sqrt(depth.size / MOST_DEPTH_POINTS))))
+    z = depth[::stride, ::stride]
+    v, u = np.nonzero((z > 0.0) & np.isfinite(z))
+    z = z[v, u]
+    x = (u * stride - camera.cx_px) / camera.fx_px * z
+    y = (v * stride - camera.cy_px) / camera.fy_px * z
+    return np.stack((x, y, z), axis=1).astype(np.float32), observation.T_base_camera
+
+
+def plausible_points(cloud_m: np.ndarray) -> np.ndarray:
+    """Return the points (n, 3) of a scan that are finite and not absurdly far, (n,) bool."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.linalg.norm(cloud_m, axis=1) <= FARTHEST_M
+
+
+def contours_of(found: Detections, i: int) -> list[np.ndarray]:
+    """Return the outlines of box i's mask, or of the box if it has none: (k, 2) int32 polygons."""
+    x0, y0, x1, y1 = found.xyxy_px[i]
+    if found.mask is None or not found.mask[i].any():
+        return [np.rint([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]).astype(np.int32)]
+    mask = np.kron(found.mask[i], np.ones((MASK_SCALE, MASK_SCALE), np.bool_)).astype(np.uint8)
+    lines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    scale = np.array([(x1 - x0) / mask.shape[1], (y1 - y0) / mask.shape[0]])
+    corner = np.array([x0, y0])
+    return [np.rint(corner + line[:, 0] * scale).astype(np.int32) for line in lines]
+
+
+def _moved(T: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+    """Transform points to another frame, (n, 3) float32."""
+    return points_m @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
+
+
+def _boxed(objects: Iterable[MapObject], found: Detections) -> dict[int, list[np.ndarray]]:
+    """Return the contours of each object in a picture.
+
+    They come from the smallest box with the object's name that contains the median of its points.
+    """
+    seen, camera = found.observation, found.observation.camera
+    if camera is None:
+        return {}
+    T = invert(seen.T_map_base @ seen.T_base_camera)
+    area = _areas_px2(found)
+    out = {}
+    for thing in objects:
+        x, y, z = _moved(T, np.median(thing.points_m, axis=0)[None])[0]
+        if z <= 0.0:
+            continue
+        u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
+        x0, y0, x1, y1 = found.xyxy_px.T
+        around = (x0 <= u) & (u <= x1) & (y0 <= v) & (v <= y1)
+        around &= np.array([found.prompts[k] == thing.label for k in found.class_id], np.bool_)
+        if around.any():
+            which = np.flatnonzero(around)[np.argmin(area[around])]
+            out[thing.id] = contours_of(found, int(which))
+    return out
+
+
+def _scene(
+    seen: Observation,
+    occupancy: Grid,
+    kind: np.ndarray | None,
+    labels: Sequence[str],
+    objects: Iterable[MapObject],
+    contours: dict[int, list[np.ndarray]],
+    radius_m: float,
+) -> Scene:
+    """Build the scene: regions of each kind of ground, and points of them nearest to each object.
+
+    If `kind` is None, the ground is free ground that the robot could drive to.
+    """
+    pose = seen.pose
+    if kind is None:
+        kind = reachable(occupancy.cells == 0, occupancy, pose).astype(np.uint8)
+    regions, cells = terrain.regions_of(occupancy, kind, labels)
+    allowed = reachable(open_cells(occupancy, cells, radius_m), occupancy, pose)
+    described = {thing.id: _described(thing, pose, cells, allowed) for thing in objects}
+    pictured = seen.rgb is not None and seen.camera is not None
+    return Scene(
+        seen.stamp_ns, pose, described, regions, occupancy, cells,
+        rgb=seen.rgb if pictured else None,
+        camera=seen.camera if pictured else None,
+        T_map_camera=seen.T_map_base @ seen.T_base_camera if pictured else None,
+        contours=contours,
+    )  # fmt: skip
+
+
+def _described(thing: MapObject, pose: SE2, regions: Grid, allowed: np.ndarray) -> SceneObject:
+    position, size, heading = box_around(thing.points_m)
+    return SceneObject(
+        thing.id, thing.label, caption_with_place(thing.caption, position, size, pose), position,
+        size,
+        heading, thing.points_m, terrain.nearest_points(thing.points_m, regions, allowed),
+    )  # fmt: skip
