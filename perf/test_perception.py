@@ -178,3 +178,37 @@ def test_sightings(benchmark):
     around, _ = lifter.lift(boxes_in(seen, 20, 2, WORDS))
     benchmark(sightings.look, targets, around)
     assert sightings.shown.n > 50
+
+
+def test_five_thousand_objects(benchmark, against):
+    """The same look in a memory of 5,000 objects on 3,600 m², and in one of 400 as dense."""
+    benchmark.extra_info["budget"] = "sightings_look_5000"
+    seen, lifter = observe(), BackProjector(config.PerceptionConfig(detector=config.DetectorSim()))
+    boxes = lifter.lift(boxes_in(seen, 8))[0], lifter.lift(boxes_in(seen, 20, 2, WORDS))[0]
+    few, many = (full_of(n) for n in (400, 5000))
+    against(lambda: few.look(*boxes))
+    benchmark(many.look, *boxes)
+    assert many.shown.n > 4900
+
+
+def full_of(n):
+    """A memory of n objects."""
+    random, tracker = (
+        np.random.default_rng(0),
+        ObjectTracker(config.PerceptionConfig(detector=config.DetectorSim())),
+    )
+    side_m = 60.0 * (n / 5000) ** 0.5
+    xyz_m = random.uniform(-side_m / 2, side_m / 2, (n, 3)).astype(np.float32)
+    xyz_m[:, 2] = 0.5
+    empty = tracker.state_dict()
+    state = {name: np.zeros((n, *a.shape[1:]), a.dtype) for name, a in empty.items() if a.ndim}
+    state |= {name: a for name, a in empty.items() if name.startswith("vanished")}
+    state |= {"words": np.array(("chair", *WORDS)), "next_id": np.array(n + 1)}
+    state["id"], state["xyz_m"] = np.arange(1, n + 1), xyz_m
+    state["word"] = random.integers(0, len(WORDS) + 1, n).astype(np.int16)
+    spread = random.uniform(-0.3, 0.3, state["points_m"].shape)
+    state["points_m"] = (xyz_m[:, None] + spread).astype(np.float32)
+    state["hits"][:], state["weight"][:], state["total"][:] = 5, 5.0, 3.0
+    state["n_points"][:], state["confidence"][:] = state["points_m"].shape[1], 0.6
+    tracker.load_state_dict(state, 0)
+    return tracker

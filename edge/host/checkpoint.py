@@ -35,7 +35,7 @@ from edge.text import one_line
 
 log = logging.getLogger("edge.host.checkpoint")
 
-VERSION = 3
+VERSION = 4
 MAX_STATE_BYTES = 8 << 20
 _MAX_DIRECTORY_BYTES = 64 << 10
 _END_BYTES = 22  # size of the last record of a zip archive without a comment

@@ -11,7 +11,7 @@ import numpy as np
 from edge import config
 from edge.geometry import CameraModel
 from edge.perception.detection import kernels
-from edge.perception.tracking import instance_kernels, look_kernels
+from edge.perception.tracking import instance_kernels, look_kernels, place_index
 from edge.perception.tracking.instances import MAX_POINTS, InstanceTracker
 from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
@@ -69,6 +69,10 @@ def _lift(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
     sightings = ObjectTracker(perception)
     sightings.look(clear, clear)
     sightings.doubts("chair", np.ones((1, 3), np.float32), 0.1)
+    sightings.clear()
+    index = place_index.make_index(1)
+    place_index.insert(index, 0, 0.0, 0.0)
+    place_index.remove(index, 0)
     tracker = InstanceTracker(perception)
     tracker.update(lifted, 0)
     tracker.expire(seen, detections.prompts)

@@ -102,6 +102,76 @@ def test_over_its_capacity_the_least_confident_goes(scene, monkeypatch):
     assert {s.seen.words[w] for w in s.seen.word[:3]} == {"chair", "sofa", "bed"}
 
 
+def moved(scene):
+    """A chair that was seen three times, and then is gone from its place."""
+    s = scene()
+    for _ in range(3):
+        s.see(("chair", NEAR, 0.5, 0.8))
+    return s
+
+
+@pytest.mark.parametrize("first", ["elsewhere", "gone"])
+def test_an_object_that_is_seen_elsewhere_while_its_place_is_empty_has_moved(scene, first):
+    s = moved(scene)
+    was, first_seen_ns = int(s.seen.id[0]), int(s.seen.first_seen_ns[0])
+    if first == "gone":
+        while s.seen.n:
+            s.see()
+        assert [one.id for one in s.tracker.vanished] == [was]
+    for _ in range(150):
+        s.see(("chair", FAR, -2.0, 0.8))
+    assert s.seen.n == 1
+    assert (s.seen.id[0], s.seen.first_seen_ns[0], s.seen.moves[0]) == (was, first_seen_ns, 1)
+    assert s.seen.came_from_m[0] == pytest.approx((NEAR, 0.5), abs=0.1)
+    assert s.tracker.vanished == []
+
+
+def test_two_objects_that_were_seen_at_once_stay_two(scene):
+    s = scene()
+    for _ in range(3):
+        s.see(("chair", NEAR, 0.5, 0.8), ("chair", FAR, -2.0, 0.8))
+    ids = sorted(s.seen.id[:2].tolist())
+    for _ in range(150):
+        s.see(("chair", FAR, -2.0, 0.8))
+    assert s.seen.n == 1
+    assert s.seen.id[0] in ids
+    assert s.seen.moves[0] == 0
+    assert len(s.tracker.vanished) == 1
+
+
+@pytest.mark.parametrize("score", [0.36, 0.8])
+def test_another_word_is_another_object(scene, score):
+    s = moved(scene)
+    for _ in range(150):
+        s.see(("sofa", FAR, -2.0, score))
+    assert (s.seen.n, s.seen.moves[0]) == (1, 0)
+
+
+def test_a_vanished_object_survives_a_restart(scene):
+    s, other = moved(scene), scene()
+    while s.seen.n:
+        s.see()
+    assert s.tracker.vanished
+    other.tracker.load_state_dict(s.tracker.state_dict(), 5)
+    other.seq = s.seq
+    (before,), (after,) = s.tracker.vanished, other.tracker.vanished
+    assert after == before._replace(
+        first_seen_ns=before.first_seen_ns + 5, last_seen_ns=before.last_seen_ns + 5
+    )
+    for _ in range(3):
+        other.see(("chair", FAR, -2.0, 0.8))
+    assert other.seen.id[0] == before.id
+
+
+def test_the_newest_image_shows_these_objects(scene):
+    s = scene().see()
+    assert s.tracker.observed == []
+    s.see(("chair", NEAR, 0.5, 0.8), ("bed", FAR, 0, 0.7))
+    assert {one.id for one in s.tracker.observed} == set(s.seen.id[:2].tolist())
+    s.see()
+    assert s.tracker.observed == []
+
+
 def test_after_everything_is_forgotten_ids_and_words_go_on(scene):
     s = scene().see(("chair", NEAR, 0, 0.6))
     before, generation = int(s.seen.id[0]), s.seen.generation
@@ -194,7 +264,8 @@ def test_the_strongest_rival_agrees_with_its_twin(seed, n):
     against = random.choice((0.0, 0.5, 1.0), 3).astype(np.float32)
     thing = random.uniform(-0.4, 0.4, (random.integers(1, 30), 3)).astype(np.float32)
     given = (thing, centers, points, n_points, word, confidence)
-    assert kernels.competing_confidence(*given, n, against, 0.6) == pytest.approx(
+    rows = np.arange(n, dtype=np.int32)
+    assert kernels.competing_confidence(*given, rows, against, 0.6) == pytest.approx(
         strongest_rival(*given, against, 0.6), abs=1e-5
     )
 
@@ -218,8 +289,11 @@ def test_match_and_fuse_agree_with_their_twins(seed, n):
     n_points = random.integers(0, kernels.POINTS + 1, n).astype(np.int32)
     word = random.integers(0, 2, n).astype(np.int16)
     x, y = random.uniform(-4, 4, 2)
-    assert kernels.match(centers, points, n_points, word, n, 1, x, y, 2.0) == match(
-        centers, points, n_points, word, 1, x, y, 2.0
+    reach = np.array([kernels.reach_of(centers, points, n_points, i) for i in range(n)], np.float32)
+    rows = np.arange(n, dtype=np.int32)
+    given = (centers, points, n_points)
+    assert kernels.match(*given, reach, word, rows, 1, x, y, 2.0) == match(
+        *given, word, 1, x, y, 2.0
     )
     depth = random.uniform(0.5, 6, (24, 32)).astype(np.float32)
     T = to_optical(se3(0.0, 0.0, 0.6))

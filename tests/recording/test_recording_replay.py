@@ -270,8 +270,8 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     checkpoint.close()
     recorded = files_of(tmp_path / "run")[0]
     same(recorded, 10)
-    monkeypatch.setattr("edge.host.checkpoint.VERSION", 4)
-    with pytest.raises(ReplayError, match=r"recording: .* version 3, this program reads version 4"):
+    monkeypatch.setattr("edge.host.checkpoint.VERSION", 5)
+    with pytest.raises(ReplayError, match=r"recording: .* version 4, this program reads version 5"):
         replay(RecordedRun(recorded))
 
 

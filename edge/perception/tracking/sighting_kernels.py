@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from edge.perception.tracking.look_kernels import HIDDEN, WHOLE, ahead_m, visibility
+from edge.perception.tracking.place_index import rows_near
 
 POINTS = 32
 """Number of surface points kept of each record."""
@@ -26,26 +27,29 @@ PRIOR = 0.5
 
 
 @njit(nogil=True, cache=True)
-def match(centers, points, n_points, word, n, of_word, x, y, merge_m):
+def match(centers, points, n_points, reach, word, rows, of_word, x, y, merge_m):
     """Return the record of a word that is nearest to a place, -1 if none is within `merge_m`.
 
     Args:
-        centers: (cap, 3) float32 in `map`; the first `n` records count.
+        centers: (cap, 3) float32 in `map`.
         points: (cap, POINTS, 3) float32 in `map`; the first `n_points[i]` of record i count.
         n_points: (cap,) int32.
+        reach: (cap,) float32, see `reach_of`.
         word: (cap,) int16.
-        n: number of records.
+        rows: (k,) int32, the records that may match.
         of_word: word to match.
         x: of the place in `map`.
         y: of the place in `map`.
         merge_m: largest planar distance.
     """
     best, least = -1, merge_m * merge_m
-    for i in range(n):
+    for i in rows:
         if word[i] != of_word:
             continue
         dx, dy = centers[i, 0] - x, centers[i, 1] - y
         d = dx * dx + dy * dy
+        if d >= (merge_m + reach[i]) ** 2:
+            continue
         for k in range(n_points[i]):
             dx, dy = points[i, k, 0] - x, points[i, k, 1] - y
             d = min(d, dx * dx + dy * dy)
@@ -55,17 +59,29 @@ def match(centers, points, n_points, word, n, of_word, x, y, merge_m):
 
 
 @njit(nogil=True, cache=True)
-def drifted(centers, word, n, now, near_m):
+def reach_of(centers, points, n_points, i):
+    """Return the largest planar distance of record `i`'s points from its centre, rounded up."""
+    most = 0.0
+    for k in range(n_points[i]):
+        dx, dy = points[i, k, 0] - centers[i, 0], points[i, k, 1] - centers[i, 1]
+        most = max(most, dx * dx + dy * dy)
+    return np.sqrt(most) + 1e-3
+
+
+@njit(nogil=True, cache=True)
+def drifted(index, centers, word, n, now, near_m, rows):
     """Find two records of one word whose centres are closer than `near_m`.
 
     They are one object, seen from either end before it was seen from the middle.
 
     Args:
+        index: see `place_index.PlaceIndex`.
         centers: see `match`.
         word: see `match`.
-        n: see `match`.
+        n: number of records.
         now: (cap,) float32, over 0 if this image showed the record.
         near_m: planar distance.
+        rows: (cap,) int32, scratch.
 
     Returns:
         (lower, higher) index, at least one of them seen now; (-1, -1): there are none.
@@ -73,7 +89,8 @@ def drifted(centers, word, n, now, near_m):
     for i in range(n):
         if now[i] <= 0.0:
             continue
-        for j in range(n):
+        for at in range(rows_near(index, n, centers[i, 0], centers[i, 1], near_m, rows)):
+            j = rows[at]
             if j == i or word[j] != word[i]:
                 continue
             dx, dy = centers[i, 0] - centers[j, 0], centers[i, 1] - centers[j, 1]
@@ -141,7 +158,7 @@ def fuse(
         points: see `match`.
         n_points: see `match`.
         word: see `match`.
-        n: see `match`.
+        n: number of records.
         now: (cap,) float32, score of each record in this image, 0 if not detected; zeroed.
         asked: (words,) bool, True for words that the detector looked for.
         T_camera_map: see `look_kernels.visibility`.
@@ -157,9 +174,11 @@ def fuse(
         if not asked[word[i]]:
             now[i] = 0.0
             continue
+        x, y, z = centers[i, 0], centers[i, 1], centers[i, 2]
+        if now[i] <= 0.0 and not 0.0 < ahead_m(T_camera_map, x, y, z) < far_m:
+            continue  # most objects of a large map
         w = weight_of(
-            centers[i, 0], centers[i, 1], centers[i, 2], points[i], n_points[i], T_camera_map,
-            view, depth, near_m, far_m,
+            x, y, z, points[i], n_points[i], T_camera_map, view, depth, near_m, far_m
         )  # fmt: skip
         if now[i] > 0.0:  # it was detected, even if something hides its centre
             w = max(w, PARTIAL * PARTIAL)
@@ -174,7 +193,9 @@ def fuse(
 
 
 @njit(nogil=True, cache=True)
-def competing_confidence(surface, centers, points, n_points, word, confidence, n, against, reach_m):
+def competing_confidence(
+    surface, centers, points, n_points, word, confidence, rows, against, reach_m
+):  # fmt: skip
     """Return the confidence that another object stands at the place of an object.
 
     A record counts for the part of the object that it covers: a row of chairs for all of a sofa, a
@@ -188,7 +209,7 @@ def competing_confidence(surface, centers, points, n_points, word, confidence, n
         n_points: see `match`.
         word: see `match`.
         confidence: (cap,) float32.
-        n: see `match`.
+        rows: (k,) int32, the records that may cover it.
         against: (words,) float32, weight of each word's confidence; 0: it names the same object.
         reach_m: largest planar distance of a record's centre from the surface's.
 
@@ -200,7 +221,7 @@ def competing_confidence(surface, centers, points, n_points, word, confidence, n
     x, y = np.mean(surface[:, 0]), np.mean(surface[:, 1])
     found = np.zeros(len(against), np.bool_)
     cover = np.zeros((len(against), k), np.float32)
-    for i in range(n):
+    for i in rows:
         dx, dy = centers[i, 0] - x, centers[i, 1] - y
         if against[word[i]] == 0.0 or n_points[i] == 0 or dx * dx + dy * dy > reach_m * reach_m:
             continue

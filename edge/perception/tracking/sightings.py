@@ -11,12 +11,13 @@ import numpy as np
 from edge import config, names
 from edge.geometry import FARTHEST_M, invert
 from edge.host.checkpoint import Arrays, check_arrays
+from edge.perception.tracking import place_index
 from edge.perception.tracking import sighting_kernels as kernels
 from edge.perception.tracking.lift import BackProjectedBoxes
 from edge.perception.tracking.look_kernels import NO_DEPTH, view_of
 from edge.types import Observation
 
-MAX_SIGHTINGS = 512
+MAX_SIGHTINGS = 5000
 GONE = 0.1
 """A record below this share of `tau_det` was a mistake or has gone."""
 _MATTERS = 0.1
@@ -26,10 +27,14 @@ _BROADER = 0.75
 
 An armchair is a chair; but an object that is clearly a chair and hardly an armchair is none."""
 _NONE = np.zeros(0, np.float32)
+MAX_VANISHED = 64
+"""Number of vanished objects that are kept until they are seen elsewhere; the oldest go first."""
 
 
 class TrackedObjects:
     """The objects seen, as parallel arrays in no order; the first `n` rows count.
+
+    An object that is seen elsewhere, while its old place is seen empty, keeps its id.
 
     Attributes:
         n: number of rows.
@@ -40,6 +45,7 @@ class TrackedObjects:
         word: (capacity,) int16, index into `words`.
         confidence: (capacity,) float32 in [0, 1], mean score over all views of the place, weighted
             by the quality of each view; a view without a detection has score 0 (as in ApexNav).
+        first_seen_ns: (capacity,) int64, stamp of the first detection.
         last_seen_ns: (capacity,) int64, stamp of the newest detection.
         id: (capacity,) int64, never reused.
         hits: (capacity,) int32, number of images with a detection.
@@ -47,6 +53,9 @@ class TrackedObjects:
         points_m: (capacity, POINTS, 3) float32 in `map`, surface points of the newest voxels; the
             first `n_points[i]` of row i count.
         n_points: (capacity,) int32.
+        reach_m: (capacity,) float32, largest planar distance of a surface point from the centre.
+        moves: (capacity,) int32, how often the object was seen elsewhere.
+        came_from_m: (capacity, 2) float32 in `map`, its place before the last move.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -55,12 +64,16 @@ class TrackedObjects:
         self.xyz_m = np.zeros((capacity, 3), np.float32)
         self.word = np.zeros(capacity, np.int16)
         self.confidence = np.zeros(capacity, np.float32)
+        self.first_seen_ns = np.zeros(capacity, np.int64)
         self.last_seen_ns = np.zeros(capacity, np.int64)
         self.id = np.zeros(capacity, np.int64)
         self.hits = np.zeros(capacity, np.int32)
         self.near_hits = np.zeros(capacity, np.int32)
         self.points_m = np.zeros((capacity, kernels.POINTS, 3), np.float32)
         self.n_points = np.zeros(capacity, np.int32)
+        self.reach_m = np.zeros(capacity, np.float32)
+        self.moves = np.zeros(capacity, np.int32)
+        self.came_from_m = np.zeros((capacity, 2), np.float32)
 
     def read_only(self) -> TrackedObjects:
         """Return a read-only view of the same arrays; the writer must copy `n` and `generation`."""
@@ -97,6 +110,38 @@ class MappedObject(NamedTuple):
     last_seen_ns: int
 
 
+class VanishedObject(NamedTuple):
+    """An object that was certain, and then was not found at its place.
+
+    Attributes:
+        id: of its row.
+        word: index into `TrackedObjects.words`.
+        xyz_m: its place in `map`.
+        moves: see `TrackedObjects`.
+    """
+
+    id: int
+    word: int
+    first_seen_ns: int
+    last_seen_ns: int
+    xyz_m: tuple[float, float, float]
+    moves: int
+
+
+class ObservedObject(NamedTuple):
+    """An object in the newest image.
+
+    Attributes:
+        id: of its row.
+        xyxy_px: (4,) float32, its box.
+        score: of the box.
+    """
+
+    id: int
+    xyxy_px: np.ndarray
+    score: float
+
+
 class ObjectTracker:
     """Fuses the boxes of targets and context into objects, by word and place.
 
@@ -109,6 +154,9 @@ class ObjectTracker:
 
     Attributes:
         shown: read-only view, for policies.
+        observed: objects that the newest image showed with a strong box.
+        vanished: certain objects that were not found at their place, nor elsewhere, oldest first.
+        renamed: new id → old id of the objects that the newest image showed to have moved.
     """
 
     def __init__(self, perception: config.PerceptionConfig) -> None:
@@ -127,6 +175,14 @@ class ObjectTracker:
         self._asked_for: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
         self._columns: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int16),) * 2
         self._next_id = 1
+        self._index = place_index.make_index(cap)
+        self._rows = np.zeros(cap, np.int32)
+        self._farthest_m = 0.0  # at least the largest reach
+        # Highest confidence so far. A row that was never certain was a mistake, and cannot move.
+        self._peak = np.zeros(cap, np.float32)
+        self.observed: list[ObservedObject] = []
+        self.vanished: list[VanishedObject] = []
+        self.renamed: dict[int, int] = {}
         self.shown = self._all.read_only()
 
     def look(self, targets: BackProjectedBoxes, around: BackProjectedBoxes | None) -> None:
@@ -138,6 +194,9 @@ class ObjectTracker:
         """
         observation = targets.detections.observation
         self._ask(targets.detections.prompts, () if around is None else around.detections.prompts)
+        self.observed.clear()
+        self.renamed.clear()
+        self._farthest_m = float(self._all.reach_m[: self._all.n].max(initial=0.0))
         for lifted, numbers in zip((targets, around), self._columns, strict=True):
             if lifted is not None:
                 self._take(lifted, numbers, observation)
@@ -176,16 +235,29 @@ class ObjectTracker:
         s, merge_m = self._all, self.config.merge_m
         x_m, y_m, _ = surface_m.mean(axis=0).tolist()
         mine, word = 0.0, self._number.get(name, -1)
-        at = kernels.match(
-            s.xyz_m, s.points_m, s.n_points, s.word, s.n, word, x_m, y_m, merge_m + radius_m
-        )
+        at = self._match(word, x_m, y_m, merge_m + radius_m)
         if at >= 0:
             mine = float(s.confidence[at])
         rival = kernels.competing_confidence(
-            surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence, s.n,
+            surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence,
+            self._rows_near(x_m, y_m, merge_m + radius_m),
             self._rivals_of(name) * self._asked, merge_m + radius_m,
         )  # fmt: skip
         return rival > surer * mine
+
+    def _rows_near(self, x_m: float, y_m: float, within_m: float) -> np.ndarray:
+        """Return the rows with a centre near a place, and others; valid until the next call."""
+        k = place_index.rows_near(self._index, self._all.n, x_m, y_m, within_m, self._rows)
+        return self._rows[:k]
+
+    def _match(self, word: int, x_m: float, y_m: float, within_m: float) -> int:
+        """Return the row of a word nearest to a place, by centre and surface; -1: none is near."""
+        s, rows = self._all, self._rows_near(x_m, y_m, within_m + self._farthest_m)
+        return int(
+            kernels.match(
+                s.xyz_m, s.points_m, s.n_points, s.reach_m, s.word, rows, word, x_m, y_m, within_m
+            )
+        )
 
     def _rivals_of(self, name: str) -> np.ndarray:
         """Return the weight of each word's confidence against an object, (words,) float32."""
@@ -199,14 +271,23 @@ class ObjectTracker:
         """Forget every object; ids and words continue."""
         self._all.generation += self._all.n > 0
         self._all.n = 0
+        self.vanished.clear()
+        place_index.rebuild(self._index, self._all.xyz_m, 0)
         self._show()
 
     def state_dict(self) -> Arrays:
-        """Return all rows as plain arrays, with `words` and `next_id`."""
+        """Return all rows as plain arrays, with `words`, `next_id` and the vanished objects."""
         columns = {name: array[: self._all.n].copy() for name, array in self._saved()}
+        gone = self.vanished
         return {
             **columns, "words": np.array(self._all.words, np.str_),
             "next_id": np.array(self._next_id),
+            "vanished_id": np.array([one.id for one in gone], np.int64),
+            "vanished_word": np.array([one.word for one in gone], np.int16),
+            "vanished_first_ns": np.array([one.first_seen_ns for one in gone], np.int64),
+            "vanished_last_ns": np.array([one.last_seen_ns for one in gone], np.int64),
+            "vanished_xyz_m": np.array([one.xyz_m for one in gone], np.float64).reshape(-1, 3),
+            "vanished_moves": np.array([one.moves for one in gone], np.int32),
         }  # fmt: skip
 
     def load_state_dict(self, state: Arrays, later_ns: int) -> None:
@@ -220,17 +301,35 @@ class ObjectTracker:
             ValueError: the state is invalid.
         """
         s, words = self._all, state.get("words", np.zeros(0))
-        rows = {tuple(name for name, _ in self._saved()): 1 << 12, ("words",): 1 << 15}
+        rows = {
+            tuple(name for name, _ in self._saved()): 1 << 13,
+            ("words",): 1 << 15,
+            _VANISHED: 1 << 8,
+        }
         most = {
-            "word": words.size - 1, "confidence": 2, "n_points": kernels.POINTS,
+            "word": words.size - 1, "vanished_word": words.size - 1, "peak": 2,
+            "confidence": 2, "n_points": kernels.POINTS,
             "cursor": kernels.POINTS - 1, "weight": FARTHEST_M, "total": FARTHEST_M,
         }  # fmt: skip
-        check_arrays(state, self.state_dict(), rows, most, ("id", "words"))
+        check_arrays(state, self.state_dict(), rows, most, ("id", "words", "vanished_id"))
         s.n = min(len(state["word"]), len(s.word))
         for name, array in self._saved():
             array[: s.n] = state[name][: s.n]
-        s.word[: s.n] = self._numbers(words.tolist())[state["word"][: s.n]]
+        numbers = self._numbers(words.tolist())
+        s.word[: s.n] = numbers[state["word"][: s.n]]
+        s.first_seen_ns[: s.n] += later_ns
         s.last_seen_ns[: s.n] += later_ns
+        self.vanished = [
+            VanishedObject(
+                i, int(numbers[word]), first + later_ns, last + later_ns, (x, y, z), moves
+            )
+            for i, word, first, last, (x, y, z), moves in zip(
+                *(state[name].tolist() for name in _VANISHED), strict=True
+            )
+        ][-MAX_VANISHED:]
+        place_index.rebuild(self._index, s.xyz_m, s.n)
+        for at in range(s.n):
+            self._place(at)
         self._next_id = max(self._next_id, int(state["next_id"]))
         # This run has not looked for anything yet.
         self._asked, self._asked_for = np.zeros(len(s.words), np.bool_), ((), ())
@@ -244,7 +343,8 @@ class ObjectTracker:
             ("last_seen_ns", s.last_seen_ns), ("id", s.id), ("hits", s.hits),
             ("near_hits", s.near_hits), ("points_m", s.points_m), ("n_points", s.n_points),
             ("weight", self._weight), ("total", self._total), ("cursor", self._cursor),
-            ("told", self._counted),
+            ("told", self._counted), ("peak", self._peak), ("moves", s.moves),
+            ("first_seen_ns", s.first_seen_ns), ("came_from_m", s.came_from_m),
         )  # fmt: skip
 
     def _ask(self, prompts: tuple[str, ...], words: tuple[str, ...]) -> None:
@@ -276,14 +376,12 @@ class ObjectTracker:
         for i in np.flatnonzero(lifted.valid).tolist():
             score, word = float(seen.score[i]), int(numbers[seen.class_id[i]])
             x_m, y_m, z_m = lifted.center_m[i].tolist()
-            at = kernels.match(
-                s.xyz_m, s.points_m, s.n_points, s.word, s.n, word, x_m, y_m, c.merge_m
-            )
+            at = self._match(word, x_m, y_m, c.merge_m)
             strong = score > c.tau_det
             if at < 0:
                 if not strong:
                     continue
-                at = self._found(word, (x_m, y_m, z_m))
+                at = self._found(word, (x_m, y_m, z_m), observation.stamp_ns)
             if self._now[at] > 0.0:  # a stronger box of this image matched before
                 continue
             self._now[at] = score
@@ -298,27 +396,84 @@ class ObjectTracker:
                 s.points_m, s.n_points, self._cursor, at, lifted.points_m[i], lifted.n_points[i],
                 c.voxel_m,
             )  # fmt: skip
+            self._place(at)
+            self.observed.append(ObservedObject(int(s.id[at]), seen.xyxy_px[i], score))
+            if s.hits[at] == c.min_hits:
+                self._reappear(at)
+
+    def _place(self, at: int) -> None:
+        """Update the index and the reach after a change of a row's centre or surface."""
+        s = self._all
+        place_index.move(self._index, at, *s.xyz_m[at, :2].tolist())
+        s.reach_m[at] = kernels.reach_of(s.xyz_m, s.points_m, s.n_points, at)
+        self._farthest_m = max(self._farthest_m, float(s.reach_m[at]))
+
+    def _reappear(self, at: int) -> None:
+        """Give a new row the identity of the nearest vanished object of its word, if there is one.
+
+        An object that vanished after the row was first seen is a different one: both were seen.
+        """
+        s = self._all
+        same = [
+            one for one in self.vanished
+            if one.word == s.word[at] and one.last_seen_ns < s.first_seen_ns[at]
+        ]  # fmt: skip
+        if same:
+            one = min(same, key=lambda one: float(np.hypot(*(s.xyz_m[at, :2] - one.xyz_m[:2]))))
+            self.vanished.remove(one)
+            self._moved(at, one)
+
+    def _moved(self, at: int, before: VanishedObject) -> None:
+        s = self._all
+        self.renamed[int(s.id[at])] = before.id
+        s.id[at], s.first_seen_ns[at] = before.id, before.first_seen_ns
+        s.came_from_m[at], s.moves[at] = before.xyz_m[:2], before.moves + 1
+        s.generation += 1
+
+    def _vanish(self, at: int) -> None:
+        """Drop a row; if it was certain, another row may be the same object, moved."""
+        s, c = self._all, self.config
+        one = VanishedObject(
+            int(s.id[at]), int(s.word[at]), int(s.first_seen_ns[at]), int(s.last_seen_ns[at]),
+            tuple(s.xyz_m[at].tolist()), int(s.moves[at]),
+        )  # fmt: skip
+        certain = s.hits[at] >= c.min_hits and self._peak[at] >= c.tau_det
+        self._drop(at)
+        if not certain:
+            return
+        later = (s.word[: s.n] == one.word) & (s.first_seen_ns[: s.n] > one.last_seen_ns)
+        later &= (s.hits[: s.n] >= c.min_hits) & (s.moves[: s.n] == 0)
+        rows = np.flatnonzero(later)
+        if len(rows):
+            apart_m = np.hypot(*(s.xyz_m[rows, :2] - one.xyz_m[:2]).T)
+            self._moved(int(rows[apart_m.argmin()]), one)
+            return
+        self.vanished = [*self.vanished, one][-MAX_VANISHED:]
 
     def _unite(self) -> None:
         """Merge pairs of rows that are one object."""
         s, near_m = self._all, 0.5 * self.config.merge_m
         while True:
-            kept, gone = kernels.drifted(s.xyz_m, s.word, s.n, self._now, near_m)
+            kept, gone = kernels.drifted(
+                self._index, s.xyz_m, s.word, s.n, self._now, near_m, self._rows
+            )
             if kept < 0:
                 return
             share = s.hits[gone] / max(s.hits[kept] + s.hits[gone], 1)
             s.xyz_m[kept] += share * (s.xyz_m[gone] - s.xyz_m[kept])
             for array in (self._weight, self._total, s.hits, s.near_hits):
                 array[kept] += array[gone]
-            for array in (self._now, s.confidence, s.last_seen_ns):
+            for array in (self._now, s.confidence, s.last_seen_ns, self._peak):
                 array[kept] = max(array[kept], array[gone])
+            s.first_seen_ns[kept] = min(s.first_seen_ns[kept], s.first_seen_ns[gone])
             kernels.add_points(
                 s.points_m, s.n_points, self._cursor, kept, s.points_m[gone].copy(),
                 s.n_points[gone], self.config.voxel_m,
             )  # fmt: skip
+            self._place(kept)
             self._drop(gone)
 
-    def _found(self, word: int, xyz_m: tuple[float, float, float]) -> int:
+    def _found(self, word: int, xyz_m: tuple[float, float, float], stamp_ns: int) -> int:
         s = self._all
         if s.n == len(s.word):
             self._drop(int(np.argmin(s.confidence[: s.n] + self._now[: s.n])))
@@ -327,8 +482,11 @@ class ObjectTracker:
         s.points_m[at] = 0.0  # clear the old row: a checkpoint saves all of it
         s.confidence[at] = s.hits[at] = s.near_hits[at] = s.n_points[at] = 0
         self._weight[at] = self._total[at] = self._cursor[at] = self._now[at] = 0
+        s.reach_m[at] = s.moves[at] = s.came_from_m[at] = self._peak[at] = 0
+        s.first_seen_ns[at] = stamp_ns
         self._counted[at] = -1.0
         self._next_id += 1
+        place_index.insert(self._index, at, xyz_m[0], xyz_m[1])
         return at
 
     def _fuse(self, observation: Observation) -> None:
@@ -346,23 +504,29 @@ class ObjectTracker:
         s = self._all
         weak = (s.confidence[: s.n] < GONE * self.config.tau_det) & (self._weight[: s.n] > 1.0)
         for at in np.flatnonzero(weak)[::-1].tolist():
-            self._drop(at)
+            self._vanish(at)
 
     def _drop(self, at: int) -> None:
         """Drop a row; the last one takes its place."""
         s = self._all
         last = s.n - 1
+        place_index.remove(self._index, at)
         for array in (
             s.xyz_m, s.word, s.confidence, s.last_seen_ns, s.id, s.hits, s.near_hits, s.points_m,
-            s.n_points, self._now, self._weight, self._total, self._cursor, self._counted,
+            s.n_points, s.reach_m, s.moves, s.came_from_m, s.first_seen_ns, self._peak,
+            self._now, self._weight, self._total, self._cursor, self._counted,
         ):  # fmt: skip
             array[at] = array[last]
+        if at != last:
+            place_index.remove(self._index, last)
+            place_index.insert(self._index, at, *s.xyz_m[at, :2].tolist())
         s.n = last
         s.generation += 1
 
     def _count(self) -> None:
         """Raise the generation if any confidence or place has changed enough."""
         s, counted = self._all, self._counted
+        np.maximum(self._peak[: s.n], s.confidence[: s.n], out=self._peak[: s.n])
         moved = np.abs(s.confidence[: s.n] - counted[: s.n, 0]) > _MATTERS
         moved |= np.abs(s.xyz_m[: s.n] - counted[: s.n, 1:]).max(axis=1, initial=0) > 2 * _MATTERS
         if moved.any():
@@ -373,6 +537,11 @@ class ObjectTracker:
 
     def _show(self) -> None:
         self.shown.n, self.shown.generation = self._all.n, self._all.generation
+
+
+_VANISHED = tuple(
+    f"vanished_{name}" for name in ("id", "word", "first_ns", "last_ns", "xyz_m", "moves")
+)
 
 
 def _against(word: str, name: str) -> float:

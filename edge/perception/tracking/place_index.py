@@ -1,0 +1,121 @@
+"""Grid hash over the centres of objects: it finds the rows near a place without a look at all rows.
+
+The index is three arrays: the first row of each bucket, the next row of each row, and the cell of
+each row. Arrays only, so that kernels can use it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+CELL_M = 2.0
+"""Side of a cell."""
+_BUCKETS = 4096  # a power of two
+_END = -1
+_FARTHEST = 1e6  # cells; a centre beyond that has the last one
+
+PlaceIndex = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""(first, following, cell): (buckets,) int32, (capacity,) int32, (capacity, 2) int32."""
+
+
+def make_index(capacity: int) -> PlaceIndex:
+    """Return an empty index for this number of rows."""
+    return (
+        np.full(_BUCKETS, _END, np.int32),
+        np.full(capacity, _END, np.int32),
+        np.zeros((capacity, 2), np.int32),
+    )
+
+
+@njit(nogil=True, cache=True)
+def _cell(x):
+    return math.floor(max(-_FARTHEST, min(_FARTHEST, x / CELL_M)))
+
+
+@njit(nogil=True, cache=True)
+def _bucket(ix, iy):
+    return ((ix * 73856093) ^ (iy * 19349663)) & (_BUCKETS - 1)
+
+
+@njit(nogil=True, cache=True)
+def insert(index, row, x, y):
+    """Add a row that is not in the index, by the centre (x, y) in metres."""
+    first, following, cell = index
+    cell[row, 0], cell[row, 1] = _cell(x), _cell(y)
+    bucket = _bucket(cell[row, 0], cell[row, 1])
+    following[row] = first[bucket]
+    first[bucket] = row
+
+
+@njit(nogil=True, cache=True)
+def remove(index, row):
+    """Remove a row that is in the index."""
+    first, following, cell = index
+    bucket = _bucket(cell[row, 0], cell[row, 1])
+    at = first[bucket]
+    if at == row:
+        first[bucket] = following[row]
+        return
+    while following[at] != row:
+        at = following[at]
+    following[at] = following[row]
+
+
+@njit(nogil=True, cache=True)
+def move(index, row, x, y):
+    """Set the centre of a row."""
+    cell = index[2]
+    if cell[row, 0] != _cell(x) or cell[row, 1] != _cell(y):
+        remove(index, row)
+        insert(index, row, x, y)
+
+
+@njit(nogil=True, cache=True)
+def rebuild(index, centers, n):
+    """Index the first `n` rows of (capacity, 2 or 3) centres, and no others."""
+    index[0][:] = _END
+    for row in range(n):
+        insert(index, row, centers[row, 0], centers[row, 1])
+
+
+@njit(nogil=True, cache=True)
+def rows_near(index, n, x, y, within_m, out):
+    """Write the rows whose cells lie within a distance of a place; return their number.
+
+    These are all rows with a centre within `within_m`, and some others, in ascending order.
+
+    Args:
+        index: see `PlaceIndex`.
+        n: number of rows in the index.
+        x: of the place.
+        y: of the place.
+        within_m: distance along each axis.
+        out: (n or more,) int32.
+    """
+    first, following, cell = index
+    x0, x1, y0, y1 = (
+        _cell(x - within_m),
+        _cell(x + within_m),
+        _cell(y - within_m),
+        _cell(y + within_m),
+    )
+    k = 0
+    if (x1 - x0 + 1) * (y1 - y0 + 1) > n:  # fewer rows than cells
+        for row in range(n):
+            if x0 <= cell[row, 0] <= x1 and y0 <= cell[row, 1] <= y1:
+                out[k] = row
+                k += 1
+        return k
+    for ix in range(x0, x1 + 1):
+        for iy in range(y0, y1 + 1):
+            row = first[_bucket(ix, iy)]
+            while row != _END:
+                if cell[row, 0] == ix and cell[row, 1] == iy:
+                    out[k] = row
+                    k += 1
+                row = following[row]
+    out[:k].sort()
+    return k
