@@ -6,6 +6,7 @@ Light to import, so that the command line can take its arguments from here.
 from __future__ import annotations
 
 import argparse
+import base64
 import json
 from pathlib import Path
 
@@ -22,13 +23,21 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
         ("find", "where is it?"),
         ("list", "list all known objects"),
         ("export", "write all known objects as JSON"),
+        ("crop", "write the picture of an object, as JPEG"),
     ):
         action = actions.add_parser(do, help=text)
         action.add_argument("config", help=CONFIG)
+        if do == "crop":
+            action.add_argument("id", type=int, help="number of the object, from `list`")
         if do != "list":
             action.add_argument("name" if do == "find" else "file")
-        if do != "export":
+        if do in ("find", "list"):
             action.add_argument("--json", action="store_true", help="print JSON")
+        if do != "crop":
+            action.add_argument("--room", help="only objects in this room")
+            action.add_argument(
+                "--since", type=float, metavar="S", help="only objects seen in the last S seconds"
+            )
         action.set_defaults(handler=lazy_handler("edge.cli.memory", "run"))
 
 
@@ -45,10 +54,14 @@ def run(args: argparse.Namespace) -> int:
     from edge.text import format_table, one_line
 
     settings = load(args.config).zenoh
-    request = {"do": "find", "name": args.name} if args.do == "find" else {"do": "list"}
+    request = _request(args)
     with client.connect(settings, ANSWER_S, "service") as session:
         key = settings.key(topics.MEMORY_REQUEST)
         answer = client.send_request(session, key, request, ANSWER_S, "service")
+    if args.do == "crop":
+        write_atomically(Path(args.file), base64.b64decode(answer["jpeg_base64"]))
+        print(f"{args.file}: {answer['text']}")
+        return 0
     objects = answer["objects"]
     if args.do == "export":
         write_atomically(Path(args.file), (json.dumps(objects, indent=1) + "\n").encode())
@@ -60,12 +73,26 @@ def run(args: argparse.Namespace) -> int:
     elif objects:
         rows = [
             (
-                one_line(one["name"]), f"{one['xyz'][0]:.2f}, {one['xyz'][1]:.2f}",
+                one_line(one["name"]), str(one["id"]), one_line(one["room"]) or "-",
+                f"{one['xyz'][0]:.2f}, {one['xyz'][1]:.2f}",
                 f"{one['confidence']:.2f}", f"{one['age_s']:.0f}",
             )
             for one in objects
         ]  # fmt: skip
-        print(format_table([("name", "x, y", "confidence", "age, s"), *rows], left=2))
+        print(format_table([("name", "id", "room", "x, y", "confidence", "age, s"), *rows], left=3))
     else:
         print("none")
     return 0 if objects or args.do != "find" else 1
+
+
+def _request(args: argparse.Namespace) -> dict[str, object]:
+    if args.do == "crop":
+        return {"do": "crop", "id": args.id}
+    request: dict[str, object] = (
+        {"do": "find", "name": args.name} if args.do == "find" else {"do": "list"}
+    )
+    if args.room is not None:
+        request["room"] = args.room
+    if args.since is not None:
+        request["since_s"] = args.since
+    return request

@@ -15,7 +15,9 @@ from pathlib import Path
 from edge.config import Config
 from edge.errors import UserError
 from edge.host.checkpoint import Checkpoint, CheckpointWriter, load
+from edge.loop import crop_checkpoint
 from edge.loop.map_checkpoint import SUFFIX, MapCheckpoint, MapParts, StampedPose
+from edge.memory import CropStore
 from edge.mission.checkpoint import MISSION, OF_TRANSLATION, MissionState, state_of
 from edge.mission.logic import ltl
 from edge.mission.run import MissionRun
@@ -55,6 +57,9 @@ class ServiceCheckpoint:
         loaded, self.problem = load(path, MISSION)
         self.saved = None if loaded is None else _unfinished(loaded.state, asked)
         self.map = MapCheckpoint(config, path.with_name(path.name + SUFFIX), self._fingerprint)
+        crops = path.with_name(path.name + crop_checkpoint.SUFFIX)
+        self.crops = crop_checkpoint.CropCheckpoint(crops)
+        self._noted_crops: CropStore | None = None
         self._writer = CheckpointWriter(path, MISSION)
         self._resumed: MissionRun | None = None
         self._noted: tuple[MissionRun, int] | None = None
@@ -120,6 +125,9 @@ class ServiceCheckpoint:
         changed = noted is None or noted[0] is not mission or noted[1] != mission.changes
         if sighted is not None:
             self.map.note(parts, sighted, mission.brief.prompts, mission.target, changed)
+        if self.map.waiting is None:  # else the saved pictures are not restored yet
+            self._noted_crops = parts.map.crops
+            self.crops.note(parts.map.crops, now_ns)
         if not (changed or self._writer.due(now_ns)):
             return
         state = state_of(mission, status.phase)
@@ -128,7 +136,11 @@ class ServiceCheckpoint:
     def status(self) -> dict[str, object]:
         """Return the part of the status message."""
         writer, known = self._writer, self.map
-        problems = (writer.problem, known.writer.problem, known.problem, self.problem)
+        crops = self.crops
+        problems = (
+            writer.problem, known.writer.problem, known.problem, self.problem,
+            crops.writer.problem, crops.problem,
+        )  # fmt: skip
         return {
             "path": str(writer.path), "written": writer.written, "failed": writer.failed,
             "places_written": known.writer.written,
@@ -138,6 +150,7 @@ class ServiceCheckpoint:
     def close(self) -> None:
         """Write the last state and stop the writers."""
         self.map.close()
+        self.crops.close(self._noted_crops)
         self._writer.close()
 
 

@@ -101,6 +101,7 @@ class GoalTracker:
         self._next_view = NextBestView(config.perception.confirm_hits)
         self._standstill = StandstillMonitor(config, event)
         self._warned_of: set[int] = set()
+        self._explained: tuple[str, int] | None = None
         self._turns = -1
         self._place_failures = 0
         self._restored: tuple[str, SearchState, _Present | None] | None = None  # first its target
@@ -295,6 +296,7 @@ class GoalTracker:
             if not present.sent:
                 self._send(present.goal, now_ns)
                 present.sent = True
+                self._explain(present.goal, mission, now_ns)
                 self._warn_of_neighbours(present.goal, mission, now_ns)
             return
         if self._without_since_ns is None:
@@ -320,6 +322,15 @@ class GoalTracker:
     def _send(self, goal: Goal, now_ns: int) -> None:
         self._grace_ns = GRACE_NS
         self.client.send(goal, now_ns)
+
+    def _explain(self, goal: Goal, mission: MissionRun, now_ns: int) -> None:
+        """Report once why this object is the one that the target describes by a relation."""
+        instance = self._tracker.get(goal.candidate_id) if goal.kind == "instance" else None
+        if instance is None or self._explained == (mission.target, instance.id):
+            return
+        if why := self._tracker.why(mission.target, instance):
+            self._explained = mission.target, instance.id
+            self._event(f"{mission.target}: {instance.label} {instance.id} taken: {why}", now_ns)
 
     def _warn_of_neighbours(self, goal: Goal, mission: MissionRun, now_ns: int) -> None:
         """Warn if a new goal is next to an object that must not be reached now.

@@ -2,34 +2,106 @@
 
 from __future__ import annotations
 
+import base64
+from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from edge import names
-from edge.bus.verbs import Request, Verb, check_text
-from edge.memory import known_objects, where_is
+from edge.bus.verbs import Request, Verb, check_text, shown
+from edge.errors import UserError
+from edge.memory import known_objects, similar_is, where_is
 from edge.memory.site import MAX_NAME_CHARS, name_of
 
 if TYPE_CHECKING:
+    from edge.loop.prior import LocationPrior
     from edge.loop.service import Service
 
 
+def _list(fields: dict) -> dict:
+    """Return the checked filters."""
+    found: dict = {}
+    if "room" in fields:
+        found["room"] = name_of(check_text("room", fields["room"], MAX_NAME_CHARS))
+    if "since_s" in fields:
+        since_s = fields["since_s"]
+        if type(since_s) not in (int, float) or not 0 <= since_s < float("inf"):
+            raise ValueError(f"since_s: expected seconds from 0 on, got {shown(since_s)}")
+        found["since_s"] = since_s
+    return found
+
+
 def _find(fields: dict) -> dict:
-    return {"name": name_of(check_text("name", fields.get("name"), MAX_NAME_CHARS))}
+    name = name_of(check_text("name", fields.get("name"), MAX_NAME_CHARS))
+    return {"name": name, **_list(fields)}
 
 
-MEMORY_VERBS = {"find": Verb(("name",), _find, reads=True), "list": Verb(reads=True)}
-"""`{"do": "find", "name": "mug"}` or `{"do": "list"}`; both answer with `text` and `objects`."""
+def _crop(fields: dict) -> dict:
+    if type(fields.get("id")) is not int:
+        raise ValueError(f"id: expected the number of an object, got {shown(fields.get('id'))}")
+    return {"id": fields["id"]}
+
+
+_MOST_SIMILAR = 3
+_FILTERS = ("room", "since_s")
+MEMORY_VERBS = {
+    "find": Verb(("name", *_FILTERS), _find, reads=True),
+    "list": Verb(_FILTERS, _list, reads=True),
+    "crop": Verb(("id",), _crop, reads=True),
+}
+"""`{"do": "find", "name": "mug"}` or `{"do": "list"}`; both answer with `text` and `objects`, and
+take the filters `room` and `since_s`. `{"do": "crop", "id": 3}` answers with `jpeg_base64`."""
 
 
 def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
-    """Return the known objects of a name, or all."""
-    perception, name = service.config.perception, request.fields.get("name", "")
+    """Return the known objects of a name, or all; or the picture of one.
+
+    Raises:
+        UserError: there is no picture of the object, or rooms are not mapped.
+    """
+    if request.do == "crop":
+        return _picture(service, request.fields["id"])
+    name, filters = request.fields.get("name", ""), dict(request.fields)
+    filters.pop("name", None)
+    room_of = service.map.described.room_of
+    if "room" in filters and room_of is None:
+        raise UserError("room: this robot does not map rooms")
     sightings, pose = service.map.sightings.shown, service.pose
-    found = known_objects(sightings, service.stamp_ns, perception.min_hits, name)
+    known = partial(
+        known_objects, sightings, service.stamp_ns, service.config.perception.min_hits,
+        room_of=room_of, **filters,
+    )  # fmt: skip
+    found = known(name=name)
     if name:
         asked = (*service.mission.brief.prompts, *sightings.words)
         is_looked_for = any(names.is_kind_of(word, name) for word in asked)
         text = where_is(name, found, pose, is_looked_for)
+        if not found:
+            words = similar_words(name, sightings.words, service.map.prior)
+            similar = {word: seen for word in words if (seen := known(name=word))}
+            text = similar_is(name, similar, pose, is_looked_for)
+            found = [one for seen in similar.values() for one in seen]
     else:
         text = f"{len(found)} objects"
     return {"text": text, "objects": [one.to_json() for one in found]}
+
+
+def similar_words(name: str, words: Sequence[str], prior: LocationPrior | None) -> list[str]:
+    """Return the words that mean a similar thing, most similar first: at most three.
+
+    Similarity is that of the detector's vocabulary, if the prior has it; else it is that of the
+    table of objects that look alike (`edge.names.NEAR`).
+    """
+    near = [] if prior is None else prior.words.alike(name, words)
+    near += [word for word in words if names.look_alike(word, name)]
+    return list(dict.fromkeys(near))[:_MOST_SIMILAR]
+
+
+def _picture(service: Service, object_id: int) -> dict:
+    jpeg = service.map.crops.get(object_id)
+    if jpeg is None:
+        raise UserError(f"there is no picture of object {object_id}; `list` has the numbers")
+    return {
+        "text": f"object {object_id}: {len(jpeg)} bytes of JPEG",
+        "jpeg_base64": base64.b64encode(jpeg).decode(),
+    }

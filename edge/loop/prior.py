@@ -105,6 +105,11 @@ class LocationPrior:
         self._layers: dict[str, Callable[[], Grid]] = {}
         self._drawn = (-1, -1)
 
+    @property
+    def words(self) -> PriorWordIndex:
+        """Index of the words, with the detector's vocabulary if it has one."""
+        return self._words
+
     def through(self, beside: Callable[[str, Any], Any]) -> None:
         """Wrap the worker with `beside`, which logs its requests and results."""
         self._worker = beside("prior", self._worker)

@@ -20,7 +20,7 @@ from edge.loop.result import VALUE_LAYER
 from edge.mapping.grid import MAX_FRONTIERS, RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
-from edge.memory import Site
+from edge.memory import CropStore, DescribedTargets, Site
 from edge.perception.tracking.instances import MAX_INSTANCES, InstanceTracker
 from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
@@ -42,6 +42,8 @@ class SemanticMap:
         view: The part of the grid that policies see.
         sightings: Objects of all classes.
         tracker: Instances of the targets.
+        described: Finds the instances of targets that a relation describes.
+        crops: Pictures of the objects in `sightings`.
         pool: Candidates.
         prior: Likelihood of targets near places; None if no prior is configured.
         epoch: Number of pose jumps (changes of the frame).
@@ -52,6 +54,8 @@ class SemanticMap:
         self.config, self._targets = config, targets
         self.sightings = ObjectTracker(perception)
         self.tracker = InstanceTracker(perception, self.sightings)
+        self.tracker.resolver = self.described = DescribedTargets()
+        self.crops = CropStore()
         self.pool = CandidatePool(MAX_FRONTIERS + MAX_INSTANCES, config.policy.r_assoc_m)
         self.prior = make_prior(config)
         self.epoch = 0
@@ -91,6 +95,9 @@ class SemanticMap:
         perception, seen = self.config.perception, detections.observation
         lifted, around = self._lifter.lift(detections, self.grid.floor_over_base_m)
         self.sightings.look(lifted, around)
+        self.crops.rename(self.sightings.renamed)
+        if seen.rgb is not None:
+            self.crops.observe(self.sightings.observed, seen.rgb)
         self.tracker.update(lifted, seen.stamp_ns)
         self.tracker.expire(seen, detections.prompts)
         self.grid.coverage.look(seen, perception.confirm_range_m, perception.confirm_hits)
@@ -138,6 +145,7 @@ class SemanticMap:
         self._lay(RollingMap(self.config.mapping, self.config.robot))
         self.tracker.clear()
         self.sightings.clear()
+        self.crops.clear()
         self.pool.clear()
         if self.prior is not None:
             self.prior.forget()
@@ -174,6 +182,7 @@ class SemanticMap:
 
     def close(self) -> None:
         """Stop the background work."""
+        self.crops.close()
         if self.prior is not None:
             self.prior.close()
 

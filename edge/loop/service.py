@@ -264,6 +264,7 @@ class Service:
         goes_on = checkpoint.is_resumed(self.mission, loaded.state.targets)
         with self.faults.contain("restore", sighted.now_ns):
             restore(MapParts(self.map, self.goals, self.policy), grid, loaded, sighted, goes_on)
+            checkpoint.crops.restore(self.map.crops)
         if goes_on:
             self.mission.mark_stale_before(self.map.tracker.newest_id)
         else:

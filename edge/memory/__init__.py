@@ -1,6 +1,8 @@
 """What is remembered: objects that were seen; places and zones that people gave."""
 
-from edge.memory.objects import KnownObject, known_objects, where_is
+from edge.memory.crops import MAX_CROP_BYTES, CropStore
+from edge.memory.objects import KnownObject, known_objects, similar_is, where_is
+from edge.memory.relations import DescribedTargets, DescribedThing, RelationError, described
 from edge.memory.site import (
     START,
     Item,
@@ -17,6 +19,26 @@ from edge.memory.site import (
 )
 
 __all__ = [
-    "START", "Item", "KnownObject", "Place", "Site", "SiteError", "SiteFile", "Zone",
-    "item_of", "known_objects", "merged", "read_site", "site_of", "where_is", "write_site",
+    "MAX_CROP_BYTES",
+    "START",
+    "CropStore",
+    "DescribedTargets",
+    "DescribedThing",
+    "Item",
+    "KnownObject",
+    "Place",
+    "RelationError",
+    "Site",
+    "SiteError",
+    "SiteFile",
+    "Zone",
+    "described",
+    "item_of",
+    "known_objects",
+    "merged",
+    "read_site",
+    "similar_is",
+    "site_of",
+    "where_is",
+    "write_site",
 ]  # fmt: skip

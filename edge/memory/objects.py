@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from edge import names
 from edge.geometry import SE2
@@ -22,6 +25,9 @@ class KnownObject:
         confidence: in [0, 1], mean over all looks at the place; see `TrackedObjects`.
         hits: number of images that it was detected in.
         age_s: time since it was seen last.
+        known_s: time since it was seen first.
+        came_from_m: place (x, y) in `map` before it was moved; None if it was not.
+        room: name of its room; "" if it is not known.
     """
 
     id: int
@@ -30,18 +36,30 @@ class KnownObject:
     confidence: float
     hits: int
     age_s: float
+    known_s: float = 0.0
+    came_from_m: tuple[float, float] | None = None
+    room: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Return it JSON-ready."""
         return {
             "id": self.id, "name": self.name, "xyz": [round(v, 3) for v in self.xyz_m],
             "confidence": round(self.confidence, 3), "hits": self.hits,
-            "age_s": round(self.age_s, 1),
+            "age_s": round(self.age_s, 1), "known_s": round(self.known_s, 1),
+            "came_from": self.came_from_m and [round(v, 3) for v in self.came_from_m],
+            "room": self.room,
         }  # fmt: skip
 
 
 def known_objects(
-    sightings: TrackedObjects, stamp_ns: int, min_hits: int, name: str = ""
+    sightings: TrackedObjects,
+    stamp_ns: int,
+    min_hits: int,
+    name: str = "",
+    most: int | None = None,
+    since_s: float | None = None,
+    room: str = "",
+    room_of: Callable[[float, float], Sequence[str]] | None = None,
 ) -> list[KnownObject]:
     """Return the objects of the map, the most confident first.
 
@@ -49,18 +67,38 @@ def known_objects(
         stamp_ns: now, on the sensors' clock.
         min_hits: leave out what was detected in fewer images.
         name: only these and kinds of them; empty for all.
+        most: limit of their number.
+        since_s: only those seen in the last seconds; None for all.
+        room: only those in the room of this name; empty for all.
+        room_of: returns the names of the room at (x, y) in `map`; None: rooms are not mapped.
     """
     s = sightings
-    wanted = [not name or names.is_kind_of(word, name) for word in s.words]
-    found = [
-        KnownObject(
-            int(s.id[i]), s.words[s.word[i]], (x_m, y_m, z_m), float(s.confidence[i]),
-            int(s.hits[i]), max(0.0, (stamp_ns - int(s.last_seen_ns[i])) * 1e-9),
+    is_wanted = np.array([not name or names.is_kind_of(word, name) for word in s.words], np.bool_)
+    rows = np.flatnonzero(s.hits[: s.n] >= min_hits)
+    rows = rows[is_wanted[s.word[rows]]]
+    if since_s is not None:
+        rows = rows[stamp_ns - s.last_seen_ns[rows] <= since_s * 1e9]
+    # By confidence, then by id: `lexsort` has its first key last.
+    rows = rows[np.lexsort((s.id[rows], -s.confidence[rows]))]
+    found: list[KnownObject] = []
+    for i, (x_m, y_m, z_m) in zip(rows.tolist(), s.xyz_m[rows].tolist(), strict=True):
+        rooms = room_of(x_m, y_m) if room_of is not None else ()
+        if room and room not in rooms:
+            continue
+        age_s, known_s = (
+            max(0.0, (stamp_ns - int(seen_ns[i])) * 1e-9)
+            for seen_ns in (s.last_seen_ns, s.first_seen_ns)
         )
-        for i, (x_m, y_m, z_m) in enumerate(s.xyz_m[: s.n].tolist())
-        if wanted[s.word[i]] and s.hits[i] >= min_hits
-    ]  # fmt: skip
-    return sorted(found, key=lambda one: (-one.confidence, one.id))
+        found.append(
+            KnownObject(
+                int(s.id[i]), s.words[s.word[i]], (x_m, y_m, z_m), float(s.confidence[i]),
+                int(s.hits[i]), age_s, known_s,
+                tuple(s.came_from_m[i].tolist()) if s.moves[i] else None, next(iter(rooms), ""),
+            )
+        )  # fmt: skip
+        if len(found) == most:
+            break
+    return found
 
 
 def where_is(name: str, found: list[KnownObject], pose: SE2 | None, is_looked_for: bool) -> str:
@@ -80,11 +118,31 @@ def where_is(name: str, found: list[KnownObject], pose: SE2 | None, is_looked_fo
     return f"{name}: {'; '.join(texts)}{more}"
 
 
+def similar_is(
+    name: str, similar: dict[str, list[KnownObject]], pose: SE2 | None, is_looked_for: bool
+) -> str:
+    """Return the answer if nothing of this name was seen, but objects of similar names were.
+
+    Args:
+        name: name that was asked for.
+        similar: similar name → its known objects, the most similar name first.
+        pose: see `where_is`.
+        is_looked_for: see `where_is`.
+    """
+    texts = [
+        f"a {one_line(word)} (similar) {_place(found[0], pose)}" for word, found in similar.items()
+    ]
+    return "; ".join((where_is(name, [], pose, is_looked_for), *texts))
+
+
 def _place(one: KnownObject, pose: SE2 | None) -> str:
     x_m, y_m, _ = one.xyz_m
     away = "" if pose is None else f", {pose.distance_to(x_m, y_m):.1f} m away"
     seen = "now" if one.age_s < 1.0 else f"{_ago(one.age_s)} ago"
-    return f"at ({x_m:.1f}, {y_m:.1f}){away}, seen {seen}, confidence {one.confidence:.2f}"
+    moved = ""
+    if one.came_from_m is not None:
+        moved = ", probably moved from ({:.1f}, {:.1f})".format(*one.came_from_m)
+    return f"at ({x_m:.1f}, {y_m:.1f}){away}, seen {seen}, confidence {one.confidence:.2f}{moved}"
 
 
 def _ago(age_s: float) -> str:

@@ -3,7 +3,7 @@ error."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from edge import names
 from edge.config import MissionConfig, TranslatorLtl
 from edge.errors import UserError
 from edge.geometry import SE2
-from edge.memory import Site
+from edge.memory import Site, described
 from edge.mission.language.english import describe
 from edge.mission.language.places import EXPLORED, HERE, START, quote_places
 from edge.mission.logic import ltl
@@ -48,8 +48,9 @@ class MissionSpec:
             (`NOTHING`) adds one.
         diagnosis: result of checking the formula.
         targets: the propositions that make a difference, in order of first appearance.
-        prompts: the targets that are things, or else the target of the configuration. The detector
-            searches for them; each has one VL channel.
+        prompts: the names of the targets that are things, with the anchors of relations ("desk" of
+            "chair next to desk"), or else the target of the configuration. The detector searches
+            for them; each has one VL channel.
         steps: steps of a task (`edge.tasks`), at least one; None if this is no task.
     """
 
@@ -62,6 +63,8 @@ class MissionSpec:
 
     def prompt_for(self, target: str) -> str:
         """Return the prompt to score frontiers for while this target is pursued."""
+        if (thing := described(target)) is not None:
+            target = thing.noun
         return target if target in self.prompts else self.prompts[0]
 
     @property
@@ -174,8 +177,23 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     automaton = _narrowed(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
-    things = tuple(letter for letter in targets if letter not in translation.places)
-    return MissionSpec(translation, automaton, diagnosis, targets, things or (config.target,))
+    things = [letter for letter in targets if letter not in translation.places]
+    prompts = _prompts(things) or (config.target,)
+    return MissionSpec(translation, automaton, diagnosis, targets, prompts)
+
+
+def _prompts(things: Iterable[str]) -> tuple[str, ...]:
+    """Return the names that the detector must look for, each once; an anchor follows its noun.
+
+    Raises:
+        RelationError: a thing has a relation that cannot be decided.
+    """
+    found: dict[str, str] = {}
+    for thing in things:
+        relation = described(thing)
+        for name in (thing,) if relation is None else relation.prompts:
+            found.setdefault(names.canonical(name), name)
+    return tuple(found.values())
 
 
 def spec_of_task(

@@ -82,5 +82,6 @@ def _lift(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
     instance_kernels.merge_points(points_m, support, points_m, perception.voxel_m, MAX_POINTS)
     instance_kernels.core_points(points_m, support)
     instance_kernels.nearest(points_m, 0.0, 0.0)
+    instance_kernels.least_gap(points_m, points_m)
     view = look_kernels.view_of(seen.camera)
     look_kernels.visibility(0.0, 0.0, 1.0, points_m, 1, np.eye(4), view, seen.depth_m, 6.0)

@@ -81,6 +81,9 @@ class Things(dict):
     def confirmed(self, instance: Instance) -> bool:
         return instance.id in self.sure
 
+    def why(self, label: str, instance: Instance) -> str:
+        return ""
+
     def mark_reached(self, instance_id: int) -> None:
         self[instance_id].state = "reached"
 

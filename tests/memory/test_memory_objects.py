@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from edge.geometry import SE2
-from edge.memory import known_objects, where_is
+from edge.memory import known_objects, similar_is, where_is
 from edge.perception.tracking.sightings import TrackedObjects
 
 POSE = SE2(0.0, 0.0, 0.0)
@@ -62,8 +62,45 @@ def test_the_answer_says_where_when_and_how_sure():
     )
     assert found[0].to_json() == {
         "id": 2, "name": "chair", "xyz": [2.0, 0.0, 0.5], "confidence": 0.8, "hits": 5,
-        "age_s": 60.0,
+        "age_s": 60.0, "known_s": 100.0, "came_from": None, "room": "",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("filters", "ids"),
+    [
+        ({"since_s": 60.0}, [1, 2]),
+        ({"most": 2}, [1, 2]),
+        ({"room": "kitchen"}, [3]),
+        ({"room": "office"}, []),
+        ({"room": "kitchen", "since_s": 1.0}, []),
+    ],
+)
+def test_objects_are_filtered_by_time_number_and_room(filters, ids):
+    def room_of(x_m, y_m):
+        return ("kitchen", "room 2") if x_m > 2.5 else ()
+
+    found = known_objects(SEEN, NOW_NS, 2, room_of=room_of, **filters)
+    assert [one.id for one in found] == ids
+    assert all(one.room == ("kitchen" if one.id == 3 else "") for one in found)
+
+
+def test_a_moved_object_says_from_where():
+    moved = seen(("mug", 1.0, 5, 0))
+    moved.moves[0], moved.came_from_m[0] = 1, (4.0, 2.0)
+    found = known_objects(moved, NOW_NS, 2, "mug")
+    assert where_is("mug", found, None, True) == (
+        "mug: at (1.0, 0.0), seen now, confidence 0.90, probably moved from (4.0, 2.0)"
+    )
+    assert found[0].to_json()["came_from"] == [4.0, 2.0]
+
+
+def test_similar_objects_are_told_as_such():
+    similar = {"mug": known_objects(SEEN, NOW_NS, 2, "mug")}
+    assert similar_is("goblet", {}, None, True) == "no goblet has been seen"
+    assert similar_is("goblet", similar, None, True) == (
+        "no goblet has been seen; a mug (similar) at (1.0, 0.0), seen now, confidence 0.90"
+    )
 
 
 def test_a_long_answer_is_cut():

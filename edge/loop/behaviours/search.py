@@ -40,6 +40,7 @@ class SearchBehaviour:
     ) -> None:
         self._mission, self._config = mission, config
         self._map, self._goals, self._surveyor = here, goals, surveyor
+        self._things = tuple(t for t in mission.brief.targets if t not in mission.places)
 
     @property
     def _place(self) -> SE2 | None:
@@ -58,7 +59,7 @@ class SearchBehaviour:
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
         sure = not self._config.policy.instances
-        seen = newest_ids(self._map.tracker, mission.brief.prompts, sure)
+        seen = newest_ids(self._map.tracker, self._things, sure)
         mission.see(seen | dict.fromkeys(mission.places, 0), now_ns)
         if self._surveyor is not None:
             self._surveyor.step(mission, grid, self._map.tracker, pose, now_ns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -51,6 +52,18 @@ class PriorWordIndex:
         if word not in self._found:
             self._found[word] = self._find(word)
         return self._found[word]
+
+    def alike(self, word: str, others: Sequence[str]) -> list[str]:
+        """Return the words among others whose embeddings are alike (`ALIKE`), most alike first.
+
+        Without a vocabulary, or for a word outside it, there are none.
+        """
+        vector = self._vector(word)
+        if vector is None:
+            return []
+        known = [(other, self._vector(other)) for other in others]
+        cosine = {other: float(its @ vector) for other, its in known if its is not None}
+        return sorted((o for o, c in cosine.items() if c >= ALIKE), key=lambda o: (-cosine[o], o))
 
     def _find(self, word: str) -> int:
         if not names.is_name(word):

@@ -111,3 +111,14 @@ def nearest(points, x, y):
         dx, dy = points[i, 0] - x, points[i, 1] - y
         least = min(least, dx * dx + dy * dy)
     return np.sqrt(least)
+
+
+@njit(nogil=True, cache=True)
+def least_gap(points, others):
+    """Return the least planar distance between (n, 3) and (m, 3) points; inf if a set is empty."""
+    least = np.inf
+    for i in range(len(points)):
+        for j in range(len(others)):
+            dx, dy = points[i, 0] - others[j, 0], points[i, 1] - others[j, 1]
+            least = min(least, dx * dx + dy * dy)
+    return np.sqrt(least)

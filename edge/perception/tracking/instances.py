@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import get_args
+from functools import partial
+from typing import Protocol, get_args
 
 import numpy as np
 
@@ -56,6 +57,24 @@ _EVIDENCE = (
     ("good_ns", np.int64), ("target_sum", np.float64), ("rival_sum", np.float64),
     ("doubted", np.bool_),
 )  # fmt: skip
+
+
+class LabelResolver(Protocol):
+    """Finds the instances of labels that describe a thing by its relation to others."""
+
+    def resolve(
+        self, label: str, of: Callable[[str], Sequence[Instance]], last: bool
+    ) -> list[Instance] | None:
+        """Return the instances of a label, best first; None if the label is a plain name.
+
+        Args:
+            label: a target.
+            of: returns the instances of a plain name, best first.
+            last: True if the search is over, so that the least bad one is good enough.
+        """
+
+    def why(self, label: str, instance: Instance, of: Callable[[str], Sequence[Instance]]) -> str:
+        """Return why an instance is the one of a label; "" for a plain name."""
 
 
 @dataclass(slots=True, eq=False)
@@ -115,6 +134,8 @@ class InstanceTracker:
 
     Attributes:
         dropped: number of instances removed over `MAX_INSTANCES`.
+        resolver: finds the instances of labels such as "chair next to desk"; may be set. None: all
+            labels are plain names.
     """
 
     def __init__(
@@ -122,6 +143,7 @@ class InstanceTracker:
     ) -> None:
         self.config = perception
         self.dropped = 0
+        self.resolver: LabelResolver | None = None
         self._sightings = sightings
         self._tracks: dict[int, _Track] = {}
         self._next_id = 1
@@ -148,6 +170,18 @@ class InstanceTracker:
             sure: True: only confirmed ones.
             doubted: True: also those that another object explains better.
         """
+        if self.resolver is not None:
+            plain = partial(self._named, sure=sure, doubted=doubted)
+            if (found := self.resolver.resolve(label, plain, last=doubted)) is not None:
+                return found
+        return self._named(label, sure, doubted)
+
+    def why(self, label: str, instance: Instance) -> str:
+        """Return why an instance is the one that a label describes; "" for a plain name."""
+        plain = partial(self._named, sure=False, doubted=True)
+        return "" if self.resolver is None else self.resolver.why(label, instance, plain)
+
+    def _named(self, label: str, sure: bool, doubted: bool) -> list[Instance]:
         name = names.canonical(label)
         found = [
             track.instance

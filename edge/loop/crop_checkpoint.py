@@ -1,0 +1,75 @@
+"""Checkpoint of the objects' pictures, in a file next to the map's.
+
+Pictures are larger than the rest and change rarely, so they are written less often. A picture of
+the last half minute may be lost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from edge.host.checkpoint import Checkpoint, CheckpointFormat, CheckpointWriter, load, set_aside
+from edge.memory import MAX_CROP_BYTES, CropStore
+
+SUFFIX = ".crops"
+PERIOD_S = 30.0
+
+
+@dataclass(frozen=True)
+class CropState:
+    """Description of the saved pictures; all data is in the arrays.
+
+    Attributes:
+        n: number of pictures.
+    """
+
+    n: int
+
+
+CROPS = CheckpointFormat("edge-crops", "pictures", CropState, MAX_CROP_BYTES + (1 << 20))
+
+
+class CropCheckpoint:
+    """The file of the pictures; for the loop's thread.
+
+    Args:
+        path: path of the file.
+
+    Attributes:
+        problem: reason why an existing file cannot be used; "" if there is none.
+        writer: writer of the file.
+
+    Raises:
+        CheckpointError: the file cannot be read, or cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._loaded, self.problem = load(path, CROPS)
+        self.writer = CheckpointWriter(path, CROPS, PERIOD_S)
+        self._written = 0  # `CropStore.changes` at the last post
+
+    def restore(self, crops: CropStore) -> None:
+        """Load the pictures of the file; the map of the same run was restored before."""
+        if self._loaded is None:
+            return
+        try:
+            crops.load_state_dict(self._loaded.arrays)
+        except ValueError as error:
+            self._loaded, self.problem = None, set_aside(self.writer.path, str(error))
+        self._written = crops.changes
+
+    def note(self, crops: CropStore, now_ns: int) -> None:
+        """Pass the pictures to the writer if they changed and it is time. Never block."""
+        if crops.changes != self._written and self.writer.due(now_ns):
+            self._post(crops, now_ns)
+
+    def close(self, crops: CropStore | None) -> None:
+        """Write the last pictures, if a tick passed them, and stop the writer."""
+        if crops is not None and crops.changes != self._written:
+            self._post(crops, 0)
+        self.writer.close()
+
+    def _post(self, crops: CropStore, now_ns: int) -> None:
+        self._written, n, take = crops.changes, len(crops), crops.snapshot()
+        self.writer.post(lambda: Checkpoint(CropState(n), take()), now_ns)

@@ -1,0 +1,246 @@
+"""Objects that are described by a relation: "chair next to desk", "second door", "mug in kitchen".
+
+A detector knows names, not relations. So it looks for the noun and for the anchor, and the relation
+is decided on the object map.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from edge import names
+from edge.errors import UserError
+from edge.perception.tracking.instance_kernels import least_gap
+from edge.text import one_line
+from edge.types import Instance
+
+NEXT_TO_M = 1.5
+"""Largest planar distance between the surfaces of two objects that are next to each other."""
+TOUCHING_M = 0.4
+"""Largest planar distance between the surfaces of objects of which one is on or under the other.
+
+Surfaces are seen from some sides only, so it is more than 0."""
+MOST_DESCRIBED = 64
+
+Relation = Literal["", "next to", "nearest to", "on", "under", "in"]
+InstancesOf = Callable[[str], Sequence[Instance]]
+RoomOf = Callable[[float, float], Sequence[str]]
+
+_WORDS: dict[str, Relation] = {
+    "next to": "next to", "beside": "next to", "near": "next to", "close to": "next to",
+    "by": "next to", "at": "next to",
+    "nearest to": "nearest to", "closest to": "nearest to", "nearest": "nearest to",
+    "closest": "nearest to",
+    "on top of": "on", "on": "on", "under": "under", "below": "under", "underneath": "under",
+    "inside": "in", "in": "in",
+}  # fmt: skip
+_UNDECIDABLE = (
+    "left of", "right of", "in front of", "behind", "opposite", "between", "against", "above",
+    "far from", "farthest from",
+)  # fmt: skip
+_PHRASES = sorted((*_WORDS, *_UNDECIDABLE), key=len, reverse=True)
+_SPLIT = re.compile(rf"^(?P<noun>.+?)\s+(?P<word>{'|'.join(_PHRASES)})\s+(?P<anchor>.+)$")
+
+
+class RelationError(UserError):
+    """A description that cannot be decided on the object map; one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class DescribedThing:
+    """A thing with a relation that tells it from others of its name.
+
+    Attributes:
+        noun: name of the thing.
+        relation: to the anchor; "" if there is none.
+        anchor: name of the other thing; "" without a relation.
+        room: name of the room that it must be in; "" for any.
+        nth: 2 is the second one that was seen; 0 for any.
+    """
+
+    noun: str
+    relation: Relation = ""
+    anchor: str = ""
+    room: str = ""
+    nth: int = 0
+
+    @property
+    def prompts(self) -> tuple[str, ...]:
+        """Names that the detector must look for, the noun first."""
+        return (self.noun, self.anchor) if self.anchor else (self.noun,)
+
+
+def described(
+    text: str, is_room: Callable[[str], bool] = lambda name: False
+) -> DescribedThing | None:
+    """Return the thing that a text describes by a relation; None if the text is a plain name.
+
+    Args:
+        text: a proposition.
+        is_room: returns True for names of rooms and of their kinds.
+
+    Raises:
+        RelationError: the text has a relation that cannot be decided.
+
+    >>> described("the chair next to the desk")
+    DescribedThing(noun='chair', relation='next to', anchor='desk', room='', nth=0)
+    >>> described("second door").nth, described("office chair")
+    (2, None)
+    """
+    phrase = names.normalise(text)
+    if names.is_known(phrase):
+        return None
+    room = ""
+    if (found := _last_room(phrase, is_room)) is not None:
+        phrase, room = found
+    split = _SPLIT.match(phrase)
+    relation: Relation = ""
+    noun, anchor = phrase, ""
+    if split is not None:
+        if split["word"] in _UNDECIDABLE:
+            raise _undecidable(text, f"{split['word']!r}")
+        noun, relation = split["noun"], _WORDS[split["word"]]
+        anchor = names.normalise(split["anchor"])
+        if _SPLIT.match(anchor):
+            raise _undecidable(text, "a second relation")
+        if relation == "in" and not names.is_known(anchor):
+            raise _undecidable(text, f"'in the {anchor}', since it knows no such room or thing")
+    nth, noun = _ordinal(noun)
+    if not (relation or room or nth):
+        return None
+    return DescribedThing(noun, relation, anchor, room, nth)
+
+
+def _last_room(phrase: str, is_room: Callable[[str], bool]) -> tuple[str, str] | None:
+    """Return the phrase without its last "in ROOM", and the room; None if there is none."""
+    for word in (" in ", " inside "):
+        thing, _, room = phrase.rpartition(word)
+        if thing and is_room(names.normalise(room)):
+            return thing, names.normalise(room)
+    return None
+
+
+def _ordinal(noun: str) -> tuple[int, str]:
+    """Return the number of "second door" and its name; 0 and the noun if it has no number."""
+    first, _, rest = noun.partition(" ")
+    nth = names.ordinal(first)
+    if nth is None or not names.is_known(rest):
+        return 0, noun
+    return nth, rest
+
+
+def _undecidable(text: str, what: str) -> RelationError:
+    can = ", ".join(dict.fromkeys(_WORDS.values()))
+    return RelationError(
+        f"{one_line(text, 80)}: the object map cannot decide {what}; say the name, a room, or "
+        f"one of: {can}"
+    )
+
+
+class DescribedTargets:
+    """Finds the instances that described targets mean, for `InstanceTracker.resolver`.
+
+    Args:
+        room_of: returns the names of the room at (x, y) in `map`; None: rooms are not mapped.
+
+    Attributes:
+        room_of: as in `Args`; may be set.
+        is_room: see `described`; may be set.
+    """
+
+    def __init__(self, room_of: RoomOf | None = None) -> None:
+        self.room_of = room_of
+        self.is_room: Callable[[str], bool] = lambda name: False
+        self._known: dict[str, DescribedThing | None] = {}
+
+    def thing(self, label: str) -> DescribedThing | None:
+        """Return the thing that a label describes; None if it is a plain name."""
+        if label not in self._known:
+            if len(self._known) >= MOST_DESCRIBED:
+                self._known.clear()
+            try:
+                self._known[label] = described(label, self.is_room)
+            except RelationError:  # a label of a recording or a checkpoint; it names no instance
+                self._known[label] = None
+        return self._known[label]
+
+    def resolve(self, label: str, of: InstancesOf, last: bool) -> list[Instance] | None:
+        """Return the instances that a label describes, best first; None for a plain name.
+
+        Args:
+            label: a target.
+            of: returns the instances of a name, best first.
+            last: True to accept the nearest one at any distance, since the search is over.
+        """
+        thing = self.thing(label)
+        if thing is None:
+            return None
+        return [instance for instance, _ in self._ranked(thing, of, last)]
+
+    def why(self, label: str, instance: Instance, of: InstancesOf) -> str:
+        """Return why an instance is the one that a label describes; "" for a plain name."""
+        thing = self.thing(label)
+        found = () if thing is None else self._ranked(thing, of, last=True)
+        return next((why for one, why in found if one.id == instance.id), "")
+
+    def _ranked(
+        self, thing: DescribedThing, of: InstancesOf, last: bool
+    ) -> list[tuple[Instance, str]]:
+        found = [one for one in of(thing.noun) if self._is_in(thing.room, one)]
+        why = f"in the {thing.room}" if thing.room else ""
+        if not thing.relation:
+            pairs = [(one, why) for one in found]
+        else:
+            anchors = list(of(thing.anchor))
+            limit_m = NEXT_TO_M if thing.relation in ("next to", "nearest to") else TOUCHING_M
+            if thing.relation == "nearest to" and last:
+                limit_m = math.inf
+            pairs = list(_related(thing, found, anchors, limit_m))
+        if not thing.nth:
+            return pairs
+        by_age = sorted(pairs, key=lambda pair: pair[0].id)
+        ordinal = f"number {thing.nth} in the order of seeing"
+        return [
+            (one, f"{ordinal}{', ' * bool(why)}{why}") for one, why in by_age[thing.nth - 1 :][:1]
+        ]
+
+    def _is_in(self, room: str, one: Instance) -> bool:
+        if not room:
+            return True
+        if self.room_of is None:
+            return False
+        x_m, y_m, _ = one.center_m.tolist()
+        return room in self.room_of(x_m, y_m)
+
+
+def _related(
+    thing: DescribedThing, found: Sequence[Instance], anchors: Sequence[Instance], limit_m: float
+) -> Iterator[tuple[Instance, str]]:
+    """Yield the things within a distance of an anchor, with the reason.
+
+    For "nearest to" only the nearest one is yielded. For the other relations the order is kept.
+    """
+    near: list[tuple[float, Instance, str]] = []
+    for one in found:
+        gaps = [
+            (least_gap(one.points_m, other.points_m), other) for other in anchors
+            if other.id != one.id and _is_level(thing.relation, one, other)
+        ]  # fmt: skip
+        if not gaps:
+            continue
+        gap_m, other = min(gaps, key=lambda pair: (pair[0], pair[1].id))
+        if gap_m <= limit_m:
+            near.append((gap_m, one, f"{gap_m:.1f} m from {other.label} {other.id}"))
+    if thing.relation == "nearest to":
+        near = sorted(near, key=lambda each: (each[0], each[1].id))[:1]
+    yield from ((one, why) for _, one, why in near)
+
+
+def _is_level(relation: Relation, one: Instance, other: Instance) -> bool:
+    """Return True if the heights of two objects fit "on" or "under"; True for other relations."""
+    z_m, other_z_m = float(one.center_m[2]), float(other.center_m[2])
+    return {"on": z_m > other_z_m, "under": z_m < other_z_m}.get(relation, True)

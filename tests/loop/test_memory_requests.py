@@ -1,0 +1,135 @@
+"""Questions to the memory of a running service, in a simulated house."""
+
+from __future__ import annotations
+
+import base64
+
+import cv2
+import numpy as np
+import pytest
+from simulated import simulated
+
+from edge.bus.verbs import Request, read_request
+from edge.errors import UserError
+from edge.host.checkpoint import CheckpointError
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.loop.crop_checkpoint import CropCheckpoint
+from edge.loop.memory_requests import MEMORY_VERBS, handle_memory, similar_words
+from edge.memory import CropStore
+from edge.perception.prior.table import load
+from edge.perception.prior.words import PriorWordIndex
+
+
+@pytest.fixture(scope="module")
+def loop():
+    small = {"camera": {"width_px": 160, "height_px": 128}}
+    data = {"mission": {"target": "bed"}, "sensors": small}
+    return ClosedLoop(simulated(data)).run(8)
+
+
+def ask(loop, payload: str) -> dict:
+    do, fields = read_request(payload.encode(), MEMORY_VERBS)
+    return handle_memory(loop.service, Request(do, fields), 0)
+
+
+def test_all_objects_are_listed_with_their_times(loop):
+    objects = ask(loop, '{"do": "list"}')["objects"]
+    assert objects
+    for one in objects:
+        assert one["known_s"] >= one["age_s"] >= 0.0
+        assert (one["room"], one["came_from"]) == ("", None)
+
+
+def test_filters_leave_out_objects(loop, monkeypatch):
+    objects = ask(loop, '{"do": "list"}')["objects"]
+    ages_s = sorted(one["age_s"] for one in objects)
+    since_s = ages_s[len(ages_s) // 2]
+    newest = ask(loop, f'{{"do": "list", "since_s": {since_s + 0.06}}}')["objects"]
+    assert 0 < len(newest) <= len(objects)
+    assert all(one["age_s"] <= since_s + 0.06 for one in newest)
+    with pytest.raises(UserError, match="does not map rooms"):
+        ask(loop, '{"do": "list", "room": "kitchen"}')
+    monkeypatch.setattr(
+        loop.service.map.described, "room_of", lambda x_m, y_m: ("kitchen",) if x_m > 2 else ()
+    )
+    inside = ask(loop, '{"do": "list", "room": "Kitchen"}')["objects"]
+    assert [one["id"] for one in inside] == [one["id"] for one in objects if one["xyz"][0] > 2]
+    assert {one["room"] for one in inside} == {"kitchen"}
+
+
+def test_what_looks_alike_is_told_as_such(loop):
+    answer = ask(loop, '{"do": "find", "name": "countertop"}')
+    assert answer["text"].startswith("no countertop has been seen")
+    assert "; a table (similar) at (" in answer["text"]
+    assert answer["objects"]
+
+
+VOCABULARY = ["goblet", "cup", "chair"], np.array([(1.0, 0.0), (0.95, 0.312), (0.0, 1.0)], "f4")
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "vocabulary", "similar"),
+    [
+        ("cup", [], VOCABULARY, []),
+        ("goblet", ["chair", "cup"], None, []),
+        ("goblet", ["chair", "cup"], VOCABULARY, ["cup"]),
+        ("cup", ["wine glass", "chair"], None, ["wine glass"]),
+        ("nothing known", ["chair"], VOCABULARY, []),
+    ],
+)
+def test_similar_words_come_from_the_vocabulary_and_the_table(name, words, vocabulary, similar):
+    class Prior:
+        words = PriorWordIndex(load(), vocabulary)
+
+    assert similar_words(name, words, Prior()) == similar
+    assert similar_words(name, words, None) == [word for word in similar if word == "wine glass"]
+
+
+def test_the_picture_of_an_object_is_a_small_jpeg(loop):
+    loop.service.map.crops.close()
+    ids = [one["id"] for one in ask(loop, '{"do": "list"}')["objects"]]
+    with_picture = [i for i in ids if loop.service.map.crops.get(i)]
+    assert with_picture
+    answer = ask(loop, f'{{"do": "crop", "id": {with_picture[0]}}}')
+    jpeg = np.frombuffer(base64.b64decode(answer["jpeg_base64"]), np.uint8)
+    assert max(cv2.imdecode(jpeg, cv2.IMREAD_COLOR).shape[:2]) <= 64
+    with pytest.raises(UserError, match="no picture of object 99999"):
+        ask(loop, '{"do": "crop", "id": 99999}')
+
+
+@pytest.mark.parametrize(
+    ("payload", "message"),
+    [
+        ('{"do": "find"}', "name: expected text"),
+        ('{"do": "crop"}', "id: expected the number"),
+        ('{"do": "crop", "id": true}', "id: expected the number"),
+        ('{"do": "list", "since_s": -1}', "since_s: expected seconds"),
+        ('{"do": "list", "since_s": "1"}', "since_s: expected seconds"),
+        ('{"do": "list", "name": "mug"}', "'name': not allowed"),
+        ('{"do": "list", "room": 3}', "room: expected text"),
+    ],
+)
+def test_what_is_no_request_is_refused(payload, message):
+    with pytest.raises(ValueError, match=message):
+        read_request(payload.encode(), MEMORY_VERBS)
+
+
+def test_pictures_survive_a_restart(loop, tmp_path):
+    path, crops = tmp_path / "mission.json.crops", loop.service.map.crops
+    first = CropCheckpoint(path)
+    first.note(crops, 0)
+    first.close(crops)
+    again, loaded = CropCheckpoint(path), CropStore()
+    again.restore(loaded)
+    again.close(loaded)
+    assert again.problem == ""
+    assert len(loaded) == len(crops) > 0
+    path.write_bytes(path.read_bytes()[:-9])
+    damaged, empty = CropCheckpoint(path), CropStore()
+    damaged.restore(empty)
+    damaged.close(empty)
+    assert "kept as mission.json.crops.damaged-1" in damaged.problem
+    assert len(empty) == 0
+    path.write_text("of another program")
+    with pytest.raises(CheckpointError):
+        CropCheckpoint(path)

@@ -1,0 +1,120 @@
+"""Pictures of objects: the best view of each, in limited memory, across a restart."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from edge.memory import CropStore, crops
+from edge.perception.tracking.sightings import ObservedObject
+
+RED, BLUE = (250, 0, 0), (0, 0, 250)
+
+
+def image(color=RED, height=240, width=320):
+    return np.full((height, width, 3), color, np.uint8)
+
+
+def seen(id, score=0.8, box=(50, 50, 150, 130)):
+    return ObservedObject(id, np.array(box, np.float32), score)
+
+
+@pytest.fixture
+def store():
+    return CropStore(inline=True)
+
+
+def color_of(jpeg):
+    return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)[..., ::-1].mean((0, 1))
+
+
+def test_nothing_seen_no_picture(store):
+    store.observe([], image())
+    assert (len(store), store.changes, store.get(1)) == (0, 0, None)
+    assert store.state_dict()["jpeg"].size == 0
+
+
+@pytest.mark.parametrize(
+    ("second", "color"),
+    [
+        (seen(1, 0.3), RED),
+        (seen(1, 0.9), RED),  # hardly better
+        (seen(1, 1.0), BLUE),
+        (seen(1, 1.0, (0, 50, 100, 130)), RED),  # the image cuts it
+        (seen(1, 1.0, (50, 50, 60, 130)), RED),  # small
+    ],
+)
+def test_a_clearly_better_view_replaces_the_picture(store, second, color):
+    store.observe([seen(1, 0.75)], image())
+    store.observe([second], image(BLUE))
+    assert color_of(store.get(1)) == pytest.approx(color, abs=12)
+
+
+@pytest.mark.parametrize("box", [(50, 50, 150, 130), (0, 0, 320, 240), (-5, -5, 400, 300)])
+def test_a_picture_is_small(store, box):
+    store.observe([seen(1, box=box)], image())
+    height, width = cv2.imdecode(np.frombuffer(store.get(1), np.uint8), 1).shape[:2]
+    assert max(height, width) <= crops.SIDE_PX
+
+
+def test_one_image_gives_a_few_pictures_and_the_next_one_the_others(store):
+    objects = [seen(i) for i in range(1, 6)]
+    store.observe(objects, image())
+    assert len(store) == 3
+    store.observe(objects, image())
+    assert len(store) == 5
+
+
+def test_a_moved_object_keeps_its_new_picture(store):
+    store.observe([seen(1)], image())
+    store.observe([seen(9)], image(BLUE))
+    store.rename({9: 1})
+    assert store.get(9) is None
+    assert color_of(store.get(1)) == pytest.approx(BLUE, abs=12)
+
+
+@pytest.mark.parametrize(("limit", "value"), [("MAX_CROPS", 2), ("MAX_CROP_BYTES", 1500)])
+def test_over_the_limit_the_oldest_goes(store, monkeypatch, limit, value):
+    monkeypatch.setattr(crops, limit, value)
+    for i in range(1, 6):
+        store.observe([seen(i)], image())
+    assert 1 <= len(store) <= 2
+    assert store.get(5) is not None
+    assert store.get(1) is None
+
+
+def test_pictures_survive_a_restart(store):
+    store.observe([seen(1), seen(2)], image())
+    other = CropStore(inline=True)
+    other.load_state_dict(store.state_dict())
+    assert (other.get(1), other.get(2)) == (store.get(1), store.get(2))
+    other.observe([seen(1, 0.3)], image(BLUE))
+    assert other.get(1) == store.get(1)
+    other.clear()
+    assert len(other) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("id", lambda a: a * 0),
+        ("n_bytes", lambda a: a + 1),
+        ("n_bytes", lambda a: -a),
+        ("jpeg", lambda a: a[1:]),
+        ("quality", lambda a: a * np.nan),
+    ],
+)
+def test_damaged_pictures_are_refused(store, name, change):
+    store.observe([seen(1), seen(2)], image())
+    state = store.state_dict()
+    with pytest.raises(ValueError, match=r"id|n_bytes|jpeg|quality"):
+        CropStore(inline=True).load_state_dict(state | {name: change(state[name])})
+
+
+def test_the_thread_ends():
+    store = CropStore()
+    store.observe([seen(1)], image())
+    store.close()
+    store.close()
+    assert len(store) <= 1

@@ -1,0 +1,142 @@
+"""Things that a relation describes, and the instances that they mean."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.memory import DescribedTargets, DescribedThing, RelationError, described
+from edge.names import NotANameError
+from edge.types import Instance
+
+ROOMS = ("kitchen", "living room")
+
+
+def is_room(name: str) -> bool:
+    return name in ROOMS
+
+
+@pytest.mark.parametrize(
+    "name", ["chair", "red chair", "second floor", "first aid kit", "room 12", "chest of drawers"]
+)
+def test_a_plain_name_has_no_relation(name):
+    assert described(name, is_room) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "thing"),
+    [
+        ("the chair next to the desk", DescribedThing("chair", "next to", "desk")),
+        ("chair by the window", DescribedThing("chair", "next to", "window")),
+        ("chair closest to the window", DescribedThing("chair", "nearest to", "window")),
+        ("mug on the table", DescribedThing("mug", "on", "table")),
+        ("box under the bed", DescribedThing("box", "under", "bed")),
+        ("cup in the sink", DescribedThing("cup", "in", "sink")),
+        ("mug in the kitchen", DescribedThing("mug", room="kitchen")),
+        ("second door", DescribedThing("door", nth=2)),
+        ("2nd red chair in the kitchen", None),
+        ("red chair in the living room", DescribedThing("red chair", room="living room")),
+        (
+            "third chair next to the desk in the kitchen",
+            DescribedThing("chair", "next to", "desk", "kitchen", 3),
+        ),
+    ],
+)
+def test_a_description_has_noun_relation_anchor_room_and_number(text, thing):
+    found = described(text, is_room)
+    assert found == (thing or DescribedThing("2nd red chair", room="kitchen"))
+    assert found.prompts == tuple(filter(None, (found.noun, found.anchor)))
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("chair behind the sofa", "cannot decide 'behind'"),
+        ("chair to the left of the sofa", "cannot decide 'left of'"),
+        ("chair next to the desk near the bed", "a second relation"),
+        ("mug in the pantry", "no such room or thing"),
+    ],
+)
+def test_what_the_map_cannot_decide_is_refused(text, why):
+    with pytest.raises(RelationError, match=why):
+        described(text, is_room)
+
+
+def thing(id, label, x_m, y_m=0.0, z_m=0.5):
+    points_m = np.array([(x_m - 0.2, y_m, z_m), (x_m + 0.2, y_m, z_m)], np.float32)
+    center_m = points_m.mean(axis=0)
+    return Instance(
+        id, label, center_m, points_m, score=0.9, hits=5, first_seen_ns=0, last_seen_ns=0
+    )
+
+
+MAP = (
+    thing(1, "desk", 0.0), thing(2, "chair", 1.0), thing(3, "chair", 4.0),
+    thing(4, "chair", 1.5), thing(5, "window", 9.0), thing(6, "mug", 0.1, z_m=0.9),
+    thing(7, "mug", 4.1, z_m=0.9), thing(8, "box", 0.0, z_m=0.1),
+)  # fmt: skip
+
+
+def resolve(text, known=MAP, last=False, targets=None):
+    targets = targets or DescribedTargets()
+    found = targets.resolve(text, lambda name: [one for one in known if one.label == name], last)
+    return None if found is None else [one.id for one in found]
+
+
+@pytest.mark.parametrize(
+    ("text", "ids"),
+    [
+        ("chair", None),
+        ("chair next to the desk", [2, 4]),
+        ("second chair next to the desk", [4]),
+        ("third chair next to the desk", []),
+        ("second chair", [3]),
+        ("chair nearest to the desk", [2]),
+        ("chair nearest to the window", []),
+        ("sofa next to the desk", []),
+        ("chair next to the sofa", []),
+        ("mug on the desk", [6]),
+        ("box under the desk", [8]),
+        ("mug under the desk", []),
+    ],
+)
+def test_a_description_means_these_instances(text, ids):
+    assert resolve(text, known=()) == (None if ids is None else [])
+    assert resolve(text) == ids
+
+
+def test_the_nearest_one_may_be_far_once_the_search_is_over():
+    assert resolve("chair nearest to the window") == []
+    assert resolve("chair nearest to the window", last=True) == [3]
+
+
+def test_a_room_needs_the_map_of_rooms():
+    targets = DescribedTargets()
+    targets.is_room = is_room
+    assert resolve("chair in the kitchen", targets=targets) == []
+    targets.room_of = lambda x_m, y_m: ("kitchen", "room 2") if x_m > 3 else ()
+    assert resolve("chair in the kitchen", targets=targets) == [3]
+
+
+def test_the_choice_is_explained():
+    targets = DescribedTargets()
+
+    def of(name):
+        return [one for one in MAP if one.label == name]
+
+    assert targets.why("chair", MAP[1], of) == ""
+    assert targets.why("chair next to the desk", MAP[1], of) == "0.6 m from desk 1"
+    assert targets.why("chair next to the desk", MAP[2], of) == ""
+    why = targets.why("second chair next to the desk", MAP[3], of)
+    assert why == "number 2 in the order of seeing, 1.1 m from desk 1"
+
+
+@given(st.text(max_size=30))
+def test_any_text_is_described_plain_or_refused(text):
+    try:
+        found = described(text, is_room)
+    except (NotANameError, RelationError):
+        return
+    assert found is None or (found.noun and (found.anchor or found.room or found.nth))
