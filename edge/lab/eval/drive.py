@@ -69,12 +69,16 @@ def run_episode(
         config = config_of(column, episode)
         world = world_list.load(config)
         witness, latency = drive(config, world, page, stop or threading.Event())
-        return _outcome(column, episode, config, world, witness, latency, began_s)
+        return outcome_of(column, episode, config, world, witness, latency, began_s)
     except Stopped:
         raise
     except Exception as error:
-        why = str(error) if isinstance(error, UserError) else repr(error)
-        return crashed_outcome(column, episode, why, time.monotonic() - began_s)
+        return crashed_outcome(column, episode, reason_of(error), time.monotonic() - began_s)
+
+
+def reason_of(error: Exception) -> str:
+    """Return the text of an error for an outcome."""
+    return str(error) if isinstance(error, UserError) else repr(error)
 
 
 def config_of(column: ExperimentArm, episode: Episode) -> Config:
@@ -107,20 +111,15 @@ def in_process(
     config: Config, world: World, page: Path | None, stop: threading.Event
 ) -> tuple[GroundTruthLogger, LatencyReport]:
     """Run an episode in one thread, without Zenoh. See `EpisodeDriver`."""
-    _warmed(config.policy.model_dump_json(), config)
-    witness = GroundTruthLogger(config, world, lambda stamp_ns: _truth_of(loop))
+    warm_up_once(config)
+    witness = GroundTruthLogger(config, world, lambda stamp_ns: truth_of(loop))
     recorder = None if page is None else ReportRecorder(config)
     sinks = [witness] if recorder is None else [witness, recorder]
     colour = recorder is not None or wants_colour(config)
     loop = ClosedLoop(config, sinks=sinks, world=world, colour=colour)
     service = loop.service
     try:
-        for _ in range(int(TIME_LIMIT_FACTOR * config.mission.time_limit_s / config.sim.step_s)):
-            if service.status.done:
-                break
-            if stop.is_set():
-                raise Stopped("stopped on request")
-            loop.step()
+        step_to_end(loop, stop)
         if page is not None and recorder is not None:
             write_report(recorder.record(service.result(), {}), page)
         return witness, service.latency.report()
@@ -128,17 +127,34 @@ def in_process(
         loop.close()
 
 
+def step_to_end(loop: ClosedLoop, stop: threading.Event) -> None:
+    """Step until the mission has ended, or is overdue.
+
+    Raises:
+        Stopped: `stop` was set.
+    """
+    config = loop.config
+    for _ in range(int(TIME_LIMIT_FACTOR * config.mission.time_limit_s / config.sim.step_s)):
+        if loop.service.status.done:
+            return
+        if stop.is_set():
+            raise Stopped("stopped on request")
+        loop.step()
+
+
 _ready: set[str] = set()
 
 
-def _warmed(policy: str, config: Config) -> None:
+def warm_up_once(config: Config) -> None:
     """Compile the loop's kernels, once a process and policy, so that no timed tick includes it."""
+    policy = config.policy.model_dump_json()
     if policy not in _ready:
         warm_up(config)
         _ready.add(policy)
 
 
-def _truth_of(loop: ClosedLoop) -> GroundTruth:
+def truth_of(loop: ClosedLoop) -> GroundTruth:
+    """Return the ground truth of this instant."""
     motion = loop.drive.motion
     where = motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad
     return GroundTruth(*where, motion.path_m, motion.collisions, loop.rig.ids)
@@ -214,7 +230,7 @@ class GroundTruthReader:
 # -- the outcome ----------------------------------------------------------------------------------
 
 
-def _outcome(
+def outcome_of(
     column: ExperimentArm,
     episode: Episode,
     config: Config,
@@ -275,7 +291,10 @@ def _reason(witness: GroundTruthLogger, config: Config) -> str:
 
 
 def remaining_m(config: Config, world: World, target: str, x_m: float, y_m: float) -> float | None:
-    """Return the metres left to drive from a place to a target; None if there is no path."""
+    """Return the metres left to drive from a place to a target; None if there is no path.
+
+    Call `forget_distances` after objects of the world have moved.
+    """
     field = _field(world, target, config.robot.radius_m)
     left_m = geodesic.value_at(world.plan, field, x_m, y_m)
     return left_m if np.isfinite(left_m) else None
@@ -284,3 +303,8 @@ def remaining_m(config: Config, world: World, target: str, x_m: float, y_m: floa
 @lru_cache(maxsize=8)
 def _field(world: World, target: str, radius_m: float) -> np.ndarray:
     return geodesic.distance_field(world.plan, named(world, target), radius_m, REACHED_M)
+
+
+def forget_distances() -> None:
+    """Forget the distance fields that `remaining_m` keeps."""
+    _field.cache_clear()

@@ -30,6 +30,7 @@ def _p95(record: Record, key: str) -> float | None:
 # By name, the reader of a record's number. A missing number or null becomes NaN.
 NUMERIC_FIELDS: dict[str, Callable[[Record], Any]] = {
     "success": lambda r: r["success"],
+    "shortest_m": lambda r: r["shortest_m"],
     "path_m": lambda r: r["path_m"],
     "elapsed_s": lambda r: r["elapsed_s"],
     "wall_s": lambda r: r.get("wall_s"),
@@ -56,7 +57,8 @@ class Outcomes:
         kind: (E,) str, kind of world.
         target: (E,) str; "" for a mission with several targets.
         rooms: (E,) float64, number of rooms of the world; NaN if unknown (`with_rooms`).
-        shortest_m: (E,) float64.
+        shortest_m: (E,) float64; of goals of a session, which begin where each arm's last goal
+            ended, that of one arm. The numbers have each arm's own.
         ran: (C, E) bool, True if there is a record.
         numbers: by name of `NUMERIC_FIELDS`, (C, E) float64, NaN if there is none.
         failure: (C, E) str, one of FAILURES or OTHER; "" for a success or without a record.
@@ -133,12 +135,13 @@ def _checked(record: Record) -> Record:
 def gather(records: Iterable[Record]) -> Outcomes:
     """Return records as arrays.
 
-    The last record of an arm and episode counts, and only the newest settings of an arm.
+    The last record of an arm and episode counts, and only the newest settings of an arm. The first
+    goal of a session does not count: nothing can be remembered yet.
 
     Raises:
         UserError: two arms have different targets or shortest paths for one episode.
     """
-    records = list(records)
+    records = [record for record in records if record.get("goal") != 1]
     settings = {r["column"]: r.get("column_id") for r in records}
     kept = [r for r in records if r.get("column_id") == settings[r["column"]]]
     newest = {(r["column"], r["episode"]): r for r in kept}
@@ -173,7 +176,7 @@ def gather(records: Iterable[Record]) -> Outcomes:
 
 
 def _agree(one: Record, other: Record) -> None:
-    for key in ("target", "shortest_m"):
+    for key in ("target",) if other.get("goal") else ("target", "shortest_m"):
         if one and one.get(key) != other.get(key):
             raise UserError(
                 f"episode {one_line(other['episode'])}: its {key} is {one_line(one.get(key))} in "

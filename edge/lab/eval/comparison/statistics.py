@@ -52,7 +52,7 @@ def _of_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
 
 def spl_of(outcomes: Outcomes) -> np.ndarray:
     """Return (C, E) SPL of each episode, NaN without a record."""
-    each = episode_spl(outcomes.success, outcomes.shortest_m, outcomes["path_m"])
+    each = episode_spl(outcomes.success, outcomes["shortest_m"], outcomes["path_m"])
     return np.where(outcomes.ran, each, np.nan)
 
 
@@ -64,7 +64,9 @@ def _soft_spl(outcomes: Outcomes) -> np.ndarray:
     """
     unknown = np.isnan(outcomes["left_m"]) & outcomes.ran & (outcomes.target != "")
     left_m = np.where(unknown, np.inf, outcomes["left_m"])
-    return episode_soft_spl(outcomes.success, outcomes.shortest_m, outcomes["path_m"], left_m)
+    return episode_soft_spl(
+        outcomes.success, outcomes["shortest_m"], outcomes["path_m"], left_m
+    )
 
 
 def _any(name: str) -> Callable[[Outcomes], np.ndarray]:
@@ -370,7 +372,7 @@ def excess_m(outcomes: Outcomes, left_m: np.ndarray) -> tuple[np.ndarray, np.nda
         sum is the path minus the shortest path, or 0 if that is negative because of the raster.
     """
     counted = outcomes.success & (outcomes.target != "")
-    over = np.maximum(outcomes["path_m"] - outcomes.shortest_m, 0.0)
-    until = outcomes["first_sight_path_m"] + left_m - outcomes.shortest_m
+    over = np.maximum(outcomes["path_m"] - outcomes["shortest_m"], 0.0)
+    until = outcomes["first_sight_path_m"] + left_m - outcomes["shortest_m"]
     search = np.where(np.isnan(until), over, np.clip(until, 0.0, over))
     return np.where(counted, search, np.nan), np.where(counted, over - search, np.nan)
