@@ -70,6 +70,14 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "--moved", type=share, default=0.0, metavar="SHARE",
         help="with --goals: share of the movable objects that move between two goals (default: 0)",
     )  # fmt: skip
+    option(
+        "--zones", action="store_true",
+        help="put a random keep-out zone on the shortest path of each episode",
+    )  # fmt: skip
+    option(
+        "--ask", action="store_true",
+        help="instead, one episode for each world: explore it, then ask where the targets are",
+    )  # fmt: skip
     option("--limit", type=count, metavar="N", help="only the first N episodes")
     option("--seed", type=int, default=0, help="seed of the random choices (default: %(default)s)")
     option(

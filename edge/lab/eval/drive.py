@@ -21,11 +21,13 @@ from edge.lab.eval.episodes import Episode
 from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger, named
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcome
+from edge.lab.eval.questions import answers_of
 from edge.lab.report.page import write_report
 from edge.lab.report.recorder import ReportRecorder
 from edge.lab.sim.base import World
 from edge.loop.latency import LatencyReport
 from edge.loop.warmup import warm_up
+from edge.memory import Site, site_of
 
 if TYPE_CHECKING:
     import zenoh
@@ -36,7 +38,8 @@ _POLL_S = 0.001
 _KEPT = 64
 
 EpisodeDriver = Callable[
-    [Config, World, Path | None, threading.Event], tuple[GroundTruthLogger, LatencyReport]
+    [Config, World, Episode, Path | None, threading.Event],
+    tuple[GroundTruthLogger, LatencyReport],
 ]
 """Runs an episode to its end or until the event is set. Writes a report if a folder is given.
 
@@ -68,7 +71,7 @@ def run_episode(
     try:
         config = config_of(column, episode)
         world = world_list.load(config)
-        witness, latency = drive(config, world, page, stop or threading.Event())
+        witness, latency = drive(config, world, episode, page, stop or threading.Event())
         return outcome_of(column, episode, config, world, witness, latency, began_s)
     except Stopped:
         raise
@@ -108,18 +111,22 @@ _LOCKSTEP: Data = {
 
 
 def in_process(
-    config: Config, world: World, page: Path | None, stop: threading.Event
+    config: Config, world: World, episode: Episode, page: Path | None, stop: threading.Event
 ) -> tuple[GroundTruthLogger, LatencyReport]:
     """Run an episode in one thread, without Zenoh. See `EpisodeDriver`."""
     warm_up_once(config)
-    witness = GroundTruthLogger(config, world, lambda stamp_ns: truth_of(loop))
+    site = site_of(episode.site) if episode.site else Site()
+    keep_out_m = site.polygons_m("keep_out")
+    witness = GroundTruthLogger(config, world, lambda stamp_ns: truth_of(loop), keep_out_m)
     recorder = None if page is None else ReportRecorder(config)
     sinks = [witness] if recorder is None else [witness, recorder]
     colour = recorder is not None or wants_colour(config)
-    loop = ClosedLoop(config, sinks=sinks, world=world, colour=colour)
+    loop = ClosedLoop(config, sinks=sinks, world=world, colour=colour, site=site)
     service = loop.service
     try:
         step_to_end(loop, stop)
+        now_ns = loop.drive.motion.stamp_ns
+        witness.answers = answers_of(service, world, episode.asks, now_ns)
         if page is not None and recorder is not None:
             write_report(recorder.record(service.result(), {}), page)
         return witness, service.latency.report()
@@ -164,12 +171,14 @@ def truth_of(loop: ClosedLoop) -> GroundTruth:
 
 
 def over_zenoh(
-    config: Config, world: World, page: Path | None, stop: threading.Event
+    config: Config, world: World, episode: Episode, page: Path | None, stop: threading.Event
 ) -> tuple[GroundTruthLogger, LatencyReport]:
     """Run an episode with simulator and controller as two child processes. See `EpisodeDriver`."""
     from edge.launch import child_processes, open_service, with_free_port
     from edge.loop.runner import loop
 
+    if episode.site or episode.asks:
+        raise UserError("zones and questions: leave out --processes")
     config = with_free_port(config)
     witness = GroundTruthLogger(config, world, lambda stamp_ns: truth.at(stamp_ns))
     recorder = ReportRecorder(config)
@@ -276,6 +285,9 @@ def outcome_of(
         score_ms=score.p95_ms,
         trail=witness.trail,
         goal_xy=[[goal.pose.x_m, goal.pose.y_m, goal.kind] for goal in witness.goals],
+        ways=episode.ways,
+        zone_entries=witness.zone_entries,
+        answers=witness.answers,
     )  # fmt: skip
 
 

@@ -145,8 +145,7 @@ class MissionCostFields:
         return self._near[target]
 
     def distance_m(self, target: str) -> np.ndarray:
-        """Return the distance to drive to an object, (rows, columns) float64; inf without a path.
-        """
+        """Return the distance to drive to an object, (rows, columns) float64; inf: no path."""
         cells = np.where(self.near(target), 0.0, np.inf)
         while geodesic.relax(self._free, cells):
             pass

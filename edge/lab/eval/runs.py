@@ -18,8 +18,10 @@ from edge.lab.eval.columns import ExperimentArm
 from edge.lab.eval.comparison.run import summary_text
 from edge.lab.eval.episodes import Episode
 from edge.lab.eval.outcome import EpisodeOutcome, OutcomeFile
+from edge.lab.eval.questions import plan_questions
 from edge.lab.eval.sessions import plan_sessions
 from edge.lab.eval.workers import EpisodeJob, outcomes_of
+from edge.lab.eval.zones import with_zones
 from edge.lab.report.page import prepare
 
 EPISODES_NAME = "episodes.jsonl"
@@ -160,6 +162,8 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
             config, worlds, targets, args.goals, args.seed, args.min_distance, args.moved
         )
         return planned[: args.limit]
+    if args.ask:
+        return plan_questions(config, worlds, targets, args.seed)[: args.limit]
     if args.missions is not None:
         planned = eps.plan_missions(
             config, worlds, targets, args.missions, args.seed, args.min_distance
@@ -168,7 +172,8 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     planned = eps.plan(
         config, worlds, targets, args.starts, args.seed, args.min_distance, args.per_world
     )
-    return planned[: args.limit]
+    planned = planned[: args.limit]
+    return with_zones(config, planned, args.seed) if args.zones else planned
 
 
 def _line(number: int, total: int, o: EpisodeOutcome) -> str:

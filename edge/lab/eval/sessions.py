@@ -83,8 +83,9 @@ def plan_sessions(
         if len(goals) < count:
             log.warning("world skipped: %s: only %d of %d goals", world.name, len(goals), count)
             continue
-        more = {"goals": goals, "moved": moved}
-        sessions.append(make_episode(section, world.name, pose, 0.0, sensing, **more))
+        sessions.append(
+            make_episode(section, world.name, pose, 0.0, sensing, goals=goals, moved=moved)
+        )
     if not sessions:
         raise UserError(
             f"no world has {count} of the targets at {min_distance_m:g} m or more from one "

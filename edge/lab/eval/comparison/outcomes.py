@@ -17,6 +17,8 @@ from edge.lab.eval.outcome import FAILURES, MAX_BYTES
 from edge.text import one_line, read_json_object
 
 OTHER = "other"
+RIGHT = "right"
+"""Verdict of an answer (`edge.lab.eval.questions`)."""
 
 Record = dict[str, Any]
 """A line of `outcomes.jsonl`: one episode with one arm."""
@@ -25,6 +27,10 @@ Record = dict[str, Any]
 def _p95(record: Record, key: str) -> float | None:
     times = record.get(key)
     return times.get("p95") if isinstance(times, dict) else times
+
+
+def _share_right(answers: dict[str, str]) -> float | None:
+    return sum(each == RIGHT for each in answers.values()) / len(answers) if answers else None
 
 
 # By name, the reader of a record's number. A missing number or null becomes NaN.
@@ -43,6 +49,8 @@ NUMERIC_FIELDS: dict[str, Callable[[Record], Any]] = {
     "tick_p95_ms": lambda r: _p95(r, "tick_ms"),
     "score_p95_ms": lambda r: _p95(r, "score_ms"),
     "revisited_m2": lambda r: r.get("revisited_m2"),
+    "zone_entries": lambda r: r.get("zone_entries"),
+    "answers_right": lambda r: _share_right(r.get("answers") or {}),
 }
 
 
@@ -56,6 +64,7 @@ class Outcomes:
         world: (E,) str.
         kind: (E,) str, kind of world.
         target: (E,) str; "" for a mission with several targets.
+        ways: (E,) str; see `edge.lab.eval.episodes.Episode`.
         rooms: (E,) float64, number of rooms of the world; NaN if unknown (`with_rooms`).
         shortest_m: (E,) float64; of goals of a session, which begin where each arm's last goal
             ended, that of one arm. The numbers have each arm's own.
@@ -72,6 +81,7 @@ class Outcomes:
     world: np.ndarray
     kind: np.ndarray
     target: np.ndarray
+    ways: np.ndarray
     rooms: np.ndarray
     shortest_m: np.ndarray
     ran: np.ndarray
@@ -169,6 +179,7 @@ def gather(records: Iterable[Record]) -> Outcomes:
         np.array([r["world"] for r in about], dtype=str),
         np.array([r["kind"] for r in about], dtype=str),
         np.array([r.get("target") or "" for r in about], dtype=str),
+        np.array([r.get("ways") or "" for r in about], dtype=str),
         np.full(len(about), np.nan),
         np.array([r["shortest_m"] for r in about], np.float64),
         ran, numbers, failure, at, len(records) - len(at),
