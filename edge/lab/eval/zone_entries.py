@@ -20,28 +20,31 @@ class ZoneEntryCounter:
 
     Attributes:
         entries: number of entries so far. A start inside a zone is none.
-        deepest_m: how far the footprint reached into a zone.
     """
 
     def __init__(self, zones_m: Sequence[np.ndarray], radius_m: float) -> None:
         self._zones_m, self._radius_m = zones_m, radius_m
         self._last_m: np.ndarray | None = None
-        self._inside = True
-        self.entries, self.deepest_m = 0, 0.0
+        self._inside = False
+        self.entries = 0
 
     def update(self, x_m: float, y_m: float) -> None:
         """Add the way from the last place to this one, as a straight line."""
         here_m = np.array([x_m, y_m])
-        last_m = here_m if self._last_m is None else self._last_m
+        last_m, self._last_m = self._last_m, here_m
+        if last_m is None:
+            self._inside = self._holds(here_m[None])[0]
+            return
         steps = 1 + int(math.dist(last_m, here_m) / _STEP_M)
         way_m = last_m + np.linspace(0.0, 1.0, steps + 1)[1:, None] * (here_m - last_m)
-        first, self._last_m = self._last_m is None, here_m
-        for near_m in np.min([distance_m(zone, way_m) for zone in self._zones_m], axis=0):
-            inside = bool(near_m < self._radius_m - _TOUCH_M)
-            self.entries += inside and not self._inside and not first
+        for inside in self._holds(way_m):
+            self.entries += inside and not self._inside
             self._inside = inside
-            if inside:
-                self.deepest_m = max(self.deepest_m, self._radius_m - float(near_m))
+
+    def _holds(self, xy_m: np.ndarray) -> list[bool]:
+        """Return True for each place at which the footprint is in a zone."""
+        near_m = np.min([distance_m(zone, xy_m) for zone in self._zones_m], axis=0)
+        return (near_m < self._radius_m - _TOUCH_M).tolist()
 
 
 def distance_m(corners_m: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
