@@ -190,6 +190,8 @@ class _Session:
         step_to_end(loop, self._stop)
         latency = loop.service.latency.report()
         outcome = outcome_of(self._column, part, config, self._world, logger, latency, began_s)
+        if self._episode.moved:  # the distance left at first sight is not known later
+            outcome = replace(outcome, first_sight_path_m=None)
         return replace(outcome, goal=number)
 
     def _before(self, number: int) -> None:
