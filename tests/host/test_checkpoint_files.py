@@ -146,7 +146,10 @@ DAMAGED = {
     "changed": (WHOLE.replace(b"cheapest", b"dearest!"), "checksum"),
     "stamp": (WHOLE.replace(b'"written_ns":5', b'"written_ns":6'), "checksum"),
     "earlier": (b'%s"version":2,"sha256":"%064d","note":{}}\n' % (BEGINS, 0), "version 2, this"),
-    "later": (forged(STATE, archive(), VERSION + 1), f"version {VERSION + 1}, this program reads version {VERSION}"),
+    "later": (
+        forged(STATE, archive(), VERSION + 1),
+        f"version {VERSION + 1}, this program reads version {VERSION}",
+    ),
     "too long": (BEGINS + b" " * MAX_BYTES, "more than"),
     "no archive": (forged(STATE, b""), "its directory of arrays"),
     "list": (forged(b"[]", archive()), "state: "),
