@@ -45,16 +45,23 @@ class Pursuit(Generic[Kind]):
         self, destination: Kind, mission: MissionRun, here: SemanticMap, goals: GoalTracker
     ) -> None:
         self._destination, self._mission, self._map, self._goals = destination, mission, here, goals
+        self._since_ns: int | None = None  # stamp of the first observation of the pursuit
+
+    @property
+    def _thing(self) -> str:
+        """The thing to go to: a name, or a description by a relation."""
+        return self._mission.target
 
     def gather(self) -> Sequence[Instance]:
         """Return the objects that are candidates for this target."""
-        prompt = self._mission.brief.prompt_for(self._mission.target)
         sure, doubted = not self._map.config.policy.instances, self._goals.searched
-        return self._map.tracker.of(prompt, sure, doubted=doubted)
+        return self._map.tracker.of(self._thing, sure, doubted=doubted)
 
     def judge(self, context: PolicyInput, images: int) -> None:
         """Check the goal, then the end of the target; see `Behaviour.plan`."""
         turns = self._mission.turns
+        if self._since_ns is None:
+            self._since_ns = context.observation.stamp_ns
         self._goals.judge(
             self._map.grid, context.pose, self._mission, images, context.now_ns, self._is_reached
         )
@@ -62,8 +69,12 @@ class Pursuit(Generic[Kind]):
             self.finish(context.now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
-        """Return True if the robot, which stands next to it, has reached this object."""
-        return self._map.tracker.confirmed(instance)
+        """Return True if the robot, which stands next to it, has reached this object.
+
+        A remembered object must be seen again: it may have been moved.
+        """
+        seen_again = self._since_ns is not None and instance.last_seen_ns >= self._since_ns
+        return seen_again and self._map.tracker.confirmed(instance)
 
     def finish(self, now_ns: int) -> None:
         """End the target: no candidate is left."""
@@ -148,14 +159,16 @@ class CheckPursuit(Pursuit[CheckTarget]):
     search for it ends; the target counts as reached with either answer.
     """
 
-    _since_ns: int | None = None  # stamp of the first observation of the pursuit
+    @property
+    def _thing(self) -> str:
+        return self._destination.name
 
     def judge(self, context: PolicyInput, images: int) -> None:
         mission, tracker = self._mission, self._map.tracker
         if self._since_ns is None:
             self._since_ns = context.observation.stamp_ns
-        prompt = mission.brief.prompt_for(mission.target)
-        seen = [one for one in tracker.of(prompt, sure=True) if one.last_seen_ns >= self._since_ns]
+        known = tracker.of(self._thing, sure=True)
+        seen = [one for one in known if one.last_seen_ns >= self._since_ns]
         if seen:
             self._answer_yes(seen, context)
             return
