@@ -2,8 +2,8 @@
 
 It has three files with different lifetimes. The mission's file is small and is written when the
 mission changes. The map's file, next to it, holds all data in the frame `map`
-(`edge.loop.map_checkpoint`), and the third one the pictures of objects (`edge.loop.crop_checkpoint`).
-A finished mission is saved too.
+(`edge.loop.map_checkpoint`). The third one, written rarely, holds the pictures of the objects
+(`edge.loop.crop_checkpoint`). A finished mission is saved too.
 """
 
 from __future__ import annotations
