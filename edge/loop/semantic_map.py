@@ -12,15 +12,18 @@ from functools import partial
 import numpy as np
 
 from edge.config import Config
-from edge.geometry import Grid
+from edge.geometry import SE2, Grid
 from edge.host.checkpoint import Arrays
 from edge.loop.candidates import CandidatePool
 from edge.loop.prior import make_prior
 from edge.loop.result import VALUE_LAYER
+from edge.loop.room_surveyor import make_room_surveyor
 from edge.mapping.grid import MAX_FRONTIERS, RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
 from edge.memory import Site
+from edge.perception.prior.table import load
+from edge.perception.prior.words import make_words
 from edge.perception.tracking.instances import MAX_INSTANCES, InstanceTracker
 from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
@@ -43,6 +46,8 @@ class SemanticMap:
         sightings: Objects of all classes.
         tracker: Instances of the targets.
         pool: Candidates.
+        rooms: Rooms.
+        surveyor: Cuts the map into rooms.
         prior: Likelihood of targets near places; None if no prior is configured.
         epoch: Number of pose jumps (changes of the frame).
     """
@@ -53,7 +58,10 @@ class SemanticMap:
         self.sightings = ObjectTracker(perception)
         self.tracker = InstanceTracker(perception, self.sightings)
         self.pool = CandidatePool(MAX_FRONTIERS + MAX_INSTANCES, config.policy.r_assoc_m)
-        self.prior = make_prior(config)
+        words = make_words(load(), perception.detector)
+        self.surveyor = make_room_surveyor(config, words)
+        self.rooms = self.surveyor.memory
+        self.prior = make_prior(config, words)
         self.epoch = 0
         self._lifter = BackProjector(perception)
         self._zones_m: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
@@ -95,10 +103,13 @@ class SemanticMap:
         self.tracker.expire(seen, detections.prompts)
         self.grid.coverage.look(seen, perception.confirm_range_m, perception.confirm_hits)
 
-    def infer(self, now_ns: int) -> None:
-        """Update the prior with the objects seen."""
+    def infer(self, pose: SE2, now_ns: int) -> None:
+        """Update rooms and prior with the objects seen."""
+        self.surveyor.step(self.view, now_ns)
+        self.rooms.on_pose(pose.x_m, pose.y_m)
+        self.rooms.update(self.sightings.shown)
         if self.prior is not None:
-            self.prior.step(self.view, self.sightings.shown, now_ns)
+            self.prior.step(self.rooms.survey.regions, self.sightings.shown)
 
     def gather(self, instances: Sequence[Instance], observation: Observation, now_ns: int) -> None:
         """Update the candidates: frontiers, these instances, and the best spin."""
@@ -119,7 +130,8 @@ class SemanticMap:
         self.grid.coverage.forget()
 
     def set_site(self, site: Site) -> None:
-        """Close the cells that the site's zones close."""
+        """Close the cells that the site's zones close, and name the rooms that it names."""
+        self.rooms.set_site(site)
         self._zones_m = site.polygons_m("keep_out"), site.polygons_m("stay_inside")
         self.grid.set_zones(*self._zones_m)
 
@@ -139,8 +151,8 @@ class SemanticMap:
         self.tracker.clear()
         self.sightings.clear()
         self.pool.clear()
-        if self.prior is not None:
-            self.prior.forget()
+        self.surveyor.forget()
+        self.rooms.forget()
 
     def state_dict(self) -> dict[str, Arrays]:
         """Return the arrays to save by part, without the tiles of the grid."""
@@ -149,6 +161,7 @@ class SemanticMap:
             "map": grid.state_dict(), "gain": grid.gain.state_dict(),
             "bumps": grid.bumps.state_dict(), "sightings": self.sightings.state_dict(),
             "instances": self.tracker.state_dict(), "candidates": self.pool.state_dict(),
+            "rooms": self.rooms.state_dict(),
         }  # fmt: skip
 
     def load_state_dict(
@@ -171,11 +184,12 @@ class SemanticMap:
         self.sightings.load_state_dict(part("sightings"), later_stamp_ns)
         self.tracker.load_state_dict(part("instances"), later_stamp_ns)
         self.pool.load_state_dict(part("candidates"), later_ns, later_stamp_ns)
+        self.surveyor.forget()
+        self.rooms.load_state_dict(part("rooms"))
 
     def close(self) -> None:
         """Stop the background work."""
-        if self.prior is not None:
-            self.prior.close()
+        self.surveyor.close()
 
     # -- layers for displays ------------------------------------------------------------------
 
