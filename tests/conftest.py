@@ -60,19 +60,19 @@ import tempfile
 from pathlib import Path
 import numpy as np
 from small_house import small_house
-from edge.lab.eval.columns import make_columns
+from edge.lab.eval.columns import make_arms
 from edge.lab.eval.drive import in_process, run_episode
-from edge.lab.eval.episodes import make_episode, sensing_of
-from edge.lab.eval.trajectory_metrics import likeness
+from edge.lab.eval.episodes import make_episode, sensing_settings
+from edge.lab.eval.trajectory_metrics import trajectory_scores
 from edge.geometry import Grid
 with tempfile.TemporaryDirectory() as folder:
     config = small_house(Path(folder), sensors={"lidar": {}})
     world = config.sim.world.model_dump()
-    episode = make_episode(world, "small", (1.0, 2.0, 0.0), 5.0, sensing_of(config), "bed")
-    outcome = run_episode(make_columns(config, {"own": {}})[0], episode, in_process, Path(folder))
+    episode = make_episode(world, "small", (1.0, 2.0, 0.0), 5.0, sensing_settings(config), "bed")
+    outcome = run_episode(make_arms(config, {"own": {}})[0], episode, in_process, Path(folder))
     assert outcome.success, outcome
 a_m = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 3.0]])
-likeness(a_m, a_m[::2] + 0.1, Grid(np.zeros((9, 9), np.int8), (0.0, 0.0), 0.5))
+trajectory_scores(a_m, a_m[::2] + 0.1, Grid(np.zeros((9, 9), np.int8), (0.0, 0.0), 0.5))
 """
 PERCEPTION = "from edge.perception.warmup import warmup; warmup()"
 _compiling: list[subprocess.Popen] = []

@@ -47,7 +47,7 @@ def test_an_empty_file_lacks_nothing_but_its_detector(write, content):
 def test_the_schema_requires_the_detector():
     schema = Config.model_json_schema()
     assert schema["required"] == ["perception"]
-    assert schema["$defs"]["Perception"]["required"] == ["detector"]
+    assert schema["$defs"]["PerceptionConfig"]["required"] == ["detector"]
 
 
 @pytest.mark.parametrize("path", READY, ids=lambda p: p.stem)

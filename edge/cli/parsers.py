@@ -182,10 +182,10 @@ def _config(commands) -> None:  # type: ignore[no-untyped-def]
 
 
 def _mission(commands) -> None:  # type: ignore[no-untyped-def]
-    mission = commands.add_parser(
+    parser = commands.add_parser(
         "mission", help="control the mission of a running service, or explain one"
     )
-    actions = mission.add_arguments(mission)
+    actions = mission.add_arguments(parser)
     explain = actions.add_parser("explain", help="show how a mission is understood and planned")
     explain.add_argument("text", help="instruction in words")
     kind = explain.add_mutually_exclusive_group()

@@ -92,8 +92,8 @@ def make_detector(
         ModelError: the model cannot be loaded, or not with the configured providers.
 
     Example:
-        >>> from edge.config import DetectorSim, Perception
-        >>> detector = make_detector(Perception(detector=DetectorSim()), ["chair"])
+        >>> from edge.config import DetectorSim, PerceptionConfig
+        >>> detector = make_detector(PerceptionConfig(detector=DetectorSim()), ["chair"])
         >>> detector.prompts
         ('chair',)
     """

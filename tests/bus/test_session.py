@@ -167,8 +167,8 @@ def test_closing_waits_only_so_long_for_a_peer_that_takes_nothing(monkeypatch, c
 LEFT_OPEN = """
 import builtins, sys
 from edge.bus.session import zenoh_session
-from edge.config import Zenoh
-builtins.opened = zenoh_session(Zenoh(endpoint=sys.argv[1], shared_memory=False), "listen")
+from edge.config import ZenohConfig
+builtins.opened = zenoh_session(ZenohConfig(endpoint=sys.argv[1], shared_memory=False), "listen")
 builtins.opened.__enter__()
 """
 

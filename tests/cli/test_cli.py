@@ -240,7 +240,7 @@ def test_the_service_is_told_the_mission_that_was_asked_for(
         raise Stopped
 
     monkeypatch.setattr("edge.cli.commands.open_service", open_service)
-    monkeypatch.setattr("edge.cli.commands.children", lambda *_: nullcontext())
+    monkeypatch.setattr("edge.cli.commands.child_processes", lambda *_: nullcontext())
     path = tmp_path / "mine.yaml"
     detector = {"detector": {"kind": "sim"}}
     mission = {"target": "chair", "reading": 3}
@@ -270,7 +270,7 @@ def test_the_demos_page_is_at_one_port_and_stays(
 
     monkeypatch.setattr(run_commands, "LIVE_PORT", usual)
     monkeypatch.setattr(run_commands, "_serve", serve)
-    monkeypatch.setattr(run_commands, "children", lambda *_: nullcontext())
+    monkeypatch.setattr(run_commands, "child_processes", lambda *_: nullcontext())
     if configured is not None:
         monkeypatch.setenv("EDGE__HTTP__PORT", str(configured))
     with socket.create_server(("127.0.0.1", usual)) if is_taken else nullcontext():

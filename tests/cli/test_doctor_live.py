@@ -106,7 +106,7 @@ AGO_NS = 3_600_000_000_000
 @pytest.mark.parametrize(
     ("change", "level", "says"),
     [
-        (put("depth_m", lambda d: d * 1000), "fail", "the depth cannot be in metres"),
+        (put("depth_m", lambda d: d * 1000), "fail", "cannot be in metres"),
         (put("depth_m", lambda d: d * 1.5), "warn", "floor: measured at -0.25 m, expected at 0"),
         (put("depth_m", np.zeros_like), "fail", "camera/depth: only 0.0% of the pixels"),
         (put("rgb", np.zeros_like), "fail", "camera/rgb: the image has one colour"),
@@ -144,7 +144,9 @@ def test_each_input_is_a_line(heard, row, level, says):
 @pytest.mark.parametrize(("level", "code"), [("ok", 0), ("warn", 1), ("fail", 1)])
 def test_whatever_needs_doing_gives_exit_code_1(monkeypatch, capsys, level, code):
     monkeypatch.setattr(
-        doctor, "listen", lambda config, seconds: [doctor.Finding(level, f"heard {seconds:g} s")]
+        doctor,
+        "check_live_sensors",
+        lambda config, seconds: [doctor.Finding(level, f"heard {seconds:g} s")],
     )
     args = make_parser().parse_args(["doctor", "--live", "demo", "--seconds", "3"])
     assert args.handler(args) == code

@@ -126,7 +126,7 @@ def line_of(command: str, sections: dict, capsys) -> tuple[int, str]:
 
 @pytest.mark.parametrize(("sections", "says"), NAMED)
 def test_config_and_run_refuse_the_same_with_the_same_line(sections, says, capsys, monkeypatch):
-    monkeypatch.setattr(launch, "prepared", None)  # nothing is begun
+    monkeypatch.setattr(launch, "prepare_mission", None)  # nothing is begun
     code, line = line_of("config", sections, capsys)
     assert says in line
     assert "\n" not in line

@@ -26,7 +26,7 @@ for block in blocks:
 for block in blocks[:-1]:  # the last one keeps the heap's end where it is
     libc.free(block)
 assert held_mb() > before_mb + 150.0
-with memory.trimmed(every_s=0.01):
+with memory.trim_memory_periodically(every_s=0.01):
     while held_mb() > before_mb + 50.0:
         time.sleep(0.01)
 """

@@ -35,7 +35,8 @@ def test_too_few_are_one_line_with_what_is_needed(command):
 
 
 def test_a_limit_that_may_be_raised_is():
-    show = "import resource as r; from edge.host.open_files import claim; claim()"
+    show = "import resource as r; from edge.host.open_files import raise_open_files_limit"
+    show += "; raise_open_files_limit()"
     show += "; print(r.getrlimit(r.RLIMIT_NOFILE)[0])"
     for soft, hard, now in ((20, 300, "300"), (20, 1 << 20, "4096"), (9000, 1 << 20, "9000")):
         if resource.getrlimit(resource.RLIMIT_NOFILE)[1] >= hard:

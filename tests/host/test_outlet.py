@@ -92,8 +92,8 @@ def test_a_stream_without_a_descriptor_stays():
 PROGRAM = f"""
 import sys
 from edge.cli.main import _leave
-from edge.host.nonblocking_stream import unwaited_stderr
-with unwaited_stderr():
+from edge.host.nonblocking_stream import nonblocking_stderr
+with nonblocking_stderr():
     for _ in range({MUCH}):
         sys.stderr.write({LINE!r})
     print("went on", flush=True)

@@ -20,8 +20,8 @@ PROGRAM = """
 import signal, sys, threading
 # The tests themselves may run under `nohup`.
 signal.signal(signal.SIGHUP, signal.SIG_IGN if "nohup" in sys.argv else signal.SIG_DFL)
-from edge.host.signals import break_off_on_signals, show_stacks_on_signals, stop_on_signals
-break_off_on_signals()
+from edge.host.signals import interrupt_on_signals, show_stacks_on_signals, stop_on_signals
+interrupt_on_signals()
 show_stacks_on_signals()
 stop = stop_on_signals() if "stop" in sys.argv else threading.Event()
 try:
@@ -120,9 +120,9 @@ def test_a_hang_up_that_nohup_has_ignored_stays_so(start):
 RELOADS = """
 import signal, sys, threading
 signal.signal(signal.SIGHUP, signal.SIG_IGN if "nohup" in sys.argv else signal.SIG_DFL)
-from edge.host.signals import break_off_on_signals, reload_on_hang_up, stop_on_signals
-break_off_on_signals()
-stop, again = stop_on_signals(), reload_on_hang_up()
+from edge.host.signals import interrupt_on_signals, reload_on_sighup, stop_on_signals
+interrupt_on_signals()
+stop, again = stop_on_signals(), reload_on_sighup()
 print("ready", flush=True)
 while not stop.wait(0.01):
     if again.is_set():

@@ -227,7 +227,7 @@ def test_an_isolated_model_is_swapped_too(config):
 LEFT_BEHIND = """
 import atexit, threading, types
 from edge.cli import main as cli
-from edge.host.interruptible import start_unjoined
+from edge.host.interruptible import start_detached_thread
 
 def start_other(name, work):
     threading.Thread(target=work, name=name, daemon=True).start()
@@ -244,7 +244,7 @@ raise SystemExit(cli.main([]))
 
 
 @pytest.mark.parametrize(
-    ("start", "output"), [("start_unjoined", ""), ("start_other", "cleared up\n")]
+    ("start", "output"), [("start_detached_thread", ""), ("start_other", "cleared up\n")]
 )
 def test_what_is_still_being_loaded_or_compiled_does_not_spoil_the_exit(start, output):
     """onnxruntime aborts the process when the interpreter goes while it loads."""

@@ -116,7 +116,7 @@ def record(session, config: Config, path: Path, enough: set[str]) -> None:
                 stop.set()
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording, "McapFile", File)
+        patch.setattr(recording, "McapWriter", File)
         written = recording.record(session, config, path, PATIENCE_S, stop)
         assert written.total() == len(heard)
     assert stop.is_set(), f"only {set(heard)}"

@@ -108,7 +108,7 @@ def ambiguous(loop: ClosedLoop, monkeypatch, states: tuple[str, ...]) -> None:
         return real(instruction, *args, **more)
 
     real = plan_worker.write_trajectory
-    monkeypatch.setattr(plan_worker, "write", write)
+    monkeypatch.setattr(plan_worker, "write_trajectory", write)
 
 
 def test_what_it_may_be_any_of_is_looked_at_from_near_by(monkeypatch):

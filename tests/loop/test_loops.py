@@ -153,7 +153,7 @@ def broken(*_, **__) -> None:
 
 
 BREAKS: dict[str, Callable[[RunningService], tuple[object, str]]] = {
-    "ingest": lambda run: (run.service, "forget_places"),
+    "ingest": lambda run: (run.service, "on_pose_jump"),
     "check": lambda run: (run.service.plausibility, "judge"),
     "detect": lambda run: (run.service._worker, "submit"),
     "map": lambda run: (run.service, "_map"),
@@ -351,7 +351,7 @@ def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
             broken()
 
     run.source.inbox = SimpleNamespace(poll=lambda: answers if not heard else [])
-    monkeypatch.setattr(run.service, "goal_answered", hear)
+    monkeypatch.setattr(run.service, "on_goal_status", hear)
     run_out(run, run.source.observations)
     assert heard == [1, 2, 3]
     assert run.service.faults.failed == 1

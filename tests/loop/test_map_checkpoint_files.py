@@ -125,7 +125,7 @@ def test_a_bomb_in_a_tile_takes_no_memory(tmp_path, saved):
         "tiles/packed": np.concatenate((bomb, packed[n_bytes[0] :])),
     }
     most = []
-    for changes, text in (({}, ""), (tiles, "not of 8960 bytes")):
+    for changes, text in (({}, ""), (tiles, "does not have 8960 bytes")):
         tracemalloc.start()
         assert text in problem(tmp_path, saved, changes)
         most.append(tracemalloc.get_traced_memory()[1])

@@ -98,7 +98,7 @@ def test_policy_and_thresholds_are_switched_while_the_robot_drives(bench):
     assert outcome.startswith("switched: ")
     for key in ("policy", "perception.tau_det", "perception.confirm_hits", "mission.path_limit_m"):
         assert key in outcome
-    assert type(bench.service.policy).__name__ == "NearestFrontier"
+    assert type(bench.service.policy).__name__ == "NearestFrontierPolicy"
     assert bench.service.policy is not before
     assert bench.service.map.tracker.config.tau_det == 0.45
     assert bench.service.map.pool.r_assoc_m == 0.4

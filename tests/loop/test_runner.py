@@ -108,7 +108,7 @@ NOWHERE = "no_such_module:A"
     [("policy", {"kind": NOWHERE}), ("source", {"kind": NOWHERE}), ("sinks", [NOWHERE])],
 )
 def test_whatever_is_named_is_looked_up_before_anything_is_begun(monkeypatch, section, named):
-    monkeypatch.setattr(launch, "prepared", None)
+    monkeypatch.setattr(launch, "prepare_mission", None)
     settings = simulated({section: named})
     with pytest.raises(ConfigError, match=section), open_service(settings, []):
         raise AssertionError
@@ -127,7 +127,7 @@ def test_sinks_that_no_motion_controller_hears_are_warned_of(sinks, heard, caplo
     assert warned is not heard
 
 
-STEPS = ["prepared", "make_detector", "make_scorers", "warm_up"]
+STEPS = ["prepare_mission", "make_detector", "make_scorers", "warm_up"]
 
 
 @pytest.mark.parametrize("last", STEPS)

@@ -191,7 +191,7 @@ def test_that_no_file_can_be_opened_is_told_once_and_makes_it_not_ready(
     watched.vitals.ready()
     for why, logged in ((short, short), (short, ""), ("", "can be opened again"), ("", "")):
         caplog.clear()
-        monkeypatch.setattr("edge.loop.service_health.shortage", lambda why=why: why)
+        monkeypatch.setattr("edge.loop.service_health.open_files_problem", lambda why=why: why)
         with caplog.at_level(logging.INFO, "edge.loop.service_health"):
             watched.beat(after_s=1.0)
         said = [r.message for r in caplog.records if r.name == "edge.loop.service_health"]

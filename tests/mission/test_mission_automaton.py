@@ -185,7 +185,7 @@ def test_neither_automaton_nor_steps_depend_on_the_hash_seed():
         "from edge.mission.logic import limits\n"
         "from edge.mission.logic.ltl import parse\n"
         "def counted(self, n): limits.total = getattr(limits, 'total', 0) + n\n"
-        "limits.Effort.spend = counted\n"
+        "limits.CompileBudget.spend = counted\n"
         "for text in sys.argv[1:]:\n"
         "    a = compile_formula(parse(text))\n"
         "    print(a.letters, a.delta.tolist(), a.accepting.tolist(), limits.total)"

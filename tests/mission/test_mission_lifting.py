@@ -52,7 +52,7 @@ REFUSED = [
     ('go to ""', "no name"),
     ("go " * 251, "more than 250 words"),
     ("x" * 10_001, "at most 10000 characters"),
-    (" ".join("bcdefghjk"), f"at most {MOST_NAMES} things at once"),
+    (" ".join("bcdefghjk"), f"at most {MOST_NAMES} objects"),
 ]
 
 

@@ -48,7 +48,7 @@ def started(put_card, monkeypatch):
     class Done:
         returncode = 0
 
-    monkeypatch.setattr(make, "need_modules", lambda *_: None)
+    monkeypatch.setattr(make, "require_modules", lambda *_: None)
     monkeypatch.setattr(make.subprocess, "run", lambda line, **_: lines.append(line) or Done)
     return lines
 
@@ -170,7 +170,7 @@ def test_what_cannot_be_quantized(started, capsys, name, message):
     ],
 )  # fmt: skip
 def test_what_is_not_installed_is_named(started, monkeypatch, capsys, lacking, words, said):
-    monkeypatch.setattr(make, "need_modules", require_modules)
+    monkeypatch.setattr(make, "require_modules", require_modules)
     monkeypatch.setattr(make, "verify_model", lambda card: None)
     find = lambda name: None if name == lacking else name  # noqa: E731
     monkeypatch.setattr(make.importlib.util, "find_spec", find)

@@ -123,7 +123,7 @@ class Bench:
 
 @pytest.fixture
 def bench(make_observation, monkeypatch):
-    monkeypatch.setattr(swapped, "related", lambda model, running: True)
+    monkeypatch.setattr(swapped, "same_family", lambda model, running: True)
     monkeypatch.setattr(swapped, "IMAGES", 2)
     opened = []
 
@@ -254,7 +254,7 @@ def test_force_does_not_take_what_is_not_finite(bench):
 )  # fmt: skip
 def test_what_cannot_be_compared_is_not_held_against_it(bench, monkeypatch, old, related, finding):
     b = bench(old=old)
-    monkeypatch.setattr(swapped, "related", lambda model, running: related)
+    monkeypatch.setattr(swapped, "same_family", lambda model, running: related)
     assert b.swap()[0] == "kept"
     assert b.said[1].endswith(f"median 5.0 ms on 2 images; {finding}")
 

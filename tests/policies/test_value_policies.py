@@ -24,7 +24,7 @@ class Valued:
     """A map with values by place, in which the way is straight, or given by place; None: no way."""
 
     def __init__(self, values=None, path_m=None) -> None:
-        self.told, self.path_m, self.values = values or {}, path_m or {}, self
+        self.told, self.paths_m, self.values = values or {}, path_m or {}, self
 
     def best(self, channel, xy_m, n, radius_m, out) -> None:
         for i in range(n):
@@ -32,7 +32,7 @@ class Valued:
             out[i] = told[channel] if isinstance(told, tuple) else told
 
     def path_m(self, x_m: float, y_m: float) -> float:
-        path_m = self.path_m.get((x_m, y_m), math.hypot(x_m, y_m))
+        path_m = self.paths_m.get((x_m, y_m), math.hypot(x_m, y_m))
         return math.inf if path_m is None else path_m
 
 

@@ -126,8 +126,8 @@ import time
 from pathlib import Path
 from edge.bus import topics
 from edge.recording.channels import of_topic
-from edge.recording.rolling import Limits, Rolling
-files = Rolling(Path({folder!r}), Limits(sync_s=0.05), "lz4", lambda part: {{}})
+from edge.recording.rolling import RecordingLimits, RollingRecorder
+files = RollingRecorder(Path({folder!r}), RecordingLimits(sync_s=0.05), "lz4", lambda part: {{}})
 k = 0
 while True:
     files.ready()

@@ -122,10 +122,11 @@ import logging, resource, sys
 from pathlib import Path
 from edge.bus import topics
 from edge.recording.channels import of_topic
-from edge.recording.rolling import Limits, Rolling
+from edge.recording.rolling import RecordingLimits, RollingRecorder
 logging.basicConfig(format="%(message)s")
 now = [0.0]
-files = Rolling(Path(sys.argv[1]), Limits(sync_s=0.0), "none", lambda n: {}, lambda: now[0])
+limits = RecordingLimits(sync_s=0.0)
+files = RollingRecorder(Path(sys.argv[1]), limits, "none", lambda n: {}, lambda: now[0])
 def put(n):
     for _ in range(n):
         now[0] += 0.1

@@ -93,7 +93,7 @@ def record(
         return all(heard[topic] >= ENOUGH.get(topic, 5) for topic in enough)
 
     with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as pool:
-        patch.setattr(recording, "McapFile", File)
+        patch.setattr(recording, "McapWriter", File)
         writing = pool.submit(recording.record, session, config, path, 600.0, stop)
         try:
             eventually(sent, lambda: f"only {heard}")

@@ -45,7 +45,7 @@ class PlanResult:
         coarse_m: (n, 2) float64 in `map`, the trajectory as written; None if none was written.
         speed_mps: Speed that the instruction asks for; None if it asks for none.
         stops_at: Id and label of the object at its end; see
-        `edge.tasks.write_trajectory.WrittenTrajectory`.
+        `edge.tasks.write.WrittenTrajectory`.
         stops: Ids and labels of the objects at the stop of each step; the last is that of step
             `upto`. Empty if a model wrote the trajectory.
         upto: Number of steps of the task that are done at its end.

@@ -229,7 +229,7 @@ def test_what_cannot_be_compared_is_no_refusal(monkeypatch: pytest.MonkeyPatch) 
     def too_large(*_: object) -> None:
         raise CompileError("more than 10 states")
 
-    monkeypatch.setattr(translate, "difference", too_large)
+    monkeypatch.setattr(translate, "distinguishing_trace", too_large)
     case = translate.benchmark_cases(1)[0]
     with pytest.raises(CompileError):
         translate.score(case, make_translator(TranslatorGrammar()))

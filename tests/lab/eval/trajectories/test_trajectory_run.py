@@ -76,7 +76,7 @@ def test_a_crash_is_told_and_run_again(tmp_path, monkeypatch):
         raise RuntimeError("a bug\nof two lines")
 
     with monkeypatch.context() as patched:
-        patched.setattr(methods, "write", broken)
+        patched.setattr(methods, "write_trajectory", broken)
         (outcome,) = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path))
     assert (outcome.refused, outcome.success) == ("crashed", False)
     assert "\n" not in outcome.reason
