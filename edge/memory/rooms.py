@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from edge.memory.room_kinds import kind_of_room
 from edge.memory.room_shapes import NO_SURVEY, LostRoom, Passage, RoomShape, RoomSurvey
 from edge.memory.site import RoomName, Site, is_same
 from edge.perception.prior import rooms as kinds
-from edge.perception.prior.table import ObjectPrior
+from edge.perception.prior.table import ObjectPrior, load
 from edge.perception.prior.words import PriorWordIndex
 from edge.perception.tracking.sightings import TrackedObjects
 from edge.text import one_line
@@ -24,6 +25,19 @@ SURE_KIND = 0.8
 """Smallest probability of a kind for a room to count as one."""
 _REASONS = 2  # number of objects that an explanation names
 _MOST_ROOMS = 1 << 12
+
+
+TYPICAL, _TYPICAL_RATIO = 2, 1.5
+"""Number of typical things from which the kind of a room should be known."""
+
+
+@cache
+def typical_things(kind: str) -> frozenset[str]:
+    """Return the things of the prior's table that are clearly more frequent in a kind of room."""
+    table = load()
+    chance, prior = kinds.object_given_room(table), kinds.room_prior(table)
+    ratio = chance[table.kinds.index(kind)] / (prior @ chance)
+    return frozenset(table.things[at] for at in np.flatnonzero(ratio >= _TYPICAL_RATIO))
 
 
 class SeenObjects(NamedTuple):
@@ -208,6 +222,11 @@ class RoomMemory:
         """Return the room of a point, or of an object at its wall; None if there is none."""
         region = int(self.survey.regions.at(np.array([[x_m, y_m]], np.float32))[0])
         return self.room(int(self.survey.ids[region])) if region else None
+
+    def things_in(self, room: MappedRoom) -> list[str]:
+        """Return the things of the prior's table that were seen in a room."""
+        shape = next(one for one in self.survey.shapes if one.id == room.id)
+        return [self._table.things[at] for at in np.flatnonzero(self._held[shape.region])]
 
     def entered(self, x_m: float, y_m: float) -> int:
         """Return the id of the room that a robot at a point is inside of; 0 if it is in none."""
