@@ -274,7 +274,7 @@ class GoalStatus:
 
 
 MissionPhase = Literal[
-    "idle", "searching", "approaching", "verifying", "paused", "reached", "failed"
+    "idle", "searching", "approaching", "verifying", "waiting", "paused", "reached", "failed"
 ]
 
 
@@ -285,7 +285,7 @@ class MissionStatus:
     Attributes:
         target: Active target; after the end, the last one.
         phase: `reached` (fulfilled) and `failed` are final. `idle`: no mission was given yet.
-        reason: Reason of the phase, for people.
+        reason: Reason of the phase, for people; while the mission runs, what the robot does.
         elapsed_s: Time that the mission has taken.
         path_m: Distance that the robot has driven for it.
         instruction: Instruction as one line (`edge.text.one_line`).

@@ -89,8 +89,9 @@ class ServiceCheckpoint:
             mission.id = saved.id
             self._resumed = mission
             mission.restore(
-                saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m, saved.paused
-            )
+                saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m,
+                saved.paused, (saved.exempt_s, saved.exempt_m), saved.pursued_s,
+            )  # fmt: skip
             log.info("continuing the saved mission: %s (state %d, reached: %s)",
                      one_line(saved.instruction), mission.state,
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip

@@ -140,7 +140,7 @@ class GoalTracker:
     def failure_reason(self, mission: MissionRun, grid: RollingMap) -> str:
         """Return why the target was not reached, when all attempts are exhausted."""
         target, views = mission.target, self.views
-        seen = target in mission.detected or target in mission.places
+        seen = target in mission.detected or target in mission.destinations
         found = "found no path to" if seen else "found no"
         again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
         blocked = _blocked(grid)

@@ -201,7 +201,7 @@ class Service:
         self._newest_seq = observation.seq
         if self.site.start is None:
             self.site.start = Place(START, pose)
-        if self.mission.places:
+        if self.mission.destinations:
             self.mission.locate(self.site.start.pose, pose)
         judge = partial(self.plausibility.judge, observation, now_ns)
         use = self._journal.decided(USE, judge, usual="")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
 from edge.config import MissionConfig
 from edge.geometry import SE2
+from edge.mission.destinations import Destination, PlaceTarget, is_timed
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.planning.plan import MissionKnowledge, Planner, TargetPlan
 from edge.mission.planning.planner import make_planner
@@ -43,8 +45,14 @@ class MissionRun:
         turns: number of times that a new target was set.
         changes: number of changes that a checkpoint should hold.
         config: the `mission` section; may be replaced to change the limits.
-        places: targets that are places, with their poses; None for a pose that `locate` sets.
+        destinations: targets that are no things; `locate` sets poses that were not known before.
         id: the requester's name of the mission; "" if there is none.
+        activity: what the robot does for the active target, for the status; "" to say nothing.
+        exempt_s: part of `elapsed_s` that does not count towards the limit: targets with a duration
+            of their own.
+        exempt_m: the same for `path_m`.
+        pursued_s: for each target, the time for which it was pursued, without pauses, since it was
+            last reached, failed or seen again.
     """
 
     def __init__(
@@ -66,9 +74,9 @@ class MissionRun:
         self.id = id
         self.state = 0
         self.target = brief.targets[0]
-        self.places: dict[str, SE2 | None] = dict(brief.translation.places)
+        self.destinations: dict[str, Destination] = dict(brief.translation.destinations)
         self.word: tuple[str, ...] = ()
-        self.detected: frozenset[str] = frozenset(self.places)
+        self.detected: frozenset[str] = frozenset(self.destinations)
         self.reached: tuple[str, ...] = ()
         self.failed: frozenset[str] = frozenset()
         self.started = False
@@ -77,6 +85,8 @@ class MissionRun:
         self.changes = 0
         self.elapsed_s = 0.0
         self.path_m = 0.0
+        self.exempt_s = self.exempt_m = 0.0
+        self.activity = ""
         self.reason = ""
         self.steps: tuple[MissionEvent, ...] = ()
         self._instruction = one_line(brief.translation.instruction)
@@ -90,9 +100,9 @@ class MissionRun:
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
-        self._newest: dict[str, int] = dict.fromkeys(self.places, 0)
+        self._newest: dict[str, int] = dict.fromkeys(self.destinations, 0)
         self._stale: dict[str, int] = {}
-        self._pursued_s: dict[str, float] = {}
+        self.pursued_s: dict[str, float] = {}
         self._last_ns: int | None = None
         self._last_pose: SE2 | None = None
         self.plan: TargetPlan = self._planner.plan(self.state, self.knowledge)
@@ -126,6 +136,16 @@ class MissionRun:
         return MissionKnowledge(self.detected - reached, reached, self.failed, self._distance_m)
 
     @property
+    def pursued_now_s(self) -> float:
+        """Time for which the active target has been pursued."""
+        return self.pursued_s.get(self.target, 0.0)
+
+    @property
+    def _timed(self) -> bool:
+        """True if the active target ends by a time of its own, so that no limit applies."""
+        return is_timed(self.destinations.get(self.target))
+
+    @property
     def forbidden(self) -> tuple[str, ...]:
         """Targets that would make success impossible if they were reached now."""
         automaton = self.brief.automaton
@@ -142,7 +162,12 @@ class MissionRun:
         elif self.paused:
             phase = "paused"
         return MissionStatus(
-            self.target, phase, self.reason, self.elapsed_s, self.path_m, self._instruction
+            self.target,
+            phase,
+            self.reason or self.activity * self.active,
+            self.elapsed_s,
+            self.path_m,
+            self._instruction,
         )
 
     # -- time, path and limits ----------------------------------------------------------------
@@ -155,8 +180,8 @@ class MissionRun:
             here: the robot's pose now.
         """
         for name, pose in (("start", start), ("here", here)):
-            if name in self.places and self.places[name] is None:
-                self.places[name] = pose
+            if self.destinations.get(name) == PlaceTarget():
+                self.destinations[name] = PlaceTarget(pose)
                 self.changes += 1
 
     def start(self, now_ns: int) -> None:
@@ -190,21 +215,25 @@ class MissionRun:
             self._last_pose = pose
         if not self.active:
             return
+        step_m = step_m if step_m < 1.0 else 0.0  # a jump of the pose is not driving
         self.elapsed_s += passed_s
-        self.path_m += step_m if step_m < 1.0 else 0.0  # a jump of the pose is not driving
+        self.path_m += step_m
+        if self._timed:
+            self.exempt_s += passed_s
+            self.exempt_m += step_m
         if looking:
-            self._pursued_s[self.target] = self._pursued_s.get(self.target, 0.0) + passed_s
+            self.pursued_s[self.target] = self.pursued_now_s + passed_s
 
     def check_limits(self, now_ns: int) -> None:
         """Fail at the time or path limit; abandon a target at the search limit."""
         c = self.config
         if not self.active:
             return
-        if self.elapsed_s > c.time_limit_s:
+        if self.elapsed_s - self.exempt_s > c.time_limit_s:
             self.fail(f"time limit of {c.time_limit_s:g} s", now_ns)
-        elif self.path_m > c.path_limit_m:
+        elif self.path_m - self.exempt_m > c.path_limit_m:
             self.fail(f"path limit of {c.path_limit_m:g} m", now_ns)
-        elif self._pursued_s.get(self.target, 0.0) > (c.search_limit_s or math.inf):
+        elif not self._timed and self.pursued_now_s > (c.search_limit_s or math.inf):
             missed = "did not get to" if self.target in self.detected else "no"
             self.give_up(f"{missed} {self.target} within {c.search_limit_s:g} s", now_ns)
 
@@ -230,7 +259,7 @@ class MissionRun:
         self.detected = detected
         self.failed -= new
         for label in sorted(new - frozenset(self.reached)):
-            self._pursued_s[label] = 0.0
+            self.pursued_s[label] = 0.0
             self._note(now_ns, "seen", label, f"seen: {label}")
         self._replan(now_ns)
 
@@ -252,7 +281,7 @@ class MissionRun:
         label = self.target
         self._take(label)
         self.reached = tuple(dict.fromkeys((*self.reached, label)))
-        self._pursued_s[label] = 0.0
+        self.pursued_s[label] = 0.0
         self._note(now_ns, "reached", label, f"reached: {label} ({evidence})")
         if not self._accept(evidence, now_ns):
             self._replan(now_ns, retarget=True)
@@ -278,7 +307,7 @@ class MissionRun:
         label = self.target
         self.failed |= {label}
         self.detected -= {label}
-        self._pursued_s[label] = 0.0
+        self.pursued_s[label] = 0.0
         self._stale[label] = self._newest.get(label, -1)
         self._why_failed[label] = reason
         self._note(now_ns, "failed", label, f"failed: {label} ({reason})")
@@ -309,6 +338,8 @@ class MissionRun:
         elapsed_s: float,
         path_m: float,
         paused: bool,
+        exempt: tuple[float, float] = (0.0, 0.0),
+        pursued_s: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         """Continue from the saved state of a mission with the same formula.
 
@@ -319,6 +350,8 @@ class MissionRun:
         self.reached, self.failed = tuple(reached), frozenset(failed)
         self._why_failed = {label: f"{label} failed before the restart" for label in self.failed}
         self.elapsed_s, self.path_m, self.paused = elapsed_s, path_m, paused
+        self.exempt_s, self.exempt_m = exempt
+        self.pursued_s = dict(pursued_s)
 
     def mark_stale_before(self, newest: int) -> None:
         """Mark the instances up to this id as known before a restart.
@@ -364,7 +397,7 @@ class MissionRun:
         # The plan has no steps if a task has detected all objects that it needs.
         if self.plan.steps and (retarget or self.plan.target != self.target):
             self.turns += 1
-            self.target = self.plan.target
+            self.target, self.activity = self.plan.target, ""
             self._note(now_ns, "target", self.target, f"target: {self.target}: {self.plan.reason}")
 
     def _finish(self, ended: Literal["reached", "failed"], reason: str, now_ns: int) -> None:

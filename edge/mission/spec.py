@@ -12,10 +12,16 @@ import numpy as np
 from edge import names
 from edge.config import MissionConfig, TranslatorLtl
 from edge.errors import UserError
-from edge.geometry import SE2
 from edge.memory import Site
+from edge.mission.destinations import (
+    CheckTarget,
+    Destination,
+    ExploreTarget,
+    describe_destination,
+    destination_of,
+)
 from edge.mission.language.english import describe
-from edge.mission.language.places import EXPLORED, HERE, START, quote_places
+from edge.mission.language.places import quote_places
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
@@ -26,10 +32,6 @@ from edge.mission.translate import Translation, TranslationError, make_translato
 from edge.text import one_line
 
 _NO_SITE = Site()
-_IN_ENGLISH = {
-    START: "the start", HERE: "the place where this mission begins",
-    EXPLORED: "the end of exploring",
-}  # fmt: skip
 _MOST_SHOWN = 600  # of the parts of a contradiction
 
 
@@ -121,10 +123,7 @@ def prepare(
             translation = translator.translate(quote_places(text, names_of_places), reading, ask)
         except TranslationError as error:
             raise _placed(error, text) from None
-        english = translation.english
-        for name, plain in _IN_ENGLISH.items():
-            english = english.replace(f'"{name}"', plain)
-        translation = replace(translation, instruction=text, english=english)
+        translation = replace(translation, instruction=text)
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
@@ -141,18 +140,35 @@ def _placed(error: TranslationError, instruction: str) -> TranslationError:
 
 
 def located(translation: Translation, site: Site) -> Translation:
-    """Return a translation in which propositions with the name of a place mean that place."""
-    found: dict[str, SE2 | None] = {}
+    """Return a translation whose propositions mean the destinations that their text names.
+
+    Raises:
+        DestinationError: see `destination_of`.
+    """
+    found: dict[str, Destination] = {}
+    english = translation.english
     for letter in ltl.propositions(translation.formula):
-        place = site.place(letter)
-        if place is not None or letter in (START, HERE, EXPLORED):
-            found[letter] = None if place is None else place.pose
-    return replace(translation, places=found)
+        destination = destination_of(letter, site)
+        if destination is not None:
+            _refuse_unready(letter, destination)
+            found[letter] = destination
+            plain = describe_destination(letter, destination)
+            english = english.replace(f'"{letter}"', plain)
+    return replace(translation, destinations=found, english=english)
+
+
+def _refuse_unready(name: str, destination: Destination) -> None:
+    """Raise a MissionError for a destination that the robot cannot pursue yet."""
+    room = isinstance(destination, ExploreTarget) and destination.room
+    if room or isinstance(destination, CheckTarget):
+        raise MissionError(
+            f"mission: {one_line(name, 60)}: not possible yet; name a thing or place"
+        )
 
 
 def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     """Compile and check a translated formula for the configured planner; see `prepare`."""
-    formula = _unified(translation.formula, translation.places)
+    formula = _unified(translation.formula, translation.destinations)
     translation = replace(translation, formula=formula)
     letters = ltl.propositions(formula)
     _check_number(config, len(letters))
@@ -174,7 +190,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     automaton = _narrowed(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
-    things = tuple(letter for letter in targets if letter not in translation.places)
+    things = tuple(letter for letter in targets if letter not in translation.destinations)
     return MissionSpec(translation, automaton, diagnosis, targets, things or (config.target,))
 
 
@@ -239,15 +255,15 @@ def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
     return replace(automaton, letters=letters, delta=delta)
 
 
-def _unified(formula: Formula, places: Collection[str]) -> Formula:
+def _unified(formula: Formula, destinations: Collection[str]) -> Formula:
     """Return the formula with one name for each object: the first one of its synonyms.
 
-    A place keeps its name: what a person calls a place is no synonym of a thing.
+    A destination keeps its name: what a person calls a place is no synonym of a thing.
     """
     first: dict[str, str] = {}
 
     def key(name: str) -> str:
-        return f"place {name}" if name in places else names.canonical(name)
+        return f"destination {name}" if name in destinations else names.canonical(name)
 
     for name in ltl.propositions(formula):
         first.setdefault(key(name), name)

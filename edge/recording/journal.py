@@ -25,6 +25,7 @@ from edge.loop.result import TickResult
 from edge.mapping.regions import RegionMap
 from edge.memory import LostRoom, RoomSurvey, Site, outlined, site_of
 from edge.mission.checkpoint import MISSION
+from edge.mission.destinations import destinations_json, destinations_of_json
 from edge.mission.logic import ltl
 from edge.mission.translate import Translation
 from edge.perception.scoring.choice.question import FrontierChoice
@@ -210,7 +211,7 @@ def _translation(t: Translation) -> dict[str, Any]:
     return {
         "instruction": t.instruction, "formula": str(t.formula), "english": t.english,
         "backend": t.backend, "reading": t.reading, "readings": t.readings, "implied": t.implied,
-        "places": {name: _pose(pose) for name, pose in t.places.items()},
+        "destinations": destinations_json(t.destinations),
     }  # fmt: skip
 
 
@@ -219,10 +220,7 @@ def _translation_of(said: dict[str, Any]) -> Translation:
         said["instruction"], ltl.parse(said["formula"]), said["english"], said["backend"],
         reading=said.get("reading"), readings=tuple(said.get("readings", ())),
         implied=said.get("implied", False),
-        places={
-            name: None if pose is None else SE2(*pose)
-            for name, pose in said.get("places", {}).items()
-        },
+        destinations=destinations_of_json(said.get("destinations", said.get("places", {}))),
     )  # fmt: skip
 
 

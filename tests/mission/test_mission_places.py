@@ -8,6 +8,7 @@ from edge.config import MissionConfig, parse
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import Place, Site
+from edge.mission.destinations import PlaceTarget
 from edge.mission.language.places import quote_places
 from edge.mission.spec import prepare
 from edge.mission.translate import TranslationError
@@ -80,15 +81,15 @@ def test_a_place_is_a_target_that_the_detector_does_not_look_for(
 ):
     brief = briefed(instruction)
     assert str(brief.automaton.formula) == formula
-    assert list(brief.translation.places) == places
+    assert list(brief.translation.destinations) == places
     assert brief.prompts == prompts
     assert brief.translation.instruction == instruction
     assert '"' not in brief.translation.english.replace('"loading bay two"', "")
 
 
 def test_a_pose_that_is_not_known_yet_is_left_open():
-    places = briefed("go to the dock, then return to the start").translation.places
-    assert places == {"dock": SE2(1.0, 2.0, 0.0), "start": None}
+    found = briefed("go to the dock, then return to the start").translation.destinations
+    assert found == {"dock": PlaceTarget(SE2(1.0, 2.0, 0.0)), "start": PlaceTarget()}
 
 
 @pytest.mark.parametrize(
