@@ -16,7 +16,7 @@ from edge.config import Config
 from edge.geometry import Grid
 from edge.mapping.layers import read_only
 from edge.mapping.regions import NO_REGIONS, OPEN, RegionMap
-from edge.memory import SeenObjectIndex, SeenObjects, objects_by_region, room_kinds_at
+from edge.memory import SeenObjectIndex, SeenObjects, kinds_by_region, objects_by_region
 from edge.perception.prior import cooccurrence, rooms
 from edge.perception.prior.cooccurrence import NEAR_M
 from edge.perception.prior.nearby import nearby
@@ -157,7 +157,7 @@ class LocationPrior:
     def _kinds(self, things: SeenObjects, known: RegionMap, xy_m: np.ndarray) -> np.ndarray:
         """Return P(kind of room) for each place, (n, kinds) float64."""
         held = objects_by_region(known, things, len(self._table.things))
-        return room_kinds_at(self._table, self._chance, known, held, xy_m)
+        return kinds_by_region(self._table, self._chance, known.border, held)[known.at(xy_m)]
 
 
 def make_prior(config: Config, words: PriorWordIndex) -> LocationPrior | None:

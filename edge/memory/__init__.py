@@ -11,12 +11,13 @@ from edge.memory.room_shapes import (
     survey_rooms,
 )
 from edge.memory.rooms import (
+    RECOGNISED_KINDS,
     MappedRoom,
     RoomMemory,
     SeenObjectIndex,
     SeenObjects,
+    kinds_by_region,
     objects_by_region,
-    room_kinds_at,
 )
 from edge.memory.site import (
     START,
@@ -35,9 +36,9 @@ from edge.memory.site import (
 )
 
 __all__ = [
-    "NO_SURVEY", "ROOM_KINDS", "START", "Item", "KnownObject", "LostRoom", "MappedRoom", "Passage",
+    "NO_SURVEY", "RECOGNISED_KINDS", "ROOM_KINDS", "START", "Item", "KnownObject", "LostRoom", "MappedRoom", "Passage",
     "Place", "RoomMemory", "RoomName", "RoomSurvey", "SeenObjectIndex", "SeenObjects", "Site",
-    "SiteError", "SiteFile", "Zone", "item_of", "kind_of_room", "known_objects", "merged",
-    "objects_by_region", "outlined", "read_site", "room_kinds_at", "site_of", "survey_rooms",
-    "where_is", "write_site",
+    "SiteError", "SiteFile", "Zone", "item_of", "kind_of_room", "kinds_by_region",
+    "known_objects", "merged", "objects_by_region", "outlined", "read_site", "site_of", "survey_rooms", "where_is",
+    "write_site",
 ]  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.mapping.regions import RegionMap
+from edge.memory.objects import known_objects
 from edge.memory.room_kinds import kind_of_room
 from edge.memory.room_shapes import NO_SURVEY, LostRoom, Passage, RoomShape, RoomSurvey
 from edge.memory.site import RoomName, Site, is_same
@@ -27,6 +28,8 @@ _REASONS = 2  # number of objects that an explanation names
 _MOST_ROOMS = 1 << 12
 
 
+RECOGNISED_KINDS = load().kinds
+"""Kinds of rooms that the robot recognises by objects; others only a person can name."""
 TYPICAL, _TYPICAL_RATIO = 2, 1.5
 """Number of typical things from which the kind of a room should be known."""
 
@@ -83,21 +86,18 @@ def objects_by_region(regions: RegionMap, objects: SeenObjects, n_things: int) -
     return held
 
 
-def room_kinds_at(
-    table: ObjectPrior, chance: np.ndarray, regions: RegionMap, held: np.ndarray, xy_m: np.ndarray
+def kinds_by_region(
+    table: ObjectPrior, chance: np.ndarray, border: np.ndarray, held: np.ndarray
 ) -> np.ndarray:
-    """Return P(kind of room) for each place, (n, kinds) float64.
+    """Return P(kind of room | objects seen) of each region, (n + 1, kinds) float64.
 
     Args:
         table: the prior.
         chance: see `edge.perception.prior.rooms.object_given_room`.
-        regions: cut of the map.
+        border: see `edge.mapping.regions.border_lengths`.
         held: see `objects_by_region`.
-        xy_m: (n, 2) float32 in `map`.
     """
-    next_to = kinds.neighbours(regions.border, held)
-    here = regions.at(xy_m)
-    return kinds.room_posterior_at(table, chance, held[here], held[next_to[here]])
+    return kinds.room_posterior_at(table, chance, held, held[kinds.neighbours(border, held)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,6 +172,7 @@ class RoomMemory:
         self._table, self._chance = table, kinds.object_given_room(table)
         self._index = SeenObjectIndex(words)
         self._held = np.zeros((1, len(table.things)), np.float32)
+        self._belief = kinds.room_prior(table)[None]
         self._names: tuple[RoomName, ...] = ()
         self._visited: set[int] = set()
         self._generation = -1  # of the objects
@@ -195,14 +196,10 @@ class RoomMemory:
             return
         self._is_due, self._generation = False, sightings.generation
         self.version += 1
-        regions = self.survey.regions
-        if regions.n == 0:
-            self.rooms = ()
-            return
-        objects = self._index.of(sightings)
+        regions, objects = self.survey.regions, self._index.of(sightings)
         held = self._held = objects_by_region(regions, objects, len(self._table.things))
-        chance = kinds.room_posterior(self._table, self._chance, held)
-        named = self._named()
+        chance = kinds_by_region(self._table, self._chance, regions.border, held)
+        self._belief, named = chance, self._named()
         self.rooms = tuple(
             self._room(shape, held[shape.region], chance[shape.region], named.get(shape.id, ()))
             for shape in self.survey.shapes
@@ -241,6 +238,13 @@ class RoomMemory:
         kind = kind_of_room(name)
         return named or numbered or [room for room in self.rooms if kind and room.kind == kind]
 
+    def with_thing(self, name: str, sightings: TrackedObjects, min_hits: int) -> list[MappedRoom]:
+        """Return the rooms in which a thing was seen, the most confident sighting first."""
+        found = [
+            self.room_at(*one.xyz_m[:2]) for one in known_objects(sightings, 0, min_hits, name)
+        ]
+        return list({room.id: room for room in found if room is not None}.values())
+
     def kind_ratio(self, kind: str, xy_m: np.ndarray) -> np.ndarray:
         """Return P(kind of room | objects seen) / P(kind of room) for the room of each place.
 
@@ -251,11 +255,11 @@ class RoomMemory:
         Returns:
             (n,) float64; see `edge.perception.prior.rooms.room_posterior_at`.
         """
-        at, regions = self._table.kinds.index(kind), self.survey.regions
-        average = kinds.room_prior(self._table)[at]
-        if regions.n == 0 or len(self._held) != regions.n + 1:
+        at = self._table.kinds.index(kind)
+        belief, average = self._belief[:, at], kinds.room_prior(self._table)[at]
+        if len(belief) != self.survey.regions.n + 1:  # a new survey came after the last update
             return np.ones(len(xy_m))
-        return room_kinds_at(self._table, self._chance, regions, self._held, xy_m)[:, at] / average
+        return belief[self.survey.regions.at(xy_m)] / average
 
     # -- frames and checkpoints ----------------------------------------------------------------
 

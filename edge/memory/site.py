@@ -158,6 +158,10 @@ class Site:
         """Return the place of this name, or None."""
         return next((place for place in self.places if is_same(place.name, name)), None)
 
+    def room_name(self, name: str) -> RoomName | None:
+        """Return the room's name that is the same as this, or None."""
+        return next((room for room in self.room_names if is_same(room.name, name)), None)
+
     def polygons_m(self, kind: str) -> list[np.ndarray]:
         """Return the corners of all zones of a kind, each (n, 2) float64."""
         return [np.array(zone.corners_m) for zone in self.zones if zone.kind == kind]

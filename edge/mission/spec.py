@@ -17,6 +17,7 @@ from edge.mission.destinations import (
     CheckTarget,
     Destination,
     ExploreTarget,
+    RoomTarget,
     describe_destination,
     destination_of,
 )
@@ -111,7 +112,7 @@ def prepare(
         >>> str(brief.automaton.formula), brief.targets
         ('F (bed & F sofa)', ('bed', 'sofa'))
     """
-    names_of_places = [place.name for place in site.places]
+    known = [item.name for item in (*site.places, *site.room_names)]
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
     elif instruction is not None or config.instruction is not None:
@@ -120,7 +121,7 @@ def prepare(
         reading = reading if ask else config.reading
         translator = make_translator(config.translator)
         try:
-            translation = translator.translate(quote_places(text, names_of_places), reading, ask)
+            translation = translator.translate(quote_places(text, known), reading, ask)
         except TranslationError as error:
             raise _placed(error, text) from None
         translation = replace(translation, instruction=text)
@@ -190,8 +191,18 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     automaton = _narrowed(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
-    things = tuple(letter for letter in targets if letter not in translation.destinations)
+    things = _things(targets, translation.destinations)
     return MissionSpec(translation, automaton, diagnosis, targets, things or (config.target,))
+
+
+def _things(targets: tuple[str, ...], destinations: Mapping[str, Destination]) -> tuple[str, ...]:
+    """Return the targets that the detector must look for."""
+    found = [name for name in targets if name not in destinations]
+    for name in targets:
+        room = destinations.get(name)
+        if isinstance(room, RoomTarget) and room.which == "with":
+            found.append(room.name)
+    return tuple(dict.fromkeys(found))
 
 
 def spec_of_task(
