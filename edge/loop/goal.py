@@ -145,7 +145,7 @@ class GoalTracker:
     def failure_reason(self, mission: MissionRun, grid: RollingMap) -> str:
         """Return why the target was not reached, when all attempts are exhausted."""
         target, views = mission.target, self.views
-        seen = target in mission.detected or target in mission.destinations
+        seen = target in mission.detected
         found = "found no path to" if seen else "found no"
         again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
         blocked = _blocked(grid)
@@ -197,10 +197,7 @@ class GoalTracker:
         """
         cell = grid.reach.nearest(place.x_m, place.y_m, _AT_PLACE_M)
         if cell is None:
-            frontiers, n = context.candidates, context.candidates.n
-            rest_m = np.hypot(*(frontiers.xy_m[:n] - (place.x_m, place.y_m)).T)
-            score = 1.0 / (1.0 + frontiers.path_m[:n] + rest_m)
-            return self.choose(context, grid, score.astype(np.float32), images)
+            return self.explore_towards(context, grid, (place.x_m, place.y_m), images)
         self._next_view.drop()
         self._search.found()
         goal, at = self.goal, (place.x_m, place.y_m)
@@ -209,6 +206,15 @@ class GoalTracker:
             goal = Goal(context.now_ns, pose, "place", 0, at, 1.0, target)
             self._present = _Present(goal)
         return self.goal
+
+    def explore_towards(
+        self, context: PolicyInput, grid: RollingMap, at_m: tuple[float, float], images: int
+    ) -> Goal | None:
+        """Return a goal at a frontier on the way to a point to which no path is known."""
+        frontiers, n = context.candidates, context.candidates.n
+        rest_m = np.hypot(*(frontiers.xy_m[:n] - at_m).T)
+        score = 1.0 / (1.0 + frontiers.path_m[:n] + rest_m)
+        return self.choose(context, grid, score.astype(np.float32), images)
 
     def go_to_point(
         self, context: PolicyInput, grid: RollingMap, points_m: np.ndarray, target: str
@@ -244,9 +250,7 @@ class GoalTracker:
         self._search.found()
         pose, x_m, y_m = context.pose, cell[0], cell[1]
         yaw_rad = math.atan2(y_m - pose.y_m, x_m - pose.x_m)
-        goal = Goal(
-            context.now_ns, SE2(x_m, y_m, yaw_rad), "place", 0, (at[0], at[1]), 1.0, target
-        )
+        goal = Goal(context.now_ns, SE2(x_m, y_m, yaw_rad), "place", 0, (at[0], at[1]), 1.0, target)
         self._present = _Present(goal, settles=False)
         return goal
 
@@ -386,7 +390,13 @@ class GoalTracker:
     # -- following up -----------------------------------------------------------------------
 
     def judge(
-        self, grid: RollingMap, pose: SE2, mission: MissionRun, images: int, now_ns: int
+        self,
+        grid: RollingMap,
+        pose: SE2,
+        mission: MissionRun,
+        images: int,
+        now_ns: int,
+        is_reached: Callable[[Instance], bool] | None = None,
     ) -> bool:
         """Handle the progress of the current goal; `FollowBehaviour` handles those of a trajectory.
 
@@ -396,6 +406,8 @@ class GoalTracker:
             mission: The mission.
             images: Number of images that the detector has processed so far.
             now_ns: Loop time.
+            is_reached: Returns True if an instance next to the robot counts as reached; None: a
+                confirmed one does.
 
         Returns:
             True if the robot is stuck: it should drive but stands still.
@@ -411,7 +423,9 @@ class GoalTracker:
         if present is None or instance is None:
             known = present is not None and present.goal.kind in ("trajectory", "place")
             self.phase = "approaching" if known else "searching"
-        elif verdict := self._verdict(present, instance, pose, now_ns, images):
+        elif verdict := self._verdict(
+            present, instance, pose, now_ns, images, is_reached or self._tracker.confirmed
+        ):
             self._act_on(verdict, present, instance, mission, now_ns)
         if present is not None and present.goal.kind == "place":
             self._follow_to_place(present, pose, mission, now_ns)
@@ -426,13 +440,19 @@ class GoalTracker:
         return stuck
 
     def _verdict(
-        self, present: _Present, instance: Instance, pose: SE2, now_ns: int, images: int
+        self,
+        present: _Present,
+        instance: Instance,
+        pose: SE2,
+        now_ns: int,
+        images: int,
+        is_reached: Callable[[Instance], bool],
     ) -> Verdict | None:
         """Return the verdict on the goal's instance, or None while there is none.
 
         `reached` needs three conditions: the controller reported the goal as reached, the nearest
-        surface point of the instance is within `mission.reach_m`, and the detector has confirmed
-        the instance.
+        surface point of the instance is within `mission.reach_m`, and `is_reached` agrees: the
+        detector has confirmed the instance.
         """
         config = self._config.mission
         if present.answer is None or present.answer.state != "reached":
@@ -443,7 +463,7 @@ class GoalTracker:
         self.phase = "verifying"
         if present.verifying_since_ns is None:
             present.verifying_since_ns, present.images_before = now_ns, images
-        if self._tracker.confirmed(instance):
+        if is_reached(instance):
             return "reached"
         long_enough = (now_ns - present.verifying_since_ns) * 1e-9 > config.verify_s
         if long_enough and images - present.images_before >= MIN_IMAGES:

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from edge.bus import topics
-from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_text, shown
+from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_pose, check_text, shown
 from edge.errors import UserError
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.result import mission_facts
@@ -69,12 +69,14 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
     not start it again. An ambiguous or doubtful instruction is refused with its `readings` and with
     `doubts` about single words. The field `reading` chooses one of the readings, counted from 1.
 
+    With `from_pose: [x_m, y_m, yaw_rad]`, the mission may name the place `caller`.
+
     With `if_free: true`, the request is refused while another mission runs. `cancel` with an `id`
     cancels only that mission; its `why` becomes the reason.
     """
     return {
         "new": Verb(
-            (*_TEXTS, "reading", "id", "if_free"),
+            (*_TEXTS, "reading", "from_pose", "id", "if_free"),
             _new,
             lambda fields: prepare(**{name: fields[name] for name in _MEANT if name in fields}),
         ),
@@ -86,7 +88,7 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
 
 
 _TEXTS = ("instruction", "formula", "task")
-_MEANT = (*_TEXTS, "reading")
+_MEANT = (*_TEXTS, "reading", "caller")
 
 
 def _new(fields: dict) -> dict:
@@ -94,7 +96,16 @@ def _new(fields: dict) -> dict:
     if len(texts) != 1:
         raise ValueError("do: new needs exactly one of instruction, formula and task")
     free = {"if_free": True} if check_flag("if_free", fields) else {}
-    return {**texts, **_chosen(fields), **_named(fields), **free}
+    return {**texts, **_chosen(fields), **_calling(fields), **_named(fields), **free}
+
+
+def _calling(fields: dict) -> dict:
+    """Return the field `from_pose` as the pose `caller`, if present."""
+    if "from_pose" not in fields:
+        return {}
+    if "task" in fields:
+        raise ValueError("from_pose: only valid with an instruction or a formula")
+    return {"caller": check_pose("from_pose", fields["from_pose"])}
 
 
 def _chosen(fields: dict) -> dict:

@@ -21,13 +21,15 @@ from edge.loop.room_surveyor import make_room_surveyor
 from edge.mapping.grid import MAX_FRONTIERS, RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
-from edge.memory import Site
+from edge.memory import MappedRoom, Site
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
 from edge.perception.tracking.instances import MAX_INSTANCES, InstanceTracker
 from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Detections, Instance, Observation
+
+_SAME_AREA_M2 = 0.5
 
 
 class SemanticMap:
@@ -65,12 +67,13 @@ class SemanticMap:
         self.epoch = 0
         self._lifter = BackProjector(perception)
         self._zones_m: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+        self._closed: dict[int, MappedRoom] = {}
         self._lay(RollingMap(config.mapping, config.robot))
 
     def _lay(self, grid: RollingMap) -> None:
         """Replace the grid."""
         self.grid, self.view = grid, MapView(grid)
-        grid.set_zones(*self._zones_m)
+        self._set_zones()
         self._feed_values()
 
     def _feed_values(self) -> None:
@@ -125,6 +128,7 @@ class SemanticMap:
         """Prepare for another mission: forget verdicts and viewpoints of the last one."""
         self._targets = targets
         self._feed_values()
+        self.close_rooms(())
         self.tracker.forget_verdicts()
         self.tracker.recall(targets)
         self.grid.coverage.forget()
@@ -133,7 +137,27 @@ class SemanticMap:
         """Close the cells that the site's zones close, and name the rooms that it names."""
         self.rooms.set_site(site)
         self._zones_m = site.polygons_m("keep_out"), site.polygons_m("stay_inside")
-        self.grid.set_zones(*self._zones_m)
+        self._set_zones()
+
+    def close_rooms(self, rooms: Sequence[MappedRoom]) -> None:
+        """Close these rooms like zones, and open those that were closed before.
+
+        A closed room keeps its outline until its area has changed, because painting costs time.
+        """
+        before = self._closed
+        self._closed = {
+            room.id: before[room.id]
+            if room.id in before and abs(before[room.id].area_m2 - room.area_m2) < _SAME_AREA_M2
+            else room
+            for room in rooms
+        }
+        if [*self._closed.values()] != [*before.values()]:
+            self._set_zones()
+
+    def _set_zones(self) -> None:
+        keep_out_m, stay_inside_m = self._zones_m
+        closed_m = [room.polygon_m for room in self._closed.values()]
+        self.grid.set_zones([*keep_out_m, *closed_m], stay_inside_m)
 
     def reconfigure(self, config: Config) -> None:
         """Use another configuration; see `edge.loop.reload.LIVE` for the keys that may differ."""
@@ -147,6 +171,7 @@ class SemanticMap:
     def forget(self) -> None:
         """Forget everything, since the frame has changed."""
         self.epoch += 1
+        self._closed = {}
         self._lay(RollingMap(self.config.mapping, self.config.robot))
         self.tracker.clear()
         self.sightings.clear()

@@ -469,11 +469,18 @@ class Service:
         self.map.set_site(site)
 
     def pause(self, paused: bool, now_ns: int) -> None:
-        """Pause the mission, so that the robot stands still, or resume it."""
-        if paused == self.mission.paused:  # repeated requests are logged once
+        """Pause the mission, so that the robot stands still, or resume it.
+
+        To resume a mission that waits, but is not paused, ends the wait.
+        """
+        goes_on = not paused and self.mission.waits
+        if paused == self.mission.paused and not goes_on:  # repeated requests are logged once
+            return
+        self._journal.note("pause", paused=paused, now_ns=now_ns)
+        if goes_on:
+            self.mission.go_on(now_ns)
             return
         self.mission.pause(paused)
-        self._journal.note("pause", paused=paused, now_ns=now_ns)
         self.event(f"mission: {'paused' if paused else 'resumed'}", now_ns)
 
     def fail(self, reason: str, now_ns: int) -> None:

@@ -36,9 +36,9 @@ from edge.memory.site import (
 )
 
 __all__ = [
-    "NO_SURVEY", "RECOGNISED_KINDS", "ROOM_KINDS", "START", "Item", "KnownObject", "LostRoom", "MappedRoom", "Passage",
-    "Place", "RoomMemory", "RoomName", "RoomSurvey", "SeenObjectIndex", "SeenObjects", "Site",
-    "SiteError", "SiteFile", "Zone", "item_of", "kind_of_room", "kinds_by_region",
-    "known_objects", "merged", "objects_by_region", "outlined", "read_site", "site_of", "survey_rooms", "where_is",
-    "write_site",
+    "NO_SURVEY", "RECOGNISED_KINDS", "ROOM_KINDS", "START", "Item", "KnownObject", "LostRoom",
+    "MappedRoom", "Passage", "Place", "RoomMemory", "RoomName", "RoomSurvey", "SeenObjectIndex",
+    "SeenObjects", "Site", "SiteError", "SiteFile", "Zone", "item_of", "kind_of_room",
+    "kinds_by_region", "known_objects", "merged", "objects_by_region", "outlined", "read_site",
+    "site_of", "survey_rooms", "where_is", "write_site",
 ]  # fmt: skip

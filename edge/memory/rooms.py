@@ -238,6 +238,17 @@ class RoomMemory:
         kind = kind_of_room(name)
         return named or numbered or [room for room in self.rooms if kind and room.kind == kind]
 
+    def matching(self, name: str) -> list[MappedRoom]:
+        """Return all rooms that a name may mean: by a person's name, by number and by kind."""
+        kind = kind_of_room(name)
+        return [
+            room
+            for room in self.rooms
+            if (room.name and is_same(room.name, name))
+            or is_same(f"room {room.id}", name)
+            or (kind and room.kind == kind)
+        ]
+
     def with_thing(self, name: str, sightings: TrackedObjects, min_hits: int) -> list[MappedRoom]:
         """Return the rooms in which a thing was seen, the most confident sighting first."""
         found = [

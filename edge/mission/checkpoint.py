@@ -43,7 +43,7 @@ class MissionState:
         elapsed_s: time that counts towards the time limit.
         path_m: path that counts towards the path limit.
         id: see `edge.mission.run.MissionRun`.
-        exempt_s: see `edge.mission.run.MissionRun`, as for `exempt_m` and `pursued_s`.
+        exempt_s: see `edge.mission.run.MissionRun`, as for `exempt_m`, `results` and `pursued_s`.
         task: True for a task (`edge.tasks`): `word` has one `NOTHING` for each driven step.
     """
 
@@ -75,6 +75,7 @@ class MissionState:
     task: bool = False
     exempt_s: NotNegative = 0.0
     exempt_m: NotNegative = 0.0
+    results: tuple[str, ...] = ()
     pursued_s: dict[Word, NotNegative] = field(default_factory=dict)
 
 
@@ -83,7 +84,7 @@ OF_TRANSLATION = (
 )  # fmt: skip
 _OF_RUN = (
     "word", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id", "exempt_s",
-    "exempt_m",
+    "exempt_m", "results",
 )  # fmt: skip
 
 

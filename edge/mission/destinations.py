@@ -105,14 +105,12 @@ class RoomTarget:
         name: of a room or kind of room, or "room 3"; for `with` the thing in it.
         which: `called` by its name, `largest`, `next` (the nearest unvisited one), or `with` a
             thing.
-        room: id of the room that was chosen; 0 while none is.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     name: Name = ""
     which: Literal["called", "largest", "next", "with"] = "called"
-    room: Annotated[int, Field(ge=0)] = 0
     kind: Literal["room"] = "room"
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from edge.config import MissionConfig
 from edge.geometry import SE2
-from edge.mission.destinations import Destination, PlaceTarget, RoomTarget, is_timed
+from edge.mission.destinations import Destination, PlaceTarget, RoomTarget, WaitTarget, is_timed
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.planning.plan import MissionKnowledge, Planner, TargetPlan
 from edge.mission.planning.planner import make_planner
@@ -21,6 +21,7 @@ from edge.text import one_line
 from edge.types import MissionEvent, MissionEventKind, MissionPhase, MissionStatus
 
 MAX_STEPS = 1000
+_MOST_RESULTS, _RESULT_CHARS = 20, 400
 
 
 class MissionRun:
@@ -39,6 +40,7 @@ class MissionRun:
         detected: the set D, as labels.
         failed: the set B, as labels.
         reached: the set R, in order of reaching.
+        results: what the mission found out so far, for the reason of its end.
         steps: the mission log, oldest entry first, at most the last `MAX_STEPS`.
         started: True after `start`.
         paused: while True, time and path do not count and no target is pursued.
@@ -89,6 +91,7 @@ class MissionRun:
         self.exempt_s = self.exempt_m = 0.0
         self.activity = ""
         self.reason = ""
+        self.results: tuple[str, ...] = ()
         self.steps: tuple[MissionEvent, ...] = ()
         self._instruction = one_line(brief.translation.instruction)
         self.config = config
@@ -145,6 +148,11 @@ class MissionRun:
     def _timed(self) -> bool:
         """True if the active target ends by a time of its own, so that no limit applies."""
         return is_timed(self.destinations.get(self.target))
+
+    @property
+    def waits(self) -> bool:
+        """True while the active target is a wait."""
+        return self.active and isinstance(self.destinations.get(self.target), WaitTarget)
 
     @property
     def forbidden(self) -> tuple[str, ...]:
@@ -274,12 +282,19 @@ class MissionRun:
         """Delete the distances because their map frame is gone; the next survey brings new ones."""
         self._distance_m = None
 
-    def on_reached(self, evidence: str, now_ns: int) -> None:
+    def on_reached(self, evidence: str, now_ns: int, result: str = "") -> None:
         """Advance the automaton: the active target was reached.
 
         No other event of a mission with a formula advances it, except steps without an object.
+
+        Args:
+            evidence: how this is known, for the mission log.
+            now_ns: time of the loop.
+            result: what the person wants to know at the end of the mission, such as an answer.
         """
         label = self.target
+        if result:
+            self.results = (*self.results, one_line(result, _RESULT_CHARS))[-_MOST_RESULTS:]
         self._take(label)
         self.reached = tuple(dict.fromkeys((*self.reached, label)))
         self.pursued_s[label] = 0.0
@@ -331,6 +346,11 @@ class MissionRun:
         """Fail the whole mission, unless it has already ended."""
         self._finish("failed", reason, now_ns)
 
+    def go_on(self, now_ns: int) -> None:
+        """End a wait, because a person says so; do nothing if the robot does not wait."""
+        if self.waits:
+            self.on_reached("told to go on", now_ns)
+
     def restore(
         self,
         word: Iterable[str],
@@ -371,7 +391,8 @@ class MissionRun:
         if not self.brief.automaton.accepting[self.state]:
             return False
         taken = [letter for letter in self.word if letter != NOTHING]
-        self._finish("reached", ", then ".join(taken) if len(taken) > 1 else evidence, now_ns)
+        order = ", then ".join(taken) if len(taken) > 1 else evidence
+        self._finish("reached", "; ".join(self.results) or order, now_ns)
         return True
 
     def _replan(self, now_ns: int, retarget: bool = False) -> None:

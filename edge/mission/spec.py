@@ -3,7 +3,7 @@ error."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -12,14 +12,17 @@ import numpy as np
 from edge import names
 from edge.config import MissionConfig, TranslatorLtl
 from edge.errors import UserError
+from edge.geometry import SE2
 from edge.memory import Site
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
     ExploreTarget,
     RoomTarget,
+    WaitTarget,
     describe_destination,
     destination_of,
+    with_caller,
 )
 from edge.mission.language.english import describe
 from edge.mission.language.places import quote_places
@@ -64,8 +67,14 @@ class MissionSpec:
     steps: tuple[TaskStep, ...] | None = None
 
     def prompt_for(self, target: str) -> str:
-        """Return the prompt to score frontiers for while this target is pursued."""
-        return target if target in self.prompts else self.prompts[0]
+        """Return the prompt to search for while this target is pursued."""
+        destination = self.translation.destinations.get(target)
+        wanted = destination.name if isinstance(destination, CheckTarget) else target
+        if wanted in self.prompts:
+            return wanted
+        key = names.canonical(wanted)
+        same = (prompt for prompt in self.prompts if names.canonical(prompt) == key)
+        return next(same, self.prompts[0])
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -87,6 +96,7 @@ def prepare(
     formula: str | None = None,
     reading: int | None = None,
     site: Site = _NO_SITE,
+    caller: SE2 | None = None,
 ) -> MissionSpec:
     """Translate, compile and check a mission; this can take as long as the translator does.
 
@@ -100,6 +110,7 @@ def prepare(
         reading: the chosen reading of the given instruction, counted from 1. For the
             configuration's own instruction, `config.reading` applies.
         site: a place of the site is a target that needs no search.
+        caller: pose of the person who calls the robot, the place `caller`; None if it is not known.
 
     Raises:
         AmbiguousError: the instruction has several readings, and none was chosen.
@@ -112,6 +123,7 @@ def prepare(
         >>> str(brief.automaton.formula), brief.targets
         ('F (bed & F sofa)', ('bed', 'sofa'))
     """
+    site = with_caller(site, caller)
     known = [item.name for item in (*site.places, *site.room_names)]
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
@@ -151,20 +163,10 @@ def located(translation: Translation, site: Site) -> Translation:
     for letter in ltl.propositions(translation.formula):
         destination = destination_of(letter, site)
         if destination is not None:
-            _refuse_unready(letter, destination)
             found[letter] = destination
             plain = describe_destination(letter, destination)
             english = english.replace(f'"{letter}"', plain)
     return replace(translation, destinations=found, english=english)
-
-
-def _refuse_unready(name: str, destination: Destination) -> None:
-    """Raise a MissionError for a destination that the robot cannot pursue yet."""
-    room = isinstance(destination, ExploreTarget) and destination.room
-    if room or isinstance(destination, CheckTarget):
-        raise MissionError(
-            f"mission: {one_line(name, 60)}: not possible yet; name a thing or place"
-        )
 
 
 def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
@@ -191,18 +193,36 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     automaton = _narrowed(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
-    things = _things(targets, translation.destinations)
-    return MissionSpec(translation, automaton, diagnosis, targets, things or (config.target,))
+    _refuse_bans(automaton, translation.destinations)
+    prompts = _prompts(targets, translation.destinations)
+    return MissionSpec(translation, automaton, diagnosis, targets, prompts or (config.target,))
 
 
-def _things(targets: tuple[str, ...], destinations: Mapping[str, Destination]) -> tuple[str, ...]:
-    """Return the targets that the detector must look for."""
-    found = [name for name in targets if name not in destinations]
-    for name in targets:
-        room = destinations.get(name)
-        if isinstance(room, RoomTarget) and room.which == "with":
-            found.append(room.name)
-    return tuple(dict.fromkeys(found))
+def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) -> tuple[str, ...]:
+    """Return the things that the detector must look for, each once."""
+    found: dict[str, str] = {}
+    for target in targets:
+        destination = destinations.get(target)
+        by_thing = isinstance(destination, RoomTarget) and destination.which == "with"
+        if destination is None or isinstance(destination, CheckTarget) or by_thing:
+            thing = target if destination is None else destination.name
+            found.setdefault(names.canonical(thing), thing)
+    return tuple(found.values())
+
+
+def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) -> None:
+    """Raise a MissionError if the mission only forbids something that cannot be forbidden."""
+    alive = [q for q in range(automaton.n_states) if not automaton.dead(q)]
+    for letter in automaton.letters:
+        destination = destinations.get(letter)
+        chosen = isinstance(destination, RoomTarget) and destination.which != "called"
+        if not chosen and not isinstance(destination, (CheckTarget, ExploreTarget, WaitTarget)):
+            continue
+        if all(automaton.dead(automaton.step(q, letter)) for q in alive):
+            raise MissionError(
+                f"mission: {one_line(letter, 60)}: the robot can do this, but it cannot be "
+                "forbidden; leave it out"
+            )
 
 
 def spec_of_task(

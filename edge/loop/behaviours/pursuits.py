@@ -5,46 +5,72 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from edge.config import Config
+from edge.config import PolicySearch
+from edge.loop.behaviours.room_targets import RoomKindPrior, rooms_of
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
-from edge.mission.destinations import Destination, ExploreTarget, PlaceTarget, WaitTarget, shown_s
+from edge.memory import RECOGNISED_KINDS, MappedRoom, kind_of_room, known_objects
+from edge.mission.destinations import (
+    CheckTarget,
+    Destination,
+    ExploreTarget,
+    PlaceTarget,
+    RoomTarget,
+    WaitTarget,
+    shown_s,
+)
 from edge.mission.run import MissionRun
 from edge.policies.base import PolicyInput
+from edge.policies.search import SearchPolicy
+from edge.text import one_line
 from edge.types import Goal, Instance
 
+_MOST_NAMED = 12
+_ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
+Kind = TypeVar("Kind", bound="Destination | None")
 
-class Pursuit:
+
+class Pursuit(Generic[Kind]):
     """Pursuit of a thing: search for it, and go to it. Base class of the others.
 
     Args:
+        destination: The active target; None for a thing.
         mission: The mission.
-        config: The configuration.
         here: The semantic map.
         goals: The goal tracker.
     """
 
     def __init__(
-        self, mission: MissionRun, config: Config, here: SemanticMap, goals: GoalTracker
+        self, destination: Kind, mission: MissionRun, here: SemanticMap, goals: GoalTracker
     ) -> None:
-        self._mission, self._config, self._map, self._goals = mission, config, here, goals
+        self._destination, self._mission, self._map, self._goals = destination, mission, here, goals
 
     def gather(self) -> Sequence[Instance]:
         """Return the objects that are candidates for this target."""
-        sure, doubted = not self._config.policy.instances, self._goals.searched
-        return self._map.tracker.of(self._mission.target, sure, doubted=doubted)
+        prompt = self._mission.brief.prompt_for(self._mission.target)
+        sure, doubted = not self._map.config.policy.instances, self._goals.searched
+        return self._map.tracker.of(prompt, sure, doubted=doubted)
 
     def judge(self, context: PolicyInput, images: int) -> None:
         """Check the goal, then the end of the target; see `Behaviour.plan`."""
-        turns, grid = self._mission.turns, self._map.grid
-        self._goals.judge(grid, context.pose, self._mission, images, context.now_ns)
-        same = self._mission.turns == turns and not self._mission.done
-        if same and self._goals.exhausted:
+        turns = self._mission.turns
+        self._goals.judge(
+            self._map.grid, context.pose, self._mission, images, context.now_ns, self._is_reached
+        )
+        if self._mission.turns == turns and not self._mission.done and self._goals.exhausted:
             self.finish(context.now_ns)
+
+    def _is_reached(self, instance: Instance) -> bool:
+        """Return True if the robot, which stands next to it, has reached this object."""
+        return self._map.tracker.confirmed(instance)
 
     def finish(self, now_ns: int) -> None:
         """End the target: no candidate is left."""
@@ -55,70 +81,205 @@ class Pursuit:
         return self._goals.choose(context, self._map.grid, scores, images)
 
 
-class PlacePursuit(Pursuit):
+class PlacePursuit(Pursuit[PlaceTarget]):
     """Pursuit of a place: go to its pose."""
 
     def gather(self) -> Sequence[Instance]:
         return ()
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
-        target = self._mission.target
-        place = self._mission.destinations[target]
+        place = self._mission.destinations[self._mission.target]
         assert isinstance(place, PlaceTarget)
         assert place.pose is not None  # set by `locate`
+        target = self._mission.target
         return self._goals.go_to_place(context, self._map.grid, place.pose, target, images)
 
 
-class ExplorePursuit(Pursuit):
+class ExplorePursuit(Pursuit[ExploreTarget]):
     """Exploration until no frontier is left, or for some time."""
 
     def gather(self) -> Sequence[Instance]:
         return ()
 
     def judge(self, context: PolicyInput, images: int) -> None:
-        mission = self._mission
-        task = mission.destinations[mission.target]
-        assert isinstance(task, ExploreTarget)
-        if task.limit_s is not None:
-            left_s = task.limit_s - mission.pursued_now_s
+        mission, limit_s = self._mission, self._destination.limit_s
+        if limit_s is not None:
+            left_s = limit_s - mission.pursued_now_s
             if left_s <= 0:
                 self.finish(context.now_ns)
                 return
-            mission.activity = f"exploring, {shown_s(np.ceil(left_s))} left"
+            mission.activity = f"exploring, {_left(left_s)}"
         super().judge(context, images)
 
     def finish(self, now_ns: int) -> None:
-        self._mission.on_reached(f"{self._map.grid.known_m2:.0f} m² are known", now_ns)
+        known = f"{self._map.grid.known_m2:.0f} m² are known"
+        self._mission.on_reached(known, now_ns, f"{known}, {self._found()}")
+
+    def _found(self) -> str:
+        """Return the names of the objects in the map, the most frequent first."""
+        least = self._map.config.perception.min_hits
+        objects = known_objects(self._map.sightings.shown, 0, least)
+        numbers = Counter(one.name for one in objects).most_common()
+        named = [f"{name} ({n})" if n > 1 else name for name, n in numbers[:_MOST_NAMED]]
+        more = len(numbers) - len(named)
+        named += [f"{more} more kinds"] if more else []
+        return f"found: {', '.join(named)}" if named else "found no objects"
 
 
-class WaitPursuit(Pursuit):
+class WaitPursuit(Pursuit[WaitTarget]):
     """Wait where the robot is."""
 
     def gather(self) -> Sequence[Instance]:
         return ()
 
     def judge(self, context: PolicyInput, images: int) -> None:
-        mission = self._mission
-        task = mission.destinations[mission.target]
-        assert isinstance(task, WaitTarget)
+        mission, seconds = self._mission, self._destination.seconds
         self._goals.phase = "waiting"
-        if task.seconds is None:
+        if seconds is None:
             mission.activity = "waiting until told to go on"
             return
-        left_s = task.seconds - mission.pursued_now_s
-        mission.activity = f"waiting, {shown_s(np.ceil(left_s))} left"
+        left_s = seconds - mission.pursued_now_s
+        mission.activity = f"waiting, {_left(left_s)}"
         if left_s <= 0:
-            mission.on_reached(f"waited {shown_s(task.seconds)}", context.now_ns)
+            mission.on_reached(f"waited {shown_s(seconds)}", context.now_ns)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         self._goals.rest()
         return None
 
 
-PURSUITS: dict[type[Destination] | None, type[Pursuit]] = {
+class CheckPursuit(Pursuit[CheckTarget]):
+    """A look if a thing is there: at where it was before, then everywhere.
+
+    The answer is yes if the thing is confirmed and detected during the pursuit. It is no if the
+    search for it ends; the target counts as reached with either answer.
+    """
+
+    _since_ns: int | None = None  # stamp of the first observation of the pursuit
+
+    def judge(self, context: PolicyInput, images: int) -> None:
+        mission, tracker = self._mission, self._map.tracker
+        if self._since_ns is None:
+            self._since_ns = context.observation.stamp_ns
+        prompt = mission.brief.prompt_for(mission.target)
+        seen = [one for one in tracker.of(prompt, sure=True) if one.last_seen_ns >= self._since_ns]
+        if seen:
+            self._answer_yes(seen, context)
+            return
+        mission.activity = f"checking for the {self._destination.name}"
+        limit_s = mission.config.search_limit_s
+        if limit_s is not None and mission.pursued_now_s > limit_s:
+            self._answer_no(f"not found within {shown_s(limit_s)}", context.now_ns)
+            return
+        super().judge(context, images)
+
+    def finish(self, now_ns: int) -> None:
+        reason = self._goals.failure_reason(self._mission, self._map.grid)
+        self._answer_no(reason, now_ns)
+
+    def _is_reached(self, instance: Instance) -> bool:
+        """Return False: only a new detection counts, and `judge` handles those."""
+        return False
+
+    def _answer_yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
+        pose = context.pose
+        at = min(seen, key=lambda one: one.distance_m(pose.x_m, pose.y_m))
+        x_m, y_m, _ = at.center_m.tolist()
+        others = f"; {len(seen)} in all" if len(seen) > 1 else ""
+        where = f"at ({x_m:.1f}, {y_m:.1f}), {at.distance_m(pose.x_m, pose.y_m):.1f} m away{others}"
+        answer = f"yes, there is a {self._destination.name} {where}"
+        self._mission.on_reached(answer, context.now_ns, answer)
+
+    def _answer_no(self, reason: str, now_ns: int) -> None:
+        answer = f"no, there is no {self._destination.name}: {reason}"
+        self._mission.on_reached(answer, now_ns, answer)
+
+
+class RoomPursuit(Pursuit[RoomTarget]):
+    """Pursuit of a room: explore where it is likely; when it is known, go inside.
+
+    The robot is inside if the map says so, whatever the controller says of its goal.
+    """
+
+    _chosen = 0  # id of the room to go to
+
+    def gather(self) -> Sequence[Instance]:
+        return ()
+
+    def judge(self, context: PolicyInput, images: int) -> None:
+        mission, room = self._mission, self._choose(context)
+        if room is None:
+            mission.activity = "exploring to find it"
+            super().judge(context, images)
+            return
+        number = f"room {room.id}"
+        name = number if room.title == number else f"{room.title}, {number}"
+        why = one_line(f"the {name}" + (f": {room.reason}" if room.reason else ""))
+        if self._map.rooms.entered(context.pose.x_m, context.pose.y_m) == room.id:
+            self._goals.drop()
+            mission.on_reached(f"inside {why}", context.now_ns)
+            return
+        mission.activity = f"going to {why}"
+        super().judge(context, images)
+
+    def finish(self, now_ns: int) -> None:
+        rooms = self._map.rooms.rooms
+        if self._destination.which == "largest" and not self._chosen and rooms:
+            self._chosen = max(rooms, key=lambda room: room.area_m2).id
+            return
+        super().finish(now_ns)
+
+    def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
+        target, grid, goals = self._destination, self._map.grid, self._goals
+        room = self._map.rooms.room(self._chosen)
+        if room is not None:
+            goal = goals.go_to_point(context, grid, room.points_m, self._mission.target)
+            return goal or goals.explore_towards(context, grid, room.xy_m, images)
+        kind = kind_of_room(target.name) if target.which == "called" else None
+        if target.which != "with":
+            known = kind if kind in RECOGNISED_KINDS else None
+            prior = None if known is None else RoomKindPrior(self._map.rooms, known)
+            scores = SearchPolicy(PolicySearch()).score(replace(context, prior=prior))
+        return goals.choose(context, grid, np.asarray(scores, np.float32), images)
+
+    def _choose(self, context: PolicyInput) -> MappedRoom | None:
+        """Return the room to go to; None if none is known. A choice stays while it is possible."""
+        rooms, which = self._map.rooms, self._destination.which
+        if which in ("largest", "next") and (room := rooms.room(self._chosen)) is not None:
+            return room
+        found = rooms_of(self._destination, self._map)
+        if which == "next":
+            here = rooms.room_at(context.pose.x_m, context.pose.y_m)
+            beside = set() if here is None else {door.room for door in here.doors}
+            found = [room for room in found if np.isfinite(self._path_m(room))]
+            found = [room for room in found if room.id in beside] or found
+        chosen = next((room for room in found if room.id == self._chosen), None)
+        if chosen is None and found:
+            chosen = min(found, key=lambda room: (self._path_m(room), room.id))
+        number = 0 if chosen is None else chosen.id
+        if number != self._chosen:
+            self._chosen = number
+            self._goals.drop()
+        return chosen
+
+    def _path_m(self, room: MappedRoom) -> float:
+        """Return the driving distance to a room; inf if no path is known."""
+        n, path_m = len(room.points_m), np.empty(len(room.points_m), np.float32)
+        kind = np.zeros(n, np.int8)
+        self._map.grid.reach.path_lengths_m(room.points_m, kind, _ROOM_SNAP_M, n, path_m)
+        return float(path_m.min(initial=np.inf))
+
+
+PURSUITS: dict[type | None, type[Pursuit]] = {
     None: Pursuit,
     PlaceTarget: PlacePursuit,
     ExploreTarget: ExplorePursuit,
     WaitTarget: WaitPursuit,
+    CheckTarget: CheckPursuit,
+    RoomTarget: RoomPursuit,
 }
 """The pursuit of each kind of destination; that of `None` is for things."""
+
+
+def _left(left_s: float) -> str:
+    return f"{shown_s(math.ceil(max(0.0, left_s)))} left"

@@ -8,6 +8,7 @@ import numpy as np
 
 from edge.config import Config
 from edge.loop.behaviours.pursuits import PURSUITS, Pursuit
+from edge.loop.behaviours.room_targets import close_forbidden, known_targets
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
@@ -40,13 +41,19 @@ class SearchBehaviour:
     ) -> None:
         self._mission, self._config = mission, config
         self._map, self._goals, self._surveyor = here, goals, surveyor
+        self._things = tuple(t for t in mission.brief.targets if t not in mission.destinations)
+        self._pursued: tuple[int, Pursuit] | None = None  # first the turns of the mission
 
     @property
     def _pursuit(self) -> Pursuit:
-        """The pursuit of the active target."""
-        destination = self._mission.destinations.get(self._mission.target)
-        kind = None if destination is None else type(destination)
-        return PURSUITS[kind](self._mission, self._config, self._map, self._goals)
+        """The pursuit of the active target, a new one whenever another target becomes active."""
+        if self._pursued is None or self._pursued[0] != self._mission.turns:
+            mission = self._mission
+            destination = mission.destinations.get(mission.target)
+            kind = PURSUITS[None if destination is None else type(destination)]
+            pursuit = kind(destination, mission, self._map, self._goals)
+            self._pursued = (mission.turns, pursuit)
+        return self._pursued[1]
 
     def gather(self) -> Sequence[Instance]:
         """Return the objects that are candidates for the active target."""
@@ -57,8 +64,9 @@ class SearchBehaviour:
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
         sure = not self._config.policy.instances
-        seen = newest_ids(self._map.tracker, mission.brief.prompts, sure)
-        mission.see(seen | dict.fromkeys(mission.destinations, 0), now_ns)
+        seen = newest_ids(self._map.tracker, self._things, sure)
+        mission.see(seen | known_targets(mission, self._map), now_ns)
+        close_forbidden(mission, self._map)
         if self._surveyor is not None:
             self._surveyor.step(mission, grid, self._map.tracker, pose, now_ns)
         if goals.follows(mission) and mission.active:

@@ -1,4 +1,4 @@
-"""Names of places and rooms in an instruction, in quotes, so that translators take them as names."""
+"""Names of places and rooms in an instruction, in quotes, so that translators keep them."""
 
 from __future__ import annotations
 
