@@ -125,6 +125,11 @@ class GoalTracker:
         return None if self._present is None else self._present.answer
 
     @property
+    def arrived(self) -> bool:
+        """True if the controller says that the robot is at the current goal."""
+        return self.answer is not None and self.answer.state == "reached"
+
+    @property
     def searched(self) -> bool:
         """True if all candidates are used up.
 
@@ -533,7 +538,10 @@ class GoalTracker:
         goal, answer = present.goal, present.answer
         state = None if answer is None else answer.state
         away_m = pose.distance_to(*goal.candidate_xy_m)
-        if present.settles and state == "reached" and away_m <= _AT_PLACE_M + ARRIVED_M:
+        arrived = state == "reached" and away_m <= _AT_PLACE_M + ARRIVED_M
+        if arrived and not present.settles:
+            return
+        if arrived:
             self.drop()
             mission.on_reached(f"{away_m:.1f} m from the place", now_ns)
         elif answer is not None and state in ("reached", "failed"):

@@ -110,7 +110,7 @@ class SemanticMap:
         """Update rooms and prior with the objects seen."""
         self.surveyor.step(self.view, now_ns)
         self.rooms.on_pose(pose.x_m, pose.y_m)
-        self.rooms.update(self.sightings.shown)
+        self.rooms.update(self.sightings.shown, now_ns)
         if self.prior is not None:
             self.prior.step(self.rooms.survey.regions, self.sightings.shown)
 

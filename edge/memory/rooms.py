@@ -15,6 +15,8 @@ from edge.memory.room_kinds import kind_of_room
 from edge.memory.room_shapes import NO_SURVEY, LostRoom, Passage, RoomShape, RoomSurvey
 from edge.memory.site import RoomName, Site, is_same
 from edge.perception.prior import rooms as kinds
+from edge.perception.prior.cooccurrence import NEAR_M
+from edge.perception.prior.nearby import nearby
 from edge.perception.prior.table import ObjectPrior, load
 from edge.perception.prior.words import PriorWordIndex
 from edge.perception.tracking.sightings import TrackedObjects
@@ -24,6 +26,8 @@ SURE = 0.15
 """A sighting of this confidence has full weight, because the mean includes views from afar."""
 SURE_KIND = 0.8
 """Smallest probability of a kind for a room to count as one."""
+PERIOD_NS = 250_000_000
+"""Shortest time between two updates by new objects."""
 _REASONS = 2  # number of objects that an explanation names
 _MOST_ROOMS = 1 << 12
 
@@ -107,9 +111,9 @@ class MappedRoom:
     Attributes:
         id: number of the room; it stays while the map grows.
         name: name that a person gave; "" for none.
-        kind: its kind if it is certain enough, else "".
+        kinds: its kinds that are certain enough. An open-plan room may be kitchen and living room.
         chance: probability of each kind of the prior's table; of a named kind 1.
-        reason: why it has its kind, for people; "" without a kind.
+        held: (things,) float32, confidence that each thing of the prior's table is in it.
         polygon_m: (k, 2) float64, outline in `map`.
         area_m2: known floor, with furniture.
         xy_m: the point farthest from the border.
@@ -121,9 +125,9 @@ class MappedRoom:
 
     id: int
     name: str
-    kind: str
+    kinds: tuple[str, ...]
     chance: dict[str, float]
-    reason: str
+    held: np.ndarray
     polygon_m: np.ndarray
     area_m2: float
     xy_m: tuple[float, float]
@@ -134,13 +138,28 @@ class MappedRoom:
 
     @property
     def title(self) -> str:
-        """Its name, or its kind, or its number."""
-        return self.name or self.kind or f"room {self.id}"
+        """Its name, or its kinds, or its number."""
+        return self.name or " and ".join(self.kinds) or f"room {self.id}"
+
+    @property
+    def is_named(self) -> bool:
+        """True if a person's name says what kind of room it is."""
+        return kind_of_room(self.name) is not None
+
+    @property
+    def reason(self) -> str:
+        """Why it has its kinds, for people; "" without one."""
+        return "named by a person" if self.is_named else _reason(self.kinds, self.held)
+
+    @property
+    def things(self) -> list[str]:
+        """Things of the prior's table that were seen in it."""
+        return [load().things[at] for at in np.flatnonzero(self.held)]
 
     def to_json(self) -> dict[str, Any]:
         """Return it JSON-ready."""
         return {
-            "id": self.id, "name": self.name, "kind": self.kind, "reason": self.reason,
+            "id": self.id, "name": self.name, "kinds": list(self.kinds), "reason": self.reason,
             "chance": {kind: round(p, 3) for kind, p in self.chance.items()},
             "polygon": np.round(self.polygon_m, 2).tolist(), "area_m2": round(self.area_m2, 1),
             "xy": [round(v, 2) for v in self.xy_m], "visited": self.is_visited,
@@ -173,9 +192,13 @@ class RoomMemory:
         self._index = SeenObjectIndex(words)
         self._held = np.zeros((1, len(table.things)), np.float32)
         self._belief = kinds.room_prior(table)[None]
+        self._objects = SeenObjects(
+            np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32)
+        )
         self._names: tuple[RoomName, ...] = ()
         self._visited: set[int] = set()
         self._generation = -1  # of the objects
+        self._updated_ns = 0
         self._is_due = False
 
     # -- in each tick -----------------------------------------------------------------------
@@ -190,19 +213,24 @@ class RoomMemory:
             self._visited.add(room)
             self._is_due = True
 
-    def update(self, sightings: TrackedObjects) -> None:
-        """Update kinds and names, if something changed."""
-        if not self._is_due and sightings.generation == self._generation:
+    def update(self, sightings: TrackedObjects, now_ns: int) -> None:
+        """Update kinds and names, if something changed: objects at most every `PERIOD_NS`."""
+        rested = not 0 <= now_ns - self._updated_ns < PERIOD_NS
+        if not self._is_due and (sightings.generation == self._generation or not rested):
             return
-        self._is_due, self._generation = False, sightings.generation
+        self._is_due, self._generation, self._updated_ns = False, sightings.generation, now_ns
         self.version += 1
         regions, objects = self.survey.regions, self._index.of(sightings)
         held = self._held = objects_by_region(regions, objects, len(self._table.things))
-        chance = kinds_by_region(self._table, self._chance, regions.border, held)
-        self._belief, named = chance, self._named()
+        self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
+        self._belief = kinds_by_region(self._table, self._chance, regions.border, held)
+        shapes, named = self.survey.shapes, self._named()
+        at = [shape.region for shape in shapes]
+        area_m2 = np.array([shape.area_m2 for shape in shapes])
+        chance = kinds.included_kinds(self._table, self._chance, held[at], area_m2)
         self.rooms = tuple(
-            self._room(shape, held[shape.region], chance[shape.region], named.get(shape.id, ()))
-            for shape in self.survey.shapes
+            self._room(shape, held[shape.region], row, named.get(shape.id, ()))
+            for shape, row in zip(shapes, chance, strict=True)
         )
 
     def set_site(self, site: Site) -> None:
@@ -220,11 +248,6 @@ class RoomMemory:
         region = int(self.survey.regions.at(np.array([[x_m, y_m]], np.float32))[0])
         return self.room(int(self.survey.ids[region])) if region else None
 
-    def things_in(self, room: MappedRoom) -> list[str]:
-        """Return the things of the prior's table that were seen in a room."""
-        shape = next(one for one in self.survey.shapes if one.id == room.id)
-        return [self._table.things[at] for at in np.flatnonzero(self._held[shape.region])]
-
     def entered(self, x_m: float, y_m: float) -> int:
         """Return the id of the room that a robot at a point is inside of; 0 if it is in none."""
         room_id, depth_m = self.survey.depth_at(x_m, y_m)
@@ -236,7 +259,7 @@ class RoomMemory:
         named = [room for room in self.rooms if room.name and is_same(room.name, name)]
         numbered = [room for room in self.rooms if is_same(f"room {room.id}", name)]
         kind = kind_of_room(name)
-        return named or numbered or [room for room in self.rooms if kind and room.kind == kind]
+        return named or numbered or [room for room in self.rooms if kind in room.kinds]
 
     def matching(self, name: str) -> list[MappedRoom]:
         """Return all rooms that a name may mean: by a person's name, by number and by kind."""
@@ -246,7 +269,7 @@ class RoomMemory:
             for room in self.rooms
             if (room.name and is_same(room.name, name))
             or is_same(f"room {room.id}", name)
-            or (kind and room.kind == kind)
+            or kind in room.kinds
         ]
 
     def with_thing(self, name: str, sightings: TrackedObjects, min_hits: int) -> list[MappedRoom]:
@@ -271,6 +294,22 @@ class RoomMemory:
         if len(belief) != self.survey.regions.n + 1:  # a new survey came after the last update
             return np.ones(len(xy_m))
         return belief[self.survey.regions.at(xy_m)] / average
+
+    def kind_near(self, kind: str, xy_m: np.ndarray) -> np.ndarray:
+        """Return P(a place is in a room of a kind | objects near and in sight), (n,) float64.
+
+        Args:
+            kind: of the prior's table.
+            xy_m: (n, 2) float32 in `map`.
+        """
+        regions, objects, n = self.survey.regions, self._objects, len(xy_m)
+        near = np.zeros((n, len(self._table.things)), np.float32)
+        nearby(
+            regions.wall, *regions.grid.origin_xy_m, regions.grid.resolution_m, xy_m, n,
+            objects.xyz_m, objects.row, objects.weight, len(objects.row), NEAR_M, near,
+        )  # fmt: skip
+        belief = kinds.room_posterior(self._table, self._chance, near, kinds.EVIDENCE)
+        return belief[:, self._table.kinds.index(kind)]
 
     # -- frames and checkpoints ----------------------------------------------------------------
 
@@ -326,22 +365,22 @@ class RoomMemory:
         self, shape: RoomShape, held: np.ndarray, chance: np.ndarray, named: tuple[str, ...]
     ) -> MappedRoom:
         name = named[-1] if named else ""
-        kind, reason = kind_of_room(name) or "", ""
         by_kind = dict(zip(self._table.kinds, chance.tolist(), strict=True))
-        best = int(chance.argmax())
-        if kind:
-            by_kind = {**dict.fromkeys(by_kind, 0.0), kind: 1.0}
-            reason = "named by a person"
-        elif chance[best] >= SURE_KIND:
-            kind, reason = self._table.kinds[best], self._reason(best, held)
+        found = tuple(kind for kind, p in by_kind.items() if p >= SURE_KIND)
+        if (by_person := kind_of_room(name)) is not None:
+            found, by_kind = (by_person,), {**dict.fromkeys(by_kind, 0.0), by_person: 1.0}
         return MappedRoom(
-            shape.id, name, kind, by_kind, reason, shape.polygon_m, shape.area_m2, shape.xy_m,
+            shape.id, name, found, by_kind, held, shape.polygon_m, shape.area_m2, shape.xy_m,
             shape.inside_m, shape.points_m, shape.doors, shape.id in self._visited,
         )  # fmt: skip
 
-    def _reason(self, kind: int, held: np.ndarray) -> str:
-        """Return the objects that speak most for a kind, in words."""
-        prior = kinds.room_prior(self._table)
-        says = held * np.log(self._chance[kind] / (prior @ self._chance))
+
+def _reason(found: tuple[str, ...], held: np.ndarray) -> str:
+    """Return the objects that speak most for some kinds, in words; "" if there are none."""
+    table, named = load(), []
+    chance, prior = kinds.object_given_room(table), kinds.room_prior(table)
+    for kind in found:
+        says = held * np.log(chance[table.kinds.index(kind)] / (prior @ chance))
         best = [at for at in np.argsort(-says)[:_REASONS].tolist() if says[at] > 0.0]
-        return one_line(" and ".join(self._table.things[at] for at in best) + " seen")
+        named += [table.things[at] for at in best]
+    return one_line(f"{' and '.join(dict.fromkeys(named))} seen") if named else ""

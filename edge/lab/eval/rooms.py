@@ -27,6 +27,8 @@ EXPLORE_S, GOAL_S = 180.0, 240.0
 """Simulated time for exploring a house, and for driving to a room."""
 _SAME_ROOM = 0.5
 """Smallest share of a mapped room's floor in one true room to be judged."""
+_PART = 0.2
+"""Smallest share of a mapped room's floor in a true room for its kind to count, too."""
 _LOCKSTEP: Data = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
 
 
@@ -39,7 +41,8 @@ class RoomVerdict:
         id: of the mapped room.
         truth: kind of the true room.
         share: share of the mapped floor that lies in it.
-        kind: kind by the robot; "" if it is not certain.
+        also: kinds of all true rooms with at least `_PART` of the mapped floor.
+        kinds: kinds by the robot; empty if none is certain.
         best: most likely kind by the robot, certain or not.
         chance: probability of `best`.
         typical: number of typical things of the true kind that were seen in the mapped room.
@@ -49,7 +52,8 @@ class RoomVerdict:
     id: int
     truth: str
     share: float
-    kind: str
+    also: frozenset[str]
+    kinds: tuple[str, ...]
     best: str
     chance: float
     typical: int
@@ -101,20 +105,20 @@ def judge_rooms(world: World, memory: RoomMemory) -> list[RoomVerdict]:
         counts = np.bincount(at[at >= 0], minlength=len(world.rooms))
         if room is None or not counts.any():
             continue
-        best = int(counts.argmax())
-        verdicts.append(
-            _verdict(world, memory, room, world.room_kinds[best], counts[best] / len(cells))
-        )
+        best, parts = int(counts.argmax()), np.flatnonzero(counts >= _PART * len(cells)).tolist()
+        also = frozenset(world.room_kinds[at] for at in parts)
+        share = float(counts[best] / len(cells))
+        verdicts.append(_verdict(world, room, world.room_kinds[best], share, also))
     return verdicts
 
 
 def _verdict(
-    world: World, memory: RoomMemory, room: MappedRoom, truth: str, share: float
+    world: World, room: MappedRoom, truth: str, share: float, also: frozenset
 ) -> RoomVerdict:
     best = max(room.chance, key=lambda kind: room.chance[kind])
-    typical = len(typical_things(truth) & set(memory.things_in(room)))
+    typical = len(typical_things(truth) & set(room.things))
     chance = room.chance[best]
-    return RoomVerdict(world.name, room.id, truth, float(share), room.kind, best, chance, typical)
+    return RoomVerdict(world.name, room.id, truth, share, also, room.kinds, best, chance, typical)
 
 
 def explore(config: Config, world: World, seconds: float = EXPLORE_S) -> ClosedLoop:
@@ -199,14 +203,18 @@ def report(verdicts: list[RoomVerdict], outcomes: list[RoomGoalOutcome]) -> str:
     clear = [one for one in judged if one.typical >= TYPICAL]
     rows = [("measure", "value", "95 %", "n")]
     for name, among, right in (
-        ("kind is right, two or more typical things seen", clear, lambda v: v.kind == v.truth),
+        ("kind is right, two or more typical things seen", clear, _is_right),
         ("most likely kind is right, the same rooms", clear, lambda v: v.best == v.truth),
-        ("kind is right, of all rooms with a kind", [v for v in judged if v.kind],
-         lambda v: v.kind == v.truth),
+        ("kind is right, of all rooms with a kind", [v for v in judged if v.kinds], _is_right),
     ):  # fmt: skip
         rows.append(_row(name, [right(one) for one in among]))
     rows.append(_row("room is reached", [one.success for one in outcomes]))
     return format_table(rows, left=1)
+
+
+def _is_right(verdict: RoomVerdict) -> bool:
+    """Return True if the true kind was found, and no kind that is not there."""
+    return verdict.truth in verdict.kinds and verdict.also.issuperset(verdict.kinds)
 
 
 def _row(name: str, right: list[bool]) -> tuple[str, str, str, str]:
