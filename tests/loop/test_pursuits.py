@@ -13,7 +13,7 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission, mission_verbs
-from edge.memory import Place, Site
+from edge.memory import Place, RoomName, Site
 from edge.mission.spec import prepare
 
 S = 1_000_000_000
@@ -88,6 +88,47 @@ def test_a_check_for_what_is_not_there_answers_no(tmp_path):
     status = loop_of(tmp_path, 'F "check surfboard"').run(280).service.status
     assert status.phase == "reached", status
     assert status.reason.startswith("no, there is no surfboard: explored all reachable space")
+
+
+NAMED = Site((RoomName("workshop", (2.0, 2.0)), RoomName("bedroom", (6.0, 2.0))))
+
+
+def in_rooms(folder: Path, formula: str) -> ClosedLoop:
+    """A loop in the small house whose two rooms have names."""
+    loop = loop_of(folder, "F start")
+    loop.service.change_site(NAMED, loop.drive.motion.stamp_ns)
+    brief = prepare(loop.config.mission, formula=formula, site=NAMED)
+    loop.service.begin(brief, loop.drive.motion.stamp_ns)
+    return loop
+
+
+def test_exploring_a_room_stays_inside_and_tells_what_is_there(tmp_path):
+    loop = in_rooms(tmp_path, 'F "explored workshop"').run(100)
+    status = loop.service.status
+    assert status.phase == "reached", status
+    assert re.fullmatch(r"workshop: 1\d m² are known, found: .*sofa.*", status.reason)
+    assert "bed" not in status.reason
+    assert all(goal.pose.x_m < 4.3 for goal in loop.notes.goals)
+
+
+@pytest.mark.parametrize(
+    ("formula", "answer"),
+    [
+        ('F "check sofa in workshop"', "yes, there is a sofa in the workshop at \\("),
+        ('F "check bed in workshop"', "no, there is no bed in the workshop: the room is explored"),
+        ('F "check bed in bedroom"', "yes, there is a bed in the bedroom at \\("),
+    ],
+)
+def test_a_check_in_a_room_looks_only_there(formula, answer, tmp_path):
+    status = in_rooms(tmp_path, formula).run(150).service.status
+    assert status.phase == "reached", status
+    assert re.match(answer, status.reason), status.reason
+
+
+def test_it_patrols_rooms(tmp_path):
+    loop = in_rooms(tmp_path, "G F workshop & G F bedroom")
+    steps(loop, 60.0)
+    assert loop.service.mission.round >= 2, loop.notes.events
 
 
 def test_it_comes_to_the_caller(tmp_path):
