@@ -178,9 +178,9 @@ def test_what_the_goal_is_judged_by_is_the_same(drive, tmp_path, monkeypatch):
     """How many images the detector had been through counts for a search that is given up."""
     judge, images = GoalTracker.judge, []
 
-    def spy(self, grid, pose, mission, done, *more):
+    def spy(self, grid, pose, mission, done, *rest):
         images.append(done)
-        return judge(self, grid, pose, mission, done, *more)
+        return judge(self, grid, pose, mission, done, *rest)
 
     monkeypatch.setattr(GoalTracker, "judge", spy)
     path = Recording(tmp_path, small(loop={"lockstep": True})).steps(10).close()
@@ -248,7 +248,7 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
         if ticks % 7 == 4 and thinks.thinks:
             thinks.told.release()
             eventually(lambda: not thinks.thinks)
-        workers = came.keys() >= {"detector", "surveyor", "rooms", "choice"}
+        workers = came.keys() >= {"detector", "surveyor", "prior", "choice"}
         return ticks >= 40 and workers and came["choice"] >= 2
 
     eventually(all_came, lambda: f"{ticks} ticks, of the workers came {dict(came)}")
