@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_house import small_house
 
@@ -15,6 +16,7 @@ from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission, mission_verbs
 from edge.memory import Place, RoomName, Site
 from edge.mission.spec import prepare
+from edge.types import Instance
 
 S = 1_000_000_000
 
@@ -88,6 +90,20 @@ def test_a_check_for_what_is_not_there_answers_no(tmp_path):
     status = loop_of(tmp_path, 'F "check surfboard"').run(280).service.status
     assert status.phase == "reached", status
     assert status.reason.startswith("no, there is no surfboard: explored all reachable space")
+
+
+def test_a_check_goes_to_where_the_thing_was_and_does_not_trust_its_memory(tmp_path):
+    loop = loop_of(tmp_path, 'F "check piano"')
+    at_m = np.array([6.5, 3.2, 0.5], np.float32)
+    points_m = at_m + np.float32([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.1]])
+    piano = Instance(0, "piano", at_m, points_m, 0.9, 50, 1, 2, "confirmed")
+    loop.service.map.tracker.add(piano)
+    status = loop.run(150).service.status
+    assert status.phase == "reached", status
+    assert status.reason.startswith("no, there is no piano: explored all reachable space")
+    kinds = [goal.kind for goal in loop.notes.goals]
+    assert "instance" in kinds
+    assert loop.service.map.tracker.of("piano", sure=True) == []
 
 
 NAMED = Site((RoomName("workshop", (2.0, 2.0)), RoomName("bedroom", (6.0, 2.0))))
