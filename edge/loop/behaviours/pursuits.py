@@ -143,7 +143,7 @@ class WaitPursuit(Pursuit[WaitTarget]):
         return None
 
 
-class Look:
+class CheckAnswer:
     """The answer to a check: yes for a thing that is confirmed and seen during the pursuit.
 
     Args:
@@ -200,18 +200,18 @@ class CheckPursuit(Pursuit[CheckTarget]):
         self, destination: CheckTarget, mission: MissionRun, here: SemanticMap, goals: GoalTracker
     ) -> None:
         super().__init__(destination, mission, here, goals)
-        self._look = Look(destination, mission, here)
+        self._answer = CheckAnswer(destination, mission, here)
 
     def judge(self, context: PolicyInput, images: int) -> None:
-        look = self._look
-        self._mission.activity = f"checking for the {look.thing}"
-        if seen := look.seen(context):
-            look.yes(seen, context)
-        elif not look.time_is_over(context.now_ns):
+        answer = self._answer
+        self._mission.activity = f"checking for the {answer.thing}"
+        if seen := answer.seen(context):
+            answer.yes(seen, context)
+        elif not answer.time_is_over(context.now_ns):
             super().judge(context, images)
 
     def finish(self, now_ns: int) -> None:
-        self._look.no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
+        self._answer.no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
         """Return False: only a new detection counts, and `judge` handles those."""
@@ -428,21 +428,21 @@ class CheckRoomPursuit(ExploreRoomPursuit):
         self, destination: CheckTarget, mission: MissionRun, here: SemanticMap, goals: GoalTracker
     ) -> None:
         super().__init__(destination, mission, here, goals)
-        self._look = Look(destination, mission, here)
+        self._answer = CheckAnswer(destination, mission, here)
 
     def gather(self) -> Sequence[Instance]:
         return () if self._inside is None else self._in_room(Pursuit.gather(self), self._inside)
 
     def judge(self, context: PolicyInput, images: int) -> None:
-        seen = self._look.seen(context)
+        seen = self._answer.seen(context)
         found = [] if self._inside is None else self._in_room(seen, self._inside)
         if found:
-            self._look.yes(found, context)
-        elif not self._look.time_is_over(context.now_ns):
+            self._answer.yes(found, context)
+        elif not self._answer.time_is_over(context.now_ns):
             super().judge(context, images)
 
     def end(self, now_ns: int) -> None:
-        self._look.no("the room is explored", now_ns)
+        self._answer.no("the room is explored", now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
         """Return False: only a new detection counts, and `judge` handles those."""
