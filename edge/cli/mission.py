@@ -64,6 +64,12 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
     kind.add_argument("--task", action="store_true", help="TEXT describes a path to drive")
     add_reading(kind)
     action.add_argument(
+        "--rounds", type=count, metavar="N", help="repeat the mission this many times"
+    )
+    action.add_argument(
+        "--for", dest="for_s", type=positive, metavar="S", help="repeat it for so many seconds"
+    )
+    action.add_argument(
         "--from-pose", type=pose, metavar="X,Y,DEG",
         help="where the caller is, for `come here`: metres in map and heading in degrees",
     )  # fmt: skip
@@ -85,7 +91,7 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
         "--patience", type=positive, metavar="S", help="time to wait for a lost robot before "
         f"another one gets its part (default: {PATIENCE_S:g})",
     )  # fmt: skip
-    return ("--task", "--reading", "--from-pose", "--timeout"), (
+    return ("--task", "--reading", "--from-pose", "--rounds", "--for", "--timeout"), (
         "--to",
         "--share",
         "--anew",
@@ -118,6 +124,8 @@ def run(args: argparse.Namespace) -> int:
         request[kind] = args.text
         if args.reading is not None:
             request["reading"] = args.reading
+        repeat = {"rounds": args.rounds, "for_s": args.for_s}
+        request |= {name: value for name, value in repeat.items() if value is not None}
         if args.from_pose is not None:
             x_m, y_m, heading_deg = args.from_pose
             request["from_pose"] = [x_m, y_m, math.radians(heading_deg)]

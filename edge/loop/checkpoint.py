@@ -86,7 +86,7 @@ class ServiceCheckpoint:
         """Restore the mission; the map comes back with the first observation."""
         self.map.prepare()
         if (saved := self.saved) is not None:
-            mission.id, mission.results = saved.id, saved.results
+            mission.id, mission.results, mission.round = saved.id, saved.results, saved.round
             self._resumed = mission
             mission.restore(
                 saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m,

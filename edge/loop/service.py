@@ -483,6 +483,11 @@ class Service:
         self.mission.pause(paused)
         self.event(f"mission: {'paused' if paused else 'resumed'}", now_ns)
 
+    def cancel(self, reason: str, now_ns: int) -> None:
+        """End the mission because a person says so; see `MissionRun.cancel`."""
+        self._journal.note("cancel", reason=reason, now_ns=now_ns)
+        self.mission.cancel(reason, now_ns)
+
     def fail(self, reason: str, now_ns: int) -> None:
         """End the mission as failed."""
         self._journal.note("fail", reason=reason, now_ns=now_ns)

@@ -142,6 +142,11 @@ class MappedRoom:
         return self.name or " and ".join(self.kinds) or f"room {self.id}"
 
     @property
+    def phrase(self) -> str:
+        """Its title in a sentence: "the kitchen", or "room 3"."""
+        return f"the {self.title}" if self.name or self.kinds else self.title
+
+    @property
     def is_named(self) -> bool:
         """True if a person's name says what kind of room it is."""
         return kind_of_room(self.name) is not None
@@ -247,6 +252,11 @@ class RoomMemory:
         """Return the room of a point, or of an object at its wall; None if there is none."""
         region = int(self.survey.regions.at(np.array([[x_m, y_m]], np.float32))[0])
         return self.room(int(self.survey.ids[region])) if region else None
+
+    def where(self, x_m: float, y_m: float) -> str:
+        """Return the room of a point in words, such as "in the kitchen"; "" if there is none."""
+        room = self.room_at(x_m, y_m)
+        return "" if room is None else f"in {room.phrase}"
 
     def entered(self, x_m: float, y_m: float) -> int:
         """Return the id of the room that a robot at a point is inside of; 0 if it is in none."""

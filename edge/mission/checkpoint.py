@@ -13,6 +13,7 @@ from edge.host.checkpoint import CheckpointFormat
 from edge.mission.destinations import Destination, of_places
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.logic.ltl import parse, propositions
+from edge.mission.repetition import Repetition
 from edge.mission.run import MissionRun
 from edge.text import bounded_repr
 
@@ -28,6 +29,7 @@ class MissionState:
     Attributes:
         instruction: see `edge.mission.translate.Translation`, as for `backend`, `english`,
             `reading`, `readings` and `implied`.
+        repeat: see `edge.mission.translate.Translation`; `round` is the current round.
         destinations: see `edge.mission.run.MissionRun`; older files call them `places`.
         formula: text of the automaton's formula.
         word: the trace so far: reached propositions and `NOTHING`. The automaton's state is not
@@ -75,16 +77,18 @@ class MissionState:
     task: bool = False
     exempt_s: NotNegative = 0.0
     exempt_m: NotNegative = 0.0
+    repeat: Repetition | None = None
+    round: Annotated[int, Field(ge=1)] = 1
     results: tuple[str, ...] = ()
     pursued_s: dict[Word, NotNegative] = field(default_factory=dict)
 
 
 OF_TRANSLATION = (
-    "instruction", "backend", "english", "reading", "readings", "implied", "destinations",
+    "instruction", "backend", "english", "reading", "readings", "implied", "destinations", "repeat",
 )  # fmt: skip
 _OF_RUN = (
     "word", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id", "exempt_s",
-    "exempt_m", "results",
+    "exempt_m", "results", "round",
 )  # fmt: skip
 
 

@@ -24,9 +24,10 @@ CALLER = "caller"
 """The place that a request gives as `from_pose`."""
 LONGEST_S = 24 * 3600.0
 _UNITS_S = {"s": 1, "sec": 1, "second": 1, "min": 60, "minute": 60, "h": 3600, "hour": 3600}
-_DURATION = r"(?P<n>[\w.]+(?: \w+)??) (?P<unit>s|secs?|seconds?|mins?|minutes?|h|hours?)"
-_WAIT = re.compile(rf"wait(?: (?:for )?{_DURATION})?")
-_EXPLORE = re.compile(rf"{EXPLORED}(?: (?!for )(?P<room>.+?))?(?: for {_DURATION})?")
+DURATION = r"[\w.]+(?:\s+\w+)?\s+(?:s|secs?|seconds?|mins?|minutes?|h|hours?)"
+"""Pattern of a text for `duration_s`."""
+_WAIT = re.compile(rf"wait(?: (?:for )?(?P<time>{DURATION}))?")
+_EXPLORE = re.compile(rf"{EXPLORED}(?: (?!for )(?P<room>.+?))?(?: for (?P<time>{DURATION}))?")
 _CHECK = re.compile(r"check (?:the )?(?P<name>.+)")
 _ROOM_NUMBER = re.compile(r"room (?P<n>\w+)")
 _ROOM_WITH = re.compile(r"room with (?:(?:the|a|an) )?(?P<name>.+)")
@@ -150,9 +151,9 @@ def destination_of(text: str, site: Site) -> Destination | None:
             "send from_pose: [x_m, y_m, yaw_rad] with it"
         )
     if found := _WAIT.fullmatch(text):
-        return WaitTarget(_seconds(found))
+        return WaitTarget(found["time"] and duration_s(found["time"]))
     if found := _EXPLORE.fullmatch(text):
-        return ExploreTarget(found["room"] or "", _seconds(found))
+        return ExploreTarget(found["room"] or "", found["time"] and duration_s(found["time"]))
     if found := _CHECK.fullmatch(text):
         return CheckTarget(found["name"])
     return _room_of(text, site)
@@ -241,17 +242,20 @@ def of_places(said: Any) -> Any:
     return {name: upgraded(name, pose) for name, pose in said.items()}
 
 
-def _seconds(found: re.Match[str]) -> float | None:
-    """Return the duration of a phrase; None if it has none."""
-    if found["unit"] is None:
-        return None
-    unit_s = _UNITS_S[found["unit"] if found["unit"] == "s" else found["unit"].rstrip("s")]
-    number: float | None = names.number(found["n"].split())
-    if number is None and re.fullmatch(r"\d{1,6}\.\d{1,3}", found["n"]):
-        number = float(found["n"])
-    if number is None or not 0 < number * unit_s <= LONGEST_S:
+def duration_s(text: str) -> float:
+    """Return the seconds of a text such as `30 s`, `1.5 min` or `two hours`.
+
+    Raises:
+        DestinationError: the number is none, or the time too long.
+    """
+    *number, unit = text.split()
+    unit_s = _UNITS_S.get(unit if unit == "s" else unit.rstrip("s"), 0)
+    count: float | None = names.number(number) if number else None
+    if count is None and re.fullmatch(r"\d{1,6}\.\d{1,3}", " ".join(number)):
+        count = float(number[0])
+    if count is None or not 0 < count * unit_s <= LONGEST_S:
         raise DestinationError(
-            f"{one_line(found[0], 60)}: expected a time over 0 s and up to {LONGEST_S / 3600:g} h, "
+            f"{one_line(text, 60)}: expected a time over 0 s and up to {LONGEST_S / 3600:g} h, "
             'as in "30 s" or "10 min"'
         )
-    return number * unit_s
+    return float(count * unit_s)

@@ -16,6 +16,7 @@ from edge.mission.logic.automaton import NOTHING
 from edge.mission.planning.plan import MissionKnowledge, Planner, TargetPlan
 from edge.mission.planning.planner import make_planner
 from edge.mission.planning.task_planner import TaskPlanner
+from edge.mission.repetition import Repetition
 from edge.mission.spec import MissionSpec
 from edge.text import one_line
 from edge.types import MissionEvent, MissionEventKind, MissionPhase, MissionStatus
@@ -40,6 +41,7 @@ class MissionRun:
         detected: the set D, as labels.
         failed: the set B, as labels.
         reached: the set R, in order of reaching.
+        round: number of the current round, from 1, of a mission that repeats.
         results: what the mission found out so far, for the reason of its end.
         steps: the mission log, oldest entry first, at most the last `MAX_STEPS`.
         started: True after `start`.
@@ -92,6 +94,7 @@ class MissionRun:
         self.activity = ""
         self.reason = ""
         self.results: tuple[str, ...] = ()
+        self.round = 1
         self.steps: tuple[MissionEvent, ...] = ()
         self._instruction = one_line(brief.translation.instruction)
         self.config = config
@@ -107,6 +110,7 @@ class MissionRun:
         self._newest: dict[str, int] = dict.fromkeys(known, 0)
         self._stale: dict[str, int] = {}
         self.pursued_s: dict[str, float] = {}
+        self._left_out = 0  # targets left out since one was reached
         self._last_ns: int | None = None
         self._last_pose: SE2 | None = None
         self.plan: TargetPlan = self._planner.plan(self.state, self.knowledge)
@@ -173,11 +177,20 @@ class MissionRun:
         return MissionStatus(
             self.target,
             phase,
-            self.reason or self.activity * self.active,
+            self.reason or self._doing,
             self.elapsed_s,
             self.path_m,
             self._instruction,
         )
+
+    @property
+    def _doing(self) -> str:
+        """What the robot does now, for the status; "" to say nothing."""
+        repeat = self.brief.translation.repeat
+        if not self.active:
+            return ""
+        rounds = "" if repeat is None else repeat.shown_round(self.round, self.elapsed_s)
+        return "; ".join(filter(None, (rounds, self.activity)))
 
     # -- time, path and limits ----------------------------------------------------------------
 
@@ -234,9 +247,16 @@ class MissionRun:
             self.pursued_s[self.target] = self.pursued_now_s + passed_s
 
     def check_limits(self, now_ns: int) -> None:
-        """Fail at the time or path limit; abandon a target at the search limit."""
-        c = self.config
+        """End at the end of the repetition; fail at the time or path limit of the mission.
+
+        In a mission that repeats, the limits apply to each round. A target is abandoned at the
+        search limit.
+        """
+        c, repeat = self.config, self.brief.translation.repeat
         if not self.active:
+            return
+        if repeat is not None and repeat.limit_s is not None and self.elapsed_s > repeat.limit_s:
+            self._finish("reached", self._rounds_done(self.round - 1), now_ns)
             return
         if self.elapsed_s - self.exempt_s > c.time_limit_s:
             self.fail(f"time limit of {c.time_limit_s:g} s", now_ns)
@@ -292,15 +312,15 @@ class MissionRun:
             now_ns: time of the loop.
             result: what the person wants to know at the end of the mission, such as an answer.
         """
-        label = self.target
+        label, self._left_out = self.target, 0
         if result:
             self.results = (*self.results, one_line(result, _RESULT_CHARS))[-_MOST_RESULTS:]
         self._take(label)
         self.reached = tuple(dict.fromkeys((*self.reached, label)))
         self.pursued_s[label] = 0.0
         self._note(now_ns, "reached", label, f"reached: {label} ({evidence})")
-        if not self._accept(evidence, now_ns):
-            self._replan(now_ns, retarget=True)
+        self._accept(evidence, now_ns)
+        self._replan(now_ns, retarget=True)
 
     def on_task_steps_driven(self, steps: int, now_ns: int) -> None:
         """Record that the first `steps` steps of a task were driven; the last one ends the task."""
@@ -341,6 +361,17 @@ class MissionRun:
     def wait(self) -> None:
         """Become the idle placeholder until the first mission is given."""
         self._ended, self.reason = "idle", "waiting for a mission"
+
+    def cancel(self, reason: str, now_ns: int) -> None:
+        """End the mission because a person says so.
+
+        It fails, unless it repeats without an end of its own: for that, this is its regular end.
+        """
+        repeat = self.brief.translation.repeat
+        if repeat is not None and repeat.endless:
+            self._finish("reached", f"{reason}; {self._rounds_done(self.round - 1)}", now_ns)
+        else:
+            self.fail(reason, now_ns)
 
     def fail(self, reason: str, now_ns: int) -> None:
         """Fail the whole mission, unless it has already ended."""
@@ -388,12 +419,53 @@ class MissionRun:
         self.word = (*self.word, letter)
 
     def _accept(self, evidence: str, now_ns: int) -> bool:
+        """End the mission, or the round, if the formula is fulfilled; return True if it is."""
         if not self.brief.automaton.accepting[self.state]:
             return False
+        repeat = self.brief.translation.repeat
+        if repeat is not None:
+            self._end_round(repeat, now_ns)
+            return True
         taken = [letter for letter in self.word if letter != NOTHING]
         order = ", then ".join(taken) if len(taken) > 1 else evidence
         self._finish("reached", "; ".join(self.results) or order, now_ns)
         return True
+
+    def _end_round(self, repeat: Repetition, now_ns: int) -> None:
+        """Begin the next round, or end the mission after the last one."""
+        if self.round == repeat.rounds:
+            self._finish("reached", self._rounds_done(self.round), now_ns)
+            return
+        self.round += 1
+        self.state, self.word, self.reached = 0, (), ()
+        self.failed, self.detected = frozenset(), frozenset(self._newest)
+        self._stale, self._why_failed = {}, {}
+        self.exempt_s, self.exempt_m = self.elapsed_s, self.path_m
+        self._note(now_ns, "round", "", repeat.shown_round(self.round, self.elapsed_s))
+
+    def _leave_out(self, now_ns: int) -> bool:
+        """Leave out the failed target in this round of a mission that repeats, if that helps.
+
+        Returns False if every target was left out since one was reached: then the mission fails.
+        """
+        label, automaton = self.target, self.brief.automaton
+        if self.brief.translation.repeat is None or label not in self.failed:
+            return False
+        if self._left_out >= len(self.brief.targets) - 1:
+            return False
+        if automaton.dead(automaton.step(self.state, label)):
+            return False
+        self._left_out += 1
+        self.failed -= {label}
+        self._take(label)
+        self._note(now_ns, "warning", label, f"left out in round {self.round}: {label}")
+        self._accept("left out", now_ns)
+        return True
+
+    def _rounds_done(self, rounds: int) -> str:
+        """Return the reason of the end after some rounds."""
+        done = f"{rounds} round{'s' * (rounds != 1)} done"
+        return "; ".join((done, *self.results))
 
     def _replan(self, now_ns: int, retarget: bool = False) -> None:
         """Plan from the current state; take planned steps without an object at once.
@@ -403,17 +475,20 @@ class MissionRun:
             retarget: True if the present target is settled, so that the planner does not favour it.
         """
         self.changes += 1
-        while True:
+        while not self.done:
             current = None if retarget else self.target
             self.plan = self._planner.plan(self.state, self.knowledge, current)
+            if not self.plan.feasible and self._leave_out(now_ns):
+                continue
             if not self.plan.feasible:
                 why = [why for label, why in self._why_failed.items() if label in self.failed]
                 self._finish("failed", "; ".join(why) or self.plan.reason, now_ns)
                 return
-            if self.plan.target is not None or self._accept("nothing more to reach", now_ns):
+            if self.plan.target is not None:
                 break
-            self._take(NOTHING)
-            self._note(now_ns, "nothing", "", "a step in which nothing is reached")
+            if not self._accept("nothing more to reach", now_ns):
+                self._take(NOTHING)
+                self._note(now_ns, "nothing", "", "a step in which nothing is reached")
         if self.done:
             return
         # The plan has no steps if a task has detected all objects that it needs.

@@ -31,6 +31,7 @@ from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
 from edge.mission.logic.ltl import Formula
 from edge.mission.planning.planner import make_planner
+from edge.mission.repetition import Repetition, recurrence, split_repetition
 from edge.mission.task_step import TaskStep
 from edge.mission.translate import Translation, TranslationError, make_translator
 from edge.text import one_line
@@ -97,6 +98,7 @@ def prepare(
     reading: int | None = None,
     site: Site = _NO_SITE,
     caller: SE2 | None = None,
+    repeat: Repetition | None = None,
 ) -> MissionSpec:
     """Translate, compile and check a mission; this can take as long as the translator does.
 
@@ -110,6 +112,7 @@ def prepare(
         reading: the chosen reading of the given instruction, counted from 1. For the
             configuration's own instruction, `config.reading` applies.
         site: a place of the site is a target that needs no search.
+        repeat: the end of a mission that repeats; None: as the instruction or formula says.
         caller: pose of the person who calls the robot, the place `caller`; None if it is not known.
 
     Raises:
@@ -133,14 +136,16 @@ def prepare(
         reading = reading if ask else config.reading
         translator = make_translator(config.translator)
         try:
-            translation = translator.translate(quote_places(text, known), reading, ask)
+            quoted, said = split_repetition(quote_places(text, known))
+            repeat = repeat or said
+            translation = translator.translate(quoted, reading, ask)
         except TranslationError as error:
             raise _placed(error, text) from None
         translation = replace(translation, instruction=text)
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
-    return spec_of(config, located(translation, site))
+    return spec_of(config, located(repeated(translation, repeat), site))
 
 
 def _placed(error: TranslationError, instruction: str) -> TranslationError:
@@ -150,6 +155,24 @@ def _placed(error: TranslationError, instruction: str) -> TranslationError:
         return error
     message = str(error).replace(f"character {error.position}:", f"character {at}:", 1)
     return type(error)(message, error.part, at)
+
+
+def repeated(translation: Translation, repeat: Repetition | None) -> Translation:
+    """Return a translation to one round of a mission that repeats, if it does.
+
+    Args:
+        translation: the whole mission, or one round.
+        repeat: the end of the repetition; None: the mission repeats if its formula says so.
+    """
+    formula, recurs = recurrence(translation.formula, repeat is not None)
+    if recurs:
+        repeat = repeat or Repetition()
+        translation = replace(translation, formula=formula, english=describe(formula))
+    if repeat is None:
+        return translation
+    return replace(
+        translation, repeat=repeat, english=f"{translation.english} Repeat this {repeat}."
+    )
 
 
 def located(translation: Translation, site: Site) -> Translation:
@@ -193,6 +216,11 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     automaton = _narrowed(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
+    if translation.repeat is not None and automaton.steps_left[0] < 2:
+        raise MissionError(
+            "mission: to repeat it, name at least two things or places to reach in each round: "
+            f"{one_line(formula)}"
+        )
     _refuse_bans(automaton, translation.destinations)
     prompts = _prompts(targets, translation.destinations)
     return MissionSpec(translation, automaton, diagnosis, targets, prompts or (config.target,))

@@ -26,6 +26,7 @@ from edge.mission.readings import (
     refuse_contradiction,
     same_language,
 )
+from edge.mission.repetition import Repetition
 from edge.text import one_line
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ class Translation:
         readings: all readings of an ambiguous instruction in English, else empty.
         implied: True if the reading was chosen without a question, because it implies all others.
         destinations: propositions of the formula that are no things to search for.
+        repeat: the end of a mission that repeats in rounds, each as the formula says; else None.
     """
 
     instruction: str
@@ -64,6 +66,7 @@ class Translation:
     readings: tuple[str, ...] = ()
     implied: bool = False
     destinations: Mapping[str, Destination] = field(default_factory=dict)
+    repeat: Repetition | None = None
 
     @property
     def understood(self) -> str:

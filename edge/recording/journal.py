@@ -27,6 +27,7 @@ from edge.memory import LostRoom, RoomSurvey, Site, outlined, site_of
 from edge.mission.checkpoint import MISSION
 from edge.mission.destinations import destinations_json, destinations_of_json
 from edge.mission.logic import ltl
+from edge.mission.repetition import Repetition
 from edge.mission.translate import Translation
 from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies.base import ImageSimilarity
@@ -212,6 +213,7 @@ def _translation(t: Translation) -> dict[str, Any]:
         "instruction": t.instruction, "formula": str(t.formula), "english": t.english,
         "backend": t.backend, "reading": t.reading, "readings": t.readings, "implied": t.implied,
         "destinations": destinations_json(t.destinations),
+        "repeat": None if t.repeat is None else asdict(t.repeat),
     }  # fmt: skip
 
 
@@ -221,6 +223,7 @@ def _translation_of(said: dict[str, Any]) -> Translation:
         reading=said.get("reading"), readings=tuple(said.get("readings", ())),
         implied=said.get("implied", False),
         destinations=destinations_of_json(said.get("destinations", said.get("places", {}))),
+        repeat=None if said.get("repeat") is None else Repetition(**said["repeat"]),
     )  # fmt: skip
 
 
@@ -435,6 +438,7 @@ _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
         **fields, "translation": _translation(fields["translation"])
     },
     "pause": _SAME,
+    "cancel": _SAME,
     "fail": _SAME,
     "config": lambda fields: {"config": config_text(fields["config"])},
     "jump": _SAME,

@@ -48,13 +48,37 @@ NAMES = [place.name for place in SITE.places]
             "patrol between bed, sofa, and dock one times",
             'go to bed, then go to sofa, then go to "dock"',
         ),
-        ("patrol the dock and the bed 99 times", 'patrol "dock" and the bed 99 times'),
+        (
+            "patrol the dock and the bed 99 times",
+            'go to "dock", then go to the bed; repeat 99 times',
+        ),
+        (
+            "Please patrol the dock, the bed and the sofa for 20 minutes.",
+            'go to "dock", then go to the bed, then go to the sofa; repeat for 20 minutes',
+        ),
+        (
+            "patrol the dock and the bed until I tell you to stop",
+            'go to "dock", then go to the bed; repeat until told',
+        ),
+        ("patrol the bed for 20 minutes", "patrol the bed for 20 minutes"),
         ("return the mug to the bed", "return the mug to the bed"),
         ("go back to the bed", "go back to the bed"),
     ],
 )
 def test_places_are_put_into_quotes(instruction, quoted):
     assert quote_places(instruction, NAMES) == quoted
+
+
+@pytest.mark.parametrize(
+    "instruction",
+    [
+        "find the mug, then patrol the dock and the bed for 20 minutes",
+        "patrol the dock and the bed for 20 minutes, then come back",
+    ],
+)
+def test_a_patrol_for_some_time_is_all_of_an_instruction(instruction):
+    with pytest.raises(TranslationError, match="must be the whole instruction"):
+        quote_places(instruction, NAMES)
 
 
 def briefed(instruction: str):
