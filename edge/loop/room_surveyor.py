@@ -79,6 +79,5 @@ def warm_up(config: Config) -> None:
     seen = sightings.read_only()
     surveyor.step(MapView(grid), 0)
     surveyor.memory.update(seen, 0)
-    surveyor.memory.kind_near(table.kinds[0], np.zeros((1, 2), np.float32))
     prior.step(surveyor.memory.survey.regions, seen)
     prior.lift(table.things[0], np.zeros((1, 2), np.float32), 1, np.empty(1, np.float32))

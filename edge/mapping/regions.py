@@ -264,6 +264,9 @@ def regions_at(label, x0_m, y0_m, cell_m, xy_m, n, radius_m, out):
         col = math.floor((xy_m[i, 0] - x0_m) / cell_m)
         best = reach * reach + 1
         out[i] = 0
+        if 0 <= row < h and 0 <= col < w and label[row, col]:
+            out[i] = label[row, col]
+            continue
         for r in range(max(row - reach, 0), min(row + reach + 1, h)):
             for c in range(max(col - reach, 0), min(col + reach + 1, w)):
                 d = (r - row) ** 2 + (c - col) ** 2

@@ -15,8 +15,6 @@ from edge.memory.room_kinds import kind_of_room
 from edge.memory.room_shapes import NO_SURVEY, LostRoom, Passage, RoomShape, RoomSurvey
 from edge.memory.site import RoomName, Site, is_same
 from edge.perception.prior import rooms as kinds
-from edge.perception.prior.cooccurrence import NEAR_M
-from edge.perception.prior.nearby import nearby
 from edge.perception.prior.table import ObjectPrior, load
 from edge.perception.prior.words import PriorWordIndex
 from edge.perception.tracking.sightings import TrackedObjects
@@ -24,7 +22,7 @@ from edge.text import one_line
 
 SURE = 0.15
 """A sighting of this confidence has full weight, because the mean includes views from afar."""
-SURE_KIND = 0.8
+SURE_KIND = 0.7
 """Smallest probability of a kind for a room to count as one."""
 PERIOD_NS = 250_000_000
 """Shortest time between two updates by new objects."""
@@ -142,6 +140,11 @@ class MappedRoom:
         return self.name or " and ".join(self.kinds) or f"room {self.id}"
 
     @property
+    def phrase(self) -> str:
+        """Its title in a sentence: "the kitchen", or "room 3"."""
+        return f"the {self.title}" if self.name or self.kinds else self.title
+
+    @property
     def is_named(self) -> bool:
         """True if a person's name says what kind of room it is."""
         return kind_of_room(self.name) is not None
@@ -189,6 +192,7 @@ class RoomMemory:
         self.version = 0
         self.rooms: tuple[MappedRoom, ...] = ()
         self._table, self._chance = table, kinds.object_given_room(table)
+        self._log_ratio = np.log(self._chance / (kinds.room_prior(table) @ self._chance))
         self._index = SeenObjectIndex(words)
         self._held = np.zeros((1, len(table.things)), np.float32)
         self._belief = kinds.room_prior(table)[None]
@@ -248,6 +252,11 @@ class RoomMemory:
         region = int(self.survey.regions.at(np.array([[x_m, y_m]], np.float32))[0])
         return self.room(int(self.survey.ids[region])) if region else None
 
+    def where(self, x_m: float, y_m: float) -> str:
+        """Return the room of a point in words, such as "in the kitchen"; "" if there is none."""
+        room = self.room_at(x_m, y_m)
+        return "" if room is None else f"in {room.phrase}"
+
     def entered(self, x_m: float, y_m: float) -> int:
         """Return the id of the room that a robot at a point is inside of; 0 if it is in none."""
         room_id, depth_m = self.survey.depth_at(x_m, y_m)
@@ -295,21 +304,23 @@ class RoomMemory:
             return np.ones(len(xy_m))
         return belief[self.survey.regions.at(xy_m)] / average
 
-    def kind_near(self, kind: str, xy_m: np.ndarray) -> np.ndarray:
-        """Return P(a place is in a room of a kind | objects near and in sight), (n,) float64.
+    def clearest_object(self, room: MappedRoom, kind: str) -> tuple[float, float] | None:
+        """Return the place of the object in a room that speaks most for a kind; None without one.
 
         Args:
+            room: the room.
             kind: of the prior's table.
-            xy_m: (n, 2) float32 in `map`.
         """
-        regions, objects, n = self.survey.regions, self._objects, len(xy_m)
-        near = np.zeros((n, len(self._table.things)), np.float32)
-        nearby(
-            regions.wall, *regions.grid.origin_xy_m, regions.grid.resolution_m, xy_m, n,
-            objects.xyz_m, objects.row, objects.weight, len(objects.row), NEAR_M, near,
-        )  # fmt: skip
-        belief = kinds.room_posterior(self._table, self._chance, near, kinds.EVIDENCE)
-        return belief[:, self._table.kinds.index(kind)]
+        objects = self._objects
+        at = self.survey.ids[self.survey.regions.at(objects.xyz_m)] == room.id
+        mine = np.flatnonzero(at & (objects.row >= 0))
+        says = (
+            objects.weight[mine] * self._log_ratio[self._table.kinds.index(kind)][objects.row[mine]]
+        )
+        if not len(mine) or says.max() <= 0.0:
+            return None
+        x_m, y_m = objects.xyz_m[mine[int(says.argmax())], :2].tolist()
+        return x_m, y_m
 
     # -- frames and checkpoints ----------------------------------------------------------------
 

@@ -35,9 +35,9 @@ from edge.text import one_line
 from edge.types import Goal, Instance
 
 _MOST_NAMED = 12
-# Least odds of a kind at a goal, and at the robot, as a share of the best point's; larger
-# probabilities are all the same; number of surveys that must agree.
-_BEST, _NEARLY, _SUREST, _SURVEYS = 0.7, 0.5, 0.998, 2
+# Goals in a room of a kind lie at most this much farther than the nearest one from the object that
+# says most for the kind; number of surveys that must agree.
+_SPREAD_M, _SURVEYS = 0.7, 2
 _LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
 _ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 Kind = TypeVar("Kind", bound="Destination | None")
@@ -272,9 +272,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         target, grid, goals = self._destination, self._map.grid, self._goals
         room = self._map.rooms.room(self._chosen)
         if room is not None:
-            points_m = room.points_m
-            if self._by_kind(room):
-                points_m = points_m[self._near_evidence(points_m, _BEST)]
+            points_m = self._points_m(room)
             goal = goals.go_to_point(context, grid, points_m, self._mission.target)
             return goal or goals.explore_towards(context, grid, room.xy_m, images)
         if target.which != "with":
@@ -289,39 +287,34 @@ class RoomPursuit(Pursuit[RoomTarget]):
         return kind if self._destination.which == "called" and kind in RECOGNISED_KINDS else None
 
     def _is_inside(self, room: MappedRoom, context: PolicyInput) -> bool:
-        """Return True if the robot is inside, and stays so in the next surveys of the rooms.
+        """Return True if the robot is inside.
 
         Before its walls are known, a room may seem to go on behind a door. So a room of a kind is
-        reached only at a point next to what it was recognised by, and if new surveys agree.
+        reached only at a point near the object that it was recognised by, and if the next surveys
+        agree. The goal is such a point, as long as it stays.
         """
-        pose, rooms = context.pose, self._map.rooms
-        inside = rooms.entered(pose.x_m, pose.y_m) == room.id
-        if self._by_kind(room) and inside:
-            at_m = np.array([(pose.x_m, pose.y_m)], np.float32)
-            here = self._near_evidence(np.concatenate((at_m, room.points_m)), _NEARLY)
-            inside = bool(here[0])
-            if not (inside and self._goals.arrived):
-                self._agreed = 0
-                return False
-            if rooms.survey is not self._surveyed:
-                self._surveyed, self._agreed = rooms.survey, self._agreed + 1
-            return self._agreed > _SURVEYS
-        return inside
+        inside = self._map.rooms.entered(context.pose.x_m, context.pose.y_m) == room.id
+        if not inside or not self._by_kind(room):
+            return inside
+        if not self._goals.arrived:
+            self._agreed = 0
+        elif self._map.rooms.survey is not self._surveyed:
+            self._surveyed, self._agreed = self._map.rooms.survey, self._agreed + 1
+        return self._agreed > _SURVEYS
 
     def _by_kind(self, room: MappedRoom) -> bool:
         return self._kind is not None and not room.is_named
 
-    def _near_evidence(self, xy_m: np.ndarray, share: float) -> np.ndarray:
-        """Return (n,) bool: True for points near the objects that speak for the wanted kind.
-
-        Args:
-            xy_m: (n, 2) float32 in `map`.
-            share: least odds of the kind there, as a share of the largest ones.
-        """
+    def _points_m(self, room: MappedRoom) -> np.ndarray:
+        """Return the points of a room to go to, (k, 2) float32, k > 0."""
+        if not self._by_kind(room):
+            return room.points_m
         assert self._kind is not None
-        p = np.minimum(self._map.rooms.kind_near(self._kind, xy_m), _SUREST)
-        odds = p / (1.0 - p)
-        return odds >= share * float(odds.max())
+        at_m = self._map.rooms.clearest_object(room, self._kind)
+        if at_m is None:
+            return room.points_m
+        away_m = np.hypot(*(room.points_m - np.array(at_m, np.float32)).T)
+        return room.points_m[away_m <= float(away_m.min()) + _SPREAD_M]
 
     def _choose(self, context: PolicyInput) -> MappedRoom | None:
         """Return the room to go to; None if none is known. A choice stays while it is possible."""

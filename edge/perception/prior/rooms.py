@@ -13,7 +13,7 @@ _PRIOR_ROOMS = 4.0
 # Of a region of the map that may hold two rooms without a wall between, such as a kitchen and a
 # living room: weight of a thing as evidence, probability that there are two, and the area below
 # which two are less likely by a factor of e per m². Tuned on houses for training.
-EVIDENCE, _TWO, _TWO_M2 = 0.5, 0.1, 20.0
+_EVIDENCE, _TWO, _TWO_M2 = 0.5, 0.1, 20.0
 
 
 def object_given_room(table: ObjectPrior) -> np.ndarray:
@@ -29,9 +29,7 @@ def room_prior(table: ObjectPrior) -> np.ndarray:
     return table.kind_rooms / table.kind_rooms.sum()
 
 
-def room_posterior(
-    table: ObjectPrior, chance: np.ndarray, held: np.ndarray, evidence: float | None = None
-) -> np.ndarray:
+def room_posterior(table: ObjectPrior, chance: np.ndarray, held: np.ndarray) -> np.ndarray:
     """Return P(kind | objects seen there): naive Bayes, discounted by `ObjectPrior.evidence`.
 
     Objects that were not seen do not count: a region is seldom seen as a whole.
@@ -40,15 +38,13 @@ def room_posterior(
         table: the prior.
         chance: see `object_given_room`.
         held: (m, things) float32 in [0, 1], confidence that each thing is in each region.
-        evidence: weight of a thing; None: `ObjectPrior.evidence`.
 
     Returns:
         (m, kinds) float64, rows sum to 1.
     """
     prior = room_prior(table)
     log_ratio = np.log(chance) - np.log(prior @ chance)
-    weight = table.evidence if evidence is None else evidence
-    log_p = np.log(prior) + weight * (held @ log_ratio.T)
+    log_p = np.log(prior) + table.evidence * (held @ log_ratio.T)
     p = np.exp(log_p - log_p.max(1, keepdims=True))
     return p / p.sum(1, keepdims=True)
 
@@ -74,7 +70,7 @@ def included_kinds(
         base = np.log(prior[list(those)]).sum() + np.log(1.0 - _TWO)
         if len(those) == 2:
             base += np.log(2.0 * _TWO / (1.0 - _TWO)) - np.maximum(_TWO_M2 - area_m2, 0.0)
-        log_p[:, column] = base + EVIDENCE * (held @ np.log(there / (prior @ chance)))
+        log_p[:, column] = base + _EVIDENCE * (held @ np.log(there / (prior @ chance)))
     p = np.exp(log_p - log_p.max(1, keepdims=True))
     p /= p.sum(1, keepdims=True)
     return p @ np.array([[i in those for i in range(k)] for those in members], np.float64)
