@@ -80,7 +80,9 @@ def test_a_check_looks_and_answers_yes_with_the_place(tmp_path):
     loop = loop_of(tmp_path, 'F ("check bed" & F here)').run(200)
     status = loop.service.status
     assert status.phase == "reached", status
-    found = re.fullmatch(r"yes, there is a bed at \((.+), (.+)\), .* m away", status.reason)
+    found = re.fullmatch(
+        r"yes, there is a bed in .*room.* at \((.+), (.+)\), .* m away", status.reason
+    )
     assert found, status.reason
     at_m = float(found[1]), float(found[2])
     assert min(o.distance_m(*at_m) for o in loop.world.objects if o.label == "bed") < 0.5
@@ -139,6 +141,16 @@ def test_a_check_in_a_room_looks_only_there(formula, answer, tmp_path):
     status = in_rooms(tmp_path, formula).run(150).service.status
     assert status.phase == "reached", status
     assert re.match(answer, status.reason), status.reason
+
+
+def test_a_check_that_finds_nothing_tells_where_the_thing_was_before(tmp_path):
+    loop = in_rooms(tmp_path, 'F "check bed in bedroom"').run(100)
+    assert loop.service.status.reason.startswith("yes")
+    formula, now_ns = 'F "check bed in workshop"', loop.drive.motion.stamp_ns
+    loop.service.begin(prepare(loop.config.mission, formula=formula, site=NAMED), now_ns)
+    reason = loop.run(200).service.status.reason
+    assert reason.startswith("no, there is no bed in the workshop: the room is explored; seen ")
+    assert "before: bed: in the bedroom, at (" in reason
 
 
 def test_it_patrols_rooms(tmp_path):

@@ -17,7 +17,14 @@ from edge.config import PolicySearch
 from edge.loop.behaviours.room_targets import RoomKindPrior, rooms_of
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import RECOGNISED_KINDS, MappedRoom, RoomSurvey, kind_of_room, known_objects
+from edge.memory import (
+    RECOGNISED_KINDS,
+    MappedRoom,
+    RoomSurvey,
+    kind_of_room,
+    known_objects,
+    where_is,
+)
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
@@ -154,15 +161,17 @@ class CheckAnswer:
 
     def __init__(self, check: CheckTarget, mission: MissionRun, here: SemanticMap) -> None:
         self.thing = check.name
-        self._room = f" in the {check.room}" if check.room else ""
+        self._room = f"in the {check.room}" if check.room else ""
         self._mission, self._map = mission, here
         self._prompt = mission.brief.prompt_for(mission.target)
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
+        self._before = ""  # what was known before
 
     def seen(self, context: PolicyInput) -> list[Instance]:
         """Return the confirmed objects that were detected since the first call."""
         if self._since_ns is None:
             self._since_ns = context.observation.stamp_ns
+            self._before = self._remembered(context)
         confirmed = self._map.tracker.of(self._prompt, sure=True)
         return [one for one in confirmed if one.last_seen_ns >= self._since_ns]
 
@@ -173,13 +182,24 @@ class CheckAnswer:
         x_m, y_m, _ = at.center_m.tolist()
         others = f"; {len(seen)} in all" if len(seen) > 1 else ""
         where = f"at ({x_m:.1f}, {y_m:.1f}), {at.distance_m(pose.x_m, pose.y_m):.1f} m away{others}"
-        answer = f"yes, there is a {self.thing}{self._room} {where}"
+        room = self._map.rooms.where(x_m, y_m) or self._room
+        answer = " ".join(filter(None, ("yes, there is a", self.thing, room, where)))
         self._mission.on_reached(answer, context.now_ns, answer)
 
     def no(self, reason: str, now_ns: int) -> None:
         """Answer that there is none."""
-        answer = f"no, there is no {self.thing}{self._room}: {reason}"
+        before = f"; seen before: {self._before}" if self._before else ""
+        none = " ".join(filter(None, ("no, there is no", self.thing, self._room)))
+        answer = f"{none}: {reason}{before}"
         self._mission.on_reached(answer, now_ns, answer)
+
+    def _remembered(self, context: PolicyInput) -> str:
+        """Return where and when the thing was seen before, for people; "" if never."""
+        shown, least = self._map.sightings.shown, self._map.config.perception.min_hits
+        found = known_objects(shown, context.observation.stamp_ns, least, self.thing)[:1]
+        if not found:
+            return ""
+        return where_is(self.thing, found, context.pose, True, self._map.rooms.where)
 
     def time_is_over(self, now_ns: int) -> bool:
         """Answer no and return True if the search limit is over."""
@@ -356,7 +376,7 @@ class ExploreRoomPursuit(RoomPursuit):
         goals: GoalTracker,
     ) -> None:
         super().__init__(room_target(destination.room), mission, here, goals)
-        self._name = destination.room
+        self._name, self._doing = destination.room, "exploring"
         self._limit_s = destination.limit_s if isinstance(destination, ExploreTarget) else None
         self._inside: MappedRoom | None = None  # once the robot has been inside
 
@@ -370,7 +390,7 @@ class ExploreRoomPursuit(RoomPursuit):
             super().judge(context, images)
         else:
             left = "" if self._limit_s is None else f", {_left(left_s)}"
-            self._mission.activity = f"exploring the {self._name}{left}"
+            self._mission.activity = f"{self._doing} the {self._name}{left}"
             self._judge_inside(context, images)
 
     def arrive(self, evidence: str, now_ns: int) -> None:
@@ -421,6 +441,7 @@ class CheckRoomPursuit(ExploreRoomPursuit):
         self, destination: CheckTarget, mission: MissionRun, here: SemanticMap, goals: GoalTracker
     ) -> None:
         super().__init__(destination, mission, here, goals)
+        self._doing = f"checking for the {destination.name} in"
         self._answer = CheckAnswer(destination, mission, here)
 
     def gather(self) -> Sequence[Instance]:
