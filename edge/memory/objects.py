@@ -44,7 +44,7 @@ class KnownObject:
 def known_objects(
     sightings: TrackedObjects, stamp_ns: int, min_hits: int, name: str = ""
 ) -> list[KnownObject]:
-    """Return the objects of the map, the most confident first.
+    """Return the objects of the map, the most confident first; kinds of a name after the name.
 
     Args:
         stamp_ns: now, on the sensors' clock.
@@ -61,7 +61,8 @@ def known_objects(
         for i, (x_m, y_m, z_m) in enumerate(s.xyz_m[: s.n].tolist())
         if wanted[s.word[i]] and s.hits[i] >= min_hits
     ]  # fmt: skip
-    return sorted(found, key=lambda one: (-one.confidence, one.id))
+    kinds = {word for word in s.words if name and not names.same_name(word, name)}
+    return sorted(found, key=lambda one: (one.name in kinds, -one.confidence, one.id))
 
 
 def where_is(
