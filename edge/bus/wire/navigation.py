@@ -1,8 +1,8 @@
 """Codec of the actions NavigateToPose, DockRobot and UndockRobot of nav2_msgs.
 
-An action is three services and two topics: `send_goal`, `get_result` and `cancel_goal` are services,
-`feedback` and `status` are topics, all below `<action>/_action/`. The client chooses a random
-16-byte id for each goal.
+An action is three services and two topics: `send_goal`, `get_result` and `cancel_goal` are
+services, `feedback` and `status` are topics, all below `<action>/_action/`. The client chooses a
+random 16-byte id for each goal.
 """
 
 from __future__ import annotations
