@@ -42,9 +42,10 @@ from edge.text import one_line
 from edge.types import Goal, Instance
 
 _MOST_NAMED = 12
-# Goals in a room of a kind lie at most this much farther than the nearest one from the object that
-# says most for the kind; number of surveys that must agree.
-_SPREAD_M, _SURVEYS = 0.7, 2
+# Least votes for a kind at a goal, as a share of those at the best point; number of surveys that
+# must agree that the robot is inside.
+_BEST, _SURVEYS = 0.9, 2
+_DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
 _LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
 _ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 Kind = TypeVar("Kind", bound="Destination | None")
@@ -292,8 +293,14 @@ class RoomPursuit(Pursuit[RoomTarget]):
         target, grid, goals = self._destination, self._map.grid, self._goals
         room = self._map.rooms.room(self._chosen)
         if room is not None:
-            points_m = self._points_m(room)
-            goal = goals.go_to_point(context, grid, points_m, self._mission.target)
+            points_m, old, rooms = self._points_m(room), goals.goal, self._map.rooms
+            keep = old is not None and rooms.entered(old.pose.x_m, old.pose.y_m) == room.id
+            pose = context.pose
+            if goals.arrived and rooms.entered(pose.x_m, pose.y_m) != room.id:
+                keep = False
+                away_m = np.hypot(*(points_m - np.array((pose.x_m, pose.y_m), np.float32)).T)
+                points_m = points_m[away_m >= min(_DEEPER_M, float(away_m.max()))]
+            goal = goals.go_to_point(context, grid, points_m, self._mission.target, keep)
             return goal or goals.explore_towards(context, grid, room.xy_m, images)
         if target.which != "with":
             prior = None if self._kind is None else RoomKindPrior(self._map.rooms, self._kind)
@@ -310,7 +317,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         """Return True if the robot is inside.
 
         Before its walls are known, a room may seem to go on behind a door. So a room of a kind is
-        reached only at a point near the object that it was recognised by, and if the next surveys
+        reached only at a point near the objects that it was recognised by, and if the next surveys
         agree. The goal is such a point, as long as it stays.
         """
         inside = self._map.rooms.entered(context.pose.x_m, context.pose.y_m) == room.id
@@ -330,11 +337,9 @@ class RoomPursuit(Pursuit[RoomTarget]):
         if not self._by_kind(room):
             return room.points_m
         assert self._kind is not None
-        at_m = self._map.rooms.clearest_object(room, self._kind)
-        if at_m is None:
-            return room.points_m
-        away_m = np.hypot(*(room.points_m - np.array(at_m, np.float32)).T)
-        return room.points_m[away_m <= float(away_m.min()) + _SPREAD_M]
+        votes = self._map.rooms.votes(room, self._kind)
+        most = float(votes.max())
+        return room.points_m[votes >= _BEST * most] if most > 0.0 else room.points_m
 
     def _choose(self, context: PolicyInput) -> MappedRoom | None:
         """Return the room to go to; None if none is known. A choice stays while it is possible."""
@@ -346,7 +351,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         if which == "next":
             here = rooms.room_at(context.pose.x_m, context.pose.y_m)
             beside = set() if here is None else {door.room for door in here.doors}
-            found = [room for room in found if np.isfinite(self._path_m(room))]
+            found = [room for room in found if np.isfinite(self._path_m(room)) and room is not here]
             found = [room for room in found if room.id in beside] or found
         chosen = next((room for room in found if room.id == self._chosen), None)
         if chosen is None and found:
