@@ -178,9 +178,9 @@ def test_what_the_goal_is_judged_by_is_the_same(drive, tmp_path, monkeypatch):
     """How many images the detector had been through counts for a search that is given up."""
     judge, images = GoalTracker.judge, []
 
-    def spy(self, grid, pose, mission, done, now_ns):
+    def spy(self, grid, pose, mission, done, *rest):
         images.append(done)
-        return judge(self, grid, pose, mission, done, now_ns)
+        return judge(self, grid, pose, mission, done, *rest)
 
     monkeypatch.setattr(GoalTracker, "judge", spy)
     path = Recording(tmp_path, small(loop={"lockstep": True})).steps(10).close()
