@@ -15,7 +15,10 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import Site
 from edge.mission.language.english import describe
+from edge.mission.language.errands import spell_out
 from edge.mission.language.places import EXPLORED, HERE, START, quote_places
+from edge.mission.language.said import MissionOrder, NoMissionError, understand
+from edge.mission.language.told_back import told_back
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
@@ -26,10 +29,6 @@ from edge.mission.translate import Translation, TranslationError, make_translato
 from edge.text import one_line
 
 _NO_SITE = Site()
-_IN_ENGLISH = {
-    START: "the start", HERE: "the place where this mission begins",
-    EXPLORED: "the end of exploring",
-}  # fmt: skip
 _MOST_SHOWN = 600  # of the parts of a contradiction
 
 
@@ -116,19 +115,35 @@ def prepare(
         ask = instruction is not None
         text = instruction if ask else config.instruction
         reading = reading if ask else config.reading
-        translator = make_translator(config.translator)
         try:
-            translation = translator.translate(quote_places(text, names_of_places), reading, ask)
+            translation = _translated(config, text, names_of_places, reading, ask)
         except TranslationError as error:
             raise _placed(error, text) from None
-        english = translation.english
-        for name, plain in _IN_ENGLISH.items():
-            english = english.replace(f'"{name}"', plain)
-        translation = replace(translation, instruction=text, english=english)
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
     return spec_of(config, located(translation, site))
+
+
+def _translated(
+    config: MissionConfig, text: str, places: list[str], reading: int | None, ask: bool
+) -> Translation:
+    """Spell out the everyday words of an instruction and translate it.
+
+    Raises:
+        NoMissionError: it is a question, an order to learn, or about the present mission.
+        TranslationError: it is not understood.
+    """
+    translator = make_translator(config.translator)
+    if isinstance(config.translator, TranslatorLtl):
+        return translator.translate(quote_places(text, places), reading, ask)
+    said = understand(text, places)
+    if not isinstance(said, MissionOrder):
+        raise NoMissionError(said)
+    plain = said.speech.restored(spell_out(said.speech.text))
+    translation = translator.translate(quote_places(plain, places), reading, ask)
+    english = told_back(translation.english, said.speech.reasons)
+    return replace(translation, instruction=text, english=english)
 
 
 def _placed(error: TranslationError, instruction: str) -> TranslationError:

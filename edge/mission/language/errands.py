@@ -1,0 +1,422 @@
+"""Everyday words for errands, as quoted propositions: checking, exploring, patrols, waiting.
+
+Each proposition is the canonical text of a destination, which LTL can name as well: "explored
+kitchen", "wait 30 s", "check stove", "mug in the kitchen". The translators read the rest.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+
+from edge import names
+from edge.mission.language import nouns
+from edge.mission.language.everyday_words import AFTER_A_NAME, NAME, any_of, bare, is_room, is_vague
+from edge.mission.language.lexicon import TABLE
+from edge.mission.language.spans import number_of, seconds_of
+from edge.mission.language.templates import END, compiled
+from edge.mission.language.tokens import UnclearError
+
+EXPLORED, WAIT, CHECK, HERE, CALLER = "explored", "wait", "check", "here", "caller"
+"""Beginnings of the propositions; the last two are poses: where the mission began, and where the
+person is."""
+MAX_ROUNDS = 10
+
+PARTS = {
+    "then": "[, and|, then|, and then|, and after|, and afterwards|, so|, but]",
+    "drive": """
+        (go|drive|run|head|move|roll|walk|come|get|pop|nip|hurry|travel|return|hop|step|zip|swing|
+        ride|rush|dash)
+        """,
+    "over": "[over|out|back|there|up|down|along|quickly|straight|right|in|again|yourself|on|then]*",
+    "goes": "[{drive} {over} [and|to]]",
+    "if": "(if|whether|that|is it true that|to see if|to see whether|and see if|and see whether|"
+          "and tell me if|and tell me whether|for me if|for me whether|out if|out whether|"
+          "and check if|and look if|quickly if|again if|again whether)",
+    "check": """
+        (check|see|look|verify|find out|control|have a look|take a look|have a quick look|confirm|
+        double check|peek|inspect|have a peek|take a peek|tell me)
+        """,
+    "still": "[still|really|actually|also|now|already|always]*",
+    "at": "{still} [standing|lying|sitting|hanging|parked|placed] {still} [<relation> <anchor>]",
+    "whole": """
+        (everything|everywhere|everything here|[in] [all] [of]
+            [the|this|our|my|your|of|whole|entire|
+        all|complete|every]* (house|home|flat|apartment|building|floor|area|place|ward|warehouse|
+        surroundings|environment|rooms|site|room here|corner|store|department|neighbourhood)|
+        all [what|that] is here|all around|all here|all over [the|this|place|house]*|the rest|
+        everything [around|in] [here|there])
+        """,
+    "look": """
+        (explore|exploring|scan|survey|map|map out|discover|sweep|investigate|
+        [make|do] [an|the] exploration [of]|go exploring [in]|look through|search through|
+        (look|have a look|take a look|have a good look|have a quick look|drive|go|wander|roam|
+        cruise|have a wander|take a tour|do a tour|make a tour|do a scan|make a map|have a peek|
+        take a good look) [all] (around|round|about|through|of) [in|inside|of|at]|
+        check [out|around|through]|get to know|(look|take a look|have a look|search) [around]
+            (in|inside))
+        """,
+    "time": "[, [only|for|during] <span> [long]]",
+    "patrol": """
+        [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|
+        [go|be] on patrol|[do|make] [your|the|some] rounds|go round|
+        [go|drive|run|keep going|move|walk] back and forth|circle|loop|cycle|shuttle|alternate|
+        (drive|go|run|move|walk) (around|round))
+        [between|of|in|through|around|from|at|to|on]
+        """,
+    "rounds": "(times|rounds|laps|loops|circles|circuits|tours|turns|trips|round|lap|time)",
+    "back": """
+        [then|and|straight|right|directly|after|afterwards]* (
+        (come|go|get|drive|head|return|run|be|move|roll|bring yourself) [straight|right|directly]
+            back|return|back) [to] [here|me|me here|us|this spot|this place|where (you|i|we)
+            (are|am) now|
+        where i am|your place here|again]* [here]
+        """,
+    "home": """
+        [the|your|to|from]* [(place|spot|point|position|location)] [, (where|from where|from which)]
+        (you|we) [have|had|did|first]* (started|start|began|begin|set off|came|come|set out|left|
+        departed) [from|out|off|at|in]*
+        """,
+    "hold": """
+        (wait|stay|stop|remain|hold|hold on|pause|park|rest|hang on|stand still|stand|hang around|
+        stay put|make a (break|pause))
+        """,
+    "there": "[there|here|in there|in here|at that place|put|on the spot|for me|inside|still]*",
+}  # fmt: skip
+
+_CHECKS = compiled(
+    """
+    {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
+    {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
+    {then} {goes} {check} {if} <thing> (is|are) {at}
+    {then} {goes} {check} {if} you [can] (see|find|spot) <thing> {at} [there|around|here]
+    {then} {goes} {check} [if] (is|are) [there] <thing> {at} [there]
+    {then} {goes} check for <thing> {at}
+    {then} {goes} check [on] <thing> {at}
+    {then} {goes} {check} <room> for <thing>
+    """,
+    PARTS,
+)
+_SEARCHES = compiled(
+    """
+    (search|scan|look in|look through|look around|check) <room> for <thing>
+    look around in <room> for <thing>
+    """,
+    PARTS,
+)
+_EXPLORES = compiled(
+    """
+    {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore] [everything] {time}
+    {goes} {look} <room> {time}
+    {goes} (explore|exploring|look around|look round|scan|survey|wander|wander around|
+            have a look around|take a look around|roam around|drive around|go exploring|map|
+            be [an|a|the] explorer|make [an] exploration) {time}
+    give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
+            (once-over|look|scan|sweep|look over|check|going over|look-over|inspection) {time}
+    (have|take) a [good|proper|quick|close]* look (round|around|in|at|inside) (<room>|{whole})
+            {time}
+    """,
+    PARTS,
+)
+_PATROLS = compiled(
+    """
+    {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
+    {patrol} <stops> , <often>
+    {patrol} <stops> , [for|during] <span> [long]
+    {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
+    (do|make|drive|go|run|walk) <count> {rounds} (of|between|around|through|from|in) <stops>
+    """,
+    PARTS,
+)
+_ERRAND_AND_BACK = compiled(
+    """
+    {drive} {over} to <thing> , {back} , <often>
+    {drive} {over} to <thing> , {back} , [for] <count> {rounds}
+    """,
+    PARTS,
+)
+_STARTS = compiled("(come|go|get|drive|head|run|return|move) [back|home]* to {home}", PARTS)
+_CALLS = compiled("(come|drive|get|move|roll) [over|right|up]* (here|to me|to us|over here)", PARTS)
+_BACKS = compiled("{then} {back}", PARTS)
+_WAITS = compiled(
+    """
+    {then} {hold} {there} [for] <span> [there|here]
+    {then} {hold} (at|in|by|near|inside|next to|in front of) <thing> [for] <span>
+    {then} (wait|stay) (at|in|by|near|inside|next to|in front of) <thing>
+    {then} (wait|stay) (there|here|in there) [for me|until i (come|am there|get there|call|say) ...]
+    """,
+    PARTS,
+)
+_RELATED = re.compile(
+    rf" (?P<thing>{NAME})(?: {any_of('standing')})? (?P<relation>{any_of('relation')})"
+    rf" (?P<anchor>{NAME})(?: and (?P<other>(?:the|a) {NAME}))?(?=[ ,.;!?]|$)",
+    re.I,
+)
+_INTRODUCED = re.compile(
+    rf"^ (?:there (?:is|are)|(?:we|i) (?:need|want|lost|have lost|left|forgot|am looking for)) "
+    rf"(?P<thing>{NAME})(?: {any_of('standing')})?(?: (?P<relation>{any_of('relation')}) "
+    rf"(?P<anchor>{NAME}))?[,.;!]+ (?:so |please |and )*(?P<order>[^,.;!?]*?) (?:it|them)"
+    r"(?=[,.;!?]|$)",
+    re.I,
+)
+_ROOM_WITH = re.compile(
+    rf" (?P<thing>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
+)
+_LOOSE = re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I)
+_ONLY_THERE = (
+    "the robot can only check whether a thing is there; say for example 'check whether the stove "
+    "is in the kitchen'"
+)
+_OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just |now )?"
+_DRIVES = (
+    r"(?! (?:to|by|over|into|toward|towards|around|along|back|through|past|near|in|left|right|"
+    r"forward|forwards|closer|away|a (?:look|peek|glance|tour|break)|the (?:way|route|path))\b)"
+)
+"""Words after which a verb of handling is one of driving: "move to", "take a look"."""
+_GOES_TO = re.compile(
+    rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) ){any_of('go to')} (?P<name>\"[^\"]*\"|{NAME})",
+    re.I,
+)
+_FINDS = re.compile(
+    rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) ){any_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I
+)
+_COMPOUND = re.compile(rf" (?P<name>{NAME})(?= {AFTER_A_NAME}\b|[,.;!?]|$)", re.I)
+_CANNOT = (
+    (rf"{_OPENS_CLAUSE}{any_of('follow')}\b", "the robot cannot follow or lead; say where to go"),
+    (
+        rf"{_OPENS_CLAUSE}{any_of('handle')}\b{_DRIVES}",
+        "the robot has no arms; it can drive to things, so say for example 'find the mug'",
+    ),
+    (rf"{_OPENS_CLAUSE}{any_of('talk')}\b", "the robot answers here in text, and does no more"),
+    (rf"\b{any_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),
+    (
+        rf"\b{any_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
+        "the robot knows no times of day; say what to do now",
+    ),
+)
+_OWNED = re.compile(r"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>[\w-]+(?: [\w-]+)?)")
+
+
+def spell_out(text: str) -> str:
+    """Return an errand in plain words with its destinations as quoted propositions.
+
+    Raises:
+        UnclearError: it asks for what no wheels, camera and text can do.
+
+    Example:
+        >>> spell_out("go and check whether the kettle is in the kitchen, then come back")
+        'go to "check kettle in the kitchen", then go to "here"'
+    """
+    text = f" {text}"
+    text = re.sub(rf"(?<=\w)'s (?=still\b|there\b|{any_of('relation')} )", " is ", text)
+    rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
+        ([_INTRODUCED], _introduced),
+        (_SEARCHES, _searched),
+        (_PATROLS, _rounds),
+        (_ERRAND_AND_BACK, _errands_and_back),
+        (_CHECKS, _checked),
+        (_EXPLORES, _explored),
+        ([_ROOM_WITH, _RELATED], _related),
+        ([_GOES_TO], lambda found: f"{found['lead']}go to {_the(found['name'])}"),
+        ([_FINDS], lambda found: f"{found['lead']}find {found['name']}"),
+        ([_COMPOUND], _compound),
+        (_STARTS, lambda found: ' go to "start"'),
+        (_BACKS, _back),
+        (_CALLS, lambda found: f' go to "{CALLER}"' if not found.start() else None),
+        (_WAITS, _waits),
+    )
+    for patterns, change in rules:
+        for pattern in patterns:
+            text = _outside_quotes(pattern, change, text)
+    if loose := _LOOSE.search(text):
+        raise UnclearError(f"instruction: {loose[0]!r}: {_ONLY_THERE}", loose[0])
+    _refuse_impossible(re.sub(r'"[^"]*"', '"x"', text.strip()))
+    return text.strip()
+
+
+def _outside_quotes(
+    pattern: re.Pattern[str], change: Callable[[re.Match[str]], str | None], text: str
+) -> str:
+    def changed(found: re.Match[str]) -> str:
+        if text.count('"', 0, found.start()) % 2 or found[0].count('"') % 2:
+            return found[0]
+        new = change(found)
+        return found[0] if new is None else new
+
+    return pattern.sub(changed, text)
+
+
+def _go_to(proposition: str, found: re.Match[str] | None = None) -> str:
+    """Return the order to go there; after a match that does not begin the text it comes next."""
+    later = found is not None and found.start() > 0
+    return f'{", then" if later else ""} go to "{proposition}"'
+
+
+def _introduced(found: re.Match[str]) -> str | None:
+    """Put the thing that the first clause names in place of the second clause's pronoun."""
+    where = _where(found["relation"], found["anchor"])
+    return None if where is None else f" {found['order']} the {bare(found['thing'])}{where}"
+
+
+def _searched(found: re.Match[str]) -> str | None:
+    if not is_room(bare(found["room"])) or is_vague(found["thing"]):
+        return None
+    return f' find "{bare(found["thing"])} in the {bare(found["room"])}"'
+
+
+def _checked(found: re.Match[str]) -> str | None:
+    slots = found.groupdict()
+    thing = bare(found["thing"])
+    if is_vague(thing) or thing in ("it", "them"):
+        return None
+    plain_look = not slots.get("relation") and found[0].rstrip().endswith(found["thing"])
+    if plain_look and is_room(thing):
+        return None  # "check the kitchen" is no check of a thing
+    if slots.get("room"):
+        return _go_to(f"{CHECK} {thing} in the {bare(slots['room'])}", found)
+    where = _where(slots.get("relation"), slots.get("anchor"))
+    return None if where is None else _go_to(f"{CHECK} {thing}{where}", found)
+
+
+def _where(relation: str | None, anchor: str | None, other: str | None = None) -> str | None:
+    """Return " next to the desk"; "" without a relation, None if the anchor is no object."""
+    if not relation or not anchor:
+        return ""
+    if is_vague(anchor) or re.search(r"\b(?:way|foot|own|order)$", anchor):
+        return None
+    name = bare(anchor)
+    the = "" if re.search(r" (?:\d+\w?|[a-z])$", name) else "the "
+    more = f" and the {bare(other)}" if other else ""
+    return f" {relation.lower()} {the}{name}{more}"
+
+
+def _explored(found: re.Match[str]) -> str | None:
+    slots = found.groupdict()
+    room = bare(slots.get("room") or "")
+    if room and not is_room(room):
+        return None
+    if room and is_vague(room):
+        raise UnclearError(f"instruction: {room!r}: unclear which one; name it", room)
+    return _go_to(f"{EXPLORED}{f' {room}' * bool(room)}{_for(slots.get('span'))}", None)
+
+
+def _for(span: str | None) -> str:
+    return f" for {_length(seconds_of(span))}" if span else ""
+
+
+def _length(seconds: float) -> str:
+    """Return a time as propositions have it: `90 s`, `10 min`."""
+    minutes, rest = divmod(seconds, 60)
+    return f"{minutes:.0f} min" if minutes and not rest else f"{seconds:.0f} s"
+
+
+def _rounds(found: re.Match[str]) -> str | None:
+    """Return a patrol as the stops of all its rounds; None if it cannot be written so."""
+    slots = found.groupdict()
+    stops = [bare(stop) for stop in re.split(r",? (?:and then|and|then|to|or) |, ", found["stops"])]
+    if re.search(r"\bor\b", found["stops"]) or any(is_vague(stop) for stop in stops):
+        return None
+    if slots.get("span"):
+        return _go_to(f"patrol {', '.join(stops)} for {_length(seconds_of(slots['span']))}")
+    rounds = number_of((slots.get("count") or slots.get("often") or "").lower())
+    if rounds is None or not 1 <= rounds <= MAX_ROUNDS or len(stops) < 2:
+        return None
+    return " " + ", then ".join(f"go to the {stop}" for stop in stops * rounds)
+
+
+def _errands_and_back(found: re.Match[str]) -> str | None:
+    slots = found.groupdict()
+    times = number_of((slots.get("count") or slots.get("often") or "").lower())
+    if times is None or not 1 <= times <= MAX_ROUNDS:
+        return None
+    stop = f'go to the {bare(found["thing"])}, then go to "{HERE}"'
+    return " " + ", then ".join([stop] * times)
+
+
+def _related(found: re.Match[str]) -> str | None:
+    slots = found.groupdict()
+    thing = found["thing"]
+    words = thing.split()
+    while words and TABLE.get((words[0].lower(),)) in ("verb", "avoid") and len(words) > 1:
+        words = words[1:]
+    before = thing[: len(thing) - len(" ".join(words))]
+    relation = (slots.get("relation") or "with").lower()
+    articled = bare(thing) != thing.lower()
+    begins = re.search(r"(?:^|[,.;!?]|\b(?:and|then))$", found.string[: found.start()].rstrip())
+    if not articled and (nouns.unknown_in(words) is not None or (begins and not before)):
+        return None  # "park at the dock": a verb, no thing
+    if is_vague(" ".join(words)) or (is_room(bare(thing)) and relation in ("by", "near", "at")):
+        return None
+    if slots.get("relation") and TABLE.get((words[-1].lower(),)) in ("verb", "do"):
+        return None
+    other = slots.get("other") if relation == "between" else None
+    where = _where(relation, found["anchor"], other)
+    if where is None:
+        return None
+    rest = f" and {slots['other']}" if slots.get("other") and not other else ""
+    return f' {before}"{bare(" ".join(words))}{where}"{rest}'
+
+
+def _the(name: str) -> str:
+    """Return a name with an article; `to kitchen` is said by people who learn English."""
+    articled = name.startswith('"') or bare(name) != name.lower()
+    return name if articled or not is_room(name) or name[-1].isdigit() else f"the {name}"
+
+
+def _compound(found: re.Match[str]) -> str | None:
+    """Quote a compound of known words, or of words that are no slips: "the tape gun"."""
+    name = found["name"]
+    words = bare(name).split()
+    articled = bare(name) != name.lower()
+    if len(words) < 2 or nouns.unknown_in(words) is None:
+        return None
+    head = nouns.is_noun(words[-1]) and not nouns.is_plural(words[-1])
+    if not is_room(" ".join(words)) and not (articled and head):
+        return None
+    if not all(_modifies(word) for word in words[:-1]) or all(map(names.is_known, words[-2:])):
+        return None
+    return f' "{" ".join(words)}"'
+
+
+def _modifies(word: str) -> bool:
+    """Return True if a word may stand before a noun, and is no slip of a known word."""
+    kind = TABLE.get((word,))
+    if word in nouns.PLAIN_WORDS or is_room(word) or kind not in (None, "word", "verb"):
+        return False
+    if kind == "verb" and not word.endswith("ing") and not nouns.is_noun(word):
+        return word in ("break", "crash", "wash", "sleep", "play")
+    return word.isalpha() and nouns.meant(word) is None
+
+
+def _back(found: re.Match[str]) -> str | None:
+    after = found.string[found.end() :]
+    if re.match(r" ?(?:to|\"|into|and forth)", after) or re.match(
+        r" +(?!then|and|when|once)\w", after
+    ):
+        return None
+    return _go_to(HERE, found)
+
+
+def _waits(found: re.Match[str]) -> str | None:
+    slots = found.groupdict()
+    wait = f"{WAIT} {_length(seconds_of(slots['span']))}" if slots.get("span") else WAIT
+    if slots.get("thing"):
+        return f'{", then" * bool(found.start())} go to {slots["thing"]}, then go to "{wait}"'
+    return _go_to(wait, found) if found.start() or slots.get("span") else None
+
+
+def _refuse_impossible(text: str) -> None:
+    """Refuse what no wheels, camera and text can do: carrying, calling, following.
+
+    Raises:
+        UnclearError: the text asks for such a thing.
+    """
+    for pattern, hint in _CANNOT:
+        if found := re.search(pattern, text, re.I):
+            part = found[0].strip(" .,;!?")
+            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+    owned = _OWNED.search(text)
+    if owned and not is_room(bare(owned["thing"])):
+        thing = owned["thing"]
+        hint = f"the camera cannot see whose {thing} it is; say 'the {thing}'"
+        raise UnclearError(f"instruction: {owned[0]!r}: {hint}", owned[0])
