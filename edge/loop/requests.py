@@ -9,12 +9,16 @@ from typing import TYPE_CHECKING
 
 from edge.bus import topics
 from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_text, shown
+from edge.config import TranslatorLtl
 from edge.errors import UserError
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.result import mission_facts
+from edge.loop.said_requests import carry_out
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.loop.status import answer_of
+from edge.mission.language.said import Control, NoMissionError, Question, SiteOrder, understand
 from edge.mission.spec import MissionSpec
+from edge.mission.translate import TranslationError
 from edge.perception.runtime.card_types import DetectCard, DirectionsCard
 from edge.perception.runtime.cards import load_card, load_detector_card
 from edge.perception.swap.base import SwapError
@@ -42,9 +46,10 @@ def request_handlers(
             `edge.tasks.mission_spec`.
         amiss: Returns the reasons why the service is not ready; see `edge.loop.service_health`.
     """
+    in_words = not isinstance(service.config.mission.translator, TranslatorLtl)
     return {
         topics.MISSION_REQUEST: (
-            mission_verbs(prepare),
+            mission_verbs(prepare, in_words),
             partial(handle_mission, service, amiss=amiss),
         ),
         topics.MODELS_REQUEST: (
@@ -56,8 +61,12 @@ def request_handlers(
     }
 
 
-def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
+def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dict[str, Verb]:
     """Return the verbs of mission requests.
+
+    Args:
+        prepare: see `request_handlers`.
+        in_words: True if instructions are English, so that "stop" is an order to stop.
 
     The requests are `{"do": "new", "instruction" | "formula" | "task": …}` and `{"do": VERB}` with
     pause, resume, cancel or status.
@@ -71,12 +80,23 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
 
     With `if_free: true`, the request is refused while another mission runs. `cancel` with an `id`
     cancels only that mission; its `why` becomes the reason.
+
+    An instruction that is a question or an order to learn leaves the mission as it is; the answer
+    has `text`. One about the present mission is the request with that verb.
     """
+
+    def prepared(fields: dict) -> object:
+        try:
+            return prepare(**{name: fields[name] for name in _MEANT if name in fields})
+        except NoMissionError as error:
+            return error.said
+
     return {
         "new": Verb(
             (*_TEXTS, "reading", "id", "if_free"),
             _new,
-            lambda fields: prepare(**{name: fields[name] for name in _MEANT if name in fields}),
+            prepared,
+            instead=_control if in_words else lambda fields: None,
         ),
         "pause": Verb(stops=True),
         "resume": Verb(),
@@ -95,6 +115,15 @@ def _new(fields: dict) -> dict:
         raise ValueError("do: new needs exactly one of instruction, formula and task")
     free = {"if_free": True} if check_flag("if_free", fields) else {}
     return {**texts, **_chosen(fields), **_named(fields), **free}
+
+
+def _control(fields: dict) -> tuple[str, dict] | None:
+    """Return the request that an instruction about the present mission means; None for others."""
+    try:
+        said = understand(fields.get("instruction", ""))
+    except TranslationError:
+        return None  # the preparation reports it
+    return (said.do, {}) if isinstance(said, Control) and said.seconds is None else None
 
 
 def _chosen(fields: dict) -> dict:
@@ -144,8 +173,10 @@ def handle_mission(
         UserError: There is nothing to pause, resume or cancel, or the mission cannot be started.
             Nothing has changed then.
     """
-    mission, name = service.mission, request.fields.get("id", "")
-    if request.do == "new":
+    mission, name, told = service.mission, request.fields.get("id", ""), {}
+    if isinstance(request.prepared, (Question, SiteOrder, Control)):
+        told = {"text": carry_out(service, request.prepared, now_ns)}
+    elif request.do == "new":
         _begin(service, request, now_ns)
     elif request.do != "status" and (mission.done or name not in ("", mission.id)):
         if not request.cancelled:
@@ -159,6 +190,7 @@ def handle_mission(
     return {
         **answer_of(service.status, mission_facts(service.mission), task),
         **overtaken,
+        **told,
         "past": list(service.past),
         "robot": _robot(service, amiss()),
     }

@@ -108,7 +108,6 @@ def prepare(
         >>> str(brief.automaton.formula), brief.targets
         ('F (bed & F sofa)', ('bed', 'sofa'))
     """
-    names_of_places = [place.name for place in site.places]
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
     elif instruction is not None or config.instruction is not None:
@@ -116,7 +115,7 @@ def prepare(
         text = instruction if ask else config.instruction
         reading = reading if ask else config.reading
         try:
-            translation = _translated(config, text, names_of_places, reading, ask)
+            translation = translate(config, text, site, reading, ask)
         except TranslationError as error:
             raise _placed(error, text) from None
     else:
@@ -125,19 +124,24 @@ def prepare(
     return spec_of(config, located(translation, site))
 
 
-def _translated(
-    config: MissionConfig, text: str, places: list[str], reading: int | None, ask: bool
+def translate(
+    config: MissionConfig,
+    text: str,
+    site: Site = _NO_SITE,
+    reading: int | None = None,
+    ask: bool = True,
 ) -> Translation:
-    """Spell out the everyday words of an instruction and translate it.
+    """Spell out the everyday words of an instruction and translate it; see `prepare`.
 
     Raises:
         NoMissionError: it is a question, an order to learn, or about the present mission.
         TranslationError: it is not understood.
     """
+    places = [place.name for place in site.places]
     translator = make_translator(config.translator)
     if isinstance(config.translator, TranslatorLtl):
         return translator.translate(quote_places(text, places), reading, ask)
-    said = understand(text, places)
+    said = understand(text, [item.name for item in site.items])
     if not isinstance(said, MissionOrder):
         raise NoMissionError(said)
     plain = said.speech.restored(spell_out(said.speech.text))

@@ -26,8 +26,9 @@ from edge.lab.eval.equivalence import distinguishing_trace
 from edge.memory import Place, Site
 from edge.mission.language.said import Control, NoMissionError, Question, SiteOrder
 from edge.mission.language.spans import SPAN, seconds_of
+from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import Formula, parse, postorder, propositions, renamed, to_text
-from edge.mission.spec import MissionError, prepare
+from edge.mission.spec import translate
 from edge.mission.translate import TranslationError
 from edge.text import format_table
 
@@ -77,16 +78,18 @@ def everyday_cases(path: Path) -> list[dict[str, Any]]:
 def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> EverydayScore:
     """Understand one sentence as the running service does, and judge it."""
     accepted = {case["expect"], *case.get("also", ())}
+    unclear = "right" if accepted & {"ask", "refuse"} else "asked or refused"
     try:
-        brief = prepare(MissionConfig(translator=translator), case["said"], site=SITE)
+        formula = translate(MissionConfig(translator=translator), case["said"], SITE).formula
+        asks = not compile_formula(formula).accepting[0]
     except NoMissionError as error:
         said = error.said
         right = _kind(said) in accepted and _is_right(case, said)
         return EverydayScore(case, "right" if right else "wrong", str(said))
-    except (TranslationError, MissionError) as error:
-        outcome = "right" if accepted & {"ask", "refuse"} else "asked or refused"
-        return EverydayScore(case, outcome, str(error))
-    formula = brief.automaton.formula
+    except TranslationError as error:
+        return EverydayScore(case, unclear, str(error))
+    if not asks:
+        return EverydayScore(case, unclear, f"asks for nothing: {to_text(formula)}")
     right = "mission" in accepted and ("formula" not in case or _same_mission(case, formula))
     return EverydayScore(case, "right" if right else "wrong", to_text(formula))
 

@@ -11,7 +11,15 @@ from collections.abc import Callable, Sequence
 
 from edge import names
 from edge.mission.language import nouns
-from edge.mission.language.everyday_words import AFTER_A_NAME, NAME, any_of, bare, is_room, is_vague
+from edge.mission.language.everyday_words import (
+    AFTER_A_NAME,
+    ARTICLE,
+    NAME,
+    any_of,
+    bare,
+    is_room,
+    is_vague,
+)
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.spans import number_of, seconds_of
 from edge.mission.language.templates import END, compiled
@@ -56,7 +64,7 @@ PARTS = {
         check [out|around|through]|get to know|(look|take a look|have a look|search) [around]
             (in|inside))
         """,
-    "time": "[, [only|for|during] <span> [long]]",
+    "time": "[, [only|for|during] <span> [long]] [again|once more|one more time]*",
     "patrol": """
         [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|
         [go|be] on patrol|[do|make] [your|the|some] rounds|go round|
@@ -99,7 +107,7 @@ _CHECKS = compiled(
 )
 _SEARCHES = compiled(
     """
-    (search|scan|look in|look through|look around|check) <room> for <thing>
+    (search|scan|look in|look through|look around) <room> for <thing>
     look around in <room> for <thing>
     """,
     PARTS,
@@ -107,6 +115,7 @@ _SEARCHES = compiled(
 _EXPLORES = compiled(
     """
     {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore] [everything] {time}
+    {goes} {look} <stops> {time}
     {goes} {look} <room> {time}
     {goes} (explore|exploring|look around|look round|scan|survey|wander|wander around|
             have a look around|take a look around|roam around|drive around|go exploring|map|
@@ -149,7 +158,8 @@ _WAITS = compiled(
 )
 _RELATED = re.compile(
     rf" (?P<thing>{NAME})(?: {any_of('standing')})? (?P<relation>{any_of('relation')})"
-    rf" (?P<anchor>{NAME})(?: and (?P<other>(?:the|a) {NAME}))?(?=[ ,.;!?]|$)",
+    rf" (?P<anchor>{NAME})(?: and (?P<other>(?:the|a) {NAME})"
+    rf"| or (?:(?P<again>{any_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
     re.I,
 )
 _INTRODUCED = re.compile(
@@ -173,6 +183,16 @@ _DRIVES = (
     r"forward|forwards|closer|away|a (?:look|peek|glance|tour|break)|the (?:way|route|path))\b)"
 )
 """Words after which a verb of handling is one of driving: "move to", "take a look"."""
+_WHICH_ROOM = re.compile(r" (?:the )?(?P<which>next|largest|biggest|smallest) room(?! \d)\b", re.I)
+_AFTER_WAIT = re.compile(r'(?P<wait>"wait[^"]*")(?:,? and(?: then)?|,)(?= (?!then)\w)')
+_IN_ROOM_AND = re.compile(
+    rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})),? and(?= (?:find|look for) )", re.I
+)
+_DANGLING = re.compile(
+    rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*",? (?:and then|and|or|then|, then) (?:{ARTICLE} |")'
+    rf'|"[^"]* [^"]*" (?:and|or) {any_of("relation")} ',
+    re.I,
+)
 _GOES_TO = re.compile(
     rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) ){any_of('go to')} (?P<name>\"[^\"]*\"|{NAME})",
     re.I,
@@ -217,8 +237,10 @@ def spell_out(text: str) -> str:
         (_CHECKS, _checked),
         (_EXPLORES, _explored),
         ([_ROOM_WITH, _RELATED], _related),
+        ([_WHICH_ROOM], _which_room),
         ([_GOES_TO], lambda found: f"{found['lead']}go to {_the(found['name'])}"),
         ([_FINDS], lambda found: f"{found['lead']}find {found['name']}"),
+        ([_IN_ROOM_AND], _in_room_and),
         ([_COMPOUND], _compound),
         (_STARTS, lambda found: ' go to "start"'),
         (_BACKS, _back),
@@ -228,6 +250,10 @@ def spell_out(text: str) -> str:
     for patterns, change in rules:
         for pattern in patterns:
             text = _outside_quotes(pattern, change, text)
+    text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
+    if dangling := _DANGLING.search(text):
+        hint = "unclear what to do with the second one; say it in a sentence of its own"
+        raise UnclearError(f"instruction: {dangling[0].strip()}: {hint}", dangling[0].strip())
     if loose := _LOOSE.search(text):
         raise UnclearError(f"instruction: {loose[0]!r}: {_ONLY_THERE}", loose[0])
     _refuse_impossible(re.sub(r'"[^"]*"', '"x"', text.strip()))
@@ -261,7 +287,7 @@ def _introduced(found: re.Match[str]) -> str | None:
 def _searched(found: re.Match[str]) -> str | None:
     if not is_room(bare(found["room"])) or is_vague(found["thing"]):
         return None
-    return f' find "{bare(found["thing"])} in the {bare(found["room"])}"'
+    return f' find "{bare(found["thing"])}{_where("in", found["room"])}"'
 
 
 def _checked(found: re.Match[str]) -> str | None:
@@ -273,8 +299,10 @@ def _checked(found: re.Match[str]) -> str | None:
     if plain_look and is_room(thing):
         return None  # "check the kitchen" is no check of a thing
     if slots.get("room"):
-        return _go_to(f"{CHECK} {thing} in the {bare(slots['room'])}", found)
+        return _go_to(f"{CHECK} {thing}{_where('in', slots['room'])}", found)
     where = _where(slots.get("relation"), slots.get("anchor"))
+    if re.match(r" (?!and |then |but |when |while |in order )\w", found.string[found.end() :]):
+        return None  # "check if the heater is on"
     return None if where is None else _go_to(f"{CHECK} {thing}{where}", found)
 
 
@@ -285,19 +313,30 @@ def _where(relation: str | None, anchor: str | None, other: str | None = None) -
     if is_vague(anchor) or re.search(r"\b(?:way|foot|own|order)$", anchor):
         return None
     name = bare(anchor)
+    relation = re.sub(r" of$", "", relation.lower()).replace("in front", "in front of")
+    relation = {"next": "next to", "nearby": "near"}.get(relation, relation)
     the = "" if re.search(r" (?:\d+\w?|[a-z])$", name) else "the "
     more = f" and the {bare(other)}" if other else ""
-    return f" {relation.lower()} {the}{name}{more}"
+    return f" {relation} {the}{name}{more}"
 
 
 def _explored(found: re.Match[str]) -> str | None:
     slots = found.groupdict()
-    room = bare(slots.get("room") or "")
-    if room and not is_room(room):
+    time = _for(slots.get("span"))
+    joints = re.findall(_JOINT, slots.get("stops") or "")
+    rooms = [bare(stop) for stop in re.split(_JOINT, slots.get("stops") or slots.get("room") or "")]
+    rooms = ["" if re.fullmatch(r"(?:every|each|all) rooms?", room) else room for room in rooms]
+    if not all(is_room(room) for room in rooms if room) or (time and len(rooms) > 1):
         return None
-    if room and is_vague(room):
-        raise UnclearError(f"instruction: {room!r}: unclear which one; name it", room)
-    return _go_to(f"{EXPLORED}{f' {room}' * bool(room)}{_for(slots.get('span'))}", None)
+    if vague := [room for room in rooms if room and is_vague(room)]:
+        raise UnclearError(f"instruction: {vague[0]!r}: unclear which one; name it", vague[0])
+    orders = [_go_to(f"{EXPLORED}{f' {room}' * bool(room)}{time}") for room in rooms]
+    return orders[0] + "".join(
+        j.rstrip() + order for j, order in zip(joints, orders[1:], strict=True)
+    )
+
+
+_JOINT = r",? (?:and then|and|then|or) |, "
 
 
 def _for(span: str | None) -> str:
@@ -354,7 +393,22 @@ def _related(found: re.Match[str]) -> str | None:
     if where is None:
         return None
     rest = f" and {slots['other']}" if slots.get("other") and not other else ""
-    return f' {before}"{bare(" ".join(words))}{where}"{rest}'
+    name = bare(" ".join(words))
+    if slots.get("else"):
+        rest = f" or {slots['else']}"
+        if slots["again"] or (is_room(bare(slots["else"])) and is_room(bare(found["anchor"]))):
+            rest = f' or "{name}{_where(slots["again"] or relation, slots["else"])}"'
+    return f' {before}"{name}{where}"{rest}'
+
+
+def _which_room(found: re.Match[str]) -> str:
+    which = {"biggest": "largest"}.get(found["which"].lower(), found["which"].lower())
+    return f' "{which} room"'
+
+
+def _in_room_and(found: re.Match[str]) -> str | None:
+    """Put "then" between going to a room and finding something, as people mean it."""
+    return f"{found['go']}, then" if is_room(bare(found["room"])) else None
 
 
 def _the(name: str) -> str:
@@ -380,12 +434,14 @@ def _compound(found: re.Match[str]) -> str | None:
 
 def _modifies(word: str) -> bool:
     """Return True if a word may stand before a noun, and is no slip of a known word."""
+    if re.fullmatch(any_of("room of"), word):
+        return True
     kind = TABLE.get((word,))
     if word in nouns.PLAIN_WORDS or is_room(word) or kind not in (None, "word", "verb"):
         return False
     if kind == "verb" and not word.endswith("ing") and not nouns.is_noun(word):
-        return word in ("break", "crash", "wash", "sleep", "play")
-    return word.isalpha() and nouns.meant(word) is None
+        return False
+    return word.strip("'").isalpha() and nouns.meant(word) is None
 
 
 def _back(found: re.Match[str]) -> str | None:

@@ -22,7 +22,8 @@ _ROWS: dict[str, str] = {
         (my|) (dear|love|darling|friend|sweetheart|sweetie);
         (could|can|would|will) you (just|maybe|perhaps|kindly|quickly|);
         (could|can|would|will) you (be so kind|be so good) (as|) to; (would|do) you mind;
-        i (want|need|would like|like|expect) (that|) you (to|);
+        i (want|need|would like|like|expect) (that|) you to; i (want|need) that you;
+        (that is|this is) enough; that will do;
         (we|i) (want|need|would like) (the|) robot to; i want to ask you to; you (must|should|shall)
         to;
         you (must|should|shall|have to|need to|are to); it would be (nice|great|lovely) if you
@@ -38,6 +39,7 @@ _ROWS: dict[str, str] = {
         as (fast|quickly|soon) as you can; quickly; quick; fast; hurry; hurry up; thanks a lot;
         if you (please|do not mind); when you (have|get) (time|a moment|a minute|a chance);
         in case you did not know; for now; today; (you have|try|please) to remember (that|it|);
+        remember (that|it|);
         please remember (that|it|); do not forget (that|it|); got it; did you get that; you hear;
         will you please; all right; alright; for us; sir; friend; be careful; and be careful;
         carefully; come on; good robot; from now on; there is a good (boy|robot); to charge;
@@ -60,6 +62,14 @@ _ROWS: dict[str, str] = {
         aisle; bay; warehouse; unit; theatre; clinic; pharmacy; mailroom; cloakroom; stairwell;
         entrance hall; sunroom; studio
     """,
+    # First words of rooms' names that are no names of things.
+    "room of": """
+        break; staff; lunch; tea; supply; copy; mail; print; printing; control; treatment; exam;
+        examination; operating; recovery; emergency; changing; dressing; shower; utility; boiler;
+        packing; shipping; receiving; loading; sorting; cold; isolation; therapy; music; games;
+        reading; sewing; hobby; day; quiet; prayer; spare; master; tool; supplies; equipment;
+        crash; wash; sleep; play; med; medication; drug; activity; common; rest; family
+    """,
     "everything": """
         everything; everywhere; house; home; flat; apartment; building; floor; area; place;
         surroundings; environment; rooms; ward; warehouse; site; all; everything here;
@@ -71,7 +81,7 @@ _ROWS: dict[str, str] = {
     "relation": """
         next to; beside; besides; near; close to; by; under; underneath; below; behind; in front of;
         on; on top of; in; inside; at; opposite; above; nearest to; nearest; closest to; against;
-        across from; between
+        across from; between; near of; next of; beside of; behind of; nearby
     """,
     "standing": """
         (that|which|what|who) (is|are|stands|sits|lies|hangs|stand|sit|lie) (sitting|standing|lying|
@@ -82,7 +92,7 @@ _ROWS: dict[str, str] = {
 (pop|nip|trundle|scoot|zoom|toddle|wander|roll|dash|sprint|motor|hop|whizz|come|head|run|drive|
         go|move|walk|skip|ride|cruise|travel|hurry|race|be off|off|get)
         (on|along|round|quickly|right|
-        straight|) (over|back|across|up|down|) (in|into|to|at|inside);
+        straight|next door|again|now|)  (over|back|across|up|down|) (in|into|to|at|inside);
         back (in|into|to); make your way (over|back|) (to|into); get yourself (over|back|)
         (to|into);
         bring yourself (over|back|) to; report (to|at); head (back|over|) (for|towards); make for;
@@ -147,6 +157,7 @@ _ENDS_A_NAME = """
     during around over up out off away back just only below above underneath opposite against
     between close nearest closest across top front look be me us him this how why standing
     sitting lying hanging it's already same order everywhere somewhere thing right yet like
+    the a an my our your his her their those these some
     """
 AFTER_A_NAME = f"(?:{'|'.join(_ENDS_A_NAME.split())})"
 """Regular expression for a word that no name has."""

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from edge import names
 from edge.mission.language.everyday_words import ARTICLE, NAME, any_of
-from edge.mission.language.lexicon import WORD, expanded
+from edge.mission.language.lexicon import TABLE, WORD, expanded
 from edge.mission.language.templates import compiled, first_match
 from edge.mission.language.tokens import STRAIGHT, not_understood
 from edge.mission.language.utterances import REASONS
@@ -38,7 +38,8 @@ _LIKE = re.compile(
 _MARK = rf"[ ,.]*\b{any_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 _CORRECTS = re.compile(_MARK, re.I)
 _OPENING = re.compile(
-    rf"(?:(?:{any_of('opening')}\b|you (?!may|can|are|will|must|should|have|could|were)|"
+    rf"(?:(?:{any_of('opening')}\b|i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
+    r"you (?!may|can|are|will|must|should|have|could|were)|"
     r"do (?=(?:go|come|find|check|look|have|please|you mind)\b))[ ,.!]*)+",
     re.I,
 )
@@ -93,8 +94,10 @@ def tidied(said: str) -> TidySpeech:
     text = " ".join(_QUOTED.sub(hide, said.translate(STRAIGHT)).split())
     text = WORD.sub(_expanded, text)
     text = " ".join(_HESITATION.sub(_unless_it_corrects, text).split())
-    text = re.sub(r"\bplease\b,? ?", "", text, flags=re.I).strip() or text
+    text = re.sub(r"\bplease(?: to(?! the\b))?\b,? ?", "", text, flags=re.I).strip() or text
     text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
+    text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
+    text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
     text = _LIKE.sub("", _TWICE.sub(r"\1", text))
     text = _corrected(stripped(text))
     kept, reasons = without_reasons(text)
@@ -108,6 +111,13 @@ def _expanded(found: re.Match[str]) -> str:
         return plain
     parts = expanded(word.lower())
     return " ".join(parts) if len(parts) > 1 else word
+
+
+def _base_form(found: re.Match[str]) -> str:
+    """Return the verb of "would you mind going": `go`."""
+    stem = found[1]
+    forms = (stem, f"{stem}e", stem[:-1])
+    return next((form for form in forms if TABLE.get((form.lower(),)) == "verb"), found[0])
 
 
 def _unless_it_corrects(found: re.Match[str]) -> str:

@@ -16,7 +16,7 @@ PARTS = {
         leave|left|discover|discovered|pass|passed)
         """,
     "you": "[did|have|had|has|do] (you|the robot|anyone|anybody) "
-           "[have|had|did|ever|already|just|last|recently|by chance|maybe]*",
+           "[have|had|did|ever|already|just|last|recently|by chance|by any chance|maybe]*",
     "tell": """
         [can you|could you] [please] (tell me|say|show me|do you (know|remember)|you know|
         [i wonder|any idea|i want to know|remind me|you remember])
@@ -98,7 +98,8 @@ QUESTIONS = {
         what do you (know|remember) [about this place|so far]
     """,
     "where": """
-        {tell} where [exactly] (is|are|was|were|have|has|did|do) <thing> [is|are|was|were] {last}
+        {tell} where [exactly|on earth|in the world] (is|are|was|were|have|has|did|do)
+            [the (nearest|closest)] <thing> [is|are|was|were] {last}
         {tell} where <thing> (is|are|was|were|has|have) {last}
         {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
         {tell} where (can|could|do|should|would|will|might) (i|we) (find|see|get|look for|go for)
@@ -114,6 +115,8 @@ QUESTIONS = {
         {you} {seen} [any] [of] <thing> {in} {last}
         [is|was|are|were] there <thing> {in} {last}
         [do you know if|do you know whether|so] there (is|are) <thing> {in} {last}
+        (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
+            <thing> {in} {last}
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
         have (we|you) got <thing> {in} {last}
         (is|are) <thing> [still|already|really] (in|inside|at) <room> {last}
