@@ -15,7 +15,8 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import Site
 from edge.mission.language.english import describe
-from edge.mission.language.errands import spell_out
+from edge.mission.language.errands import CHECK, spell_out
+from edge.mission.language.grammar import readings
 from edge.mission.language.places import EXPLORED, HERE, START, quote_places
 from edge.mission.language.said import MissionOrder, NoMissionError, understand
 from edge.mission.language.told_back import told_back
@@ -144,10 +145,21 @@ def translate(
     said = understand(text, [item.name for item in site.items])
     if not isinstance(said, MissionOrder):
         raise NoMissionError(said)
-    plain = said.speech.restored(spell_out(said.speech.text))
-    translation = translator.translate(quote_places(plain, places), reading, ask)
+    plain = said.speech.restored(spell_out(said.speech.text, places))
+    given = quote_places(text, places)
+    # What the grammar reads in the person's own words needs no spelling out. A check is no visit.
+    chosen = given if _is_read(given) and f'"{CHECK} ' not in plain else plain
+    translation = translator.translate(chosen, reading, ask)
     english = told_back(translation.english, said.speech.reasons)
     return replace(translation, instruction=text, english=english)
+
+
+def _is_read(instruction: str) -> bool:
+    """Return True if the grammar understands an instruction."""
+    try:
+        return bool(readings(instruction))
+    except TranslationError:
+        return False
 
 
 def _placed(error: TranslationError, instruction: str) -> TranslationError:

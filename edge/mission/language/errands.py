@@ -7,7 +7,7 @@ kitchen", "wait 30 s", "check stove", "mug in the kitchen". The translators read
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from edge import names
 from edge.mission.language import nouns
@@ -21,13 +21,15 @@ from edge.mission.language.everyday_words import (
     is_vague,
 )
 from edge.mission.language.lexicon import TABLE
+from edge.mission.language.places import (
+    EXPLORED, HERE, START, is_marked, mark_places, named_places,
+)  # fmt: skip
 from edge.mission.language.spans import number_of, seconds_of
 from edge.mission.language.templates import END, compiled
 from edge.mission.language.tokens import UnclearError
 
-EXPLORED, WAIT, CHECK, HERE, CALLER = "explored", "wait", "check", "here", "caller"
-"""Beginnings of the propositions; the last two are poses: where the mission began, and where the
-person is."""
+WAIT, CHECK, CALLER = "wait", "check", "caller"
+"""Beginnings of propositions, and the pose of the person; see also `places`."""
 MAX_ROUNDS = 10
 
 PARTS = {
@@ -60,7 +62,7 @@ PARTS = {
         [make|do] [an|the] exploration [of]|go exploring [in]|look through|search through|
         (look|have a look|take a look|have a good look|have a quick look|drive|go|wander|roam|
         cruise|have a wander|take a tour|do a tour|make a tour|do a scan|make a map|have a peek|
-        take a good look) [all] (around|round|about|through|of) [in|inside|of|at]|
+        take a good look) [all] (around|round|about) [in|inside|of|at]|
         check [out|around|through]|get to know|(look|take a look|have a look|search) [around]
             (in|inside))
         """,
@@ -144,7 +146,18 @@ _ERRAND_AND_BACK = compiled(
     """,
     PARTS,
 )
-_STARTS = compiled("(come|go|get|drive|head|run|return|move) [back|home]* to {home}", PARTS)
+_STARTS = compiled(
+    """
+    {then} (come|go|get|drive|head|run|return|move) [back|home]* to {home}
+    {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
+            (start|starting) (point|place|position|pose|spot))
+    """,
+    PARTS,
+)
+_BACK_TO = compiled(
+    "{then} (return|(come|go|get|drive|head|run|move|be) [straight|right] back|back) to <thing>",
+    PARTS,
+)
 _CALLS = compiled("(come|drive|get|move|roll) [over|right|up]* (here|to me|to us|over here)", PARTS)
 _BACKS = compiled("{then} {back}", PARTS)
 _WAITS = compiled(
@@ -180,11 +193,27 @@ _ONLY_THERE = (
 _OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just |now )?"
 _DRIVES = (
     r"(?! (?:to|by|over|into|toward|towards|around|along|back|through|past|near|in|left|right|"
-    r"forward|forwards|closer|away|a (?:look|peek|glance|tour|break)|the (?:way|route|path))\b)"
+    r"on|forward|forwards|closer|away|a (?:look|peek|glance|tour|break)|the (?:way|route|path))\b)"
 )
 """Words after which a verb of handling is one of driving: "move to", "take a look"."""
+_NOWHERE = (
+    "way",
+    "foot",
+    "own",
+    "order",
+    "point",
+    "least",
+    "most",
+    "floor",
+    "floors",
+    "last",
+    "path",
+    "road",
+    "route",
+)
 _WHICH_ROOM = re.compile(r" (?:the )?(?P<which>next|largest|biggest|smallest) room(?! \d)\b", re.I)
 _AFTER_WAIT = re.compile(r'(?P<wait>"wait[^"]*")(?:,? and(?: then)?|,)(?= (?!then)\w)')
+_EXPLORED_TWICE = re.compile(r'( go to "explored")(?:,? and(?: then)? go to "explored")+')
 _IN_ROOM_AND = re.compile(
     rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})),? and(?= (?:find|look for) )", re.I
 )
@@ -217,8 +246,12 @@ _CANNOT = (
 _OWNED = re.compile(r"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>[\w-]+(?: [\w-]+)?)")
 
 
-def spell_out(text: str) -> str:
+def spell_out(text: str, places: Iterable[str] = ()) -> str:
     """Return an errand in plain words with its destinations as quoted propositions.
+
+    Args:
+        text: the errand; see `tidy`.
+        places: names of places, which come before those of things.
 
     Raises:
         UnclearError: it asks for what no wheels, camera and text can do.
@@ -227,7 +260,8 @@ def spell_out(text: str) -> str:
         >>> spell_out("go and check whether the kettle is in the kitchen, then come back")
         'go to "check kettle in the kitchen", then go to "here"'
     """
-    text = f" {text}"
+    marked, names = mark_places(text, places)
+    text = f" {marked}"
     text = re.sub(rf"(?<=\w)'s (?=still\b|there\b|{any_of('relation')} )", " is ", text)
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
         ([_INTRODUCED], _introduced),
@@ -242,7 +276,8 @@ def spell_out(text: str) -> str:
         ([_FINDS], lambda found: f"{found['lead']}find {found['name']}"),
         ([_IN_ROOM_AND], _in_room_and),
         ([_COMPOUND], _compound),
-        (_STARTS, lambda found: ' go to "start"'),
+        (_STARTS, lambda found: _go_to(START, found)),
+        (_BACK_TO, _back_to),
         (_BACKS, _back),
         (_CALLS, lambda found: f' go to "{CALLER}"' if not found.start() else None),
         (_WAITS, _waits),
@@ -250,13 +285,15 @@ def spell_out(text: str) -> str:
     for patterns, change in rules:
         for pattern in patterns:
             text = _outside_quotes(pattern, change, text)
+    text = _EXPLORED_TWICE.sub(r"\1", text)
+    text = named_places(text, names)
     text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
     if dangling := _DANGLING.search(text):
         hint = "unclear what to do with the second one; say it in a sentence of its own"
         raise UnclearError(f"instruction: {dangling[0].strip()}: {hint}", dangling[0].strip())
     if loose := _LOOSE.search(text):
         raise UnclearError(f"instruction: {loose[0]!r}: {_ONLY_THERE}", loose[0])
-    _refuse_impossible(re.sub(r'"[^"]*"', '"x"', text.strip()))
+    refuse_impossible(text.strip())
     return text.strip()
 
 
@@ -310,9 +347,15 @@ def _where(relation: str | None, anchor: str | None, other: str | None = None) -
     """Return " next to the desk"; "" without a relation, None if the anchor is no object."""
     if not relation or not anchor:
         return ""
-    if is_vague(anchor) or re.search(r"\b(?:way|foot|own|order)$", anchor):
-        return None
     name = bare(anchor)
+    words = name.split()
+    phrase = f"{relation} {anchor}".lower().split()
+    idiom = any(
+        tuple(phrase[:n]) in TABLE for n in range(len(relation.split()) + 1, len(phrase) + 1)
+    )
+    verb = name == anchor.lower() and TABLE.get((words[0],)) == "verb" and len(words) > 1
+    if idiom or verb or is_vague(anchor) or words[-1] in _NOWHERE:
+        return None  # "at some point", "by passing the desk"
     relation = re.sub(r" of$", "", relation.lower()).replace("in front", "in front of")
     relation = {"next": "next to", "nearby": "near"}.get(relation, relation)
     the = "" if re.search(r" (?:\d+\w?|[a-z])$", name) else "the "
@@ -360,7 +403,7 @@ def _rounds(found: re.Match[str]) -> str | None:
     rounds = number_of((slots.get("count") or slots.get("often") or "").lower())
     if rounds is None or not 1 <= rounds <= MAX_ROUNDS or len(stops) < 2:
         return None
-    return " " + ", then ".join(f"go to the {stop}" for stop in stops * rounds)
+    return " " + ", then ".join(f"go to {_articled(stop)}" for stop in stops * rounds)
 
 
 def _errands_and_back(found: re.Match[str]) -> str | None:
@@ -368,7 +411,7 @@ def _errands_and_back(found: re.Match[str]) -> str | None:
     times = number_of((slots.get("count") or slots.get("often") or "").lower())
     if times is None or not 1 <= times <= MAX_ROUNDS:
         return None
-    stop = f'go to the {bare(found["thing"])}, then go to "{HERE}"'
+    stop = f'go to {_articled(bare(found["thing"]))}, then go to "{HERE}"'
     return " " + ", then ".join([stop] * times)
 
 
@@ -384,7 +427,11 @@ def _related(found: re.Match[str]) -> str | None:
     begins = re.search(r"(?:^|[,.;!?]|\b(?:and|then))$", found.string[: found.start()].rstrip())
     if not articled and (nouns.unknown_in(words) is not None or (begins and not before)):
         return None  # "park at the dock": a verb, no thing
-    if is_vague(" ".join(words)) or (is_room(bare(thing)) and relation in ("by", "near", "at")):
+    if (
+        words[-1] in _NOWHERE
+        or is_vague(" ".join(words))
+        or (is_room(bare(thing)) and relation in ("by", "near", "at"))
+    ):
         return None
     if slots.get("relation") and TABLE.get((words[-1].lower(),)) in ("verb", "do"):
         return None
@@ -411,9 +458,13 @@ def _in_room_and(found: re.Match[str]) -> str | None:
     return f"{found['go']}, then" if is_room(bare(found["room"])) else None
 
 
+def _articled(name: str) -> str:
+    return name if is_marked(name) else f"the {name}"
+
+
 def _the(name: str) -> str:
     """Return a name with an article; `to kitchen` is said by people who learn English."""
-    articled = name.startswith('"') or bare(name) != name.lower()
+    articled = name.startswith('"') or bare(name) != name.lower() or is_marked(name)
     return name if articled or not is_room(name) or name[-1].isdigit() else f"the {name}"
 
 
@@ -444,6 +495,13 @@ def _modifies(word: str) -> bool:
     return word.strip("'").isalpha() and nouns.meant(word) is None
 
 
+def _back_to(found: re.Match[str]) -> str | None:
+    thing = found["thing"]
+    if not (is_marked(thing) or is_room(bare(thing))):
+        return None
+    return f"{', then' * bool(found.start())} go to {_the(thing)}"
+
+
 def _back(found: re.Match[str]) -> str | None:
     after = found.string[found.end() :]
     if re.match(r" ?(?:to|\"|into|and forth)", after) or re.match(
@@ -461,12 +519,13 @@ def _waits(found: re.Match[str]) -> str | None:
     return _go_to(wait, found) if found.start() or slots.get("span") else None
 
 
-def _refuse_impossible(text: str) -> None:
+def refuse_impossible(text: str) -> None:
     """Refuse what no wheels, camera and text can do: carrying, calling, following.
 
     Raises:
         UnclearError: the text asks for such a thing.
     """
+    text = re.sub(r'"[^"]*"', '"x"', text)
     for pattern, hint in _CANNOT:
         if found := re.search(pattern, text, re.I):
             part = found[0].strip(" .,;!?")

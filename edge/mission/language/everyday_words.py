@@ -112,7 +112,8 @@ _ROWS: dict[str, str] = {
     """,
     # What a robot with wheels, a camera and text cannot do: the beginning of a clause.
     "handle": """
-        bring; fetch; carry; grab; lift; hold; hand; give; pass; pick; take; deliver; collect; load;
+        bring; fetch; carry; grab; lift; hold; hand; give; pass (me|us|him|her|it|them); pick; take;
+        deliver; collect; load;
         unload; throw; put; place; drop; move; push; pull; drag; open; close; shut; lock; unlock;
         press; touch; wash; wipe; mop; vacuum; clean; dust; tidy; cook; pour; feed; iron; water;
         empty; fill; (switch|turn) (on|off|up|down); plug; unplug; make (me|us); get (me|us); serve;

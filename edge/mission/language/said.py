@@ -125,7 +125,7 @@ def understand(said: str, sites: Collection[str] = ()) -> Said:
     if (found := _classified(whole, sites)) is not None:
         return found
     pieces = [stripped(piece) for piece in re.split(r"[.!?;,]+(?: |$)", speech.text)]
-    pieces = [piece for piece in pieces if piece and not is_reason(piece)]
+    pieces = [piece for piece in pieces if piece and not is_reason(piece, states=True)]
     kinds = [_classified(_plain(piece), sites) for piece in pieces]
     orders = [kind for kind in kinds if kind is not None]
     if not orders or (None in kinds and all(_may_be_in_a_mission(one) for one in orders)):

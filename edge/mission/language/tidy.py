@@ -11,7 +11,7 @@ from edge.mission.language.everyday_words import ARTICLE, NAME, any_of
 from edge.mission.language.lexicon import TABLE, WORD, expanded
 from edge.mission.language.templates import compiled, first_match
 from edge.mission.language.tokens import STRAIGHT, not_understood
-from edge.mission.language.utterances import REASONS
+from edge.mission.language.utterances import REASONS, STATES
 
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
@@ -170,17 +170,22 @@ def _replaced_from(before: str, after: str) -> int | None:
     return None
 
 
-def is_reason(clause: str) -> bool:
-    """Return True for a clause that only says why: "I heard a noise", "the isolation is over"."""
+def is_reason(clause: str, states: bool = False) -> bool:
+    """Return True for a clause that only says why: "I heard a noise".
+
+    Args:
+        clause: no other text.
+        states: True if "the isolation is over" is one, too.
+    """
     fixed = clause.lower().startswith(("it ", "that ", "this ", "you "))
     if not fixed and _DIRECTS.search(clause):
         return False
-    return first_match(_reasons(), clause) is not None
+    return first_match(_templates(REASONS + STATES * states), clause) is not None
 
 
-@lru_cache(maxsize=1)
-def _reasons() -> list[re.Pattern[str]]:
-    return compiled(REASONS, {})
+@lru_cache(maxsize=2)
+def _templates(rows: str) -> list[re.Pattern[str]]:
+    return compiled(rows, {})
 
 
 def without_reasons(text: str) -> tuple[str, tuple[str, ...]]:

@@ -214,7 +214,7 @@ CONTROL = {
 """`do` of `Control` → its templates."""
 
 REASONS = """
-    [because|cause|since|as|so|and] (i|we|he|she|somebody|someone|there|people|<thing>)
+    [because|cause|since|as|so|and] (i|we|he|she|somebody|someone|people)
             (am|is|are|was|were|have|has|had|will|got|just|heard|lost|saw|left|tore|think|feel|know|
             do not|did not|can not|finished|moved|do|did|hear|see) ...
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
@@ -224,3 +224,7 @@ REASONS = """
             scare|fall|knock|crush|wake|in the way|in my way|too (fast|loud|close)) ...
 """
 """Clauses that only say why; see `tidy.is_reason` for words that none of them has."""
+STATES = """
+    [because|cause|since|as|so|and|now] (there|<thing>) (am|is|are|was|were|has|have|just|will) ...
+"""
+"""Clauses that say how something is, which may not stand in an errand: "the bed is first"."""
