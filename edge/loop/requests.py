@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from edge.bus import topics
-from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_text, shown
+from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_pose, check_text, shown
 from edge.config import TranslatorLtl
 from edge.errors import UserError
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
@@ -16,7 +16,9 @@ from edge.loop.result import mission_facts
 from edge.loop.said_requests import carry_out
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.loop.status import answer_of
+from edge.mission.destinations import LONGEST_S
 from edge.mission.language.said import Control, NoMissionError, Question, SiteOrder, understand
+from edge.mission.repetition import MAX_ROUNDS, Repetition
 from edge.mission.spec import MissionSpec
 from edge.mission.translate import TranslationError
 from edge.perception.runtime.card_types import DetectCard, DirectionsCard
@@ -78,6 +80,10 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
     not start it again. An ambiguous or doubtful instruction is refused with its `readings` and with
     `doubts` about single words. The field `reading` chooses one of the readings, counted from 1.
 
+    With `from_pose: [x_m, y_m, yaw_rad]`, the mission may name the place `caller`.
+
+    With `rounds` or `for_s`, the mission repeats so often, or for so many seconds.
+
     With `if_free: true`, the request is refused while another mission runs. `cancel` with an `id`
     cancels only that mission; its `why` becomes the reason.
 
@@ -93,7 +99,7 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
 
     return {
         "new": Verb(
-            (*_TEXTS, "reading", "id", "if_free"),
+            (*_TEXTS, "reading", "from_pose", "rounds", "for_s", "id", "if_free"),
             _new,
             prepared,
             instead=_control if in_words else lambda fields: None,
@@ -106,7 +112,7 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
 
 
 _TEXTS = ("instruction", "formula", "task")
-_MEANT = (*_TEXTS, "reading")
+_MEANT = (*_TEXTS, "reading", "caller", "repeat")
 
 
 def _new(fields: dict) -> dict:
@@ -114,7 +120,23 @@ def _new(fields: dict) -> dict:
     if len(texts) != 1:
         raise ValueError("do: new needs exactly one of instruction, formula and task")
     free = {"if_free": True} if check_flag("if_free", fields) else {}
-    return {**texts, **_chosen(fields), **_named(fields), **free}
+    return {
+        **texts,
+        **_chosen(fields),
+        **_calling(fields),
+        **_repeat(fields),
+        **_named(fields),
+        **free,
+    }
+
+
+def _calling(fields: dict) -> dict:
+    """Return the field `from_pose` as the pose `caller`, if present."""
+    if "from_pose" not in fields:
+        return {}
+    if "task" in fields:
+        raise ValueError("from_pose: only valid with an instruction or a formula")
+    return {"caller": check_pose("from_pose", fields["from_pose"])}
 
 
 def _control(fields: dict) -> tuple[str, dict] | None:
@@ -136,6 +158,20 @@ def _chosen(fields: dict) -> dict:
     if "instruction" not in fields:
         raise ValueError("reading: only valid with an instruction")
     return {"reading": reading}
+
+
+def _repeat(fields: dict) -> dict:
+    """Return the fields `rounds` and `for_s` as a `Repetition`, if present."""
+    rounds, for_s = fields.get("rounds"), fields.get("for_s")
+    if rounds is None and for_s is None:
+        return {}
+    if "task" in fields:
+        raise ValueError("rounds, for_s: only valid with an instruction or a formula")
+    if rounds is not None and (type(rounds) is not int or not 1 <= rounds <= MAX_ROUNDS):
+        raise ValueError(f"rounds: expected an integer from 1 to {MAX_ROUNDS}, got {shown(rounds)}")
+    if for_s is not None and (type(for_s) not in (int, float) or not 0 < for_s <= LONGEST_S):
+        raise ValueError(f"for_s: expected seconds up to {LONGEST_S:g}, got {shown(for_s)}")
+    return {"repeat": Repetition(rounds, for_s)}
 
 
 def _cancel(fields: dict) -> dict:
@@ -182,7 +218,7 @@ def handle_mission(
         if not request.cancelled:
             raise UserError(f"no {'such ' * bool(name)}mission is running: {_last(service)}")
     elif request.do == "cancel":
-        service.fail(one_line(request.fields.get("why", CANCELLED)), now_ns)
+        service.cancel(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
         service.pause(request.do == "pause", now_ns)
     task = service.behaviour.facts()

@@ -13,6 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,19 @@ from edge.memory import Place, Site
 from edge.mission.language.said import Control, NoMissionError, Question, SiteOrder
 from edge.mission.language.spans import SPAN, seconds_of
 from edge.mission.logic.automaton import compile_formula
-from edge.mission.logic.ltl import Formula, parse, postorder, propositions, renamed, to_text
+from edge.mission.logic.ltl import (
+    Formula,
+    ap,
+    conj,
+    neg,
+    parse,
+    postorder,
+    propositions,
+    renamed,
+    to_text,
+    weak_until,
+)
+from edge.mission.repetition import recurrence
 from edge.mission.spec import translate
 from edge.mission.translate import TranslationError
 from edge.text import format_table
@@ -80,7 +93,8 @@ def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> Everyd
     accepted = {case["expect"], *case.get("also", ())}
     unclear = "right" if accepted & {"ask", "refuse"} else "asked or refused"
     try:
-        formula = translate(MissionConfig(translator=translator), case["said"], SITE).formula
+        found = translate(MissionConfig(translator=translator), case["said"], SITE)
+        formula, patrol_s = found.formula, found.repeat.limit_s if found.repeat else 0.0
         asks = not compile_formula(formula).accepting[0]
     except NoMissionError as error:
         said = error.said
@@ -90,7 +104,9 @@ def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> Everyd
         return EverydayScore(case, unclear, str(error))
     if not asks:
         return EverydayScore(case, unclear, f"asks for nothing: {to_text(formula)}")
-    right = "mission" in accepted and ("formula" not in case or _same_mission(case, formula))
+    right = "mission" in accepted and (
+        "formula" not in case or _same_mission(case, formula, patrol_s)
+    )
     return EverydayScore(case, "right" if right else "wrong", to_text(formula))
 
 
@@ -123,22 +139,29 @@ def _seconds(case: dict[str, Any]) -> float:
     return float(60 * case.get("minutes", 0) + case.get("seconds", 0))
 
 
-def _same_mission(case: dict[str, Any], got: Formula) -> bool:
-    """Return True if formula and time agree; times are no part of the expected propositions."""
+def _same_mission(case: dict[str, Any], got: Formula, patrol_s: float | None) -> bool:
+    """Return True if formula and time agree; times are no part of the expected propositions.
+
+    A sequence counts, too, if it also forbids each stop before the one that comes first, as
+    "before you go to b, visit a" does.
+
+    Args:
+        case: the line of the file.
+        got: the formula, of one round of a patrol.
+        patrol_s: time of a patrol; 0.0 for none, None if it has no end.
+    """
     expected = parse(case["formula"])
     spans = [m[0] for name in propositions(got) for m in re.finditer(SPAN, name)]
-    if sum(map(seconds_of, spans)) != _seconds(case):
+    if sum(map(seconds_of, spans)) + (patrol_s or 0.0) != _seconds(case):
         return False
-    stops = {_plain(name) for name in propositions(expected)}
-    patrol = next((n for n in propositions(got) if n.startswith("patrol ")), "")
-    if patrol:  # the loop is no part of the formula
-        listed = re.sub(rf" for {SPAN}$", "", patrol.removeprefix("patrol "))
-        return {_plain(stop) for stop in listed.split(", ")} == stops
     timeless = renamed(got, lambda name: _plain(re.sub(rf" (?:for )?{SPAN}$", "", name)))
     plain = renamed(expected, _plain)
     if "wait" in propositions(timeless) and "wait" not in propositions(plain):
         timeless = _without_waits(timeless)
-    return distinguishing_trace(timeless, plain) is None
+    plain, _ = recurrence(plain, patrol_s != 0.0)
+    stops = propositions(plain)
+    strict = conj(plain, *(weak_until(neg(ap(b)), ap(a)) for a, b in pairwise(stops) if a != b))
+    return any(distinguishing_trace(timeless, each) is None for each in (plain, strict))
 
 
 def _without_waits(formula: Formula) -> Formula:

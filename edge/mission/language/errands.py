@@ -22,11 +22,17 @@ from edge.mission.language.everyday_words import (
 )
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.places import (
-    EXPLORED, HERE, START, is_marked, mark_places, named_places,
+    EXPLORED,
+    HERE,
+    START,
+    is_marked,
+    mark_places,
+    named_places,
 )  # fmt: skip
 from edge.mission.language.spans import number_of, seconds_of
 from edge.mission.language.templates import END, compiled
 from edge.mission.language.tokens import UnclearError
+from edge.mission.language.unsupported import BEYOND_NAMES
 
 WAIT, CHECK, CALLER = "wait", "check", "caller"
 """Beginnings of propositions, and the pose of the person; see also `places`."""
@@ -116,7 +122,8 @@ _SEARCHES = compiled(
 )
 _EXPLORES = compiled(
     """
-    {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore] [everything] {time}
+    {goes} ({look}|look|inspect) {whole} [{whole}] [and|then] [map|scan|look at|explore]
+            [everything] {time}
     {goes} {look} <stops> {time}
     {goes} {look} <room> {time}
     {goes} (explore|exploring|look around|look round|scan|survey|wander|wander around|
@@ -134,6 +141,8 @@ _PATROLS = compiled(
     {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
     {patrol} <stops> , <often>
     {patrol} <stops> , [for|during] <span> [long]
+    {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|
+            all (day|night|the time))
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
     (do|make|drive|go|run|walk) <count> {rounds} (of|between|around|through|from|in) <stops>
     """,
@@ -164,7 +173,8 @@ _WAITS = compiled(
     """
     {then} {hold} {there} [for] <span> [there|here]
     {then} {hold} (at|in|by|near|inside|next to|in front of) <thing> [for] <span>
-    {then} (wait|stay) (at|in|by|near|inside|next to|in front of) <thing>
+    {then} wait (at|in|by|near|inside|next to|in front of) <thing>
+    {then} stay (at|by|near|next to|in front of) <thing>
     {then} (wait|stay) (there|here|in there) [for me|until i (come|am there|get there|call|say) ...]
     """,
     PARTS,
@@ -211,6 +221,9 @@ _NOWHERE = (
     "road",
     "route",
 )
+_LEADS_TO_NAME = re.compile(
+    r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I
+)
 _WHICH_ROOM = re.compile(r" (?:the )?(?P<which>next|largest|biggest|smallest) room(?! \d)\b", re.I)
 _AFTER_WAIT = re.compile(r'(?P<wait>"wait[^"]*")(?:,? and(?: then)?|,)(?= (?!then)\w)')
 _EXPLORED_TWICE = re.compile(r'( go to "explored")(?:,? and(?: then)? go to "explored")+')
@@ -218,8 +231,9 @@ _IN_ROOM_AND = re.compile(
     rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})),? and(?= (?:find|look for) )", re.I
 )
 _DANGLING = re.compile(
-    rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*",? (?:and then|and|or|then|, then) (?:{ARTICLE} |")'
-    rf'|"[^"]* [^"]*" (?:and|or) {any_of("relation")} ',
+    rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*"(?:,| and then| and| or| then)+ (?:{ARTICLE} |")'
+    rf'|"[^"]* [^"]*" (?:and|or) {any_of("relation")} '
+    rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) {ARTICLE} ',
     re.I,
 )
 _GOES_TO = re.compile(
@@ -354,8 +368,11 @@ def _where(relation: str | None, anchor: str | None, other: str | None = None) -
         tuple(phrase[:n]) in TABLE for n in range(len(relation.split()) + 1, len(phrase) + 1)
     )
     verb = name == anchor.lower() and TABLE.get((words[0],)) == "verb" and len(words) > 1
-    if idiom or verb or is_vague(anchor) or words[-1] in _NOWHERE:
+    bare_by = relation == "by" and name == anchor.lower() and not is_marked(name)  # "by bus"
+    if idiom or verb or bare_by or is_vague(anchor) or words[-1] in _NOWHERE:
         return None  # "at some point", "by passing the desk"
+    if names.number(words) is not None:
+        return None  # "between the two"
     relation = re.sub(r" of$", "", relation.lower()).replace("in front", "in front of")
     relation = {"next": "next to", "nearby": "near"}.get(relation, relation)
     the = "" if re.search(r" (?:\d+\w?|[a-z])$", name) else "the "
@@ -393,17 +410,31 @@ def _length(seconds: float) -> str:
 
 
 def _rounds(found: re.Match[str]) -> str | None:
-    """Return a patrol as the stops of all its rounds; None if it cannot be written so."""
+    """Return a patrol as the stops of all its rounds, or of one that repeats; None for no patrol.
+
+    Raises:
+        UnclearError: a patrol that repeats is not the whole instruction.
+    """
     slots = found.groupdict()
     stops = [bare(stop) for stop in re.split(r",? (?:and then|and|then|to|or) |, ", found["stops"])]
     if re.search(r"\bor\b", found["stops"]) or any(is_vague(stop) for stop in stops):
         return None
-    if slots.get("span"):
-        return _go_to(f"patrol {', '.join(stops)} for {_length(seconds_of(slots['span']))}")
-    rounds = number_of((slots.get("count") or slots.get("often") or "").lower())
-    if rounds is None or not 1 <= rounds <= MAX_ROUNDS or len(stops) < 2:
+    if len(stops) < 2:
         return None
-    return " " + ", then ".join(f"go to {_articled(stop)}" for stop in stops * rounds)
+    often = (slots.get("count") or slots.get("often") or "").lower()
+    rounds = number_of(often) if often else None
+    if often and rounds is None:
+        return None
+    if rounds is not None and 1 <= rounds <= MAX_ROUNDS:
+        return " " + ", then ".join(f"go to {_articled(stop)}" for stop in stops * rounds)
+    if found.start() or found.string[found.end() :].strip(" .!?"):
+        raise UnclearError(
+            "instruction: a patrol for some time, or with more than "
+            f"{MAX_ROUNDS} rounds, must be the whole instruction; send the rest afterwards"
+        )
+    end = f"{rounds} times" if rounds is not None else "until told"
+    end = f"for {_length(seconds_of(slots['span']))}" if slots.get("span") else end
+    return f" {', then '.join(f'go to {_articled(stop)}' for stop in stops)}; repeat {end}"
 
 
 def _errands_and_back(found: re.Match[str]) -> str | None:
@@ -424,8 +455,8 @@ def _related(found: re.Match[str]) -> str | None:
     before = thing[: len(thing) - len(" ".join(words))]
     relation = (slots.get("relation") or "with").lower()
     articled = bare(thing) != thing.lower()
-    begins = re.search(r"(?:^|[,.;!?]|\b(?:and|then))$", found.string[: found.start()].rstrip())
-    if not articled and (nouns.unknown_in(words) is not None or (begins and not before)):
+    led = before or _LEADS_TO_NAME.search(found.string[: found.start()])
+    if not articled and (nouns.unknown_in(words) is not None or not led):
         return None  # "park at the dock": a verb, no thing
     if (
         words[-1] in _NOWHERE
@@ -488,7 +519,9 @@ def _modifies(word: str) -> bool:
     if re.fullmatch(any_of("room of"), word):
         return True
     kind = TABLE.get((word,))
-    if word in nouns.PLAIN_WORDS or is_room(word) or kind not in (None, "word", "verb"):
+    if word in BEYOND_NAMES or word in nouns.ORDINALS or word in ("whole", "entire"):
+        return False
+    if is_vague(word) or is_room(word) or kind not in (None, "word", "verb"):
         return False
     if kind == "verb" and not word.endswith("ing") and not nouns.is_noun(word):
         return False

@@ -22,7 +22,7 @@ _ROWS: dict[str, str] = {
         (my|) (dear|love|darling|friend|sweetheart|sweetie);
         (could|can|would|will) you (just|maybe|perhaps|kindly|quickly|);
         (could|can|would|will) you (be so kind|be so good) (as|) to; (would|do) you mind;
-        i (want|need|would like|like|expect) (that|) you to; i (want|need) that you;
+        i (want|need|would like|expect) (that|) you to; i (want|need) that you;
         (that is|this is) enough; that will do;
         (we|i) (want|need|would like) (the|) robot to; i want to ask you to; you (must|should|shall)
         to;
@@ -35,7 +35,7 @@ _ROWS: dict[str, str] = {
     "closing": """
         please; thanks; thank you; thank you very much; dear; love; buddy; robot; okay; ok; mate;
         pal; (would|will|could|can) you; for me; now; right now; right away; at once; immediately;
-        honey; darling; sweetie; my dear; my friend; my love; sweetheart; if you (can|could);
+        honey; darling; sweetie; my dear; my friend; my love; sweetheart;
         as (fast|quickly|soon) as you can; quickly; quick; fast; hurry; hurry up; thanks a lot;
         if you (please|do not mind); when you (have|get) (time|a moment|a minute|a chance);
         in case you did not know; for now; today; (you have|try|please) to remember (that|it|);
@@ -204,7 +204,10 @@ def bare(name: str) -> str:
     return _ARTICLED.sub("", name.strip()).lower()
 
 
+_UNNAMED = {"other", "another", "same", "every", "each", "all", "both"}
+
+
 def is_vague(name: str) -> bool:
     """Return True if a name says too little: "the other side", "the same thing"."""
     words = bare(name).split()
-    return words[-1] in nouns.PLAIN_WORDS or bool({"other", "another", "same"} & set(words))
+    return words[-1] in nouns.PLAIN_WORDS or bool(_UNNAMED & set(words))

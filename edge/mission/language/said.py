@@ -94,6 +94,7 @@ class NoMissionError(UnclearError):
 
 
 _IN_A_MISSION = ("keep_out", "stay_inside", "pause")
+_ZONES = ("keep_out", "stay_inside", "open")
 _ONE_BY_ONE = "instruction: say one thing at a time: an errand, a question, or what to remember"
 
 
@@ -151,7 +152,7 @@ def _classified(text: str, sites: Collection[str]) -> Said | None:
     for kind, patterns in _templates().items():
         for pattern in patterns:
             slots = first_match([pattern], text)
-            if slots is not None and _fits(slots, sites):
+            if slots is not None and _fits(slots, sites if kind in _ZONES else ()):
                 return _made(kind, slots)
     return None
 

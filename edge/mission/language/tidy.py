@@ -25,7 +25,7 @@ _MORE = {
     "whichever's": "whichever is",
 }  # fmt: skip
 _HESITATION = re.compile(
-    rf"(?<![\w'])(?P<comma>, )?{any_of('hesitation')}(?![\w'-]),?(?= |$)", re.I
+    rf"(?:(?P<comma>, )|(?<![\w'])){any_of('hesitation')}(?![\w'-]),?(?= |$)", re.I
 )
 _TWICE = re.compile(
     r"\b(the|an?|to|and|in|into|of|i|you|go|please|for|then|with|on|my|it|is|stop|no)"
@@ -38,7 +38,8 @@ _LIKE = re.compile(
 _MARK = rf"[ ,.]*\b{any_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 _CORRECTS = re.compile(_MARK, re.I)
 _OPENING = re.compile(
-    rf"(?:(?:{any_of('opening')}\b|i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
+    rf"(?:(?:{any_of('opening')}\b(?! see\b)|"
+    r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
     r"you (?!may|can|are|will|must|should|have|could|were)|"
     r"do (?=(?:go|come|find|check|look|have|please|you mind)\b))[ ,.!]*)+",
     re.I,

@@ -112,6 +112,7 @@ QUESTIONS = {
         do you know where [i|we] [can find|left|put] <thing> [is|are] {last}
     """,
     "exists": """
+        (can|could|do) you [still] see <thing> {in} {last}
         {you} {seen} [any] [of] <thing> {in} {last}
         [is|was|are|were] there <thing> {in} {last}
         [do you know if|do you know whether|so] there (is|are) <thing> {in} {last}
