@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -180,19 +180,29 @@ def _without_waits(formula: Formula) -> Formula:
     return formula if found is None else found
 
 
-def everyday_table(scores: Sequence[EverydayScore]) -> str:
-    """Return the counts by expectation and in total, as aligned text."""
-    rows = [["everyday", "cases", *OUTCOMES]]
-    for part in [*dict.fromkeys(s.case["expect"] for s in scores), "all"]:
-        counts = Counter(s.outcome for s in scores if part in ("all", s.case["expect"]))
-        rows.append([part, str(counts.total()), *(str(counts[o]) for o in OUTCOMES)])
+def everyday_counts(scores: Sequence[EverydayScore]) -> dict[str, dict[str, int]]:
+    """Count outcomes by what a sentence should be, and of all."""
+    parts = [*dict.fromkeys(s.case["expect"] for s in scores), "all"]
+    found = {p: Counter(s.outcome for s in scores if p in ("all", s.case["expect"])) for p in parts}
+    return {
+        part: {outcome: counts[outcome] for outcome in OUTCOMES} for part, counts in found.items()
+    }
+
+
+def everyday_table(title: str, counts: Mapping[str, Mapping[str, int]]) -> str:
+    """Return the counts of `everyday_counts` as aligned text."""
+    rows = [[title, "cases", *OUTCOMES]]
+    rows += [[part, sum(of.values()), *of.values()] for part, of in counts.items()]
     return format_table(rows, left=1)
 
 
-def everyday_failures(scores: Iterable[EverydayScore]) -> list[str]:
+def everyday_failures(scores: Iterable[EverydayScore], translator: str) -> list[str]:
     """Return each failure as a line of JSON."""
     return [
-        json.dumps({"outcome": s.outcome, "got": s.got, **s.case}, ensure_ascii=False)
+        json.dumps(
+            {"translator": translator, "outcome": s.outcome, "got": s.got, **s.case},
+            ensure_ascii=False,
+        )
         for s in scores
         if s.outcome != "right"
     ]

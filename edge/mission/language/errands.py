@@ -69,7 +69,9 @@ PARTS = {
         (look|have a look|take a look|have a good look|have a quick look|drive|go|wander|roam|
         cruise|have a wander|take a tour|do a tour|make a tour|do a scan|make a map|have a peek|
         take a good look) [all] (around|round|about) [in|inside|of|at]|
-        check [out|around|through]|get to know|(look|take a look|have a look|search) [around]
+        check [out|around|through]|get to know|(do|make|take) a [full|complete]
+            (round|tour|lap|loop)
+        (of|through|around)|(look|take a look|have a look|search) [around]
             (in|inside))
         """,
     "time": "[, [only|for|during] <span> [long]] [again|once more|one more time]*",
@@ -105,7 +107,7 @@ _CHECKS = compiled(
     {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
     {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
     {then} {goes} {check} {if} <thing> (is|are) {at}
-    {then} {goes} {check} {if} you [can] (see|find|spot) <thing> {at} [there|around|here]
+    {then} {goes} {check} {if} you [can] see <thing> {at} [there|around|here]
     {then} {goes} {check} [if] (is|are) [there] <thing> {at} [there]
     {then} {goes} check for <thing> {at}
     {then} {goes} check [on] <thing> {at}
@@ -126,13 +128,18 @@ _EXPLORES = compiled(
             [everything] {time}
     {goes} {look} <stops> {time}
     {goes} {look} <room> {time}
-    {goes} (explore|exploring|look around|look round|scan|survey|wander|wander around|
-            have a look around|take a look around|roam around|drive around|go exploring|map|
-            be [an|a|the] explorer|make [an] exploration) {time}
     give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
             (once-over|look|scan|sweep|look over|check|going over|look-over|inspection) {time}
     (have|take) a [good|proper|quick|close]* look (round|around|in|at|inside) (<room>|{whole})
             {time}
+    """,
+    PARTS,
+)
+_EXPLORES_HERE = compiled(
+    """
+    {then} {goes} (explore|exploring|look around|look round|scan|survey|wander|wander around|
+            have a look around|take a look around|roam around|drive around|go exploring|map|
+            be [an|a|the] explorer|make [an] exploration) {time}
     """,
     PARTS,
 )
@@ -173,8 +180,8 @@ _WAITS = compiled(
     """
     {then} {hold} {there} [for] <span> [there|here]
     {then} {hold} (at|in|by|near|inside|next to|in front of) <thing> [for] <span>
-    {then} wait (at|in|by|near|inside|next to|in front of) <thing>
-    {then} stay (at|by|near|next to|in front of) <thing>
+    {then} wait [for (me|us)] (at|in|by|near|inside|next to|in front of) <thing>
+    {then} stay [for (me|us)] (at|by|near|next to|in front of) <thing>
     {then} (wait|stay) (there|here|in there) [for me|until i (come|am there|get there|call|say) ...]
     """,
     PARTS,
@@ -206,21 +213,11 @@ _DRIVES = (
     r"on|forward|forwards|closer|away|a (?:look|peek|glance|tour|break)|the (?:way|route|path))\b)"
 )
 """Words after which a verb of handling is one of driving: "move to", "take a look"."""
-_NOWHERE = (
-    "way",
-    "foot",
-    "own",
-    "order",
-    "point",
-    "least",
-    "most",
-    "floor",
-    "floors",
-    "last",
-    "path",
-    "road",
-    "route",
+_NOWHERE = nouns.listed(
+    """way foot own order point least most floor floors last path road route place places spot area
+    position location side"""
 )
+"""Words that name no object in "at some point", "on the way", "a place near the door"."""
 _LEADS_TO_NAME = re.compile(
     r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I
 )
@@ -276,7 +273,6 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     """
     marked, names = mark_places(text, places)
     text = f" {marked}"
-    text = re.sub(rf"(?<=\w)'s (?=still\b|there\b|{any_of('relation')} )", " is ", text)
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
         ([_INTRODUCED], _introduced),
         (_SEARCHES, _searched),
@@ -284,6 +280,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         (_ERRAND_AND_BACK, _errands_and_back),
         (_CHECKS, _checked),
         (_EXPLORES, _explored),
+        (_EXPLORES_HERE, _explored_here),
         ([_ROOM_WITH, _RELATED], _related),
         ([_WHICH_ROOM], _which_room),
         ([_GOES_TO], lambda found: f"{found['lead']}go to {_the(found['name'])}"),
@@ -338,7 +335,8 @@ def _introduced(found: re.Match[str]) -> str | None:
 def _searched(found: re.Match[str]) -> str | None:
     if not is_room(bare(found["room"])) or is_vague(found["thing"]):
         return None
-    return f' find "{bare(found["thing"])}{_where("in", found["room"])}"'
+    where = _where("in", found["room"])
+    return None if where is None else f' find "{bare(found["thing"])}{where}"'
 
 
 def _checked(found: re.Match[str]) -> str | None:
@@ -347,11 +345,12 @@ def _checked(found: re.Match[str]) -> str | None:
     if is_vague(thing) or thing in ("it", "them"):
         return None
     plain_look = not slots.get("relation") and found[0].rstrip().endswith(found["thing"])
-    if plain_look and is_room(thing):
+    if plain_look and (is_room(thing) or thing.startswith("rooms ")):
         return None  # "check the kitchen" is no check of a thing
     if slots.get("room"):
-        return _go_to(f"{CHECK} {thing}{_where('in', slots['room'])}", found)
-    where = _where(slots.get("relation"), slots.get("anchor"))
+        where = _where("in", slots["room"])
+    else:
+        where = _where(slots.get("relation"), slots.get("anchor"))
     if re.match(r" (?!and |then |but |when |while |in order )\w", found.string[found.end() :]):
         return None  # "check if the heater is on"
     return None if where is None else _go_to(f"{CHECK} {thing}{where}", found)
@@ -394,6 +393,17 @@ def _explored(found: re.Match[str]) -> str | None:
     return orders[0] + "".join(
         j.rstrip() + order for j, order in zip(joints, orders[1:], strict=True)
     )
+
+
+def _explored_here(found: re.Match[str]) -> str | None:
+    """Return the order to explore; after going to a room, that room."""
+    room, before = "", found.string[: found.start()]
+    if before:
+        last = re.search(rf"(?:to|in|into) (?P<name>{NAME}),?$", before, re.I)
+        if last is None or not is_room(bare(last["name"])):
+            raise UnclearError(f"instruction: {found[0].strip()!r}: unclear where; name the room")
+        room = f" {bare(last['name'])}"
+    return _go_to(f"{EXPLORED}{room}{_for(found['span'])}", found)
 
 
 _JOINT = r",? (?:and then|and|then|or) |, "

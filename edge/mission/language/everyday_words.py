@@ -116,7 +116,8 @@ _ROWS: dict[str, str] = {
         deliver; collect; load;
         unload; throw; put; place; drop; move; push; pull; drag; open; close; shut; lock; unlock;
         press; touch; wash; wipe; mop; vacuum; clean; dust; tidy; cook; pour; feed; iron; water;
-        empty; fill; (switch|turn) (on|off|up|down); plug; unplug; make (me|us); get (me|us); serve;
+        empty; fill; (switch|turn) (on|off|up|down); plug; unplug; make (me|us); get
+        (me|us|the|my|a|an|some|that|it|them); serve;
         tow; stack; sort; fold; knock; fix; repair; build; wake; shake; cut; charge my; hug; help me
     """,
     "talk": """
@@ -158,7 +159,8 @@ _ENDS_A_NAME = """
     during around over up out off away back just only below above underneath opposite against
     between close nearest closest across top front look be me us him this how why standing
     sitting lying hanging it's already same order everywhere somewhere thing right yet like
-    the a an my our your his her their those these some
+    the a an my our your his her their those these some last lately recently earlier kept located
+    gone exactly been
     """
 AFTER_A_NAME = f"(?:{'|'.join(_ENDS_A_NAME.split())})"
 """Regular expression for a word that no name has."""
@@ -201,13 +203,18 @@ def bare(name: str) -> str:
     >>> bare("The pair of glasses")
     'glasses'
     """
-    return _ARTICLED.sub("", name.strip()).lower()
+    plain = _ARTICLED.sub("", name.strip()).lower()
+    return "person" if plain in ("somebody", "someone", "anybody", "anyone") else plain
 
 
+_STATES = nouns.listed(
+    """clear open closed locked unlocked free busy ready broken full empty clean dirty safe
+    dangerous warm cold hot dry wet missing awake asleep charged running working okay ok"""
+)
 _UNNAMED = {"other", "another", "same", "every", "each", "all", "both"}
 
 
 def is_vague(name: str) -> bool:
-    """Return True if a name says too little: "the other side", "the same thing"."""
+    """Return True if a name says too little: "the other side", or how something is."""
     words = bare(name).split()
-    return words[-1] in nouns.PLAIN_WORDS or bool(_UNNAMED & set(words))
+    return words[-1] in nouns.PLAIN_WORDS | _STATES or bool(_UNNAMED & set(words))

@@ -144,7 +144,9 @@ def _may_be_in_a_mission(one: Said) -> bool:
 
 
 def _plain(text: str) -> str:
-    return " ".join(re.sub(r"[.,;:!?]+(?= |$)", "", text).split())
+    """Return the text without commas; a stop within it is a word of its own, which no slot has."""
+    text = re.sub(r"[.;:!?]+(?= )", " .", re.sub(r"[.,;:!?]+$|,(?= )", "", text))
+    return " ".join(text.split())
 
 
 def _classified(text: str, sites: Collection[str]) -> Said | None:

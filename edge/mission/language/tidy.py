@@ -24,16 +24,21 @@ _MORE = {
     "thats": "that is", "id": "i would", "'til": "until", "how's": "how is",
     "whichever's": "whichever is",
 }  # fmt: skip
+_IS = re.compile(
+    rf"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone)\b|"
+    rf"{any_of('relation')} )",
+    re.I,
+)
 _HESITATION = re.compile(
     rf"(?:(?P<comma>, )|(?<![\w'])){any_of('hesitation')}(?![\w'-]),?(?= |$)", re.I
 )
 _TWICE = re.compile(
-    r"\b(the|an?|to|and|in|into|of|i|you|go|please|for|then|with|on|my|it|is|stop|no)"
-    r"(?: \1\b)+",
+    r"\b((?:the|an?|to|and|in|into|of|i|you|go|please|for|then|with|on|my|it|is|stop|no|where|what|"
+    r"can|could|look)(?: the| to| a| for)?)(?: \1\b)+",
     re.I,
 )
 _LIKE = re.compile(
-    rf"\b(?:like|you know),? (?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})", re.I
+    rf"\b(?:like|(?<!do )you know),? (?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})", re.I
 )
 _MARK = rf"[ ,.]*\b{any_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 _CORRECTS = re.compile(_MARK, re.I)
@@ -93,7 +98,7 @@ def tidied(said: str) -> TidySpeech:
         return chr(_FIRST_MARK + len(quoted) - 1)
 
     text = " ".join(_QUOTED.sub(hide, said.translate(STRAIGHT)).split())
-    text = WORD.sub(_expanded, text)
+    text = _IS.sub(" is ", WORD.sub(_expanded, text))
     text = " ".join(_HESITATION.sub(_unless_it_corrects, text).split())
     text = re.sub(r"\bplease(?: to(?! the\b))?\b,? ?", "", text, flags=re.I).strip() or text
     text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)

@@ -33,8 +33,8 @@ PARTS = {
             "keep in mind|know) [that|down]",
     "go": """
         [to|even|also] (go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
-        wander|get|getting|be|run|inside|into|in) [back]
-            [in|into|inside|to|over|near|at|on|through]*
+        wander|get|getting|be|run|back|inside|into|in) [back] [in|into|inside|to|over|near|at|on|
+        through]*
         """,
     "may": """
         [again|now|and|so|okay]* [you|robot|the robot] (may|can|could|are allowed [to]|
@@ -102,6 +102,7 @@ QUESTIONS = {
             [the (nearest|closest)] <thing> [is|are|was|were] {last}
         {tell} where <thing> (is|are|was|were|has|have) {last}
         {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
+        {tell} where (did|have|had) (i|we) (put|leave|left|lost|forget|drop|dropped) <thing> {last}
         {tell} where (can|could|do|should|would|will|might) (i|we) (find|see|get|look for|go for)
             <thing>
         {tell} [in] (which|what) room (is|are|was|were) <thing> [in] {last}
@@ -146,6 +147,8 @@ ORDERS = {
             {while}
     """,
     "open": """
+        it is (okay|ok|fine|alright|allowed|safe) [for you] [now|again]* to {go} <room>
+            [again|now]*
         {may} {go} <room> (again|freely|as before|as you like) [now|again]*
         [from now on|now]* {may} again {go} <room> [now]
         <room> (is|are) (open|free|allowed|accessible|okay|ok|available|fine|clear|permitted)
@@ -203,6 +206,7 @@ CONTROL = {
             keep still|you can stop|be still|stand there|emergency stop|not so fast|
             do not (go|drive) (on|any further|further|anywhere)|remain (there|where you are)|
             stop it|stop that) {there} {reason}
+        (pause|interrupt|suspend) {task} {there}
         (stop|halt|freeze|hold|pause) {there} (stop|halt|freeze|hold|pause)* {there} {reason}
         (wait|stay|stop|stand|stand still|pause|remain|hold [on]|hang on|rest|park|sit tight|stand
             by|

@@ -1,0 +1,77 @@
+"""What people say to a running service, besides missions: questions, orders to learn, control."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+
+import pytest
+from simulated import simulated
+
+from edge.bus.verbs import Request, read_request
+from edge.errors import UserError
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.loop.requests import handle_mission, mission_verbs
+from edge.mission.language.said import NoMissionError, Question
+from edge.tasks.mission_spec import prepare_mission
+
+
+@pytest.fixture(scope="module")
+def loop() -> ClosedLoop:
+    mission = {"instruction": "find the bed", "translator": {"kind": "grammar"}}
+    config = simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission})
+    return ClosedLoop(config, colour=False).run(6.0)
+
+
+def say(loop: ClosedLoop, said: str) -> dict:
+    """Send an instruction as `edge mission new` does."""
+    prepare = partial(prepare_mission, loop.config, site=loop.service.site.known)
+    verbs = mission_verbs(prepare, in_words=True)
+    do, fields = read_request(json.dumps({"do": "new", "instruction": said}).encode(), verbs)
+    prepared = verbs[do].prepare
+    request = Request(do, fields, prepared=prepared and prepared(fields))
+    return handle_mission(loop.service, request, 0)
+
+
+def test_a_question_is_answered_and_the_mission_stays(loop):
+    before = loop.service.mission
+    assert say(loop, "Where is the unicorn?")["text"].startswith("no unicorn has been seen")
+    assert say(loop, "What did you see?")["text"].startswith("seen: ")
+    assert say(loop, "Which places do you know?")["text"] == "places: start"
+    assert say(loop, "Where are you?")["text"].startswith("at (")
+    seen = say(loop, "What have you seen?")["text"].removeprefix("seen: ").split(", ")[0]
+    name = seen.rpartition(" × ")[2]
+    assert say(loop, f"Is there a {name}?")["text"].startswith(f"yes, {name}: ")
+    assert loop.service.mission is before
+
+
+def test_a_place_is_learned_and_forgotten(loop):
+    assert say(loop, "Remember this as the um dock.")["text"].startswith("place: dock is (")
+    assert say(loop, "Which places do you know?")["text"] == "places: dock, start"
+    assert say(loop, "Forget the dock, we moved it.")["text"] == "removed: dock"
+    with pytest.raises(UserError, match="no place or zone 'dock'"):
+        say(loop, "Forget the dock.")
+    with pytest.raises(UserError, match="kitchen: no zone of this name"):
+        say(loop, "You may go into the kitchen again.")
+
+
+def test_stop_is_as_urgent_as_the_verb_for_it():
+    verbs = mission_verbs(lambda **texts: texts, in_words=True)
+
+    def read(said: str) -> str:
+        return read_request(json.dumps({"do": "new", "instruction": said}).encode(), verbs)[0]
+
+    said = ("Stop, please!", "go on", "cancel that", "stop at the bed")
+    assert [read(one) for one in said] == ["pause", "resume", "cancel", "new"]
+    assert verbs["pause"].stops
+    plain = mission_verbs(lambda **texts: texts)
+    assert read_request(b'{"do": "new", "instruction": "stop"}', plain)[0] == "new"
+
+
+def test_what_is_no_mission_is_handed_to_the_loop():
+    def prepare(**texts: str) -> None:
+        raise NoMissionError(Question("self"))
+
+    assert mission_verbs(prepare)["new"].prepare({"instruction": "where are you"}) == Question(
+        "self"
+    )
