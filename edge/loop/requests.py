@@ -84,6 +84,8 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
 
     With `rounds` or `for_s`, the mission repeats so often, or for so many seconds.
 
+    A pause ends after `for_s` seconds, if it has that field.
+
     With `if_free: true`, the request is refused while another mission runs. `cancel` with an `id`
     cancels only that mission; its `why` becomes the reason.
 
@@ -95,6 +97,8 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
         try:
             return prepare(**{name: fields[name] for name in _MEANT if name in fields})
         except NoMissionError as error:
+            if isinstance(error.said, Control):
+                raise
             return error.said
 
     return {
@@ -104,7 +108,7 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
             prepared,
             instead=_control if in_words else lambda fields: None,
         ),
-        "pause": Verb(stops=True),
+        "pause": Verb(("for_s",), _pause, stops=True),
         "resume": Verb(),
         "cancel": Verb(("id", "why"), _cancel, stops=True),
         "status": Verb(reads=True),
@@ -139,13 +143,20 @@ def _calling(fields: dict) -> dict:
     return {"caller": check_pose("from_pose", fields["from_pose"])}
 
 
+def _pause(fields: dict) -> dict:
+    """Return the field `for_s`, if present: the pause ends after so many seconds."""
+    return {"for_s": _seconds(fields["for_s"])} if "for_s" in fields else {}
+
+
 def _control(fields: dict) -> tuple[str, dict] | None:
     """Return the request that an instruction about the present mission means; None for others."""
     try:
         said = understand(fields.get("instruction", ""))
     except TranslationError:
         return None  # the preparation reports it
-    return (said.do, {}) if isinstance(said, Control) and said.seconds is None else None
+    if not isinstance(said, Control):
+        return None
+    return said.do, {} if said.seconds is None else {"for_s": said.seconds}
 
 
 def _chosen(fields: dict) -> dict:
@@ -169,9 +180,13 @@ def _repeat(fields: dict) -> dict:
         raise ValueError("rounds, for_s: only valid with an instruction or a formula")
     if rounds is not None and (type(rounds) is not int or not 1 <= rounds <= MAX_ROUNDS):
         raise ValueError(f"rounds: expected an integer from 1 to {MAX_ROUNDS}, got {shown(rounds)}")
-    if for_s is not None and (type(for_s) not in (int, float) or not 0 < for_s <= LONGEST_S):
+    return {"repeat": Repetition(rounds, None if for_s is None else _seconds(for_s))}
+
+
+def _seconds(for_s: object) -> float:
+    if not isinstance(for_s, (int, float)) or type(for_s) is bool or not 0 < for_s <= LONGEST_S:
         raise ValueError(f"for_s: expected seconds up to {LONGEST_S:g}, got {shown(for_s)}")
-    return {"repeat": Repetition(rounds, for_s)}
+    return for_s
 
 
 def _cancel(fields: dict) -> dict:
@@ -210,7 +225,7 @@ def handle_mission(
             Nothing has changed then.
     """
     mission, name, told = service.mission, request.fields.get("id", ""), {}
-    if isinstance(request.prepared, (Question, SiteOrder, Control)):
+    if isinstance(request.prepared, (Question, SiteOrder)):
         told = {"text": carry_out(service, request.prepared, now_ns)}
     elif request.do == "new":
         _begin(service, request, now_ns)
@@ -220,7 +235,7 @@ def handle_mission(
     elif request.do == "cancel":
         service.cancel(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
-        service.pause(request.do == "pause", now_ns)
+        service.pause(request.do == "pause", now_ns, request.fields.get("for_s"))
     task = service.behaviour.facts()
     overtaken = {"overtaken": request.cancelled} if request.cancelled else {}
     return {

@@ -1,4 +1,4 @@
-"""Answers to what a person says that is no mission: questions, orders to learn, short waits."""
+"""Answers to what a person says that is no mission: questions and orders to learn."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from edge.errors import UserError
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.memory.site import is_same
-from edge.mission.language.said import Control, Question, SiteOrder
+from edge.mission.language.said import Question, SiteOrder
 from edge.text import one_line
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _MOST_TOLD = 20
 
 
-def carry_out(service: Service, said: Question | SiteOrder | Control, now_ns: int) -> str:
+def carry_out(service: Service, said: Question | SiteOrder, now_ns: int) -> str:
     """Answer a question, or change the site as told; return the answer in one line.
 
     Raises:
@@ -29,9 +29,7 @@ def carry_out(service: Service, said: Question | SiteOrder | Control, now_ns: in
     """
     if isinstance(said, Question):
         return _answer(service, said, now_ns)
-    if isinstance(said, SiteOrder):
-        return _learn(service, said, now_ns)
-    raise UserError(f"no mission is running that could be told to {said.do}")
+    return _learn(service, said, now_ns)
 
 
 def _asked(

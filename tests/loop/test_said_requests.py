@@ -75,3 +75,17 @@ def test_what_is_no_mission_is_handed_to_the_loop():
     assert mission_verbs(prepare)["new"].prepare({"instruction": "where are you"}) == Question(
         "self"
     )
+
+
+def test_a_wait_of_some_time_is_a_pause_that_ends_by_itself(loop):
+    service = loop.service
+    assert say(loop, "Wait here for two minutes, please.")["paused"]
+    service.end_pause(119 * 10**9)
+    assert service.mission.paused
+    service.end_pause(120 * 10**9)
+    assert not service.mission.paused
+    say(loop, "Wait ten seconds.")
+    say(loop, "Stop!")
+    service.end_pause(11 * 10**9)
+    assert service.mission.paused
+    assert not say(loop, "You can go on now.")["paused"]

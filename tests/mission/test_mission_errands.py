@@ -62,7 +62,7 @@ PLACES = ["dock", "loading bay 2"]
          'go to the bed, then go to "here", then go to the bed, then go to "here"'),
         # Checks and waits.
         ("check whether the stove is there", 'go to "check stove"'),
-        ("go and see if the ladder's still next to the door",
+        ("go and see if the ladder is still next to the door",
          'go to "check ladder next to the door"'),
         ("go to the dock and wait there for a couple of minutes",
          'go to "dock", then go to "wait 2 min"'),
