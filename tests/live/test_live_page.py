@@ -238,9 +238,12 @@ def test_an_error_that_is_answered_is_told_apart_from_no_answer(page, monkeypatc
     def broken(*args):
         raise ValueError("<b>broken</b>")
 
-    for part, phase in (("story", "SEARCHING"), ("now", "ERROR")):
+    for part, function, phase in (
+        ("story", "log_json", "SEARCHING"),
+        ("now", "snapshot_json", "ERROR"),
+    ):
         with monkeypatch.context() as breaking:
-            breaking.setattr(f"edge.live.view.{part}_of", broken)
+            breaking.setattr(f"edge.live.view.{function}", broken)
             why = f"/live/{part} failed: ValueError: <b>broken</b>"
             page.says("#banner", f"answered with an error: {why}")
             page.says("#phase", phase)

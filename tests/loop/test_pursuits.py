@@ -13,6 +13,7 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission, mission_verbs
+from edge.memory import Place, Site
 from edge.mission.spec import prepare
 
 S = 1_000_000_000
@@ -20,8 +21,11 @@ S = 1_000_000_000
 
 def loop_of(folder: Path, formula: str, **mission: object) -> ClosedLoop:
     section = {"instruction": formula, "translator": {"kind": "ltl"}, **mission}
-    lockstep = {"lockstep": True}
-    config = small_house(folder, loop=lockstep, sim=lockstep, mission=section)
+    camera = {"width_px": 160, "height_px": 128}
+    config = small_house(
+        folder, loop={"lockstep": True}, sim={"lockstep": True, "step_s": 0.2},
+        sensors={"camera": camera}, mission=section,
+    )  # fmt: skip
     return ClosedLoop(config, colour=False)
 
 
@@ -97,6 +101,32 @@ def test_it_comes_to_the_caller(tmp_path):
     loop.run(100)
     assert loop.service.status.phase == "reached"
     assert loop.drive.motion.pose.distance_to(3.0, 2.0) < 0.8
+
+
+def test_it_patrols_for_some_time_and_tells_the_round(tmp_path):
+    loop = loop_of(tmp_path, "F start")
+    site = Site((Place("dock", SE2(3.0, 2.0, 0.0)), Place("shelf", SE2(1.5, 1.0, 0.0))))
+    fields = mission_verbs(prepare)["new"].read({"formula": "F (dock & F shelf)", "for_s": 40})
+    repeat = fields["repeat"]
+    formula, now_ns = fields["formula"], loop.drive.motion.stamp_ns
+    brief = prepare(loop.config.mission, formula=formula, repeat=repeat, site=site)
+    loop.service.begin(brief, now_ns)
+    steps(loop, 20.0)
+    assert re.fullmatch(r"round [23], \d\d s left", loop.service.status.reason)
+    loop.run(60.0)
+    status = loop.service.status
+    assert status.phase == "reached"
+    assert re.fullmatch(r"[345] rounds done", status.reason)
+    assert status.elapsed_s == pytest.approx(40.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("rounds", 0), ("rounds", "3"), ("rounds", 1e9), ("for_s", -1), ("for_s", float("nan"))],
+)
+def test_an_end_that_is_none_is_refused(field, value):
+    with pytest.raises(ValueError, match=f"{field}: expected"):
+        mission_verbs(prepare)["new"].read({"formula": "F a & F b", field: value})
 
 
 @pytest.mark.parametrize("pose", [[1, 2], "here", [1, 2, True], [1, 2, 1e9], [1, 2, float("nan")]])
