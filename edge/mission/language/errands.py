@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from edge import names
 from edge.mission.language import nouns
+from edge.mission.language.errand_parts import PARTS
 from edge.mission.language.everyday_words import (
     AFTER_A_NAME,
     ARTICLE,
@@ -20,6 +21,7 @@ from edge.mission.language.everyday_words import (
     is_room,
     is_vague,
 )
+from edge.mission.language.impossible import refuse_impossible
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.places import (
     EXPLORED,
@@ -37,70 +39,6 @@ from edge.mission.language.unsupported import BEYOND_NAMES
 WAIT, CHECK, CALLER = "wait", "check", "caller"
 """Beginnings of propositions, and the pose of the person; see also `places`."""
 MAX_ROUNDS = 10
-
-PARTS = {
-    "then": "[, and|, then|, and then|, and after|, and afterwards|, so|, but]",
-    "drive": """
-        (go|drive|run|head|move|roll|walk|come|get|pop|nip|hurry|travel|return|hop|step|zip|swing|
-        ride|rush|dash)
-        """,
-    "over": "[over|out|back|there|up|down|along|quickly|straight|right|in|again|yourself|on|then]*",
-    "goes": "[{drive} {over} [and|to]]",
-    "if": "(if|whether|that|is it true that|to see if|to see whether|and see if|and see whether|"
-          "and tell me if|and tell me whether|for me if|for me whether|out if|out whether|"
-          "and check if|and look if|quickly if|again if|again whether)",
-    "check": """
-        (check|see|look|verify|find out|control|have a look|take a look|have a quick look|confirm|
-        double check|peek|inspect|have a peek|take a peek|tell me)
-        """,
-    "still": "[still|really|actually|also|now|already|always]*",
-    "at": "{still} [standing|lying|sitting|hanging|parked|placed] {still} [<relation> <anchor>]",
-    "whole": """
-        (everything|everywhere|everything here|[in] [all] [of]
-            [the|this|our|my|your|of|whole|entire|
-        all|complete|every]* (house|home|flat|apartment|building|floor|area|place|ward|warehouse|
-        surroundings|environment|rooms|site|room here|corner|store|department|neighbourhood)|
-        all [what|that] is here|all around|all here|all over [the|this|place|house]*|the rest|
-        everything [around|in] [here|there])
-        """,
-    "look": """
-        (explore|exploring|scan|survey|map|map out|discover|sweep|investigate|
-        [make|do] [an|the] exploration [of]|go exploring [in]|look through|search through|
-        (look|have a look|take a look|have a good look|have a quick look|drive|go|wander|roam|
-        cruise|have a wander|take a tour|do a tour|make a tour|do a scan|make a map|have a peek|
-        take a good look) [all] (around|round|about) [in|inside|of|at]|
-        check [out|around|through]|get to know|(do|make|take) a [full|complete]
-            (round|tour|lap|loop)
-        (of|through|around)|(look|take a look|have a look|search) [around]
-            (in|inside))
-        """,
-    "time": "[, [only|for|during] <span> [long]] [again|once more|one more time]*",
-    "patrol": """
-        [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|
-        [go|be] on patrol|[do|make] [your|the|some] rounds|go round|
-        [go|drive|run|keep going|move|walk] back and forth|circle|loop|cycle|shuttle|alternate|
-        (drive|go|run|move|walk) (around|round))
-        [between|of|in|through|around|from|at|to|on]
-        """,
-    "rounds": "(times|rounds|laps|loops|circles|circuits|tours|turns|trips|round|lap|time)",
-    "back": """
-        [then|and|straight|right|directly|after|afterwards]* (
-        (come|go|get|drive|head|return|run|be|move|roll|bring yourself) [straight|right|directly]
-            back|return|back) [to] [here|me|me here|us|this spot|this place|where (you|i|we)
-            (are|am) now|
-        where i am|your place here|again]* [here]
-        """,
-    "home": """
-        [the|your|to|from]* [(place|spot|point|position|location)] [, (where|from where|from which)]
-        (you|we) [have|had|did|first]* (started|start|began|begin|set off|came|come|set out|left|
-        departed) [from|out|off|at|in]*
-        """,
-    "hold": """
-        (wait|stay|stop|remain|hold|hold on|pause|park|rest|hang on|stand still|stand|hang around|
-        stay put|make a (break|pause))
-        """,
-    "there": "[there|here|in there|in here|at that place|put|on the spot|for me|inside|still]*",
-}  # fmt: skip
 
 _CHECKS = compiled(
     """
@@ -207,17 +145,15 @@ _ONLY_THERE = (
     "the robot can only check whether a thing is there; say for example 'check whether the stove "
     "is in the kitchen'"
 )
-_OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just |now )?"
-_DRIVES = (
-    r"(?! (?:to|by|over|into|toward|towards|around|along|back|through|past|near|in|left|right|"
-    r"on|forward|forwards|closer|away|a (?:look|peek|glance|tour|break)|the (?:way|route|path))\b)"
-)
-"""Words after which a verb of handling is one of driving: "move to", "take a look"."""
 _NOWHERE = nouns.listed(
     """way foot own order point least most floor floors last path road route place places spot area
     position location side"""
 )
 """Words that name no object in "at some point", "on the way", "a place near the door"."""
+_RELATIONS = {
+    "near of": "near", "nearby": "near", "next of": "next to", "beside of": "beside",
+    "behind of": "behind",
+}  # fmt: skip
 _LEADS_TO_NAME = re.compile(
     r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I
 )
@@ -241,20 +177,6 @@ _FINDS = re.compile(
     rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) ){any_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I
 )
 _COMPOUND = re.compile(rf" (?P<name>{NAME})(?= {AFTER_A_NAME}\b|[,.;!?]|$)", re.I)
-_CANNOT = (
-    (rf"{_OPENS_CLAUSE}{any_of('follow')}\b", "the robot cannot follow or lead; say where to go"),
-    (
-        rf"{_OPENS_CLAUSE}{any_of('handle')}\b{_DRIVES}",
-        "the robot has no arms; it can drive to things, so say for example 'find the mug'",
-    ),
-    (rf"{_OPENS_CLAUSE}{any_of('talk')}\b", "the robot answers here in text, and does no more"),
-    (rf"\b{any_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),
-    (
-        rf"\b{any_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
-        "the robot knows no times of day; say what to do now",
-    ),
-)
-_OWNED = re.compile(r"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>[\w-]+(?: [\w-]+)?)")
 
 
 def spell_out(text: str, places: Iterable[str] = ()) -> str:
@@ -271,7 +193,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         >>> spell_out("go and check whether the kettle is in the kitchen, then come back")
         'go to "check kettle in the kitchen", then go to "here"'
     """
-    marked, names = mark_places(text, places)
+    marked, known = mark_places(text, places)
     text = f" {marked}"
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
         ([_INTRODUCED], _introduced),
@@ -297,7 +219,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         for pattern in patterns:
             text = _outside_quotes(pattern, change, text)
     text = _EXPLORED_TWICE.sub(r"\1", text)
-    text = named_places(text, names)
+    text = named_places(text, known)
     text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
     if dangling := _DANGLING.search(text):
         hint = "unclear what to do with the second one; say it in a sentence of its own"
@@ -311,6 +233,8 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
 def _outside_quotes(
     pattern: re.Pattern[str], change: Callable[[re.Match[str]], str | None], text: str
 ) -> str:
+    """Change what a pattern finds outside quotes; the function returns None to leave it."""
+
     def changed(found: re.Match[str]) -> str:
         if text.count('"', 0, found.start()) % 2 or found[0].count('"') % 2:
             return found[0]
@@ -372,8 +296,7 @@ def _where(relation: str | None, anchor: str | None, other: str | None = None) -
         return None  # "at some point", "by passing the desk"
     if names.number(words) is not None:
         return None  # "between the two"
-    relation = re.sub(r" of$", "", relation.lower()).replace("in front", "in front of")
-    relation = {"next": "next to", "nearby": "near"}.get(relation, relation)
+    relation = _RELATIONS.get(relation.lower(), relation.lower())
     the = "" if re.search(r" (?:\d+\w?|[a-z])$", name) else "the "
     more = f" and the {bare(other)}" if other else ""
     return f" {relation} {the}{name}{more}"
@@ -560,21 +483,3 @@ def _waits(found: re.Match[str]) -> str | None:
     if slots.get("thing"):
         return f'{", then" * bool(found.start())} go to {slots["thing"]}, then go to "{wait}"'
     return _go_to(wait, found) if found.start() or slots.get("span") else None
-
-
-def refuse_impossible(text: str) -> None:
-    """Refuse what no wheels, camera and text can do: carrying, calling, following.
-
-    Raises:
-        UnclearError: the text asks for such a thing.
-    """
-    text = re.sub(r'"[^"]*"', '"x"', text)
-    for pattern, hint in _CANNOT:
-        if found := re.search(pattern, text, re.I):
-            part = found[0].strip(" .,;!?")
-            raise UnclearError(f"instruction: {part!r}: {hint}", part)
-    owned = _OWNED.search(text)
-    if owned and not is_room(bare(owned["thing"])):
-        thing = owned["thing"]
-        hint = f"the camera cannot see whose {thing} it is; say 'the {thing}'"
-        raise UnclearError(f"instruction: {owned[0]!r}: {hint}", owned[0])
