@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from edge import names
 from edge.bus.verbs import Request, Verb, read_request
 from edge.errors import UserError
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
@@ -46,7 +47,14 @@ def _asked(
 
 def _answer(service: Service, said: Question, now_ns: int) -> str:
     if said.topic in ("where", "exists"):
-        answer = _asked(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=said.about)
+        answer = _asked(
+            handle_memory,
+            MEMORY_VERBS,
+            service,
+            now_ns,
+            do="find",
+            name=names.head_phrase(said.about),
+        )
         yes = "yes, " if said.topic == "exists" and answer["objects"] else ""
         return f"{yes}{answer['text']}"
     if said.topic == "seen":
@@ -64,9 +72,9 @@ def _answer(service: Service, said: Question, now_ns: int) -> str:
 def _listed(what: str, found: list[str]) -> str:
     """Return the names with their numbers, the most frequent first."""
     counts = Counter(found).most_common(_MOST_TOLD)
-    names = [f"{n} × {one_line(name)}" if n > 1 else one_line(name) for name, n in counts]
+    shown = [f"{n} × {one_line(name)}" if n > 1 else one_line(name) for name, n in counts]
     more = ", …" if len(set(found)) > _MOST_TOLD else ""
-    return f"{what}: {', '.join(names) or 'none'}{more}"
+    return f"{what}: {', '.join(shown) or 'none'}{more}"
 
 
 def _learn(service: Service, said: SiteOrder, now_ns: int) -> str:

@@ -173,7 +173,8 @@ def translate(
     given = quote_places(text, places)
     # What the grammar reads in the person's own words needs no spelling out, unless it would lose
     # something: a check is no visit, and people mean an order when they say "go there and find".
-    chosen = given if _is_read(given) and not _MEANS_MORE.search(plain) else plain
+    means_more = said.speech.corrected or _MEANS_MORE.search(plain)
+    chosen = given if not means_more and _is_read(given) else plain
     chosen, repeat = split_repetition(chosen)
     translation = translator.translate(chosen, reading, ask)
     unused = "; ".join(f"'{one_line(reason)}'" for reason in said.speech.reasons)

@@ -28,21 +28,22 @@ PARTS = {
         everything [around|in] [here|there])
         """,
     "look": """
-        (explore|exploring|scan|survey|map|map out|discover|sweep|investigate|
+        (explore|exploring|scan|survey|map|map out|discover|sweep|investigate|get to know|
         [make|do] [an|the] exploration [of]|go exploring [in]|look through|search through|
-        (look|have a look|take a look|have a good look|have a quick look|drive|go|wander|roam|
-        cruise|have a wander|take a tour|do a tour|make a tour|do a scan|make a map|have a peek|
-        take a good look) [all] (around|round|about) [in|inside|of|at]|
-        check [out|around|through]|get to know|(do|make|take) a [full|complete]
-            (round|tour|lap|loop)
-        (of|through|around)|(look|take a look|have a look|search) [around]
-            (in|inside))
+        (look|drive|go|wander|roam|cruise|(have|take|make) a [good|quick] (look|wander|peek|tour)|
+        do a (tour|scan)|make a map) [all] (around|round|about) [in|inside|of|at]|
+        check [out|around|through]|
+        (do|make|take) a [full|complete|quick|thorough|proper|good]*
+        (round|tour|lap|loop|sweep|scan|search) (of|through|around)|
+        (look|search|(take|have|make) a look) [around] (in|inside))
         """,
     "time": "[, [only|for|during] <span> [long]] [again|once more|one more time]*",
     "patrol": """
         [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|
         [go|be] on patrol|[do|make] [your|the|some] rounds|go round|
-        [go|drive|run|keep going|move|walk] back and forth|circle|loop|cycle|shuttle|alternate|
+        [go|drive|run|keep going|move|walk] back and forth|
+        (do|run|drive|make) (laps|loops|circles)|
+        circle|loop|cycle|shuttle|alternate|
         (drive|go|run|move|walk) (around|round))
         [between|of|in|through|around|from|at|to|on]
         """,

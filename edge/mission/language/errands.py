@@ -15,6 +15,7 @@ from edge.mission.language.errand_parts import PARTS
 from edge.mission.language.everyday_words import (
     AFTER_A_NAME,
     ARTICLE,
+    MARK,
     NAME,
     any_of,
     bare,
@@ -68,7 +69,7 @@ _EXPLORES = compiled(
     {goes} {look} <room> {time}
     give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
             (once-over|look|scan|sweep|look over|check|going over|look-over|inspection) {time}
-    (have|take) a [good|proper|quick|close]* look (round|around|in|at|inside) (<room>|{whole})
+    (have|take|make) a [good|proper|quick|close]* look (round|around|in|at|inside) (<room>|{whole})
             {time}
     """,
     PARTS,
@@ -140,6 +141,7 @@ _INTRODUCED = re.compile(
 _ROOM_WITH = re.compile(
     rf" (?P<thing>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
 )
+_SOME_ROOM = re.compile(rf"\b{ARTICLE} room(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)", re.I)
 _LOOSE = re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I)
 _ONLY_THERE = (
     "the robot can only check whether a thing is there; say for example 'check whether the stove "
@@ -150,9 +152,10 @@ _NOWHERE = nouns.listed(
     position location side"""
 )
 """Words that name no object in "at some point", "on the way", "a place near the door"."""
+_STOP = rf",? (?:and then|and|then|to|or) |, | (?={MARK}|the )"
 _RELATIONS = {
-    "near of": "near", "nearby": "near", "next of": "next to", "beside of": "beside",
-    "behind of": "behind",
+    "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
+    "beside of": "beside", "behind of": "behind",
 }  # fmt: skip
 _LEADS_TO_NAME = re.compile(
     r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I
@@ -224,6 +227,8 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     if dangling := _DANGLING.search(text):
         hint = "unclear what to do with the second one; say it in a sentence of its own"
         raise UnclearError(f"instruction: {dangling[0].strip()}: {hint}", dangling[0].strip())
+    if room := _SOME_ROOM.search(text):
+        raise UnclearError(f"instruction: {room[0]!r}: unclear which room; name it", room[0])
     if loose := _LOOSE.search(text):
         raise UnclearError(f"instruction: {loose[0]!r}: {_ONLY_THERE}", loose[0])
     refuse_impossible(text.strip())
@@ -349,7 +354,7 @@ def _rounds(found: re.Match[str]) -> str | None:
         UnclearError: a patrol that repeats is not the whole instruction.
     """
     slots = found.groupdict()
-    stops = [bare(stop) for stop in re.split(r",? (?:and then|and|then|to|or) |, ", found["stops"])]
+    stops = [bare(stop) for stop in re.split(_STOP, found["stops"])]
     if re.search(r"\bor\b", found["stops"]) or any(is_vague(stop) for stop in stops):
         return None
     if len(stops) < 2:
@@ -393,7 +398,7 @@ def _related(found: re.Match[str]) -> str | None:
         return None  # "park at the dock": a verb, no thing
     if (
         words[-1] in _NOWHERE
-        or is_vague(" ".join(words))
+        or (is_vague(" ".join(words)) and relation != "with")
         or (is_room(bare(thing)) and relation in ("by", "near", "at"))
     ):
         return None

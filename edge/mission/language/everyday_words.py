@@ -15,7 +15,7 @@ _ROWS: dict[str, str] = {
     # Words around an order, which do not change it.
     "hesitation": "uh; um; er; erm; hmm; hm; uhm; mm; eh",
     "opening": """
-        hey; hi; hello; ok; okay; so; well; now; please; robot; oh; right; alright; all right;
+        hey; hi; hello; yo; ok; okay; so; well; now; please; robot; oh; right; alright; all right;
         listen; dear; ah; and; then; good morning; good evening; attention; quick; quickly; yes;
         yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you go;
         buddy; sorry; just; kindly; from now; from now on; for now; first; today;
@@ -44,7 +44,7 @@ _ROWS: dict[str, str] = {
         will you please; all right; alright; for us; sir; friend; be careful; and be careful;
         carefully; come on; good robot; from now on; there is a good (boy|robot); to charge;
         for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
-        (are|have) (done|finished|found it|got it|ready); no rush; just wondering; by the way; lying
+        (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
         (about|around)
     """,
     # A self-correction: "the bedroom, no, I mean the office".
@@ -81,7 +81,7 @@ _ROWS: dict[str, str] = {
     "relation": """
         next to; beside; besides; near; close to; by; under; underneath; below; behind; in front of;
         on; on top of; in; inside; at; opposite; above; nearest to; nearest; closest to; against;
-        across from; between; near of; next of; beside of; behind of; nearby
+        across from; between; near to; near of; next of; beside of; behind of; nearby
     """,
     "standing": """
         (that|which|what|who) (is|are|stands|sits|lies|hangs|stand|sit|lie) (sitting|standing|lying|
@@ -89,7 +89,7 @@ _ROWS: dict[str, str] = {
     """,
     # Other words for "go to" and "find", at the beginning of a clause.
     "go to": """
-(pop|nip|trundle|scoot|zoom|toddle|wander|roll|dash|sprint|motor|hop|whizz|come|head|run|drive|
+(pop|nip|trundle|scoot|shoot|zoom|toddle|wander|roll|dash|sprint|motor|hop|whizz|come|head|run|drive|
         go|move|walk|skip|ride|cruise|travel|hurry|race|be off|off|get)
         (on|along|round|quickly|right|
         straight|next door|again|now|)  (over|back|across|up|down|) (in|into|to|at|inside);
@@ -174,9 +174,11 @@ def any_of(kind: str) -> str:
 
 _WORD = (
     r"(?:(?:trash|garbage|rubbish|watering|paint|soda|beer) can"
-    rf"|(?!{AFTER_A_NAME}\b)[\w\ue000-\uf8ff][\w'.-]*(?<![.]))"
+    rf"|(?!{AFTER_A_NAME}\b)\w[\w'.-]*(?<![.]))"
 )
-PLAIN_NAME = rf"(?:{_WORD}(?: {_WORD}){{0,4}})"
+MARK = "[\ue000-\uf8ff]"
+"""Regular expression for a private character, which stands for a whole name."""
+PLAIN_NAME = rf"(?:{MARK}|{_WORD}(?: {_WORD}){{0,4}})"
 """One name without an article, up to five words."""
 NAME = rf"(?:(?:all )?(?:{ARTICLE} )?(?:(?:pair|kind|sort|bit|piece) of )?{PLAIN_NAME})"
 _ROOM_HEAD = re.compile(
@@ -211,10 +213,12 @@ _STATES = nouns.listed(
     """clear open closed locked unlocked free busy ready broken full empty clean dirty safe
     dangerous warm cold hot dry wet missing awake asleep charged running working okay ok"""
 )
-_UNNAMED = {"other", "another", "same", "every", "each", "all", "both"}
+_UNNAMED = {"other", "another", "same", "every", "each", "all", "both", "anything", "something"}
 
 
 def is_vague(name: str) -> bool:
     """Return True if a name says too little: "the other side", or how something is."""
     words = bare(name).split()
-    return words[-1] in nouns.PLAIN_WORDS | _STATES or bool(_UNNAMED & set(words))
+    return (
+        words[-1] in nouns.PLAIN_WORDS | _STATES or words == ["room"] or bool(_UNNAMED & set(words))
+    )

@@ -37,7 +37,8 @@ class Question:
     Attributes:
         topic: "where" and "exists" ask for objects of the name `about`; "rooms", "places" and
             "seen" for all that are known; "self" for the robot's own place.
-        about: a name without an article; "" if the topic needs none.
+        about: a name without an article, which may be related to another one, as in "mug on the
+            table"; "" if the topic needs none.
         room: only objects in this room; "" for all.
     """
 
@@ -94,6 +95,7 @@ class NoMissionError(UnclearError):
 
 
 _IN_A_MISSION = ("keep_out", "stay_inside", "pause")
+_NAMES = ("thing", "name", "anchor", "room")
 _ZONES = ("keep_out", "stay_inside", "open")
 _ONE_BY_ONE = "instruction: say one thing at a time: an errand, a question, or what to remember"
 
@@ -164,13 +166,19 @@ def _fits(slots: Mapping[str, str], sites: Collection[str]) -> bool:
     room = bare(slots.get("room", ""))
     if room and not is_room(room) and room not in sites:
         return False
-    return not any(is_vague(name) for slot, name in slots.items() if slot in ("thing", "name"))
+    return not any(is_vague(name) for slot, name in slots.items() if slot in _NAMES)
 
 
 def _made(kind: str, slots: Mapping[str, str]) -> Said:
     room = bare(slots.get("room", ""))
     if kind in QUESTIONS:
-        return Question(kind, bare(slots.get("thing", "")), room)  # type: ignore[arg-type]
+        about, relation = bare(slots.get("thing", "")), slots.get("relation", "").lower()
+        anchor = bare(slots.get("anchor", ""))
+        if relation in ("in", "inside", "at") and is_room(anchor):
+            room = anchor
+        elif anchor:
+            about = f"{about} {relation} the {anchor}".strip()
+        return Question(kind, about, room)  # type: ignore[arg-type]
     if kind in CONTROL:
         span = slots.get("span")
         return Control(kind, seconds_of(span) if span else None)  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from edge.mission.language.everyday_words import NAME, any_of
+from edge.mission.language.everyday_words import MARK, NAME, any_of
 from edge.mission.language.spans import COUNT, SPAN
 
 _TOKEN = re.compile(r"<(?P<slot>\w+)>|\{(?P<part>\w+)\}|(?P<rest>\.\.\.)|(?P<mark>[()\[\]|*,])"
@@ -25,7 +25,7 @@ _SLOTS = {
     "count": COUNT,
     "often": r"(?:once|twice|thrice)",
     "relation": any_of("relation"),
-    "stops": rf"{NAME}(?:,? (?:and then|and|then|to|or) {NAME}|, {NAME})+",
+    "stops": rf"{NAME}(?:(?:,? (?:and then|and|then|to|or) |, | (?={MARK}|the )){NAME})+",
 }
 _MARKS = {"(": "(?:", ")": ")", "[": "(?:", "]": ")?", "|": "|", "*": "*", ",": ",?"}
 _REST = r"(?: (?!(?:then|and|or|but|find|instead|first)\b)\S+)*"

@@ -9,6 +9,7 @@ from functools import lru_cache
 from edge import names
 from edge.mission.language.everyday_words import ARTICLE, NAME, any_of
 from edge.mission.language.lexicon import TABLE, WORD, expanded
+from edge.mission.language.spans import number_of
 from edge.mission.language.templates import compiled, first_match
 from edge.mission.language.tokens import STRAIGHT, not_understood
 from edge.mission.language.utterances import REASONS, STATES
@@ -67,11 +68,13 @@ class TidySpeech:
     Attributes:
         text: what is left, in one line.
         reasons: clauses that were left out because they only say why.
+        corrected: True if it corrected itself.
         quoted: the quotations, which the text shows as private characters; see `restored`.
     """
 
     text: str
     reasons: tuple[str, ...] = ()
+    corrected: bool = False
     quoted: tuple[str, ...] = ()
 
     def restored(self, text: str) -> str:
@@ -105,10 +108,11 @@ def tidied(said: str) -> TidySpeech:
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
     text = _LIKE.sub("", _TWICE.sub(r"\1", text))
-    text = _corrected(stripped(text))
+    said_first = stripped(text)
+    text = _corrected(said_first)
     kept, reasons = without_reasons(text)
     kept = re.sub(r"[ ,;:]+([.!?])", r"\1", stripped(kept))
-    return TidySpeech(kept, reasons, tuple(quoted))
+    return TidySpeech(kept, reasons, text != said_first, tuple(quoted))
 
 
 def _expanded(found: re.Match[str]) -> str:
@@ -165,6 +169,9 @@ def _replaced_from(before: str, after: str) -> int | None:
     same = [one.start() for one in re.finditer(rf"\b{first}(?![\w'-])", before, re.I)]
     if same:
         return same[-1]
+    if number_of(after.split()[0]) is not None:
+        numbers = [one for one in re.finditer(r"[\w-]+", before) if number_of(one[0]) is not None]
+        return numbers[-1].start() if numbers else None
     name = re.match(rf"{NAME}$", _ENDS.split(after)[0].strip(), re.I)
     articles = list(re.finditer(rf"\b{ARTICLE} ", before, re.I))
     if name and articles and re.fullmatch(NAME, before[articles[-1].start() :], re.I):

@@ -16,12 +16,12 @@ PARTS = {
         leave|left|discover|discovered|pass|passed)
         """,
     "you": "[did|have|had|has|do] (you|the robot|anyone|anybody) "
-           "[have|had|did|ever|already|just|last|recently|by chance|by any chance|maybe]*",
+           "[have|had|did|ever|already|just|last|recently|by [any] chance|maybe|happen to]*",
     "tell": """
         [can you|could you] [please] (tell me|say|show me|do you (know|remember)|you know|
         [i wonder|any idea|i want to know|remind me|you remember])
         """,
-    "in": "[(in|inside|at) <room>]",
+    "in": "[<relation> <anchor>]",
     # Orders to learn.
     "here": """
         (this|here|it|where (you|we) are|your (position|location|place|spot)|
@@ -42,7 +42,8 @@ PARTS = {
         """,
     "not": """
         [you|robot|robots|the robot] (do not [you dare|you|ever|dare]|never [ever]|
-        (must|may|can|should|shall|will|are|have) not|not|are (forbidden|banned) [from]|no [more]|
+        (must|may|can|should|shall|will|are|have) not|not [may|can|should]|are (forbidden|banned)
+            [from]|no [more]|
         it is (forbidden|prohibited|not allowed) [for you]|forbidden|(i|we) do not want you)
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
         """,
@@ -60,7 +61,7 @@ PARTS = {
              "moving|driving|everything|where you are|what you are doing|the robot|robot|okay]*",
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
-            "your rounds|your errand|your job|your work|your way|mission|what i said]",
+            "your rounds|your round|your errand|your job|your work|your way|mission|what i said]",
     "reason": """
         [, [and] ((until|while|because|so) (i|we|he|she|they|it|someone|somebody|you hear) ...|
         for (me|us|him|her|them)|until (further notice|then)|then (go on|continue)|
@@ -98,7 +99,8 @@ QUESTIONS = {
         what do you (know|remember) [about this place|so far]
     """,
     "where": """
-        {tell} where [exactly|on earth|in the world] (is|are|was|were|have|has|did|do)
+        {tell} (where|whereabouts) [exactly|on earth|in the world] (is|are|was|were|have|has|did|do|
+            stands|lies|sits)
             [the (nearest|closest)] <thing> [is|are|was|were] {last}
         {tell} where <thing> (is|are|was|were|has|have) {last}
         {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
@@ -107,21 +109,25 @@ QUESTIONS = {
             <thing>
         {tell} [in] (which|what) room (is|are|was|were) <thing> [in] {last}
         {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
-        (i|we) (can not find|do not find|have lost|lost|am looking for|are looking for|miss) <thing>
-            , (where (is|are) (it|they)|(have|did) you (seen|see) (it|them)) {last}
+        (i|we) [seem to] [have] (can not find|do not find|lost|mislaid|misplaced|am looking for|
+            are looking for|miss) <thing> , (where (is|are) (it|they)|
+            (have|did) you (seen|see|noticed|notice|spotted|found) (it|them)) {last}
         {tell} the (place|location|position) of <thing>
         do you know where [i|we] [can find|left|put] <thing> [is|are] {last}
     """,
     "exists": """
         (can|could|do) you [still] see <thing> {in} {last}
-        {you} {seen} [any] [of] <thing> {in} {last}
+        {you} {seen} [any|of|already]* <thing>
+            {in} {last}
+        seen [any|of|already]* <thing> {in} {last}
         [is|was|are|were] there <thing> {in} {last}
         [do you know if|do you know whether|so] there (is|are) <thing> {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
             <thing> {in} {last}
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
+        (exists|exist) [there] <thing> {in} {last}
         have (we|you) got <thing> {in} {last}
-        (is|are) <thing> [still|already|really] (in|inside|at) <room> {last}
+        (is|are) <thing> [still|already|really] <relation> <anchor> {last}
         (is|are) <thing> [still|already|really|there|here|around]* {last}
         do you (know|remember) if there (is|are) <thing> {in} {last}
         how many <thing> {you} {seen} {in} {last}
@@ -147,8 +153,9 @@ ORDERS = {
             {while}
     """,
     "open": """
-        it is (okay|ok|fine|alright|allowed|safe) [for you] [now|again]* to {go} <room>
+        it is (okay|ok|fine|alright|all right|allowed|safe) [for you] [now|again]* to {go} <room>
             [again|now]*
+        {may} {go} again [in|into|to]* <room> [now]
         {may} {go} <room> (again|freely|as before|as you like) [now|again]*
         [from now on|now]* {may} again {go} <room> [now]
         <room> (is|are) (open|free|allowed|accessible|okay|ok|available|fine|clear|permitted)
@@ -163,7 +170,8 @@ ORDERS = {
     "forget": """
         (forget|delete|remove|erase|unlearn) [about] [the (place|room|zone|spot|name)]
             [called|named]
-            <site> [from your (map|memory|list)|from the map|from memory|as a place] {while}
+            <site> [from your (map|memory|list)|from the map|from memory|as a place|from (your|the)
+            (places|list|memory|map)] {while}
     """,
     "room": """
         ({this_room}|it|here|this|we|you) [here] (is|are|is called|are standing) [in|now|called]*
@@ -179,7 +187,7 @@ ORDERS = {
         {keep} , {here} (is|is called) <name>
         {here} (is|is called|is named|will be|shall be) [now|called|from now on] <name>
         make {here} <name>
-        we call {here} <name>
+        (we|i) call {here} <name>
     """,
 }
 """`do` of `SiteOrder` → its templates."""
@@ -188,7 +196,8 @@ CONTROL = {
     "resume": """
         [[it] is (ok|okay|fine|good) [now]] , [you|robot|the robot] [can|may|should|could]
             [now|to|please]*
-            (go on|carry on|continue|resume|keep going|keep on|keep moving|keep driving|go ahead|
+            (go on|carry on|continue|resume|keep going|keep on|keep moving|keep driving|get
+            moving|get going|go ahead|
             proceed|move on|drive on|start again|move again|go again|drive again|unpause)
             [now|then|again|please|with|as before|what you were doing|where you left off|
             where you stopped|from where you stopped|doing that|driving|searching|looking]* {task}
@@ -208,7 +217,8 @@ CONTROL = {
             stop it|stop that) {there} {reason}
         (pause|interrupt|suspend) {task} {there}
         (stop|halt|freeze|hold|pause) {there} (stop|halt|freeze|hold|pause)* {there} {reason}
-        (wait|stay|stop|stand|stand still|pause|remain|hold [on]|hang on|rest|park|sit tight|stand
+        (wait|stay|stop|stand|stand still|pause|remain|hold [on|up]|hang on|rest|park|sit
+            tight|stand
             by|
             hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
             [right here|here|there|in here|in place|on the spot|where you are|for me|still|please|
