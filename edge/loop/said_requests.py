@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from edge import names
 from edge.bus.verbs import Request, Verb, read_request
 from edge.errors import UserError
+from edge.geometry import SE2
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.memory.site import is_same
@@ -47,26 +48,43 @@ def _asked(
 
 def _answer(service: Service, said: Question, now_ns: int) -> str:
     if said.topic in ("where", "exists"):
-        answer = _asked(
-            handle_memory,
-            MEMORY_VERBS,
-            service,
-            now_ns,
-            do="find",
-            name=names.head_phrase(said.about),
-        )
-        yes = "yes, " if said.topic == "exists" and answer["objects"] else ""
-        return f"{yes}{answer['text']}"
+        name = names.head_phrase(said.about)
+        answer = _asked(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
+        there = _in_room(service, answer["objects"], said.room)
+        text = str(answer["text"])
+        if said.room and answer["objects"] and not there:
+            return f"none in the {one_line(said.room)}; {text}"
+        return f"yes, {text}" if said.topic == "exists" and there else text
     if said.topic == "seen":
         answer = _asked(handle_memory, MEMORY_VERBS, service, now_ns, do="list")
-        return _listed("seen", [one["name"] for one in answer["objects"]])
+        there = _in_room(service, answer["objects"], said.room)
+        return _listed("seen", [one["name"] for one in there])
     if said.topic == "places":
         return _listed("places", [place.name for place in service.site.known.places])
     if said.topic == "rooms":
-        return str(_asked(handle_memory, MEMORY_VERBS, service, now_ns, do="rooms")["text"])
+        return _listed("rooms", [room.title for room in service.map.rooms.rooms])
+    pose = _pose(service)
+    room = service.map.rooms.where(pose.x_m, pose.y_m)
+    return f"{room}{', ' * bool(room)}at ({pose.x_m:.1f}, {pose.y_m:.1f})"
+
+
+def _pose(service: Service) -> SE2:
     if service.pose is None:
         raise UserError("the robot's pose is not known yet: wait for the first observation")
-    return f"at ({service.pose.x_m:.1f}, {service.pose.y_m:.1f})"
+    return service.pose
+
+
+def _in_room(service: Service, objects: list[dict], name: str) -> list[dict]:
+    """Return the objects in the rooms of a name; all if it is ""."""
+    if not name:
+        return objects
+    rooms = service.map.rooms
+    ids = {room.id for room in rooms.called(name)}
+    if not ids:
+        known = one_line(", ".join(room.title for room in rooms.rooms) or "none")
+        raise UserError(f"no room called {one_line(name)} is known (known: {known})")
+    at = [rooms.room_at(*one["xyz"][:2]) for one in objects]
+    return [one for one, room in zip(objects, at, strict=True) if room and room.id in ids]
 
 
 def _listed(what: str, found: list[str]) -> str:
@@ -84,11 +102,32 @@ def _learn(service: Service, said: SiteOrder, now_ns: int) -> str:
     elif said.do == "room":
         data = {"do": "set", "kind": "room", "name": said.name}
     elif said.do in ("keep_out", "stay_inside"):
-        data = {"do": "set", "kind": said.do, "room": said.name}
+        data = {"do": "set", "kind": said.do, "room": said.name or _room_here(service)}
+    elif said.do == "open":
+        data = {"do": "remove", "name": _zone_to_open(service, said.name)}
     else:
-        zones = [zone.name for zone in service.site.site.zones]
-        if said.do == "open" and not any(is_same(name, said.name) for name in zones):
-            listed = one_line(", ".join(zones) or "none")
-            raise UserError(f"{one_line(said.name)}: no zone of this name (zones: {listed})")
         data = {"do": "remove", "name": said.name}
     return str(_asked(handle_site, SITE_VERBS, service, now_ns, **data)["text"])
+
+
+def _room_here(service: Service) -> str:
+    """Return the title of the room that the robot is in."""
+    pose = _pose(service)
+    room = service.map.rooms.room_at(pose.x_m, pose.y_m)
+    if room is None:
+        raise UserError("the room here is not known yet: explore it first, or draw a zone")
+    return room.title
+
+
+def _zone_to_open(service: Service, name: str) -> str:
+    """Return the name of the zone of a room; for "" that of the only room to stay inside."""
+    zones = service.site.site.zones
+    if name:
+        wanted = (name, f"{name} zone")
+        found = [zone.name for zone in zones if any(is_same(zone.name, one) for one in wanted)]
+    else:
+        found = [zone.name for zone in zones if zone.kind == "stay_inside"]
+    if len(found) != 1:
+        listed = one_line(", ".join(zone.name for zone in zones) or "none")
+        raise UserError(f"{one_line(name) or 'this room'}: no zone of this name (zones: {listed})")
+    return found[0]

@@ -19,6 +19,7 @@ from edge.mission.destinations import (
     CheckTarget,
     Destination,
     ExploreTarget,
+    RoomTarget,
     WaitTarget,
     describe_destination,
     destination_of,
@@ -161,7 +162,7 @@ def translate(
         NoMissionError: it is a question, an order to learn, or about the present mission.
         TranslationError: it is not understood.
     """
-    places = [place.name for place in site.places]
+    places = [item.name for item in (*site.places, *site.room_names)]
     translator = make_translator(config.translator)
     if isinstance(config.translator, TranslatorLtl):
         quoted, repeat = split_repetition(quote_places(text, places))
@@ -274,7 +275,8 @@ def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) ->
     found: dict[str, str] = {}
     for target in targets:
         destination = destinations.get(target)
-        if destination is None or isinstance(destination, CheckTarget):
+        by_thing = isinstance(destination, RoomTarget) and destination.which == "with"
+        if destination is None or isinstance(destination, CheckTarget) or by_thing:
             thing = target if destination is None else destination.name
             found.setdefault(names.canonical(thing), thing)
     return tuple(found.values())
@@ -284,7 +286,9 @@ def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) 
     """Raise a MissionError if the mission only forbids something that cannot be forbidden."""
     alive = [q for q in range(automaton.n_states) if not automaton.dead(q)]
     for letter in automaton.letters:
-        if not isinstance(destinations.get(letter), (CheckTarget, ExploreTarget, WaitTarget)):
+        destination = destinations.get(letter)
+        chosen = isinstance(destination, RoomTarget) and destination.which != "called"
+        if not chosen and not isinstance(destination, (CheckTarget, ExploreTarget, WaitTarget)):
             continue
         if all(automaton.dead(automaton.step(q, letter)) for q in alive):
             raise MissionError(

@@ -38,7 +38,8 @@ def test_a_question_is_answered_and_the_mission_stays(loop):
     assert say(loop, "Where is the unicorn?")["text"].startswith("no unicorn has been seen")
     assert say(loop, "What did you see?")["text"].startswith("seen: ")
     assert say(loop, "Which places do you know?")["text"] == "places: start"
-    assert say(loop, "Where are you?")["text"].startswith("at (")
+    assert ", at (" in say(loop, "Where are you?")["text"]
+    assert say(loop, "Which rooms do you know?")["text"].startswith("rooms: ")
     seen = say(loop, "What have you seen?")["text"].removeprefix("seen: ").split(", ")[0]
     name = seen.rpartition(" × ")[2]
     assert say(loop, f"Is there a {name}?")["text"].startswith(f"yes, {name}: ")
@@ -53,6 +54,19 @@ def test_a_place_is_learned_and_forgotten(loop):
         say(loop, "Forget the dock.")
     with pytest.raises(UserError, match="kitchen: no zone of this name"):
         say(loop, "You may go into the kitchen again.")
+
+
+def test_a_room_is_named_closed_and_opened(loop):
+    assert say(loop, "This is the ballroom.")["text"].startswith("room: ballroom is the one")
+    loop.step()
+    assert say(loop, "Where are you?")["text"].startswith("in the ballroom, at (")
+    assert say(loop, "Stay out of the ballroom, please.")["text"].startswith("zone: keep out of")
+    assert say(loop, "You may go into the ballroom again.")["text"] == "removed: ballroom zone"
+    assert "stay inside" in say(loop, "Stay in this room.")["text"]
+    assert say(loop, "You can leave this room again.")["text"].startswith("removed: ")
+    with pytest.raises(UserError, match="no room called garage is known"):
+        say(loop, "What did you see in the garage?")
+    say(loop, "Forget the ballroom.")
 
 
 def test_stop_is_as_urgent_as_the_verb_for_it():

@@ -1,4 +1,4 @@
-"""Places and zones: GeoJSON in and out, files, names."""
+"""Places, zones and room names: GeoJSON in and out, files, names."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from patience import eventually
 from edge.geometry import SE2
 from edge.memory import (
     Place,
+    RoomName,
     Site,
     SiteError,
     SiteFile,
@@ -25,8 +26,9 @@ from edge.memory import (
 
 DOCK = Place("dock", SE2(1.0, -2.0, math.pi / 2))
 STAIRS = Zone("stairs", "keep_out", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)))
+OFFICE = RoomName("office", (3.0, 4.0))
 NAME, AT = "here: features.0.properties.name", "here: features.0.geometry"
-ALL = Site((DOCK, STAIRS))
+ALL = Site((DOCK, STAIRS, OFFICE))
 
 
 def feature(kind="place", name="dock", shape="Point", coordinates=(1.0, 2.0), **properties):
@@ -77,7 +79,7 @@ def test_a_place_is_found_by_its_name(name):
 def test_an_item_replaces_the_one_of_its_name():
     there = Place("dock", SE2(5.0, 5.0, 0.0))
     assert ALL.with_item(there).place("dock") == there
-    assert len(ALL.with_item(there).items) == 2
+    assert len(ALL.with_item(there).items) == 3
     assert ALL.without("The Dock").places == ()
 
 
@@ -116,7 +118,7 @@ def test_a_damaged_file_is_named(tmp_path, content):
 
 
 def test_what_is_unknown_is_refused_with_what_there_is():
-    with pytest.raises(SiteError, match=r"no place or zone 'door' .known: dock, stairs"):
+    with pytest.raises(SiteError, match=r"no place or zone 'door' .known: dock, stairs, office"):
         ALL.without("door")
 
 

@@ -39,6 +39,7 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
         mark("frontier at the end", "s", palette.FRONTIER, palette.FRONTIER, 6),
         mark("goal: frontier", "D", "white", palette.FRONTIER),
         mark("goal: instance", "*", "white", palette.TARGET, 14),
+        mark("goal: place", "s", "white", palette.TARGET),
         mark("goal: spin", "o", "white", palette.MUTED, 5),
         *seen,
         mark("refuted", "o", palette.MUTED, "white", 7),

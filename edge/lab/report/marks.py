@@ -24,6 +24,7 @@ GOAL_STYLES = {
     "frontier": (palette.FRONTIER, "D", 120),
     "instance": (palette.TARGET, "*", 190),
     "look": (palette.MUTED, "o", 28),
+    "place": (palette.TARGET, "s", 100),
 }
 
 

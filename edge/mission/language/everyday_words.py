@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 
 from edge import names
+from edge.memory import kind_of_room
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import spelled_out
 
@@ -59,7 +60,8 @@ _ROWS: dict[str, str] = {
         hall; hallway; corridor; playroom; nursery; garage; basement; cellar; attic; pantry;
         balcony; terrace; garden; lobby; foyer; ward; gym; library; lab; laboratory; workshop;
         canteen; cafeteria; storeroom; stockroom; classroom; den; conservatory; patio; yard;
-        aisle; bay; warehouse; unit; theatre; clinic; pharmacy; mailroom; cloakroom; stairwell;
+        aisle; bay; warehouse; unit; theatre; clinic; pharmacy; mailroom; cloakroom;
+        ballroom; boardroom; darkroom; showroom; staffroom; lunchroom; guestroom; stairwell;
         entrance hall; sunroom; studio
     """,
     # First words of rooms' names that are no names of things.
@@ -196,7 +198,7 @@ def is_room(name: str) -> bool:
     >>> is_room("living room"), is_room("room 12"), is_room("kitchen table")
     (True, True, False)
     """
-    return _ROOM_HEAD.fullmatch(name) is not None
+    return _ROOM_HEAD.fullmatch(name) is not None or kind_of_room(name) is not None
 
 
 def bare(name: str) -> str:
