@@ -37,6 +37,7 @@ from edge.mission.logic.ltl import Formula
 from edge.mission.planning.planner import make_planner
 from edge.mission.repetition import Repetition, recurrence, split_repetition
 from edge.mission.task_step import TaskStep
+from edge.mission.told_back import orders_of
 from edge.mission.translate import Translation, TranslationError, make_translator
 from edge.text import one_line
 
@@ -233,6 +234,9 @@ def located(translation: Translation, site: Site) -> Translation:
             found[letter] = destination
             plain = describe_destination(letter, destination)
             english = english.replace(f'"{letter}"', plain)
+    described, orders = describe(translation.formula), orders_of(translation.formula, found)
+    if found and orders and translation.english.startswith(described):
+        english = orders + translation.english[len(described) :]
     return replace(translation, destinations=found, english=english)
 
 
