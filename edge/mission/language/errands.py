@@ -142,6 +142,9 @@ _ROOM_WITH = re.compile(
     rf" (?P<thing>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
 )
 _SOME_ROOM = re.compile(rf"\b{ARTICLE} room(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)", re.I)
+_PERMITS = re.compile(
+    r"(?:so |and )?(?:you|the robot) (?:now )?(?:can|may|are (?:allowed|free|welcome) to)\b", re.I
+)
 _LOOSE = re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I)
 _ONLY_THERE = (
     "the robot can only check whether a thing is there; say for example 'check whether the stove "
@@ -196,6 +199,9 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         >>> spell_out("go and check whether the kettle is in the kitchen, then come back")
         'go to "check kettle in the kitchen", then go to "here"'
     """
+    if permits := _PERMITS.match(text):
+        hint = "an order, or a permission? say 'go to …', or 'you may go to … again'"
+        raise UnclearError(f"instruction: {permits[0]!r}: {hint}", permits[0])
     marked, known = mark_places(text, places)
     text = f" {marked}"
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (

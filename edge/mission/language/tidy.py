@@ -38,6 +38,9 @@ _TWICE = re.compile(
     r"can|could|look)(?: the| to| a| for)?)(?: \1\b)+",
     re.I,
 )
+_RESTART = re.compile(
+    r"\b((?:where|what|go|is|did|can|could|find|look)(?: [\w']+){1,3}),?(?: \1\b)+", re.I
+)
 _LIKE = re.compile(
     rf"\b(?:like|(?<!do )you know),? (?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})", re.I
 )
@@ -107,7 +110,7 @@ def tidied(said: str) -> TidySpeech:
     text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
-    text = _LIKE.sub("", _TWICE.sub(r"\1", text))
+    text = _LIKE.sub("", _RESTART.sub(r"\1", _TWICE.sub(r"\1", text)))
     said_first = stripped(text)
     text = _corrected(said_first)
     kept, reasons = without_reasons(text)

@@ -24,8 +24,8 @@ PARTS = {
     "in": "[<relation> <anchor>]",
     # Orders to learn.
     "here": """
-        (this|here|it|where (you|we) are|your (position|location|place|spot)|
-        (the|this) (spot|place|position|location|point|corner))
+        ((the|this) (spot|place|position|location|point|corner)|this|here|it|where (you|we) are|
+        your (position|location|place|spot))
         [here|now|right here|where you are|you are at|you are in]*
         """,
     "this_room": "(this|the) room [here|you are in|where you are|we are in]",
