@@ -143,7 +143,9 @@ _ROOM_WITH = re.compile(
 )
 _SOME_ROOM = re.compile(rf"\b{ARTICLE} room(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)", re.I)
 _PERMITS = re.compile(
-    r"(?:so |and )?(?:you|the robot) (?:now )?(?:can|may|are (?:allowed|free|welcome) to)\b", re.I
+    r"(?:so |and )?(?:you|the robot) (?:now )?(?:can|may|are (?:allowed|free|welcome) to) (?:now )?"
+    rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
+    re.I,
 )
 _LOOSE = re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I)
 _ONLY_THERE = (
