@@ -210,6 +210,11 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
         "formulas ([] in the list: a refusal is correct, too); the first line is a heading",
     )  # fmt: skip
     option(
+        "--everyday", type=Path, metavar="JSONL",
+        help="score only these everyday sentences, with questions and orders to learn among them "
+        "(see docs/language.md)",
+    )  # fmt: skip
+    option(
         "--failures",
         type=Path,
         metavar="FILE",
