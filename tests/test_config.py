@@ -33,7 +33,7 @@ def write(tmp_path: Path):
 
 @pytest.mark.parametrize("content", ["", "# nothing\n", "{}", "---\n", "perception: {}"])
 def test_an_empty_file_lacks_nothing_but_its_detector(write, content):
-    """Which one it takes is not to be guessed: with the simulator's, a robot sees nothing."""
+    """The detector must be set: with the simulator's, a real robot sees nothing."""
     path = write(content)
     with pytest.raises(ConfigError) as error:
         load(path, {})

@@ -1,4 +1,4 @@
-"""What is remembered: objects that were seen; places and zones that people gave."""
+"""Memory between missions: seen objects, and the places and zones that people set."""
 
 from edge.memory.objects import KnownObject, known_objects, where_is
 from edge.memory.site import (

@@ -46,6 +46,7 @@ def known_objects(
     """Return the objects of the map, the most confident first.
 
     Args:
+        sightings: objects of the map.
         stamp_ns: now, on the sensors' clock.
         min_hits: leave out what was detected in fewer images.
         name: only these and kinds of them; empty for all.
@@ -67,6 +68,7 @@ def where_is(name: str, found: list[KnownObject], pose: SE2 | None, is_looked_fo
     """Return the answer to "where is the …?" in one line.
 
     Args:
+        name: class of the object.
         found: of this name.
         pose: the robot's; None if it is not known.
         is_looked_for: False if the detector is not asked for it, so it cannot have been seen.

@@ -108,7 +108,7 @@ TEMPLATE = (
 
 
 def write_vlm(folder: Path, kind: str, seed: int = 0) -> Path:
-    """A vision-language model of an architecture, two layers of 64 in each of its halves."""
+    """Write a vision-language model with two layers of width 64 in each half."""
     import torch
     import transformers
 

@@ -23,7 +23,7 @@ AT_THE_DESK_M = 1.3
 
 @pytest.fixture
 def house(shared_dir, monkeypatch) -> dict[str, str]:
-    """The configuration's environment: its own detector, but told by the simulator what it sees."""
+    """Return the environment: the configuration's own detector, with the simulator's truth."""
     for module in ("trimesh", "embreex"):
         pytest.importorskip(module, reason=f"{module} is not installed (extra `worlds`)")
     monkeypatch.chdir(CLONE)  # the configuration's paths are relative to it

@@ -48,7 +48,7 @@ def scenes():
 def attempt(
     instruction: str, scene: Scene, config: TasksConfig, rounds: list[PlanAttempt]
 ) -> tuple[str, WrittenTrajectory | None]:
-    """What came of it in a line; None: no trajectory."""
+    """Return the attempt's result in one line; None without a trajectory."""
     try:
         written = write_trajectory(instruction, scene, config, rounds.append)
     except (WriteError, ChatError) as error:

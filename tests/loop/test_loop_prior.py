@@ -23,7 +23,7 @@ BY = ("cooccurrence", "rooms", "both")
 
 
 def walls(*ends: tuple[float, float, float, float]) -> MapView:
-    """A map in which walls were seen from (x, y) to (x, y), from where the robot stands (0, 0)."""
+    """Return a map with walls from (x, y) to (x, y), observed from (0, 0)."""
     grid, points = RollingMap(MappingConfig(extent_m=30.0)), []
     for x0, y0, x1, y1 in ends:
         for f in np.linspace(0, 1, 400):

@@ -94,6 +94,7 @@ def quote_places(instruction: str, names: Iterable[str]) -> str:
     `edge.mission.repetition`.
 
     Args:
+        instruction: English text.
         names: of places, in lower case.
 
     Raises:
