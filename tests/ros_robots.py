@@ -63,7 +63,7 @@ ROBOTS = {
 }
 
 ODOM_IN_MAP = SE2(1.0, -0.5, 0.0)
-"""Where localization has found the odometry's frame."""
+"""Pose of the odometry's frame in `map`, from localization."""
 
 
 def ready(name: str, **sections: Any) -> dict[str, Any]:

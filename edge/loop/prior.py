@@ -105,9 +105,9 @@ class LocationPrior:
         self._layers: dict[str, Callable[[], Grid]] = {}
         self._drawn = (-1, -1)
 
-    def through(self, beside: Callable[[str, Any], Any]) -> None:
-        """Wrap the worker with `beside`, which logs its requests and results."""
-        self._worker = beside("prior", self._worker)
+    def through(self, wrap: Callable[[str, Any], Any]) -> None:
+        """Wrap the worker with `wrap`, which logs its requests and results."""
+        self._worker = wrap("prior", self._worker)
 
     def step(self, seen: MapView, sightings: TrackedObjects, now_ns: int) -> None:
         """Collect new rooms, once a tick, and request new ones when they are due."""

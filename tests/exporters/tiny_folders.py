@@ -104,7 +104,7 @@ TEMPLATE = (
     "{%% if part['type'] == 'image' %%}%s{%% else %%}{{ part['text'] }}{%% endif %%}{%% endfor %%}"
     "\n{%% endfor %%}"
 )
-"""Of the chat, in the style of the families."""
+"""Chat template, in the style of the families."""
 
 
 def write_vlm(folder: Path, kind: str, seed: int = 0) -> Path:

@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.weights, pytest.mark.timeout(600)]
 CLONE = Path(__file__).resolve().parents[2]
 TASK = "go around the left of the sofa, then stop at the desk"
 BESIDE_M = 2.0
-"""Who goes around a thing stays as near to its outline."""
+"""Largest distance from the outline of an object that the robot drives around."""
 AT_THE_DESK_M = 1.3
 """The chair before the desk, or the bin beside it, is taken for a part of it: that costs 0.3 m."""
 

@@ -25,7 +25,7 @@ from edge.tasks.write import PlanAttempt, WriteError, WrittenTrajectory, write_t
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
 
 MOST_TOKENS = 200
-"""Of an answer: left alone, the model comes to no end."""
+"""Limit of an answer: without one the model does not stop."""
 LIMIT_S = 120.0
 TASKS = [
     ("small", "go past the left of the van, then stop at the gate"),

@@ -189,7 +189,7 @@ def ros_cloud(names: str, step: int, points: np.ndarray, big_endian=False, heigh
 
 
 STEPS = 0, 1, 8, 96, HUGE
-"""Those that drivers send, such as the number of points, or the size of all data."""
+"""Values that drivers send, such as the number of points, or the size of all data."""
 
 
 def with_steps(payload: bytes, point_step: int, row_step: int, size: int = 128) -> bytes:
