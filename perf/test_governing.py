@@ -1,4 +1,4 @@
-"""What the governor costs each tick."""
+"""Benchmark: cost of the load shedder in each tick."""
 
 from __future__ import annotations
 

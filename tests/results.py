@@ -25,7 +25,7 @@ def observation(stamp_ns: int) -> Observation:
 
 @cache
 def facts(target: str = "chair") -> MissionFacts:
-    """A mission to reach one thing, at its beginning."""
+    """Return a new mission with one target."""
     config = simulated({"mission": {"target": target}}).mission
     return mission_facts(MissionRun(prepare(config), config))
 
@@ -38,7 +38,7 @@ def health() -> dict[str, Any]:
 
 
 def result(now_ns: int = 0, **fields: Any) -> TickResult:
-    """A tick in which nothing happened, but for what is given."""
+    """Return a tick without events, but for the given fields."""
     status = fields.get("status", MissionStatus("chair", "searching"))
     nothing: dict[str, Any] = {
         "observation": None, "pose": None, "status": status, "goal": None, "answer": None,

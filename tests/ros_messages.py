@@ -109,7 +109,7 @@ FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
     "jazzy": (_farewell("JazzyResult", 1), Result(6, 103)),
     "kilted": (_farewell("KiltedResult", 2), Result(6, 103, "no way")),
 }
-"""How each distribution's action ends, as (encode(status, code, text), what is read of 6, 103 and
+"""End of each distribution's action, as (encode(status, code, text), what is read of 6, 103 and
 "no way")."""
 
 DOCK_FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {

@@ -135,10 +135,10 @@ class Service:
         self.behaviour = self._behaviour_of(self.mission)
         for part in (self._surveyor, self.map.surveyor, scorers):
             if part is not None:
-                part.through(journal.beside)
+                part.through(journal.wrap)
         self.faults = ErrorBoundary(self.event)
         self.stage = INGEST
-        self._worker = journal.beside(DETECTOR, worker)
+        self._worker = journal.wrap(DETECTOR, worker)
         self.scorers = scorers
         self.swapper = DetectorSwap(config.perception, worker, self.event)
         self.governor: LoadShedder | None = None

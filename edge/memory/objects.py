@@ -47,6 +47,7 @@ def known_objects(
     """Return the objects of the map, the most confident first; kinds of a name after the name.
 
     Args:
+        sightings: objects of the map.
         stamp_ns: now, on the sensors' clock.
         min_hits: leave out what was detected in fewer images.
         name: only these and kinds of them; empty for all.
@@ -75,6 +76,7 @@ def where_is(
     """Return the answer to "where is the …?" in one line.
 
     Args:
+        name: class of the object.
         found: of this name.
         pose: the robot's; None if it is not known.
         is_looked_for: False if the detector is not asked for it, so it cannot have been seen.

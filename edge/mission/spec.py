@@ -1,5 +1,4 @@
-"""Preparation of a mission: from an instruction or a formula to a `MissionSpec`, or a one-line
-error."""
+"""Preparation of a mission: from an instruction or formula to a `MissionSpec`, or an error."""
 
 from __future__ import annotations
 

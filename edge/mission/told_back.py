@@ -1,4 +1,4 @@
-"""What a mission asks for, as orders: "Go to the kitchen, then look for the mug."
+"""Description of what a mission asks for as orders, such as "Go to the kitchen, then wait.".
 
 `edge.mission.language.english` describes any formula as what is reached; this says the common forms
 as a person would.

@@ -16,7 +16,7 @@ LOCKED = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}}
 
 @pytest.fixture
 def command(capsys, monkeypatch):
-    """Runs a command in this process, whose signal handlers it must leave alone."""
+    """Run a command in this process without changing its signal handlers."""
     monkeypatch.setattr("signal.signal", lambda *_: None)
 
     def run(*words: object) -> tuple[int, str]:

@@ -102,9 +102,11 @@ class Tasked:
 
 
 class House:
-    """Attributes:
-    url: of the page.
-    view, service, robot, brittle, tasked: what can be turned.
+    """House behind a live page.
+
+    Attributes:
+        url: of the page.
+        view, service, robot, brittle, tasked: parts that a test can change.
     """
 
     def __init__(
@@ -117,7 +119,7 @@ class House:
 
 @contextmanager
 def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
-    """A service that runs until the block ends."""
+    """Run a service until the block ends."""
     http = {} if token is None else {"http": {"token_file": "/none"}}
     config = simulated({"loop": {"hz": 50.0}, "mission": {"target": "bed"}, **http, **sections})
     vitals = ServiceHealth(SystemdNotifier({}))

@@ -39,7 +39,7 @@ def house() -> Iterator[House]:
 
 @pytest.fixture
 def page(tab, house) -> Tab:
-    """The page, before somebody who knows the token."""
+    """Open the page for a viewer with the token."""
     tab.open(house.url)
     tab.run(f"sessionStorage.setItem('edge-token', '{TOKEN}')")
     tab.asked.clear()
@@ -50,7 +50,7 @@ def page(tab, house) -> Tab:
 
 
 def painted(tab: Tab, canvas: str) -> int:
-    """How many colours a canvas shows."""
+    """Return the number of colours on a canvas."""
     return tab.run(
         f"""(() => {{
           const c = document.getElementById("{canvas}");

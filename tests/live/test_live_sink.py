@@ -1,4 +1,4 @@
-"""What the sink keeps, and what it costs nobody who does not look."""
+"""State of the live sink, and its cost without a viewer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page is told: JSON whatever the service says, pictures when they changed."""
+"""Updates of the live page: JSON for every status, images when they changed."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def told(view: LiveView, path: str):
 
 
 def full() -> dict:
-    """A tick in which everything there can be is there, with words of others."""
+    """Return a tick with every optional field set and text from outside."""
     found = Instance(
         1, EVIL, np.array([1, 2, 3], np.float32), np.ones((1, 3), np.float32), 0.5, 3, 0, 0
     )

@@ -102,7 +102,7 @@ class Bench:
         return self
 
     def see(self) -> None:
-        """The next image."""
+        """Feed the next image."""
         self.now_ns += TICK_NS
         seen = Observation(
             self.now_ns // TICK_NS, self.now_ns, np.eye(4), rgb=np.zeros((8, 8, 3), np.uint8),

@@ -1,4 +1,4 @@
-"""Where is it: answers from the object map."""
+"""Answers of the object map to "where is it"."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the node is told, what it imports, and how it is started: no ROS is needed for that."""
+"""Input, imports and start of the adapter node, without ROS."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIGHT = {"rclpy", "zenoh", "launch", "action", "passing"}
 
 
 def adapted(adapter: dict | None = None, **ros2: object) -> Config:
-    """A robot's configuration, with this Python in the place of ROS's."""
+    """Return a robot's configuration with this Python in place of ROS's."""
     adapter = {"python": sys.executable, **(adapter or {})}
     section = {"via": "adapter", "adapter": adapter, **ros2}
     return simulated({"source": {"kind": "ros2"}, "sinks": ["ros2"], "ros2": section})

@@ -33,7 +33,7 @@ def goal(stamp_ns: int, x_m: float = 1.0) -> Goal:
 
 
 def driving(stamp_ns: int, x_m: float = 1.0):
-    """A tick in which a goal goes out."""
+    """Return a tick in which a goal is sent."""
     one = goal(stamp_ns, x_m)
     return result(goals=(one,), goal=one)
 
@@ -74,7 +74,7 @@ def make(port, session):
 
 @pytest.fixture
 def answers(port, session):
-    """What the loop would hear of its goals."""
+    """Return the goal statuses that the loop would receive."""
     inbox = GoalStatusInbox(session, zenoh_settings(port))
     heard: list[GoalStatus] = []
 
