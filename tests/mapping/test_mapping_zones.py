@@ -142,3 +142,24 @@ def test_zones_stay_where_they_are_when_the_window_rolls():
     away_m = distance_m(polygon, centres_m(grid))
     assert found[away_m <= SMALL.inflation_m].all()
     assert not found[away_m > SMALL.inflation_m + (MARGIN_CELLS + 3) * grid.resolution_m].any()
+
+
+spot = st.floats(-3.0, 3.0)
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    steps=st.lists(st.lists(st.tuples(spot, spot), max_size=3), min_size=1, max_size=4),
+    at_m=st.sampled_from([(0.0, 0.0), (40.0, -3.0)]),
+)
+def test_a_change_of_zones_closes_what_they_close_at_once(steps, at_m):
+    step_by_step, at_once = RollingMap(SMALL), RollingMap(SMALL)
+    for grid in (step_by_step, at_once):
+        look(grid, SE2(*at_m, 0.0), ())
+    zones: list[np.ndarray] = []
+    for places in steps:
+        zones = [square(x_m + at_m[0], y_m + at_m[1], 0.4) for x_m, y_m in places]
+        step_by_step.set_zones(zones, [])
+    at_once.set_zones(zones, [])
+    np.testing.assert_array_equal(closed(step_by_step), closed(at_once))
+    np.testing.assert_array_equal(step_by_step.layers.blocked, at_once.layers.blocked)
