@@ -47,7 +47,7 @@ def test_routines_by_command(edge, endpoint, tmp_path, command):
     eventually(lambda: status() == ("waiting", "waiting until told to go on"))
     assert command("mission", "resume", config)[0] == 0
     eventually(lambda: status()[0] == "reached")
-    assert status()[1].startswith("yes, there is a television at (")
+    assert status()[1].startswith("yes, there is a television ")
     new('F "wait 1 s" & F start', "--rounds", 2)
     eventually(lambda: status() == ("reached", "2 rounds done"))
     code, said = command("mission", "new", config, "F caller", "--formula")
