@@ -17,7 +17,13 @@ from edge.loop.said_requests import carry_out
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.loop.status import answer_of
 from edge.mission.destinations import LONGEST_S
-from edge.mission.language.said import Control, NoMissionError, Question, SiteOrder, understand
+from edge.mission.language.said import (
+    Control,
+    MemoryQuestion,
+    NoMissionError,
+    SiteOrder,
+    understand,
+)
 from edge.mission.repetition import MAX_ROUNDS, Repetition
 from edge.mission.spec import MissionSpec
 from edge.mission.translate import TranslationError
@@ -225,7 +231,7 @@ def handle_mission(
             Nothing has changed then.
     """
     mission, name, told = service.mission, request.fields.get("id", ""), {}
-    if isinstance(request.prepared, (Question, SiteOrder)):
+    if isinstance(request.prepared, (MemoryQuestion, SiteOrder)):
         told = {"text": carry_out(service, request.prepared, now_ns)}
     elif request.do == "new":
         _begin(service, request, now_ns)

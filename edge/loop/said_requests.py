@@ -14,7 +14,7 @@ from edge.geometry import SE2
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.memory.site import is_same
-from edge.mission.language.said import Question, SiteOrder
+from edge.mission.language.said import MemoryQuestion, SiteOrder
 from edge.text import one_line
 
 if TYPE_CHECKING:
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 _MOST_TOLD = 20
 
 
-def carry_out(service: Service, said: Question | SiteOrder, now_ns: int) -> str:
+def carry_out(service: Service, said: MemoryQuestion | SiteOrder, now_ns: int) -> str:
     """Answer a question, or change the site as told; return the answer in one line.
 
     Raises:
         UserError: it cannot be done. Nothing has changed then.
     """
-    if isinstance(said, Question):
+    if isinstance(said, MemoryQuestion):
         return _answer(service, said, now_ns)
     return _learn(service, said, now_ns)
 
@@ -46,7 +46,7 @@ def _asked(
     return answer
 
 
-def _answer(service: Service, said: Question, now_ns: int) -> str:
+def _answer(service: Service, said: MemoryQuestion, now_ns: int) -> str:
     if said.topic in ("where", "exists"):
         name = names.head_phrase(said.about)
         answer = _asked(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)

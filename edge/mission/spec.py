@@ -136,7 +136,7 @@ def prepare(
         translation = make_translator(TranslatorLtl()).translate(formula)
     elif instruction is not None or config.instruction is not None:
         ask = instruction is not None
-        text = instruction if ask else config.instruction
+        text = instruction if instruction is not None else config.instruction or ""
         reading = reading if ask else config.reading
         try:
             translation = translate(config, text, site, reading, ask)
@@ -162,7 +162,7 @@ def translate(
         NoMissionError: it is a question, an order to learn, or about the present mission.
         TranslationError: it is not understood.
     """
-    places = [item.name for item in (*site.places, *site.room_names)]
+    places = [place.name for place in site.places] + [room.name for room in site.room_names]
     translator = make_translator(config.translator)
     if isinstance(config.translator, TranslatorLtl):
         quoted, repeat = split_repetition(quote_places(text, places))

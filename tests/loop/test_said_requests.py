@@ -12,7 +12,7 @@ from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission, mission_verbs
-from edge.mission.language.said import NoMissionError, Question
+from edge.mission.language.said import MemoryQuestion, NoMissionError
 from edge.tasks.mission_spec import prepare_mission
 
 
@@ -84,11 +84,11 @@ def test_stop_is_as_urgent_as_the_verb_for_it():
 
 def test_what_is_no_mission_is_handed_to_the_loop():
     def prepare(**texts: str) -> None:
-        raise NoMissionError(Question("self"))
+        raise NoMissionError(MemoryQuestion("self"))
 
-    assert mission_verbs(prepare)["new"].prepare({"instruction": "where are you"}) == Question(
-        "self"
-    )
+    assert mission_verbs(prepare)["new"].prepare(
+        {"instruction": "where are you"}
+    ) == MemoryQuestion("self")
 
 
 def test_a_wait_of_some_time_is_a_pause_that_ends_by_itself(loop):

@@ -13,9 +13,9 @@ from edge.config import MissionConfig, TranslatorAuto, TranslatorLtl
 from edge.lab.eval.everyday import SITE, everyday_cases, score_everyday
 from edge.mission.language.said import (
     Control,
+    MemoryQuestion,
     MissionOrder,
     NoMissionError,
-    Question,
     SiteOrder,
     understand,
 )
@@ -38,16 +38,16 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong():
     ("said", "found"),
     [
         # Questions.
-        ("Where is the mug?", Question("where", "mug")),
-        ("where'd you last see my walking stick", Question("where", "walking stick")),
-        ("Can you tell me where the remote control is?", Question("where", "remote control")),
-        ("I can't find my keys, have you seen them?", Question("where", "keys")),
-        ("Is there a wheelchair in room 3?", Question("exists", "wheelchair", "room 3")),
-        ("Did you see a uh yellow suitcase anywhere?", Question("exists", "yellow suitcase")),
-        ("Which rooms do you know?", Question("rooms")),
-        ("What did you see in the office?", Question("seen", "", "office")),
-        ("Where are you?", Question("self")),
-        ("What places do you know?", Question("places")),
+        ("Where is the mug?", MemoryQuestion("where", "mug")),
+        ("where'd you last see my walking stick", MemoryQuestion("where", "walking stick")),
+        ("Can you tell me where the remote control is?", MemoryQuestion("where", "remote control")),
+        ("I can't find my keys, have you seen them?", MemoryQuestion("where", "keys")),
+        ("Is there a wheelchair in room 3?", MemoryQuestion("exists", "wheelchair", "room 3")),
+        ("Did you see a uh yellow suitcase anywhere?", MemoryQuestion("exists", "yellow suitcase")),
+        ("Which rooms do you know?", MemoryQuestion("rooms")),
+        ("What did you see in the office?", MemoryQuestion("seen", "", "office")),
+        ("Where are you?", MemoryQuestion("self")),
+        ("What places do you know?", MemoryQuestion("places")),
         # Orders to learn.
         ("Remember this as the dock.", SiteOrder("place", "dock")),
         ("Call this place the reading corner.", SiteOrder("place", "reading corner")),

@@ -25,7 +25,7 @@ from edge.geometry import SE2
 from edge.host.files import open_regular
 from edge.lab.eval.equivalence import distinguishing_trace
 from edge.memory import Place, Site
-from edge.mission.language.said import Control, NoMissionError, Question, SiteOrder
+from edge.mission.language.said import Control, MemoryQuestion, NoMissionError, SiteOrder
 from edge.mission.language.spans import SPAN, seconds_of
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import (
@@ -110,11 +110,11 @@ def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> Everyd
     return EverydayScore(case, "right" if right else "wrong", to_text(formula))
 
 
-def _kind(said: Question | SiteOrder | Control) -> str:
-    return {Question: "question", SiteOrder: "learn", Control: "control"}[type(said)]
+def _kind(said: MemoryQuestion | SiteOrder | Control) -> str:
+    return {MemoryQuestion: "question", SiteOrder: "learn", Control: "control"}[type(said)]
 
 
-def _is_right(case: dict[str, Any], said: Question | SiteOrder | Control) -> bool:
+def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) -> bool:
     meaning, about = case.get("meaning", ""), _plain(case.get("about", ""))
     if isinstance(said, Control):
         return bool(re.search(_CONTROL[said.do], meaning)) and _seconds(case) == (said.seconds or 0)
@@ -191,7 +191,7 @@ def everyday_counts(scores: Sequence[EverydayScore]) -> dict[str, dict[str, int]
 
 def everyday_table(title: str, counts: Mapping[str, Mapping[str, int]]) -> str:
     """Return the counts of `everyday_counts` as aligned text."""
-    rows = [[title, "cases", *OUTCOMES]]
+    rows: list[list[object]] = [[title, "cases", *OUTCOMES]]
     rows += [[part, sum(of.values()), *of.values()] for part, of in counts.items()]
     return format_table(rows, left=1)
 

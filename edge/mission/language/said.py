@@ -31,7 +31,7 @@ class MissionOrder:
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class MemoryQuestion:
     """A question that memory answers; the robot does not drive.
 
     Attributes:
@@ -74,7 +74,7 @@ class Control:
     seconds: float | None = None
 
 
-Said = Union[MissionOrder, Question, SiteOrder, Control]
+Said = Union[MissionOrder, MemoryQuestion, SiteOrder, Control]
 
 
 class NoMissionError(UnclearError):
@@ -84,9 +84,9 @@ class NoMissionError(UnclearError):
         said: its parts.
     """
 
-    def __init__(self, said: Question | SiteOrder | Control) -> None:
+    def __init__(self, said: MemoryQuestion | SiteOrder | Control) -> None:
         what = {
-            Question: "a question, which memory answers",
+            MemoryQuestion: "a question, which memory answers",
             SiteOrder: "an order to learn",
             Control: "about the present mission",
         }[type(said)]
@@ -119,7 +119,7 @@ def understand(said: str, sites: Collection[str] = ()) -> Said:
 
     Example:
         >>> understand("Where did you see the mug?")
-        Question(topic='where', about='mug', room='')
+        MemoryQuestion(topic='where', about='mug', room='')
         >>> understand("Please stay out of the bathroom.").do
         'keep_out'
     """
@@ -135,7 +135,7 @@ def understand(said: str, sites: Collection[str] = ()) -> Said:
         return MissionOrder(speech)
     if None not in kinds and all(one == orders[0] for one in orders):
         return orders[0]
-    asked = [one for one in orders if isinstance(one, Question)]
+    asked = [one for one in orders if isinstance(one, MemoryQuestion)]
     if len(asked) == len(kinds) == 2 and asked[1].about in ("", "it", "them"):
         return asked[0]
     raise UnclearError(_ONE_BY_ONE)
@@ -178,7 +178,7 @@ def _made(kind: str, slots: Mapping[str, str]) -> Said:
             room = anchor
         elif anchor:
             about = f"{about} {relation} the {anchor}".strip()
-        return Question(kind, about, room)  # type: ignore[arg-type]
+        return MemoryQuestion(kind, about, room)  # type: ignore[arg-type]
     if kind in CONTROL:
         span = slots.get("span")
         return Control(kind, seconds_of(span) if span else None)  # type: ignore[arg-type]

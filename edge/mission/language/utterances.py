@@ -134,7 +134,7 @@ QUESTIONS = {
         how many <thing> are there {in} {last}
     """,
 }
-"""Topic of `Question` → its templates."""
+"""Topic of `MemoryQuestion` → its templates."""
 
 ORDERS = {
     "stay_inside": """
