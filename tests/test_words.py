@@ -119,6 +119,17 @@ def test_no_word_of_the_old_dialect():
     assert found == []
 
 
+def test_the_glossary_names_classes_that_exist():
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    table = page.split("## Words")[1].split("## Rules")[0]
+    named = set(re.findall(r"`([A-Z][a-z]\w+|SE2)`", table))
+    there = {
+        name for path in sources("edge") for name in CLASS.findall(path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 30
+    assert named - there == set()
+
+
 ELSEWHERE = {"edge/_data/config/secure", "edge/ros2/", "models/request"}
 """A folder of an installed wheel; a key prefix; a topic."""
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
