@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from edge import names
 from edge.geometry import SE2
 from edge.perception.tracking.sightings import TrackedObjects
@@ -41,7 +43,11 @@ class KnownObject:
 
 
 def known_objects(
-    sightings: TrackedObjects, stamp_ns: int, min_hits: int, name: str = ""
+    sightings: TrackedObjects,
+    stamp_ns: int,
+    min_hits: int,
+    name: str = "",
+    most: int | None = None,
 ) -> list[KnownObject]:
     """Return the objects of the map, the most confident first.
 
@@ -49,18 +55,21 @@ def known_objects(
         stamp_ns: now, on the sensors' clock.
         min_hits: leave out what was detected in fewer images.
         name: only these and kinds of them; empty for all.
+        most: limit of their number.
     """
     s = sightings
-    wanted = [not name or names.is_kind_of(word, name) for word in s.words]
-    found = [
+    is_wanted = np.array([not name or names.is_kind_of(word, name) for word in s.words], np.bool_)
+    rows = np.flatnonzero(s.hits[: s.n] >= min_hits)
+    rows = rows[is_wanted[s.word[rows]]]
+    # By confidence, then by id: `lexsort` has its first key last.
+    rows = rows[np.lexsort((s.id[rows], -s.confidence[rows]))][:most]
+    return [
         KnownObject(
             int(s.id[i]), s.words[s.word[i]], (x_m, y_m, z_m), float(s.confidence[i]),
             int(s.hits[i]), max(0.0, (stamp_ns - int(s.last_seen_ns[i])) * 1e-9),
         )
-        for i, (x_m, y_m, z_m) in enumerate(s.xyz_m[: s.n].tolist())
-        if wanted[s.word[i]] and s.hits[i] >= min_hits
+        for i, (x_m, y_m, z_m) in zip(rows.tolist(), s.xyz_m[rows].tolist(), strict=True)
     ]  # fmt: skip
-    return sorted(found, key=lambda one: (-one.confidence, one.id))
 
 
 def where_is(name: str, found: list[KnownObject], pose: SE2 | None, is_looked_for: bool) -> str:

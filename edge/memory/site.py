@@ -12,7 +12,7 @@ import json
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
@@ -368,14 +368,21 @@ class SiteFile:
     def __post_init__(self) -> None:
         if self.site is None:
             self.site = Site() if self.path is None else read_site(self.path)
+        self._known: tuple[Site, Place | None, Site] = self.site, None, self.site
         self._worker: Worker[Site, None] = Worker("site", self._save, finishes=True)
 
     @property
     def known(self) -> Site:
-        """The site with `start` among its places."""
-        if self.start is None or self.site.place(START) is not None:
-            return self.site
-        return replace(self.site, items=(*self.site.items, self.start))
+        """The site with `start` among its places; the same object until one of them changes."""
+        site, start, known = self._known
+        if site is not self.site or start is not self.start:
+            site, start = self.site, self.start
+            if start is None or site.place(START) is not None:
+                known = site
+            else:
+                known = Site((*site.items, start))
+            self._known = site, start, known
+        return known
 
     def change(self, site: Site) -> None:
         """Replace the site."""

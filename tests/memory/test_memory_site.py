@@ -128,6 +128,7 @@ def test_changes_are_saved_and_start_is_not(tmp_path):
     file.close()
     assert read_site(path) == ALL
     assert file.known.place("start") is file.start
+    assert file.known is file.known
     assert SiteFile(path).site == ALL
 
 
