@@ -111,9 +111,9 @@ class TickResult:
 
     Expensive values are functions. A sink calls them in `Sink.tick`, or after the loop has ended.
     `mission`, `task`, `instances`, `objects`, `frontiers`, `candidates` and `way` compute their
-    value at the first call and then return the same value. `known_m2`, `snapshot`, `layers`, `latency`, `spans`
-    and `health` return the current value at each call. Only `snapshot`, `latency`, `spans` and the
-    functions in `layers` may be called at other times by another thread.
+    value at the first call and then return the same value. `known_m2`, `snapshot`, `layers`,
+    `latency`, `spans` and `health` return the current value at each call. Only `snapshot`,
+    `latency`, `spans` and the functions in `layers` may be called at other times by another thread.
 
     Attributes:
         now_ns: Loop time.

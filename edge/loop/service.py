@@ -154,8 +154,9 @@ class Service:
             self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
         self._publisher = ResultPublisher(
-            sinks, self.map, self.site, self.goals, scorers, journal, self.latency, self._health.status
-        )
+            sinks, self.map, self.site, self.goals, scorers, journal, self.latency,
+            self._health.status,
+        )  # fmt: skip
         self._changed = NOTHING_CHANGED
         self._detections: Detections | None = None  # of this tick, like `scores` and `pose`
         self.scores = np.zeros(0, np.float32)

@@ -29,6 +29,9 @@ HEALTH = {
 }  # fmt: skip
 
 
+PIT_M = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
+
+
 @pytest.fixture
 def view() -> LiveView:
     return LiveView(simulated({"mission": {"target": "chair"}}), ServiceHealth(SystemdNotifier({})))
@@ -57,7 +60,7 @@ def full() -> dict:
         "answer": GoalStatus(1, "failed", EVIL), "events": (Event(1, EVIL),),
         "instances": lambda: [found], "candidates": lambda: scored,
         "objects": lambda: [KnownObject(1, EVIL, (1.0, 2.0, 0.5), 0.5, 3, 4.0)],
-        "site": Site((Place("dock", SE2(1, 2, 0)), Zone("pit", "keep_out", ((0, 0), (1, 0), (1, 1))))),
+        "site": Site((Place("dock", SE2(1, 2, 0)), Zone("pit", "keep_out", PIT_M))),
         "way": lambda: np.ones((5000, 2), np.float32), "health": lambda: HEALTH,
         "layers": lambda: {"value of chair": lambda: Grid(np.full((2, 3), 9, np.uint8), (0, 0), 1)},
     }  # fmt: skip
