@@ -11,6 +11,7 @@ from simulated import simulated
 from edge.geometry import Grid
 from edge.loop.latency import LatencyRing
 from edge.loop.result import MissionFacts, TickResult, mission_facts, scored
+from edge.mapping.zones import ZonePolygons
 from edge.memory import Site
 from edge.mission.run import MissionRun
 from edge.mission.spec import prepare
@@ -46,7 +47,7 @@ def result(now_ns: int = 0, **fields: Any) -> TickResult:
         "controlled": False, "targets": (status.target,), "goals": (), "answers": (),
         "events": (), "inputs": (), "detections": None, "mission": lambda: facts(status.target),
         "task": lambda: None,
-        "instances": list, "objects": list, "site": Site(),
+        "instances": list, "objects": list, "site": Site(), "zones": ZonePolygons(),
         "frontiers": lambda: np.zeros((0, 2), np.float32),
         "candidates": lambda: scored(Candidates(0), np.zeros(0, np.float32)),
         "way": lambda: np.zeros((0, 2), np.float32), "choice": None, "layers": dict,

@@ -14,6 +14,7 @@ Frame = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*$", ma
 RosTopic = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom", "tf",
     "tf_static", "goal", "navigate_to_pose", "map", "path", "trajectory", "markers",
+    "keepout_mask", "keepout_info",
 ]  # fmt: skip
 
 DEFAULT_TOPICS: dict[str, str] = {
@@ -32,6 +33,8 @@ DEFAULT_TOPICS: dict[str, str] = {
     "path": "/edge/path",
     "trajectory": "/edge/task_path",
     "markers": "/edge/markers",
+    "keepout_mask": "/edge/keepout_mask",
+    "keepout_info": "/edge/keepout_info",
 }
 
 
@@ -65,6 +68,8 @@ class Ros2Config(Section):
         goals: `navigate_to_pose`: the action, whose result is the result of the goal. `topic`: a
             PoseStamped on the topic `goal`, without a result. The goal is reached when the robot
             stops there.
+        keepout_filter: publish the zones for Nav2's KeepoutFilter, as `keepout_info` and
+            `keepout_mask`; nav2_msgs must be installed.
         topics: ROS names that differ from the default: `{camera/rgb: /oakd/rgb/image_raw}`.
         adapter: settings of `edge ros2-adapter`.
     """
@@ -76,6 +81,7 @@ class Ros2Config(Section):
     base_frame: Frame = "base_link"
     mounts: Literal["tf", "config"] = "tf"
     goals: Literal["navigate_to_pose", "topic"] = "navigate_to_pose"
+    keepout_filter: bool = False
     topics: dict[RosTopic, RosName] = Field(default_factory=dict)
     adapter: Ros2AdapterConfig = Ros2AdapterConfig()
 

@@ -131,6 +131,7 @@ class ResultPublisher:
             ),
             objects=cache(partial(_objects, map, stamp_ns)),
             site=self._site.known,
+            zones=grid.zones.polygons,
             frontiers=cache(lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy()),
             candidates=cache(partial(scored, map.pool.candidates, scores)),
             way=cache(partial(_way_m, grid, goal)),

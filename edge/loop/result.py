@@ -11,6 +11,7 @@ import numpy as np
 from edge.geometry import SE2, Grid
 from edge.loop.input_log import LoopInput
 from edge.loop.latency import LatencyReport, Span
+from edge.mapping.zones import ZonePolygons
 from edge.memory import KnownObject, Site
 from edge.mission.planning.plan import MissionKnowledge, TargetPlan
 from edge.mission.run import MissionRun
@@ -138,6 +139,7 @@ class TickResult:
             writes to the arrays of the copies.
         objects: Returns the remembered objects, the most confident first, `MAX_OBJECTS` at most.
         site: Places and zones, with the place `start`.
+        zones: Polygons of all zones that are closed now; another object after each change.
         frontiers: Returns a copy of the frontiers, (n, 2) float32 in `map`.
         candidates: Returns the candidates with their scores.
         way: Returns the shortest path to the goal, (k, 2) float32 in `map`; (0, 2) if there is
@@ -171,6 +173,7 @@ class TickResult:
     instances: Callable[[], list[Instance]]
     objects: Callable[[], list[KnownObject]]
     site: Site
+    zones: ZonePolygons
     frontiers: Callable[[], np.ndarray]
     candidates: Callable[[], ScoredCandidates]
     way: Callable[[], np.ndarray]

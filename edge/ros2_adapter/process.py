@@ -31,7 +31,10 @@ log = logging.getLogger("edge.ros2_adapter")
 HERE = Path(__file__).parent
 NODE, LAUNCH_FILE = HERE / "node", HERE / "edge_adapter.launch.py"
 
-_DEPTHS, _DEPTH = {"tf": 100, "tf_static": 100, "odom": 100, "map": 1}, 5
+_DEPTHS, _DEPTH = (
+    {"tf": 100, "tf_static": 100, "odom": 100, "map": 1, "keepout_mask": 1, "keepout_info": 1},
+    5,
+)
 _STOP_S = 5.0
 _POLL_S = 0.2
 _PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0
@@ -75,7 +78,10 @@ def make_plan(config: Config) -> dict[str, Any]:
     heard = [passed(name, accepted_types(name, settings.topic(name))[0], name in wanted)
              for name in SUBSCRIBED]  # fmt: skip
     by_action = settings.goals == "navigate_to_pose"
-    said = [name for name in PUBLISHED if not (name == "goal" and by_action)]
+    unused = {"goal"} if by_action else set()
+    if not settings.keepout_filter:
+        unused |= {"keepout_mask", "keepout_info"}
+    said = [name for name in PUBLISHED if name not in unused]
     return {
         "version": version("eclipse-zenoh"),
         "zenoh": str(session_config(config.zenoh, "connect")),
