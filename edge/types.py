@@ -274,7 +274,7 @@ class GoalStatus:
 
 
 MissionPhase = Literal[
-    "idle", "searching", "approaching", "verifying", "paused", "reached", "failed"
+    "idle", "searching", "approaching", "verifying", "waiting", "paused", "reached", "failed"
 ]
 
 
@@ -285,7 +285,7 @@ class MissionStatus:
     Attributes:
         target: Active target; after the end, the last one.
         phase: `reached` (fulfilled) and `failed` are final. `idle`: no mission was given yet.
-        reason: Reason of the phase, for people.
+        reason: Reason of the phase, for people; while the mission runs, what the robot does.
         elapsed_s: Time that the mission has taken.
         path_m: Distance that the robot has driven for it.
         instruction: Instruction as one line (`edge.text.one_line`).
@@ -304,7 +304,16 @@ class MissionStatus:
 
 
 MissionEventKind = Literal[
-    "start", "target", "seen", "reached", "failed", "nothing", "warning", "trajectory", "end"
+    "start",
+    "target",
+    "seen",
+    "reached",
+    "failed",
+    "nothing",
+    "warning",
+    "trajectory",
+    "round",
+    "end",
 ]
 
 
@@ -316,9 +325,9 @@ class MissionEvent:
         stamp_ns: Loop time of the entry.
         kind: `start`, `end`: of the mission. `target`: the plan now goes to `label`. `seen`,
             `reached`, `failed`: result for `label`. `nothing`: a step of the formula in which no
-            target is reached. `warning`: the goal is next to something that must not be reached
-            now, or a note at the start of the mission. `trajectory`: progress of a task's
-            trajectory.
+            target is reached. `round`: start of the next round of a mission that repeats.
+            `warning`: the goal is next to something that must not be reached now, or a note at the
+            start of the mission. `trajectory`: progress of a task's trajectory.
         label: Target of the entry.
         state: State of the automaton after the entry.
         text: Text for people.

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
+from edge.geometry import FARTHEST_M, SE2
 from edge.text import bounded_repr, one_line, read_json_object
 
 log = logging.getLogger(__name__)
@@ -80,6 +81,19 @@ def check_flag(name: str, fields: Mapping[str, object]) -> bool:
     if not isinstance(flag, bool):
         raise ValueError(f"{name}: expected true or false")
     return flag
+
+
+def check_pose(name: str, value: object) -> SE2:
+    """Return a pose from a list of x and y in metres and the heading in radians.
+
+    Raises:
+        ValueError: it is not such a list, or too far away.
+    """
+    numbers = value if isinstance(value, list) else []
+    valid = len(numbers) == 3 and all(type(n) in (int, float) for n in numbers)
+    if not valid or not all(abs(n) <= FARTHEST_M for n in numbers):
+        raise ValueError(f"{name}: expected [x_m, y_m, yaw_rad], got {shown(value)}")
+    return SE2(*map(float, numbers))
 
 
 def shown(value: object) -> str:

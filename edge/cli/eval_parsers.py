@@ -12,6 +12,7 @@ from edge.cli.options import (
     lazy_handler,
     probabilities,
     seed,
+    share,
 )
 
 
@@ -59,6 +60,23 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--missions", type=count, metavar="N",
         help="instead, N missions for each world, with two to four targets, in order or by choice",
+    )  # fmt: skip
+    option(
+        "--goals", type=count, metavar="N",
+        help="instead, one session for each world: N of the targets one after another, with and "
+        "without memory of the goals before",
+    )  # fmt: skip
+    option(
+        "--moved", type=share, default=0.0, metavar="SHARE",
+        help="with --goals: share of the movable objects that move between two goals (default: 0)",
+    )  # fmt: skip
+    option(
+        "--zones", action="store_true",
+        help="put a random keep-out zone on the shortest path of each episode",
+    )  # fmt: skip
+    option(
+        "--ask", action="store_true",
+        help="instead, one episode for each world: explore it, then ask where the targets are",
     )  # fmt: skip
     option("--limit", type=count, metavar="N", help="only the first N episodes")
     option("--seed", type=int, default=0, help="seed of the random choices (default: %(default)s)")

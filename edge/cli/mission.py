@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Callable
 
 from edge.bus import client
 from edge.cli.options import CONFIG, WHERE, count, dispatch_on_option, lazy_handler, positive
+from edge.cli.site import pose
 from edge.text import one_line
 
 ANSWER_S = 5.0
@@ -61,6 +63,16 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
     kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
     kind.add_argument("--task", action="store_true", help="TEXT describes a path to drive")
     add_reading(kind)
+    action.add_argument(
+        "--rounds", type=count, metavar="N", help="repeat the mission this many times"
+    )
+    action.add_argument(
+        "--for", dest="for_s", type=positive, metavar="S", help="repeat it for so many seconds"
+    )
+    action.add_argument(
+        "--from-pose", type=pose, metavar="X,Y,DEG",
+        help="where the caller is, for `come here`: metres in map and heading in degrees",
+    )  # fmt: skip
     fleet = action.add_argument_group("with --fleet")
     whom = fleet.add_mutually_exclusive_group()
     whom.add_argument(
@@ -79,7 +91,12 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
         "--patience", type=positive, metavar="S", help="time to wait for a lost robot before "
         f"another one gets its part (default: {PATIENCE_S:g})",
     )  # fmt: skip
-    return ("--task", "--reading", "--timeout"), ("--to", "--share", "--anew", "--patience")
+    return ("--task", "--reading", "--from-pose", "--rounds", "--for", "--timeout"), (
+        "--to",
+        "--share",
+        "--anew",
+        "--patience",
+    )
 
 
 def add_reading(parser) -> None:  # type: ignore[no-untyped-def]
@@ -107,6 +124,11 @@ def run(args: argparse.Namespace) -> int:
         request[kind] = args.text
         if args.reading is not None:
             request["reading"] = args.reading
+        repeat = {"rounds": args.rounds, "for_s": args.for_s}
+        request |= {name: value for name, value in repeat.items() if value is not None}
+        if args.from_pose is not None:
+            x_m, y_m, heading_deg = args.from_pose
+            request["from_pose"] = [x_m, y_m, math.radians(heading_deg)]
     key = settings.key(topics.MISSION_REQUEST)
     timeout_s = args.timeout or (NEW_S if args.do == "new" else ANSWER_S)
     with client.connect(settings, timeout_s, "mission") as session:

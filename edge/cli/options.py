@@ -114,6 +114,14 @@ def probabilities(text: str) -> tuple[float, ...]:
     return values
 
 
+def share(text: str) -> float:
+    """Parse a share from 0 to 1."""
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"must be between 0 and 1, got {text}")
+    return value
+
+
 def seed(text: str) -> int:
     """Parse the seed of a random number generator."""
     value = int(text)

@@ -22,7 +22,7 @@ def add_places(commands) -> None:  # type: ignore[no-untyped-def]
     add = _action(actions, "set", "name the robot's pose, or another")
     add.add_argument("name", help="of the place")
     add.add_argument(
-        "--at", type=_pose, metavar="X,Y,DEG",
+        "--at", type=pose, metavar="X,Y,DEG",
         help="metres in map and heading in degrees, instead of the robot's pose; "
         "write --at=X,Y,DEG if X is negative",
     )  # fmt: skip
@@ -77,7 +77,8 @@ def _corner(text: str) -> tuple[float, ...]:
     return _numbers(text, 2)
 
 
-def _pose(text: str) -> tuple[float, ...]:
+def pose(text: str) -> tuple[float, ...]:
+    """Return x and y in metres and the heading in degrees from an option `X,Y,DEG`."""
     return _numbers(text, 3)
 
 

@@ -86,11 +86,12 @@ class ServiceCheckpoint:
         """Restore the mission; the map comes back with the first observation."""
         self.map.prepare()
         if (saved := self.saved) is not None:
-            mission.id = saved.id
+            mission.id, mission.results, mission.round = saved.id, saved.results, saved.round
             self._resumed = mission
             mission.restore(
-                saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m, saved.paused
-            )
+                saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m,
+                saved.paused, (saved.exempt_s, saved.exempt_m), saved.pursued_s,
+            )  # fmt: skip
             log.info("continuing the saved mission: %s (state %d, reached: %s)",
                      one_line(saved.instruction), mission.state,
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip

@@ -140,7 +140,7 @@ class GoalTracker:
     def failure_reason(self, mission: MissionRun, grid: RollingMap) -> str:
         """Return why the target was not reached, when all attempts are exhausted."""
         target, views = mission.target, self.views
-        seen = target in mission.detected or target in mission.places
+        seen = target in mission.detected or target in mission.destinations
         found = "found no path to" if seen else "found no"
         again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
         blocked = _blocked(grid)
@@ -341,7 +341,13 @@ class GoalTracker:
     # -- following up -----------------------------------------------------------------------
 
     def judge(
-        self, grid: RollingMap, pose: SE2, mission: MissionRun, images: int, now_ns: int
+        self,
+        grid: RollingMap,
+        pose: SE2,
+        mission: MissionRun,
+        images: int,
+        now_ns: int,
+        is_reached: Callable[[Instance], bool] | None = None,
     ) -> bool:
         """Handle the progress of the current goal; `FollowBehaviour` handles those of a trajectory.
 
@@ -351,6 +357,8 @@ class GoalTracker:
             mission: The mission.
             images: Number of images that the detector has processed so far.
             now_ns: Loop time.
+            is_reached: Returns True if an instance next to the robot counts as reached; None: a
+                confirmed one does.
 
         Returns:
             True if the robot is stuck: it should drive but stands still.
@@ -366,7 +374,9 @@ class GoalTracker:
         if present is None or instance is None:
             known = present is not None and present.goal.kind in ("trajectory", "place")
             self.phase = "approaching" if known else "searching"
-        elif verdict := self._verdict(present, instance, pose, now_ns, images):
+        elif verdict := self._verdict(
+            present, instance, pose, now_ns, images, is_reached or self._tracker.confirmed
+        ):
             self._act_on(verdict, present, instance, mission, now_ns)
         if present is not None and present.goal.kind == "place":
             self._follow_to_place(present, pose, mission, now_ns)
@@ -381,13 +391,19 @@ class GoalTracker:
         return stuck
 
     def _verdict(
-        self, present: _Present, instance: Instance, pose: SE2, now_ns: int, images: int
+        self,
+        present: _Present,
+        instance: Instance,
+        pose: SE2,
+        now_ns: int,
+        images: int,
+        is_reached: Callable[[Instance], bool],
     ) -> Verdict | None:
         """Return the verdict on the goal's instance, or None while there is none.
 
         `reached` needs three conditions: the controller reported the goal as reached, the nearest
-        surface point of the instance is within `mission.reach_m`, and the detector has confirmed
-        the instance.
+        surface point of the instance is within `mission.reach_m`, and `is_reached` agrees: the
+        detector has confirmed the instance.
         """
         config = self._config.mission
         if present.answer is None or present.answer.state != "reached":
@@ -398,7 +414,7 @@ class GoalTracker:
         self.phase = "verifying"
         if present.verifying_since_ns is None:
             present.verifying_since_ns, present.images_before = now_ns, images
-        if self._tracker.confirmed(instance):
+        if is_reached(instance):
             return "reached"
         long_enough = (now_ns - present.verifying_since_ns) * 1e-9 > config.verify_s
         if long_enough and images - present.images_before >= MIN_IMAGES:

@@ -8,12 +8,14 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from edge.bus import topics
-from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_text, shown
+from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_pose, check_text, shown
 from edge.errors import UserError
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.result import mission_facts
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.loop.status import answer_of
+from edge.mission.destinations import LONGEST_S
+from edge.mission.repetition import MAX_ROUNDS, Repetition
 from edge.mission.spec import MissionSpec
 from edge.perception.runtime.card_types import DetectCard, DirectionsCard
 from edge.perception.runtime.cards import load_card, load_detector_card
@@ -69,12 +71,16 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
     not start it again. An ambiguous or doubtful instruction is refused with its `readings` and with
     `doubts` about single words. The field `reading` chooses one of the readings, counted from 1.
 
+    With `from_pose: [x_m, y_m, yaw_rad]`, the mission may name the place `caller`.
+
+    With `rounds` or `for_s`, the mission repeats so often, or for so many seconds.
+
     With `if_free: true`, the request is refused while another mission runs. `cancel` with an `id`
     cancels only that mission; its `why` becomes the reason.
     """
     return {
         "new": Verb(
-            (*_TEXTS, "reading", "id", "if_free"),
+            (*_TEXTS, "reading", "from_pose", "rounds", "for_s", "id", "if_free"),
             _new,
             lambda fields: prepare(**{name: fields[name] for name in _MEANT if name in fields}),
         ),
@@ -86,7 +92,7 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
 
 
 _TEXTS = ("instruction", "formula", "task")
-_MEANT = (*_TEXTS, "reading")
+_MEANT = (*_TEXTS, "reading", "caller", "repeat")
 
 
 def _new(fields: dict) -> dict:
@@ -94,7 +100,23 @@ def _new(fields: dict) -> dict:
     if len(texts) != 1:
         raise ValueError("do: new needs exactly one of instruction, formula and task")
     free = {"if_free": True} if check_flag("if_free", fields) else {}
-    return {**texts, **_chosen(fields), **_named(fields), **free}
+    return {
+        **texts,
+        **_chosen(fields),
+        **_calling(fields),
+        **_repeat(fields),
+        **_named(fields),
+        **free,
+    }
+
+
+def _calling(fields: dict) -> dict:
+    """Return the field `from_pose` as the pose `caller`, if present."""
+    if "from_pose" not in fields:
+        return {}
+    if "task" in fields:
+        raise ValueError("from_pose: only valid with an instruction or a formula")
+    return {"caller": check_pose("from_pose", fields["from_pose"])}
 
 
 def _chosen(fields: dict) -> dict:
@@ -107,6 +129,20 @@ def _chosen(fields: dict) -> dict:
     if "instruction" not in fields:
         raise ValueError("reading: only valid with an instruction")
     return {"reading": reading}
+
+
+def _repeat(fields: dict) -> dict:
+    """Return the fields `rounds` and `for_s` as a `Repetition`, if present."""
+    rounds, for_s = fields.get("rounds"), fields.get("for_s")
+    if rounds is None and for_s is None:
+        return {}
+    if "task" in fields:
+        raise ValueError("rounds, for_s: only valid with an instruction or a formula")
+    if rounds is not None and (type(rounds) is not int or not 1 <= rounds <= MAX_ROUNDS):
+        raise ValueError(f"rounds: expected an integer from 1 to {MAX_ROUNDS}, got {shown(rounds)}")
+    if for_s is not None and (type(for_s) not in (int, float) or not 0 < for_s <= LONGEST_S):
+        raise ValueError(f"for_s: expected seconds up to {LONGEST_S:g}, got {shown(for_s)}")
+    return {"repeat": Repetition(rounds, for_s)}
 
 
 def _cancel(fields: dict) -> dict:
@@ -151,7 +187,7 @@ def handle_mission(
         if not request.cancelled:
             raise UserError(f"no {'such ' * bool(name)}mission is running: {_last(service)}")
     elif request.do == "cancel":
-        service.fail(one_line(request.fields.get("why", CANCELLED)), now_ns)
+        service.cancel(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
         service.pause(request.do == "pause", now_ns)
     task = service.behaviour.facts()

@@ -202,7 +202,7 @@ class Service:
         self._newest_seq = observation.seq
         if self.site.start is None:
             self.site.start = Place(START, pose)
-        if self.mission.places:
+        if self.mission.destinations:
             self.mission.locate(self.site.start.pose, pose)
         judge = partial(self.plausibility.judge, observation, now_ns)
         use = self._journal.decided(USE, judge, usual="")
@@ -470,12 +470,24 @@ class Service:
         self.map.set_site(site)
 
     def pause(self, paused: bool, now_ns: int) -> None:
-        """Pause the mission, so that the robot stands still, or resume it."""
-        if paused == self.mission.paused:  # repeated requests are logged once
+        """Pause the mission, so that the robot stands still, or resume it.
+
+        To resume a mission that waits, but is not paused, ends the wait.
+        """
+        goes_on = not paused and self.mission.waits
+        if paused == self.mission.paused and not goes_on:  # repeated requests are logged once
+            return
+        self._journal.note("pause", paused=paused, now_ns=now_ns)
+        if goes_on:
+            self.mission.go_on(now_ns)
             return
         self.mission.pause(paused)
-        self._journal.note("pause", paused=paused, now_ns=now_ns)
         self.event(f"mission: {'paused' if paused else 'resumed'}", now_ns)
+
+    def cancel(self, reason: str, now_ns: int) -> None:
+        """End the mission because a person says so; see `MissionRun.cancel`."""
+        self._journal.note("cancel", reason=reason, now_ns=now_ns)
+        self.mission.cancel(reason, now_ns)
 
     def fail(self, reason: str, now_ns: int) -> None:
         """End the mission as failed."""

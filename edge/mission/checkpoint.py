@@ -6,17 +6,19 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated
 
-from pydantic import ConfigDict, Field
+from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field
 
 from edge.errors import UserError
-from edge.geometry import SE2
 from edge.host.checkpoint import CheckpointFormat
+from edge.mission.destinations import Destination, of_places
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.logic.ltl import parse, propositions
+from edge.mission.repetition import Repetition
 from edge.mission.run import MissionRun
 from edge.text import bounded_repr
 
 Word = Annotated[str, Field(max_length=1000)]
+NotNegative = Annotated[float, Field(ge=0)]
 Words = Annotated[tuple[Word, ...], Field(max_length=10_000)]
 
 
@@ -26,7 +28,9 @@ class MissionState:
 
     Attributes:
         instruction: see `edge.mission.translate.Translation`, as for `backend`, `english`,
-            `reading`, `readings`, `implied` and `places`.
+            `reading`, `readings` and `implied`.
+        repeat: see `edge.mission.translate.Translation`; `round` is the current round.
+        destinations: see `edge.mission.run.MissionRun`; older files call them `places`.
         formula: text of the automaton's formula.
         word: the trace so far: reached propositions and `NOTHING`. The automaton's state is not
             saved. It follows from the trace, even if a later compiler numbers states differently.
@@ -41,6 +45,7 @@ class MissionState:
         elapsed_s: time that counts towards the time limit.
         path_m: path that counts towards the path limit.
         id: see `edge.mission.run.MissionRun`.
+        exempt_s: see `edge.mission.run.MissionRun`, as for `exempt_m`, `results` and `pursued_s`.
         task: True for a task (`edge.tasks`): `word` has one `NOTHING` for each driven step.
     """
 
@@ -58,18 +63,33 @@ class MissionState:
     phase: Word
     reason: str
     paused: bool
-    elapsed_s: Annotated[float, Field(ge=0)]
-    path_m: Annotated[float, Field(ge=0)]
+    elapsed_s: NotNegative
+    path_m: NotNegative
     reading: Annotated[int, Field(ge=1)] | None = None
     readings: tuple[str, ...] = ()
     implied: bool = False
-    places: Annotated[dict[Word, SE2 | None], Field(max_length=100)] = field(default_factory=dict)
+    destinations: Annotated[
+        dict[Word, Destination],
+        BeforeValidator(of_places),
+        Field(max_length=100, validation_alias=AliasChoices("destinations", "places")),
+    ] = field(default_factory=dict)
     id: Word = ""
     task: bool = False
+    exempt_s: NotNegative = 0.0
+    exempt_m: NotNegative = 0.0
+    repeat: Repetition | None = None
+    round: Annotated[int, Field(ge=1)] = 1
+    results: tuple[str, ...] = ()
+    pursued_s: dict[Word, NotNegative] = field(default_factory=dict)
 
 
-OF_TRANSLATION = ("instruction", "backend", "english", "reading", "readings", "implied", "places")
-_OF_RUN = ("word", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id")
+OF_TRANSLATION = (
+    "instruction", "backend", "english", "reading", "readings", "implied", "destinations", "repeat",
+)  # fmt: skip
+_OF_RUN = (
+    "word", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id", "exempt_s",
+    "exempt_m", "results", "round",
+)  # fmt: skip
 
 
 def state_of(mission: MissionRun, phase: str) -> MissionState:
@@ -79,8 +99,8 @@ def state_of(mission: MissionRun, phase: str) -> MissionState:
         formula=str(brief.automaton.formula), phase=phase, task=brief.steps is not None,
         failed=tuple(sorted(mission.failed)), detected=tuple(sorted(mission.detected)),
         **{name: getattr(brief.translation, name) for name in OF_TRANSLATION}
-        | {"places": dict(mission.places)},
-        **{name: getattr(mission, name) for name in _OF_RUN},
+        | {"destinations": dict(mission.destinations)},
+        **{name: getattr(mission, name) for name in _OF_RUN}, pursued_s=dict(mission.pursued_s),
     )  # fmt: skip
 
 

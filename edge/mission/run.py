@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
 from edge.config import MissionConfig
 from edge.geometry import SE2
+from edge.mission.destinations import Destination, PlaceTarget, WaitTarget, is_timed
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.planning.plan import MissionKnowledge, Planner, TargetPlan
 from edge.mission.planning.planner import make_planner
 from edge.mission.planning.task_planner import TaskPlanner
+from edge.mission.repetition import Repetition
 from edge.mission.spec import MissionSpec
 from edge.text import one_line
 from edge.types import MissionEvent, MissionEventKind, MissionPhase, MissionStatus
 
 MAX_STEPS = 1000
+_MOST_RESULTS, _RESULT_CHARS = 20, 400
 
 
 class MissionRun:
@@ -37,14 +41,22 @@ class MissionRun:
         detected: the set D, as labels.
         failed: the set B, as labels.
         reached: the set R, in order of reaching.
+        round: number of the current round, from 1, of a mission that repeats.
+        results: what the mission found out so far, for the reason of its end.
         steps: the mission log, oldest entry first, at most the last `MAX_STEPS`.
         started: True after `start`.
         paused: while True, time and path do not count and no target is pursued.
         turns: number of times that a new target was set.
         changes: number of changes that a checkpoint should hold.
         config: the `mission` section; may be replaced to change the limits.
-        places: targets that are places, with their poses; None for a pose that `locate` sets.
+        destinations: targets that are no things; `locate` sets poses that were not known before.
         id: the requester's name of the mission; "" if there is none.
+        activity: what the robot does for the active target, for the status; "" to say nothing.
+        exempt_s: part of `elapsed_s` that does not count towards the limit: targets with a duration
+            of their own.
+        exempt_m: the same for `path_m`.
+        pursued_s: for each target, the time for which it was pursued, without pauses, since it was
+            last reached, failed or seen again.
     """
 
     def __init__(
@@ -66,9 +78,9 @@ class MissionRun:
         self.id = id
         self.state = 0
         self.target = brief.targets[0]
-        self.places: dict[str, SE2 | None] = dict(brief.translation.places)
+        self.destinations: dict[str, Destination] = dict(brief.translation.destinations)
         self.word: tuple[str, ...] = ()
-        self.detected: frozenset[str] = frozenset(self.places)
+        self.detected: frozenset[str] = frozenset(self.destinations)
         self.reached: tuple[str, ...] = ()
         self.failed: frozenset[str] = frozenset()
         self.started = False
@@ -77,7 +89,11 @@ class MissionRun:
         self.changes = 0
         self.elapsed_s = 0.0
         self.path_m = 0.0
+        self.exempt_s = self.exempt_m = 0.0
+        self.activity = ""
         self.reason = ""
+        self.results: tuple[str, ...] = ()
+        self.round = 1
         self.steps: tuple[MissionEvent, ...] = ()
         self._instruction = one_line(brief.translation.instruction)
         self.config = config
@@ -90,9 +106,10 @@ class MissionRun:
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
-        self._newest: dict[str, int] = dict.fromkeys(self.places, 0)
+        self._newest: dict[str, int] = dict.fromkeys(self.destinations, 0)
         self._stale: dict[str, int] = {}
-        self._pursued_s: dict[str, float] = {}
+        self.pursued_s: dict[str, float] = {}
+        self._left_out = 0  # targets left out since one was reached
         self._last_ns: int | None = None
         self._last_pose: SE2 | None = None
         self.plan: TargetPlan = self._planner.plan(self.state, self.knowledge)
@@ -126,6 +143,21 @@ class MissionRun:
         return MissionKnowledge(self.detected - reached, reached, self.failed, self._distance_m)
 
     @property
+    def pursued_now_s(self) -> float:
+        """Time for which the active target has been pursued."""
+        return self.pursued_s.get(self.target, 0.0)
+
+    @property
+    def _timed(self) -> bool:
+        """True if the active target ends by a time of its own, so that no limit applies."""
+        return is_timed(self.destinations.get(self.target))
+
+    @property
+    def waits(self) -> bool:
+        """True while the active target is a wait."""
+        return self.active and isinstance(self.destinations.get(self.target), WaitTarget)
+
+    @property
     def forbidden(self) -> tuple[str, ...]:
         """Targets that would make success impossible if they were reached now."""
         automaton = self.brief.automaton
@@ -142,8 +174,22 @@ class MissionRun:
         elif self.paused:
             phase = "paused"
         return MissionStatus(
-            self.target, phase, self.reason, self.elapsed_s, self.path_m, self._instruction
+            self.target,
+            phase,
+            self.reason or self._doing,
+            self.elapsed_s,
+            self.path_m,
+            self._instruction,
         )
+
+    @property
+    def _doing(self) -> str:
+        """What the robot does now, for the status; "" to say nothing."""
+        repeat = self.brief.translation.repeat
+        if not self.active:
+            return ""
+        rounds = "" if repeat is None else repeat.shown_round(self.round, self.elapsed_s)
+        return "; ".join(filter(None, (rounds, self.activity)))
 
     # -- time, path and limits ----------------------------------------------------------------
 
@@ -155,8 +201,8 @@ class MissionRun:
             here: the robot's pose now.
         """
         for name, pose in (("start", start), ("here", here)):
-            if name in self.places and self.places[name] is None:
-                self.places[name] = pose
+            if self.destinations.get(name) == PlaceTarget():
+                self.destinations[name] = PlaceTarget(pose)
                 self.changes += 1
 
     def start(self, now_ns: int) -> None:
@@ -190,21 +236,32 @@ class MissionRun:
             self._last_pose = pose
         if not self.active:
             return
+        step_m = step_m if step_m < 1.0 else 0.0  # a jump of the pose is not driving
         self.elapsed_s += passed_s
-        self.path_m += step_m if step_m < 1.0 else 0.0  # a jump of the pose is not driving
+        self.path_m += step_m
+        if self._timed:
+            self.exempt_s += passed_s
+            self.exempt_m += step_m
         if looking:
-            self._pursued_s[self.target] = self._pursued_s.get(self.target, 0.0) + passed_s
+            self.pursued_s[self.target] = self.pursued_now_s + passed_s
 
     def check_limits(self, now_ns: int) -> None:
-        """Fail at the time or path limit; abandon a target at the search limit."""
-        c = self.config
+        """End at the end of the repetition; fail at the time or path limit of the mission.
+
+        In a mission that repeats, the limits apply to each round. A target is abandoned at the
+        search limit.
+        """
+        c, repeat = self.config, self.brief.translation.repeat
         if not self.active:
             return
-        if self.elapsed_s > c.time_limit_s:
+        if repeat is not None and repeat.limit_s is not None and self.elapsed_s > repeat.limit_s:
+            self._finish("reached", self._rounds_done(self.round - 1), now_ns)
+            return
+        if self.elapsed_s - self.exempt_s > c.time_limit_s:
             self.fail(f"time limit of {c.time_limit_s:g} s", now_ns)
-        elif self.path_m > c.path_limit_m:
+        elif self.path_m - self.exempt_m > c.path_limit_m:
             self.fail(f"path limit of {c.path_limit_m:g} m", now_ns)
-        elif self._pursued_s.get(self.target, 0.0) > (c.search_limit_s or math.inf):
+        elif not self._timed and self.pursued_now_s > (c.search_limit_s or math.inf):
             missed = "did not get to" if self.target in self.detected else "no"
             self.give_up(f"{missed} {self.target} within {c.search_limit_s:g} s", now_ns)
 
@@ -230,7 +287,7 @@ class MissionRun:
         self.detected = detected
         self.failed -= new
         for label in sorted(new - frozenset(self.reached)):
-            self._pursued_s[label] = 0.0
+            self.pursued_s[label] = 0.0
             self._note(now_ns, "seen", label, f"seen: {label}")
         self._replan(now_ns)
 
@@ -244,18 +301,25 @@ class MissionRun:
         """Delete the distances because their map frame is gone; the next survey brings new ones."""
         self._distance_m = None
 
-    def on_reached(self, evidence: str, now_ns: int) -> None:
+    def on_reached(self, evidence: str, now_ns: int, result: str = "") -> None:
         """Advance the automaton: the active target was reached.
 
         No other event of a mission with a formula advances it, except steps without an object.
+
+        Args:
+            evidence: how this is known, for the mission log.
+            now_ns: time of the loop.
+            result: what the person wants to know at the end of the mission, such as an answer.
         """
-        label = self.target
+        label, self._left_out = self.target, 0
+        if result:
+            self.results = (*self.results, one_line(result, _RESULT_CHARS))[-_MOST_RESULTS:]
         self._take(label)
         self.reached = tuple(dict.fromkeys((*self.reached, label)))
-        self._pursued_s[label] = 0.0
+        self.pursued_s[label] = 0.0
         self._note(now_ns, "reached", label, f"reached: {label} ({evidence})")
-        if not self._accept(evidence, now_ns):
-            self._replan(now_ns, retarget=True)
+        self._accept(evidence, now_ns)
+        self._replan(now_ns, retarget=True)
 
     def on_task_steps_driven(self, steps: int, now_ns: int) -> None:
         """Record that the first `steps` steps of a task were driven; the last one ends the task."""
@@ -278,7 +342,7 @@ class MissionRun:
         label = self.target
         self.failed |= {label}
         self.detected -= {label}
-        self._pursued_s[label] = 0.0
+        self.pursued_s[label] = 0.0
         self._stale[label] = self._newest.get(label, -1)
         self._why_failed[label] = reason
         self._note(now_ns, "failed", label, f"failed: {label} ({reason})")
@@ -297,9 +361,25 @@ class MissionRun:
         """Become the idle placeholder until the first mission is given."""
         self._ended, self.reason = "idle", "waiting for a mission"
 
+    def cancel(self, reason: str, now_ns: int) -> None:
+        """End the mission because a person says so.
+
+        It fails, unless it repeats without an end of its own: for that, this is its regular end.
+        """
+        repeat = self.brief.translation.repeat
+        if repeat is not None and repeat.endless:
+            self._finish("reached", f"{reason}; {self._rounds_done(self.round - 1)}", now_ns)
+        else:
+            self.fail(reason, now_ns)
+
     def fail(self, reason: str, now_ns: int) -> None:
         """Fail the whole mission, unless it has already ended."""
         self._finish("failed", reason, now_ns)
+
+    def go_on(self, now_ns: int) -> None:
+        """End a wait, because a person says so; do nothing if the robot does not wait."""
+        if self.waits:
+            self.on_reached("told to go on", now_ns)
 
     def restore(
         self,
@@ -309,6 +389,8 @@ class MissionRun:
         elapsed_s: float,
         path_m: float,
         paused: bool,
+        exempt: tuple[float, float] = (0.0, 0.0),
+        pursued_s: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         """Continue from the saved state of a mission with the same formula.
 
@@ -319,6 +401,8 @@ class MissionRun:
         self.reached, self.failed = tuple(reached), frozenset(failed)
         self._why_failed = {label: f"{label} failed before the restart" for label in self.failed}
         self.elapsed_s, self.path_m, self.paused = elapsed_s, path_m, paused
+        self.exempt_s, self.exempt_m = exempt
+        self.pursued_s = dict(pursued_s)
 
     def mark_stale_before(self, newest: int) -> None:
         """Mark the instances up to this id as known before a restart.
@@ -334,11 +418,53 @@ class MissionRun:
         self.word = (*self.word, letter)
 
     def _accept(self, evidence: str, now_ns: int) -> bool:
+        """End the mission, or the round, if the formula is fulfilled; return True if it is."""
         if not self.brief.automaton.accepting[self.state]:
             return False
+        repeat = self.brief.translation.repeat
+        if repeat is not None:
+            self._end_round(repeat, now_ns)
+            return True
         taken = [letter for letter in self.word if letter != NOTHING]
-        self._finish("reached", ", then ".join(taken) if len(taken) > 1 else evidence, now_ns)
+        order = ", then ".join(taken) if len(taken) > 1 else evidence
+        self._finish("reached", "; ".join(self.results) or order, now_ns)
         return True
+
+    def _end_round(self, repeat: Repetition, now_ns: int) -> None:
+        """Begin the next round, or end the mission after the last one."""
+        if self.round == repeat.rounds:
+            self._finish("reached", self._rounds_done(self.round), now_ns)
+            return
+        self.round += 1
+        self.state, self.word, self.reached = 0, (), ()
+        self.failed, self.detected = frozenset(), frozenset(self._newest)
+        self._stale, self._why_failed = {}, {}
+        self.exempt_s, self.exempt_m = self.elapsed_s, self.path_m
+        self._note(now_ns, "round", "", repeat.shown_round(self.round, self.elapsed_s))
+
+    def _leave_out(self, now_ns: int) -> bool:
+        """Leave out the failed target in this round of a mission that repeats, if that helps.
+
+        Returns False if every target was left out since one was reached: then the mission fails.
+        """
+        label, automaton = self.target, self.brief.automaton
+        if self.brief.translation.repeat is None or label not in self.failed:
+            return False
+        if self._left_out >= len(self.brief.targets) - 1:
+            return False
+        if automaton.dead(automaton.step(self.state, label)):
+            return False
+        self._left_out += 1
+        self.failed -= {label}
+        self._take(label)
+        self._note(now_ns, "warning", label, f"left out in round {self.round}: {label}")
+        self._accept("left out", now_ns)
+        return True
+
+    def _rounds_done(self, rounds: int) -> str:
+        """Return the reason of the end after some rounds."""
+        done = f"{rounds} round{'s' * (rounds != 1)} done"
+        return "; ".join((done, *self.results))
 
     def _replan(self, now_ns: int, retarget: bool = False) -> None:
         """Plan from the current state; take planned steps without an object at once.
@@ -348,23 +474,26 @@ class MissionRun:
             retarget: True if the present target is settled, so that the planner does not favour it.
         """
         self.changes += 1
-        while True:
+        while not self.done:
             current = None if retarget else self.target
             self.plan = self._planner.plan(self.state, self.knowledge, current)
+            if not self.plan.feasible and self._leave_out(now_ns):
+                continue
             if not self.plan.feasible:
                 why = [why for label, why in self._why_failed.items() if label in self.failed]
                 self._finish("failed", "; ".join(why) or self.plan.reason, now_ns)
                 return
-            if self.plan.target is not None or self._accept("nothing more to reach", now_ns):
+            if self.plan.target is not None:
                 break
-            self._take(NOTHING)
-            self._note(now_ns, "nothing", "", "a step in which nothing is reached")
+            if not self._accept("nothing more to reach", now_ns):
+                self._take(NOTHING)
+                self._note(now_ns, "nothing", "", "a step in which nothing is reached")
         if self.done:
             return
         # The plan has no steps if a task has detected all objects that it needs.
         if self.plan.steps and (retarget or self.plan.target != self.target):
             self.turns += 1
-            self.target = self.plan.target
+            self.target, self.activity = self.plan.target, ""
             self._note(now_ns, "target", self.target, f"target: {self.target}: {self.plan.reason}")
 
     def _finish(self, ended: Literal["reached", "failed"], reason: str, now_ns: int) -> None:

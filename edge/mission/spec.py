@@ -3,7 +3,7 @@ error."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -14,22 +14,28 @@ from edge.config import MissionConfig, TranslatorLtl
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import Site
+from edge.mission.destinations import (
+    CheckTarget,
+    Destination,
+    ExploreTarget,
+    WaitTarget,
+    describe_destination,
+    destination_of,
+    with_caller,
+)
 from edge.mission.language.english import describe
-from edge.mission.language.places import EXPLORED, HERE, START, quote_places
+from edge.mission.language.places import quote_places
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
 from edge.mission.logic.ltl import Formula
 from edge.mission.planning.planner import make_planner
+from edge.mission.repetition import Repetition, recurrence, split_repetition
 from edge.mission.task_step import TaskStep
 from edge.mission.translate import Translation, TranslationError, make_translator
 from edge.text import one_line
 
 _NO_SITE = Site()
-_IN_ENGLISH = {
-    START: "the start", HERE: "the place where this mission begins",
-    EXPLORED: "the end of exploring",
-}  # fmt: skip
 _MOST_SHOWN = 600  # of the parts of a contradiction
 
 
@@ -61,8 +67,14 @@ class MissionSpec:
     steps: tuple[TaskStep, ...] | None = None
 
     def prompt_for(self, target: str) -> str:
-        """Return the prompt to score frontiers for while this target is pursued."""
-        return target if target in self.prompts else self.prompts[0]
+        """Return the prompt to search for while this target is pursued."""
+        destination = self.translation.destinations.get(target)
+        wanted = destination.name if isinstance(destination, CheckTarget) else target
+        if wanted in self.prompts:
+            return wanted
+        key = names.canonical(wanted)
+        same = (prompt for prompt in self.prompts if names.canonical(prompt) == key)
+        return next(same, self.prompts[0])
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -84,6 +96,8 @@ def prepare(
     formula: str | None = None,
     reading: int | None = None,
     site: Site = _NO_SITE,
+    caller: SE2 | None = None,
+    repeat: Repetition | None = None,
 ) -> MissionSpec:
     """Translate, compile and check a mission; this can take as long as the translator does.
 
@@ -97,6 +111,8 @@ def prepare(
         reading: the chosen reading of the given instruction, counted from 1. For the
             configuration's own instruction, `config.reading` applies.
         site: a place of the site is a target that needs no search.
+        repeat: the end of a mission that repeats; None: as the instruction or formula says.
+        caller: pose of the person who calls the robot, the place `caller`; None if it is not known.
 
     Raises:
         AmbiguousError: the instruction has several readings, and none was chosen.
@@ -109,6 +125,7 @@ def prepare(
         >>> str(brief.automaton.formula), brief.targets
         ('F (bed & F sofa)', ('bed', 'sofa'))
     """
+    site = with_caller(site, caller)
     names_of_places = [place.name for place in site.places]
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
@@ -118,17 +135,16 @@ def prepare(
         reading = reading if ask else config.reading
         translator = make_translator(config.translator)
         try:
-            translation = translator.translate(quote_places(text, names_of_places), reading, ask)
+            quoted, said = split_repetition(quote_places(text, names_of_places))
+            repeat = repeat or said
+            translation = translator.translate(quoted, reading, ask)
         except TranslationError as error:
             raise _placed(error, text) from None
-        english = translation.english
-        for name, plain in _IN_ENGLISH.items():
-            english = english.replace(f'"{name}"', plain)
-        translation = replace(translation, instruction=text, english=english)
+        translation = replace(translation, instruction=text)
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
-    return spec_of(config, located(translation, site))
+    return spec_of(config, located(repeated(translation, repeat), site))
 
 
 def _placed(error: TranslationError, instruction: str) -> TranslationError:
@@ -140,19 +156,44 @@ def _placed(error: TranslationError, instruction: str) -> TranslationError:
     return type(error)(message, error.part, at)
 
 
+def repeated(translation: Translation, repeat: Repetition | None) -> Translation:
+    """Return a translation to one round of a mission that repeats, if it does.
+
+    Args:
+        translation: the whole mission, or one round.
+        repeat: the end of the repetition; None: the mission repeats if its formula says so.
+    """
+    formula, recurs = recurrence(translation.formula, repeat is not None)
+    if recurs:
+        repeat = repeat or Repetition()
+        translation = replace(translation, formula=formula, english=describe(formula))
+    if repeat is None:
+        return translation
+    return replace(
+        translation, repeat=repeat, english=f"{translation.english} Repeat this {repeat}."
+    )
+
+
 def located(translation: Translation, site: Site) -> Translation:
-    """Return a translation in which propositions with the name of a place mean that place."""
-    found: dict[str, SE2 | None] = {}
+    """Return a translation whose propositions mean the destinations that their text names.
+
+    Raises:
+        DestinationError: see `destination_of`.
+    """
+    found: dict[str, Destination] = {}
+    english = translation.english
     for letter in ltl.propositions(translation.formula):
-        place = site.place(letter)
-        if place is not None or letter in (START, HERE, EXPLORED):
-            found[letter] = None if place is None else place.pose
-    return replace(translation, places=found)
+        destination = destination_of(letter, site)
+        if destination is not None:
+            found[letter] = destination
+            plain = describe_destination(letter, destination)
+            english = english.replace(f'"{letter}"', plain)
+    return replace(translation, destinations=found, english=english)
 
 
 def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     """Compile and check a translated formula for the configured planner; see `prepare`."""
-    formula = _unified(translation.formula, translation.places)
+    formula = _unified(translation.formula, translation.destinations)
     translation = replace(translation, formula=formula)
     letters = ltl.propositions(formula)
     _check_number(config, len(letters))
@@ -174,8 +215,38 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     automaton = _narrowed(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
-    things = tuple(letter for letter in targets if letter not in translation.places)
-    return MissionSpec(translation, automaton, diagnosis, targets, things or (config.target,))
+    if translation.repeat is not None and automaton.steps_left[0] < 2:
+        raise MissionError(
+            "mission: to repeat it, name at least two things or places to reach in each round: "
+            f"{one_line(formula)}"
+        )
+    _refuse_bans(automaton, translation.destinations)
+    prompts = _prompts(targets, translation.destinations)
+    return MissionSpec(translation, automaton, diagnosis, targets, prompts or (config.target,))
+
+
+def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) -> tuple[str, ...]:
+    """Return the things that the detector must look for, each once."""
+    found: dict[str, str] = {}
+    for target in targets:
+        destination = destinations.get(target)
+        if destination is None or isinstance(destination, CheckTarget):
+            thing = target if destination is None else destination.name
+            found.setdefault(names.canonical(thing), thing)
+    return tuple(found.values())
+
+
+def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) -> None:
+    """Raise a MissionError if the mission only forbids something that cannot be forbidden."""
+    alive = [q for q in range(automaton.n_states) if not automaton.dead(q)]
+    for letter in automaton.letters:
+        if not isinstance(destinations.get(letter), (CheckTarget, ExploreTarget, WaitTarget)):
+            continue
+        if all(automaton.dead(automaton.step(q, letter)) for q in alive):
+            raise MissionError(
+                f"mission: {one_line(letter, 60)}: the robot can do this, but it cannot be "
+                "forbidden; leave it out"
+            )
 
 
 def spec_of_task(
@@ -239,15 +310,15 @@ def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
     return replace(automaton, letters=letters, delta=delta)
 
 
-def _unified(formula: Formula, places: Collection[str]) -> Formula:
+def _unified(formula: Formula, destinations: Collection[str]) -> Formula:
     """Return the formula with one name for each object: the first one of its synonyms.
 
-    A place keeps its name: what a person calls a place is no synonym of a thing.
+    A destination keeps its name: what a person calls a place is no synonym of a thing.
     """
     first: dict[str, str] = {}
 
     def key(name: str) -> str:
-        return f"place {name}" if name in places else names.canonical(name)
+        return f"destination {name}" if name in destinations else names.canonical(name)
 
     for name in ltl.propositions(formula):
         first.setdefault(key(name), name)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorLlm
-from edge.geometry import SE2
+from edge.mission.destinations import Destination
 from edge.mission.language import grammar
 from edge.mission.language.bans import bans_in, does_imply
 from edge.mission.language.english import describe
@@ -26,6 +26,7 @@ from edge.mission.readings import (
     refuse_contradiction,
     same_language,
 )
+from edge.mission.repetition import Repetition
 from edge.text import one_line
 
 if TYPE_CHECKING:
@@ -52,8 +53,8 @@ class Translation:
         reading: number of the chosen reading, from 1; None if there is only one.
         readings: all readings of an ambiguous instruction in English, else empty.
         implied: True if the reading was chosen without a question, because it implies all others.
-        places: propositions of the formula that are places, not things, with their poses; None for
-            a pose that is known only when the mission begins.
+        destinations: propositions of the formula that are no things to search for.
+        repeat: the end of a mission that repeats in rounds, each as the formula says; else None.
     """
 
     instruction: str
@@ -64,7 +65,8 @@ class Translation:
     reading: int | None = None
     readings: tuple[str, ...] = ()
     implied: bool = False
-    places: Mapping[str, SE2 | None] = field(default_factory=dict)
+    destinations: Mapping[str, Destination] = field(default_factory=dict)
+    repeat: Repetition | None = None
 
     @property
     def understood(self) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from edge.config import PlannerInOrder, PlannerPlugin, PlannerVitl
 from edge.geometry import SE2
 from edge.host.worker import Worker
+from edge.mission.destinations import PlaceTarget
 from edge.mission.planning.distances import distances
 
 if TYPE_CHECKING:
@@ -48,7 +49,11 @@ class TravelCostEstimator:
             mission.survey(found, now_ns)
         if self.due(now_ns):
             letters = mission.brief.automaton.letters
-            places = {name: at for name, at in mission.places.items() if at is not None}
+            places = {
+                name: at.pose
+                for name, at in mission.destinations.items()
+                if isinstance(at, PlaceTarget) and at.pose is not None
+            }
             xy_m = [
                 [(places[letter].x_m, places[letter].y_m)]
                 if letter in places

@@ -25,7 +25,9 @@ from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
 from edge.memory import Site, site_of
 from edge.mission.checkpoint import MISSION
+from edge.mission.destinations import destinations_json, destinations_of_json
 from edge.mission.logic import ltl
+from edge.mission.repetition import Repetition
 from edge.mission.translate import Translation
 from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies.base import ImageSimilarity
@@ -210,7 +212,8 @@ def _translation(t: Translation) -> dict[str, Any]:
     return {
         "instruction": t.instruction, "formula": str(t.formula), "english": t.english,
         "backend": t.backend, "reading": t.reading, "readings": t.readings, "implied": t.implied,
-        "places": {name: _pose(pose) for name, pose in t.places.items()},
+        "destinations": destinations_json(t.destinations),
+        "repeat": None if t.repeat is None else asdict(t.repeat),
     }  # fmt: skip
 
 
@@ -219,10 +222,8 @@ def _translation_of(said: dict[str, Any]) -> Translation:
         said["instruction"], ltl.parse(said["formula"]), said["english"], said["backend"],
         reading=said.get("reading"), readings=tuple(said.get("readings", ())),
         implied=said.get("implied", False),
-        places={
-            name: None if pose is None else SE2(*pose)
-            for name, pose in said.get("places", {}).items()
-        },
+        destinations=destinations_of_json(said.get("destinations", said.get("places", {}))),
+        repeat=None if said.get("repeat") is None else Repetition(**said["repeat"]),
     )  # fmt: skip
 
 
@@ -432,6 +433,7 @@ _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
         **fields, "translation": _translation(fields["translation"])
     },
     "pause": _SAME,
+    "cancel": _SAME,
     "fail": _SAME,
     "config": lambda fields: {"config": config_text(fields["config"])},
     "jump": _SAME,

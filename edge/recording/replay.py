@@ -301,6 +301,7 @@ _DO: dict[str, Callable[..., None]] = {
     "mission": _Run._begin,
     "site": lambda run, _, site, now_ns: run.service.change_site(site, now_ns),
     "pause": lambda run, _, paused, now_ns: run.service.pause(paused, now_ns),
+    "cancel": lambda run, _, reason, now_ns: run.service.cancel(reason, now_ns),
     "fail": lambda run, _, reason, now_ns: run.service.fail(reason, now_ns),
     "config": _Run._reconfigure,
     "jump": lambda run, _, now_ns: run.service.on_pose_jump(now_ns),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 from edge import names
 from edge.config import Config, WriterModel
@@ -20,7 +21,7 @@ _MOST_WORDS = 4
 
 
 def prepare_mission(
-    config: Config, task: str | None = None, site: Site = _NO_SITE, **mission: str | int | None
+    config: Config, task: str | None = None, site: Site = _NO_SITE, **mission: Any
 ) -> MissionSpec:
     """Prepare a task if there is one, else the mission that `mission` describes.
 

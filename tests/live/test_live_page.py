@@ -335,10 +335,12 @@ def test_an_error_that_is_answered_is_told_apart_from_no_answer(page, monkeypatc
     def broken(*args):
         raise ValueError("<b>broken</b>")
 
-    parts = (("story", "log_json", "SEARCHING"), ("now", "snapshot_json", "ERROR"))
-    for part, encoder, phase in parts:
+    for part, function, phase in (
+        ("story", "log_json", "SEARCHING"),
+        ("now", "snapshot_json", "ERROR"),
+    ):
         with monkeypatch.context() as breaking:
-            breaking.setattr(f"edge.live.view.{encoder}", broken)
+            breaking.setattr(f"edge.live.view.{function}", broken)
             why = f"/live/{part} failed: ValueError: <b>broken</b>"
             page.says("#banner", f"answered with an error: {why}")
             page.says("#phase", phase)

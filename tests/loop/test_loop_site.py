@@ -11,6 +11,7 @@ from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.memory import Place, Site, Zone
+from edge.mission.destinations import PlaceTarget
 from edge.mission.spec import prepare
 
 START = (1.6, 1.4)  # of the robot in the built-in house
@@ -48,7 +49,7 @@ def test_it_goes_to_a_place_that_it_has_not_seen_and_comes_back(there_and_back):
     at_dock = next(goal for goal in loop.notes.goals if goal.kind == "place")
     assert at_dock.pose.distance_to(4.0, 2.0) < 0.5
     assert at_dock.pose.yaw_rad == pytest.approx(1.57)
-    assert loop.service.mission.places["here"].distance_to(*START) < 0.1
+    assert loop.service.mission.destinations["here"].pose.distance_to(*START) < 0.1
 
 
 def test_a_place_is_named_listed_used_and_removed(there_and_back):
@@ -61,7 +62,7 @@ def test_a_place_is_named_listed_used_and_removed(there_and_back):
     assert here.pose.distance_to(*START) < 0.5
     mission = loop.config.mission
     brief = prepare(mission, "go to the charger", site=loop.service.site.known)
-    assert brief.translation.places == {"charger": here.pose}
+    assert brief.translation.destinations == {"charger": PlaceTarget(here.pose)}
     assert ask(loop, '{"do": "remove", "name": "charger"}')["text"] == "removed: charger"
     with pytest.raises(UserError, match="no place or zone 'charger'"):
         ask(loop, '{"do": "remove", "name": "charger"}')

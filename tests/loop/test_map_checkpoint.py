@@ -64,7 +64,7 @@ class Run(ClosedLoop):
         settings = settings or self.config
         checkpoint = ServiceCheckpoint(settings, self.path, None)
         brief = checkpoint.brief() or self.service.mission.brief
-        detector = make_detector(settings.perception, brief.targets, truth=self.truth)
+        detector = make_detector(settings.perception, brief.prompts, truth=self.truth)
         worker = DetectorWorker(detector, inline=True)
         policy = make_policy(settings.policy)
         return Service(settings, brief, worker, policy, [self.notes], checkpoint)

@@ -70,6 +70,22 @@ def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
     assert run.distance_m("television") <= 1.0
 
 
+def test_a_patrol_goes_on_in_its_round_and_a_wait_with_the_time_that_is_left(path):
+    run = run_of(path, 'G F "wait 3 s" & G F "check surfboard"')
+    mission = run.service.mission
+    mission.round, mission.results = 4, ("no, there is no surfboard",)
+    while mission.pursued_now_s < 2.0:
+        run.step()
+    again = run.killed().service.mission
+    assert (again.round, again.results) == (4, mission.results)
+    assert str(again.brief.translation.repeat) == "until told"
+    assert again.destinations == mission.destinations
+    assert again.pursued_now_s == pytest.approx(2.0, abs=0.2)
+    run.ticks(2)
+    assert run.service.status.reason == "round 4; waiting, 1 s left"
+    run.service.checkpoint.close()
+
+
 def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
     """A checkpoint is a file: whoever may write it must not write the log."""
     said = "go on\n12:00 error   service: \x1b[31mon fire\u202e" + "!" * 5000

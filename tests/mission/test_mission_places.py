@@ -8,6 +8,7 @@ from edge.config import MissionConfig, parse
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import Place, Site
+from edge.mission.destinations import PlaceTarget
 from edge.mission.language.places import quote_places
 from edge.mission.spec import prepare
 from edge.mission.translate import TranslationError
@@ -47,13 +48,37 @@ NAMES = [place.name for place in SITE.places]
             "patrol between bed, sofa, and dock one times",
             'go to bed, then go to sofa, then go to "dock"',
         ),
-        ("patrol the dock and the bed 99 times", 'patrol "dock" and the bed 99 times'),
+        (
+            "patrol the dock and the bed 99 times",
+            'go to "dock", then go to the bed; repeat 99 times',
+        ),
+        (
+            "Please patrol the dock, the bed and the sofa for 20 minutes.",
+            'go to "dock", then go to the bed, then go to the sofa; repeat for 20 minutes',
+        ),
+        (
+            "patrol the dock and the bed until I tell you to stop",
+            'go to "dock", then go to the bed; repeat until told',
+        ),
+        ("patrol the bed for 20 minutes", "patrol the bed for 20 minutes"),
         ("return the mug to the bed", "return the mug to the bed"),
         ("go back to the bed", "go back to the bed"),
     ],
 )
 def test_places_are_put_into_quotes(instruction, quoted):
     assert quote_places(instruction, NAMES) == quoted
+
+
+@pytest.mark.parametrize(
+    "instruction",
+    [
+        "find the mug, then patrol the dock and the bed for 20 minutes",
+        "patrol the dock and the bed for 20 minutes, then come back",
+    ],
+)
+def test_a_patrol_for_some_time_is_all_of_an_instruction(instruction):
+    with pytest.raises(TranslationError, match="must be the whole instruction"):
+        quote_places(instruction, NAMES)
 
 
 def briefed(instruction: str):
@@ -80,15 +105,15 @@ def test_a_place_is_a_target_that_the_detector_does_not_look_for(
 ):
     brief = briefed(instruction)
     assert str(brief.automaton.formula) == formula
-    assert list(brief.translation.places) == places
+    assert list(brief.translation.destinations) == places
     assert brief.prompts == prompts
     assert brief.translation.instruction == instruction
     assert '"' not in brief.translation.english.replace('"loading bay two"', "")
 
 
 def test_a_pose_that_is_not_known_yet_is_left_open():
-    places = briefed("go to the dock, then return to the start").translation.places
-    assert places == {"dock": SE2(1.0, 2.0, 0.0), "start": None}
+    found = briefed("go to the dock, then return to the start").translation.destinations
+    assert found == {"dock": PlaceTarget(SE2(1.0, 2.0, 0.0)), "start": PlaceTarget()}
 
 
 @pytest.mark.parametrize(

@@ -86,6 +86,26 @@ def test_a_task(tmp_path):
     same(recording.close(), 27)
 
 
+def test_a_patrol_that_waits_and_checks_until_a_person_ends_it(tmp_path):
+    recording = Recording(tmp_path).steps(2)
+    service, closed = recording.service, recording.closed
+    place = Site((Place.at("near", closed.drive.motion.pose),))
+    patrol = 'G F near & G F "wait 1 s" & G F "check sofa" & G F wait'
+    brief = prepare(service.config.mission, formula=patrol, site=place)
+    service.begin(brief, closed.drive.motion.stamp_ns)
+    ticks = 7
+    while service.mission.target != "wait":
+        recording.steps(1)
+        ticks += 1
+    service.pause(False, closed.drive.motion.stamp_ns)
+    recording.steps(3)
+    assert service.mission.round == 2
+    service.cancel("cancelled", closed.drive.motion.stamp_ns)
+    recording.steps(2)
+    assert service.status.phase == "reached"
+    same(recording.close(), ticks)
+
+
 def test_all_that_can_come_into_the_loop(tmp_path):
     """Requests, answers, idle beats, a jump, a reload, a tick that fails, in one run."""
     recording = Recording(tmp_path).steps(5)
@@ -158,9 +178,9 @@ def test_what_the_goal_is_judged_by_is_the_same(drive, tmp_path, monkeypatch):
     """How many images the detector had been through counts for a search that is given up."""
     judge, images = GoalTracker.judge, []
 
-    def spy(self, grid, pose, mission, done, now_ns):
+    def spy(self, grid, pose, mission, done, *rest):
         images.append(done)
-        return judge(self, grid, pose, mission, done, now_ns)
+        return judge(self, grid, pose, mission, done, *rest)
 
     monkeypatch.setattr(GoalTracker, "judge", spy)
     path = Recording(tmp_path, small(loop={"lockstep": True})).steps(10).close()

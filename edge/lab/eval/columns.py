@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ class ExperimentArm:
         settings: the changes.
         id: hash of the whole configuration; any change gives another id.
         path: source of `base`, for messages.
+        forgets: True: the service forgets map and objects before each goal of a session.
     """
 
     name: str
@@ -38,6 +39,16 @@ class ExperimentArm:
     settings: Data
     id: str
     path: str
+    forgets: bool = False
+
+
+def with_and_without_memory(arms: Sequence[ExperimentArm]) -> list[ExperimentArm]:
+    """Return each arm after its twin that forgets; the first is the baseline of a comparison."""
+    twins = [
+        replace(arm, name=f"{arm.name}, no memory", id=f"{arm.id}-forgets", forgets=True)
+        for arm in arms
+    ]
+    return [arm for pair in zip(twins, arms, strict=True) for arm in pair]
 
 
 # Set by the episode, or different in each run.
@@ -118,7 +129,7 @@ def read_arms(path: Path) -> dict[str, Data]:
 def parse_arm(words: Sequence[str]) -> tuple[str, Data]:
     """Parse an arm written as `NAME KEY=VALUE …`: keys with dots, values in YAML.
 
-    >>> parse_column(["search", "policy.kind=search", "perception.detector={kind: sim}"])
+    >>> parse_arm(["search", "policy.kind=search", "perception.detector={kind: sim}"])
     ('search', {'policy': {'kind': 'search'}, 'perception': {'detector': {'kind': 'sim'}}})
 
     Raises:

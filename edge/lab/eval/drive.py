@@ -21,11 +21,13 @@ from edge.lab.eval.episodes import Episode
 from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger, named
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcome
+from edge.lab.eval.questions import answers_of
 from edge.lab.report.page import write_report
 from edge.lab.report.recorder import ReportRecorder
 from edge.lab.sim.base import World
 from edge.loop.latency import LatencyReport
 from edge.loop.warmup import warm_up
+from edge.memory import Site, site_of
 
 if TYPE_CHECKING:
     import zenoh
@@ -36,7 +38,8 @@ _POLL_S = 0.001
 _KEPT = 64
 
 EpisodeDriver = Callable[
-    [Config, World, Path | None, threading.Event], tuple[GroundTruthLogger, LatencyReport]
+    [Config, World, Episode, Path | None, threading.Event],
+    tuple[GroundTruthLogger, LatencyReport],
 ]
 """Runs an episode to its end or until the event is set. Writes a report if a folder is given.
 
@@ -68,13 +71,17 @@ def run_episode(
     try:
         config = config_of(column, episode)
         world = world_list.load(config)
-        witness, latency = drive(config, world, page, stop or threading.Event())
-        return _outcome(column, episode, config, world, witness, latency, began_s)
+        witness, latency = drive(config, world, episode, page, stop or threading.Event())
+        return outcome_of(column, episode, config, world, witness, latency, began_s)
     except Stopped:
         raise
     except Exception as error:
-        why = str(error) if isinstance(error, UserError) else repr(error)
-        return crashed_outcome(column, episode, why, time.monotonic() - began_s)
+        return crashed_outcome(column, episode, reason_of(error), time.monotonic() - began_s)
+
+
+def reason_of(error: Exception) -> str:
+    """Return the text of an error for an outcome."""
+    return str(error) if isinstance(error, UserError) else repr(error)
 
 
 def config_of(column: ExperimentArm, episode: Episode) -> Config:
@@ -104,23 +111,22 @@ _LOCKSTEP: Data = {
 
 
 def in_process(
-    config: Config, world: World, page: Path | None, stop: threading.Event
+    config: Config, world: World, episode: Episode, page: Path | None, stop: threading.Event
 ) -> tuple[GroundTruthLogger, LatencyReport]:
     """Run an episode in one thread, without Zenoh. See `EpisodeDriver`."""
-    _warmed(config.policy.model_dump_json(), config)
-    witness = GroundTruthLogger(config, world, lambda stamp_ns: _truth_of(loop))
+    warm_up_once(config)
+    site = site_of(episode.site) if episode.site else Site()
+    keep_out_m = site.polygons_m("keep_out")
+    witness = GroundTruthLogger(config, world, lambda stamp_ns: truth_of(loop), keep_out_m)
     recorder = None if page is None else ReportRecorder(config)
     sinks = [witness] if recorder is None else [witness, recorder]
     colour = recorder is not None or wants_colour(config)
-    loop = ClosedLoop(config, sinks=sinks, world=world, colour=colour)
+    loop = ClosedLoop(config, sinks=sinks, world=world, colour=colour, site=site)
     service = loop.service
     try:
-        for _ in range(int(TIME_LIMIT_FACTOR * config.mission.time_limit_s / config.sim.step_s)):
-            if service.status.done:
-                break
-            if stop.is_set():
-                raise Stopped("stopped on request")
-            loop.step()
+        step_to_end(loop, stop)
+        now_ns = loop.drive.motion.stamp_ns
+        witness.answers = answers_of(service, world, episode.asks, now_ns)
         if page is not None and recorder is not None:
             write_report(recorder.record(service.result(), {}), page)
         return witness, service.latency.report()
@@ -128,17 +134,34 @@ def in_process(
         loop.close()
 
 
+def step_to_end(loop: ClosedLoop, stop: threading.Event) -> None:
+    """Step until the mission has ended, or is overdue.
+
+    Raises:
+        Stopped: `stop` was set.
+    """
+    config = loop.config
+    for _ in range(int(TIME_LIMIT_FACTOR * config.mission.time_limit_s / config.sim.step_s)):
+        if loop.service.status.done:
+            return
+        if stop.is_set():
+            raise Stopped("stopped on request")
+        loop.step()
+
+
 _ready: set[str] = set()
 
 
-def _warmed(policy: str, config: Config) -> None:
+def warm_up_once(config: Config) -> None:
     """Compile the loop's kernels, once a process and policy, so that no timed tick includes it."""
+    policy = config.policy.model_dump_json()
     if policy not in _ready:
         warm_up(config)
         _ready.add(policy)
 
 
-def _truth_of(loop: ClosedLoop) -> GroundTruth:
+def truth_of(loop: ClosedLoop) -> GroundTruth:
+    """Return the ground truth of this instant."""
     motion = loop.drive.motion
     where = motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad
     return GroundTruth(*where, motion.path_m, motion.collisions, loop.rig.ids)
@@ -148,12 +171,14 @@ def _truth_of(loop: ClosedLoop) -> GroundTruth:
 
 
 def over_zenoh(
-    config: Config, world: World, page: Path | None, stop: threading.Event
+    config: Config, world: World, episode: Episode, page: Path | None, stop: threading.Event
 ) -> tuple[GroundTruthLogger, LatencyReport]:
     """Run an episode with simulator and controller as two child processes. See `EpisodeDriver`."""
     from edge.launch import child_processes, open_service, with_free_port
     from edge.loop.runner import loop
 
+    if episode.site or episode.asks:
+        raise UserError("zones and questions: leave out --processes")
     config = with_free_port(config)
     witness = GroundTruthLogger(config, world, lambda stamp_ns: truth.at(stamp_ns))
     recorder = ReportRecorder(config)
@@ -214,7 +239,7 @@ class GroundTruthReader:
 # -- the outcome ----------------------------------------------------------------------------------
 
 
-def _outcome(
+def outcome_of(
     column: ExperimentArm,
     episode: Episode,
     config: Config,
@@ -260,6 +285,9 @@ def _outcome(
         score_ms=score.p95_ms,
         trail=witness.trail,
         goal_xy=[[goal.pose.x_m, goal.pose.y_m, goal.kind] for goal in witness.goals],
+        ways=episode.ways,
+        zone_entries=witness.zone_entries,
+        answers=witness.answers,
     )  # fmt: skip
 
 
@@ -275,7 +303,10 @@ def _reason(witness: GroundTruthLogger, config: Config) -> str:
 
 
 def remaining_m(config: Config, world: World, target: str, x_m: float, y_m: float) -> float | None:
-    """Return the metres left to drive from a place to a target; None if there is no path."""
+    """Return the metres left to drive from a place to a target; None if there is no path.
+
+    Call `forget_distances` after objects of the world have moved.
+    """
     field = _field(world, target, config.robot.radius_m)
     left_m = geodesic.value_at(world.plan, field, x_m, y_m)
     return left_m if np.isfinite(left_m) else None
@@ -284,3 +315,8 @@ def remaining_m(config: Config, world: World, target: str, x_m: float, y_m: floa
 @lru_cache(maxsize=8)
 def _field(world: World, target: str, radius_m: float) -> np.ndarray:
     return geodesic.distance_field(world.plan, named(world, target), radius_m, REACHED_M)
+
+
+def forget_distances() -> None:
+    """Forget the distance fields that `remaining_m` keeps."""
+    _field.cache_clear()

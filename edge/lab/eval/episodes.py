@@ -1,4 +1,4 @@
-"""Episodes: a target or a mission, in a world, from a start. Planned once, then run with any arm.
+"""Episodes: a task in a world, from a start. Planned once, then run with any arm.
 
 A file of episodes (JSON lines) holds all that a rerun needs: the world's section, the start, the
 task, the shortest path, and the sensors.
@@ -46,17 +46,23 @@ The six of ObjectNav, and the ten large objects (at least 0.5 m, 0.09 m³) that 
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """One task; exactly one of `target` and `instruction` is not None.
+    """One task: a target, an instruction, or a session of several goals.
 
     Attributes:
         id: unique; changes with any other field.
         world: `sim.world` of the configuration.
         start: x and y [m], yaw [rad], in `map`.
-        target: name of the object to find.
-        instruction: text of the mission.
-        shortest_m: shortest path to success, by ground truth.
+        target: name of the object to find; None for an instruction and a session.
+        instruction: text of the mission; None for a target and a session.
+        shortest_m: shortest path to success, by ground truth; 0 for a session, whose goals have
+            their own.
         sensing: sections `robot`, `sensors` and `sim`, the same for every arm, unless an arm
             changes them.
+        goals: names of the objects to find one after another (`edge.lab.eval.sessions`).
+        moved: share of the movable objects that move before each goal but the first.
+        site: zones, as GeoJSON (`edge.lab.eval.zones`); empty if there are none.
+        ways: "detour" if a path around the zones is left, "closed" if not; "" without zones.
+        asks: names to ask for at the end (`edge.lab.eval.questions`).
     """
 
     id: str
@@ -66,11 +72,23 @@ class Episode:
     instruction: str | None
     shortest_m: float
     sensing: dict[str, Any] = field(default_factory=dict)
+    goals: tuple[str, ...] = ()
+    moved: float = 0.0
+    site: dict[str, Any] = field(default_factory=dict)
+    ways: str = ""
+    asks: tuple[str, ...] = ()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The ids of its outcomes: one, or one for each goal of a session."""
+        goals = range(1, len(self.goals) + 1)
+        return tuple(f"{self.id}/{k}" for k in goals) or (self.id,)
 
     @property
     def settings(self) -> dict[str, Any]:
         """Settings that the episode adds to a configuration, without `sensing`."""
-        asked = {"target": self.target} if self.instruction is None else {}
+        target = self.goals[0] if self.goals else self.target
+        asked = {"target": target} if self.instruction is None else {}
         mission = {**asked, "instruction": self.instruction, "checkpoint": None}
         return {"mission": mission, "sim": {"start": list(self.start)}}
 
@@ -83,15 +101,25 @@ def make_episode(
     sensing: dict[str, Any],
     target: str | None = None,
     instruction: str | None = None,
+    **more: Any,
 ) -> Episode:
     """Build an episode. Its id is readable and includes a hash of the content.
 
-    `name` is the world's name.
+    Args:
+        world: `sim.world` of the configuration.
+        name: the world's name.
+        start: see `Episode`, as the rest.
+        shortest_m: see `Episode`.
+        sensing: see `Episode`.
+        target: see `Episode`.
+        instruction: see `Episode`.
+        **more: other fields of `Episode`.
     """
-    content = [world, start, target, instruction, sensing]
+    content = [world, start, target, instruction, sensing, *([more] if more else [])]
     code = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
-    what = one_line(target if instruction is None else instruction, 40).replace(" ", "-")
-    return Episode(f"{name}/{what}/{code}", world, start, target, instruction, shortest_m, sensing)
+    what = one_line(target or instruction or "session", 40).replace(" ", "-")
+    id = f"{name}/{what}/{code}"
+    return Episode(id, world, start, target, instruction, shortest_m, sensing, **more)
 
 
 def sensing_settings(config: Config) -> dict[str, Any]:
@@ -141,7 +169,7 @@ def plan(
         UserError: a world cannot be loaded, or no episode is possible.
     """
     episodes: list[Episode] = []
-    for where in _places(config, worlds):
+    for where in world_setups(config, worlds):
         if not worlds:
             return _in_world(where, targets, starts, seed, min_distance_m, strict=True)
         labels = [o.label for o in where.world.objects]
@@ -182,7 +210,7 @@ def plan_missions(
         UserError: a world cannot be loaded, or no mission is possible.
     """
     episodes: list[Episode] = []
-    for place, (world, section, sensing, radius_m) in enumerate(_places(config, worlds)):
+    for place, (world, section, sensing, radius_m) in enumerate(world_setups(config, worlds)):
         own = seed + 1_000_000 * place  # other missions in each world
         found = missions.plan_missions(world, targets, count, own, radius_m, min_distance_m)
         episodes += [
@@ -209,7 +237,7 @@ class WorldSetup(NamedTuple):
     radius_m: float
 
 
-def _places(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[WorldSetup]:
+def world_setups(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[WorldSetup]:
     """Load the worlds of these sections, or the configuration's own if there are none."""
     sensing, radius_m = sensing_settings(config), config.robot.radius_m
     if not worlds:
@@ -306,15 +334,17 @@ def parse_episode(data: dict[str, Any]) -> Episode:
     """
     x, y, yaw = (float(value) for value in data["start"])
     target, instruction = data["target"], data.get("instruction")
-    if not isinstance(target if instruction is None else instruction, str):
+    goals, asks = (tuple(map(str, data.get(name, ()))) for name in ("goals", "asks"))
+    if not goals and not isinstance(target if instruction is None else instruction, str):
         raise ValueError("target or instruction: expected a text")
     shortest_m = float(data["shortest_m"])
     if not 0.0 <= shortest_m < math.inf:
         raise ValueError("shortest_m: expected a length in metres")
-    world, sensing = data["world"], data.get("sensing", {})
-    if not (isinstance(world, dict) and isinstance(sensing, dict)):
-        raise ValueError("world and sensing: expected sections")
+    world, sensing, site = data["world"], data.get("sensing", {}), data.get("site", {})
+    if not all(isinstance(section, dict) for section in (world, sensing, site)):
+        raise ValueError("world, sensing and site: expected sections")
     return Episode(
         str(data["id"]), world, (x, y, yaw), target if instruction is None else None, instruction,
-        shortest_m, sensing,
+        shortest_m, sensing, goals, float(data.get("moved", 0.0)), site, str(data.get("ways", "")),
+        asks,
     )  # fmt: skip

@@ -14,8 +14,10 @@ from edge import names
 from edge.config import Config
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.revisits import RevisitCounter
+from edge.lab.eval.zone_entries import ZoneEntryCounter
 from edge.lab.sim.base import World, WorldObject
 from edge.loop.result import TickResult
+from edge.mission.language.places import EXPLORED
 from edge.types import Goal, Instance, MissionStatus, Observation
 
 TRAIL_M = 0.25
@@ -65,6 +67,7 @@ class GroundTruthLogger:
         config: of the episode.
         world: the simulated world.
         truth: returns the ground truth of an observation's stamp [ns].
+        keep_out_m: polygons of keep-out zones, each (n, 2) float64.
 
     Attributes:
         fault: the first error in this sink. The service ignores errors of its sinks.
@@ -76,9 +79,16 @@ class GroundTruthLogger:
         mistaken: ids of instances that were confirmed but are not the target.
         revisited_m2: floor that a search saw again after an earlier leg of the mission; None for a
             single target.
+        answers: see `EpisodeOutcome`; the caller sets them.
     """
 
-    def __init__(self, config: Config, world: World, truth: Callable[[int], GroundTruth]) -> None:
+    def __init__(
+        self,
+        config: Config,
+        world: World,
+        truth: Callable[[int], GroundTruth],
+        keep_out_m: Sequence[np.ndarray] = (),
+    ) -> None:
         self._world, self._truth = world, truth
         visible_px(
             np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.float32), np.zeros(1, bool), 0.0
@@ -99,7 +109,10 @@ class GroundTruthLogger:
         self.confirmed: dict[str, set[int]] = {}
         self.false_confirmed: set[int] = set()
         self.revisited_m2: float | None = None
+        self.answers: dict[str, str] = {}
         self._legs = RevisitCounter(config, world, self._range_m)
+        radius_m = config.robot.radius_m
+        self._zones = ZoneEntryCounter(keep_out_m, radius_m) if len(keep_out_m) else None
         self._began_ns = 0
         self._anchor = (0.0, 0.0, 0.0)
 
@@ -120,6 +133,8 @@ class GroundTruthLogger:
             self._begin(result.targets, truth, observation.stamp_ns)
         self.now, self.seconds = truth, 1e-9 * (observation.stamp_ns - self._began_ns)
         self._follow(truth)
+        if self._zones is not None:
+            self._zones.update(truth.x_m, truth.y_m)
         self._record_sights(truth, observation.depth_m)
         if result.events:
             self._judge_steps(result, truth)
@@ -156,7 +171,7 @@ class GroundTruthLogger:
 
     def _judge_steps(self, result: TickResult, truth: GroundTruth) -> None:
         steps = result.mission().steps
-        reached = [step.label for step in steps if step.kind == "reached"]
+        reached = [s.label for s in steps if s.kind == "reached" and s.label != EXPLORED]
         for label in reached[len(self.stops) :]:
             self.stops.append((label, self.distance_to_target_m(label, truth.x_m, truth.y_m)))
 
@@ -193,6 +208,11 @@ class GroundTruthLogger:
     def wrong_stops(self) -> list[tuple[str, float]]:
         """The entries of `stops` that were too far from any such object."""
         return [stop for stop in self.stops if stop[1] > REACHED_M]
+
+    @property
+    def zone_entries(self) -> int | None:
+        """Number of entries of the robot's footprint into zones; None without zones."""
+        return None if self._zones is None else self._zones.entries
 
     @property
     def stuck_s(self) -> float:

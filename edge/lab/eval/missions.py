@@ -119,6 +119,7 @@ class MissionCostFields:
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
         self._world = world
+        self.plan = world.plan
         self._radius_m = robot_radius_m
         self._free = world.plan.clearance_m > robot_radius_m
         start = world.start
@@ -129,6 +130,12 @@ class MissionCostFields:
         """Return True if the world has this object and the robot can reach it from the start."""
         return bool(self.near(target).any())
 
+    def has_kinds(self, target: str) -> bool:
+        """Return True if the world has a narrower kind of this object under another name."""
+        labels = {item.label for item in self._world.objects}
+        kinds = {label for label in labels if names.is_kind_of(label, target)}
+        return any(not names.same_name(label, target) for label in kinds)
+
     def near(self, target: str) -> np.ndarray:
         """Return (rows, columns) bool: True where this object counts as reached."""
         if target not in self._near:
@@ -136,6 +143,13 @@ class MissionCostFields:
             near = geodesic.near(self._world.plan, things, self._radius_m, REACHED_M)
             self._near[target] = near & self._reachable
         return self._near[target]
+
+    def distance_m(self, target: str) -> np.ndarray:
+        """Return the distance to drive to an object, (rows, columns) float64; inf: no path."""
+        cells = np.where(self.near(target), 0.0, np.inf)
+        while geodesic.relax(self._free, cells):
+            pass
+        return cells * self.plan.grid.resolution_m
 
     def cost_to_go_m(self, automaton: Automaton) -> np.ndarray:
         """Return the distance to drive from each place until a new mission is fulfilled.

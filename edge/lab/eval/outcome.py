@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,11 @@ class EpisodeOutcome:
         score_ms: p95 of the stage that scores the candidates.
         trail: [x, y] every 0.25 m.
         goal_xy: [x, y, kind] of every goal.
+        goal: number of the goal in its session, from 1; None if the episode is no session.
+        ways: see `Episode.ways`.
+        zone_entries: number of times that the robot's footprint entered a keep-out zone; None
+            without zones.
+        answers: by name that was asked for, the answer's verdict (`edge.lab.eval.questions`).
     """
 
     episode: str
@@ -86,11 +91,33 @@ class EpisodeOutcome:
     score_ms: float | None = None
     trail: list[list[float]] = field(default_factory=list)
     goal_xy: list[list[Any]] = field(default_factory=list)
+    goal: int | None = None
+    ways: str = ""
+    zone_entries: int | None = None
+    answers: dict[str, str] = field(default_factory=dict)
 
     @property
     def key(self) -> tuple[str, str]:
         """Key of the outcome in its file: episode and hash of the arm."""
         return self.episode, self.column_id
+
+
+def crashed_outcomes(
+    column: ExperimentArm, episode: Episode, why: str, done: int = 0
+) -> list[EpisodeOutcome]:
+    """Build the outcomes of an episode that could not be run to its end: one for each part.
+
+    Args:
+        column: the arm.
+        episode: the episode.
+        why: the reason.
+        done: number of parts that were finished before.
+    """
+    whole = crashed_outcome(column, episode, why)
+    if not episode.goals:
+        return [whole]
+    parts = list(enumerate(zip(episode.parts, episode.goals, strict=True), start=1))
+    return [replace(whole, episode=id, target=goal, goal=k) for k, (id, goal) in parts[done:]]
 
 
 def crashed_outcome(

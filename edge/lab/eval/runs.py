@@ -18,7 +18,10 @@ from edge.lab.eval.columns import ExperimentArm
 from edge.lab.eval.comparison.run import summary_text
 from edge.lab.eval.episodes import Episode
 from edge.lab.eval.outcome import EpisodeOutcome, OutcomeFile
+from edge.lab.eval.questions import plan_questions
+from edge.lab.eval.sessions import plan_sessions
 from edge.lab.eval.workers import EpisodeJob, outcomes_of
+from edge.lab.eval.zones import with_zones
 from edge.lab.report.page import prepare
 
 EPISODES_NAME = "episodes.jsonl"
@@ -64,19 +67,20 @@ def run_all(
         _keep(out / EPISODES_NAME, episodes)
     have = {key: o for key, o in known.items() if o.failure != "crashed"}
     pairs = [(episode, column) for episode in episodes for column in columns]
+    keys = [(part, column.id) for episode, column in pairs for part in episode.parts]
     tasks = [
         EpisodeJob(column, episode, processes, pages and pages / _page_name(episode, column))
         for episode, column in pairs
-        if (episode.id, column.id) not in have
+        if any((part, column.id) not in have for part in episode.parts)
     ]
-    done = len(pairs) - len(tasks)
+    done = len(keys) - sum(len(task.episode.parts) for task in tasks)
     outcomes = outcomes_of(tasks, workers, stop or threading.Event())
     for number, outcome in enumerate(outcomes, start=done + 1):
         if file is not None:
             file.append(outcome)
         have[outcome.key] = outcome
-        tell(number, len(pairs), outcome)
-    return [have[e.id, c.id] for e, c in pairs if (e.id, c.id) in have]
+        tell(number, len(keys), outcome)
+    return [have[key] for key in keys if key in have]
 
 
 def changed(columns: Sequence[ExperimentArm], out: Path) -> dict[str, int]:
@@ -112,6 +116,10 @@ def run(args: argparse.Namespace) -> int:
     config = load(args.config)
     columns = cols.make_arms(config, _columns(args))
     episodes = _episodes(config, args)
+    if any(episode.goals for episode in episodes):
+        if args.processes or args.report:
+            raise UserError("sessions of several goals: leave out --processes and --report")
+        columns = cols.with_and_without_memory(columns)
     if args.plan is not None:
         eps.write(args.plan, episodes)
         print(f"{args.plan}: {len(episodes)} episodes")
@@ -149,6 +157,13 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     targets = [target for target in targets if target]
     if not targets:
         raise UserError("--targets: name at least one, such as --targets sofa,bed")
+    if args.goals is not None:
+        planned = plan_sessions(
+            config, worlds, targets, args.goals, args.seed, args.min_distance, args.moved
+        )
+        return planned[: args.limit]
+    if args.ask:
+        return plan_questions(config, worlds, targets, args.seed)[: args.limit]
     if args.missions is not None:
         planned = eps.plan_missions(
             config, worlds, targets, args.missions, args.seed, args.min_distance
@@ -157,7 +172,8 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     planned = eps.plan(
         config, worlds, targets, args.starts, args.seed, args.min_distance, args.per_world
     )
-    return planned[: args.limit]
+    planned = planned[: args.limit]
+    return with_zones(config, planned, args.seed) if args.zones else planned
 
 
 def _line(number: int, total: int, o: EpisodeOutcome) -> str:

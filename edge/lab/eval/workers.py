@@ -23,7 +23,8 @@ from edge.errors import Stopped
 from edge.lab.eval.columns import ExperimentArm
 from edge.lab.eval.drive import in_process, over_zenoh, run_episode
 from edge.lab.eval.episodes import Episode
-from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcome
+from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcomes
+from edge.lab.eval.sessions import run_session
 
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -48,14 +49,16 @@ class EpisodeJob(NamedTuple):
     page: Path | None = None
 
 
-def run_job(task: EpisodeJob, stop: threading.Event | None = None) -> EpisodeOutcome:
-    """Run a task in this process.
+def run_job(task: EpisodeJob, stop: threading.Event | None = None) -> list[EpisodeOutcome]:
+    """Run a task in this process. A session has an outcome for each goal.
 
     Raises:
         Stopped: `stop` was set before its end.
     """
+    if task.episode.goals:
+        return run_session(task.column, task.episode, stop)
     drive = over_zenoh if task.processes else in_process
-    return run_episode(task.column, task.episode, drive, task.page, stop)
+    return [run_episode(task.column, task.episode, drive, task.page, stop)]
 
 
 def run_in_process(tasks: Iterable[EpisodeJob], stop: threading.Event) -> Iterator[EpisodeOutcome]:
@@ -64,7 +67,7 @@ def run_in_process(tasks: Iterable[EpisodeJob], stop: threading.Event) -> Iterat
         if stop.is_set():
             return
         try:
-            yield run_job(task, stop)
+            yield from run_job(task, stop)
         except Stopped:
             return
 
@@ -84,8 +87,8 @@ class _Worker:
         self.task = task
         self.pipe.send(task)
 
-    def take(self) -> EpisodeOutcome:
-        """Return the outcome of its task; "crashed" if the process ended."""
+    def take(self) -> list[EpisodeOutcome]:
+        """Return the outcomes of its task; "crashed" if the process ended."""
         task, self.task = self.task, None
         assert task is not None
         try:
@@ -93,7 +96,7 @@ class _Worker:
         except (EOFError, OSError):
             self.process.join(_END_S)
             code = self.process.exitcode
-            return crashed_outcome(
+            return crashed_outcomes(
                 task.column, task.episode, f"its worker process ended (exit code {code})"
             )
 
@@ -119,7 +122,8 @@ def run_in_workers(
             ready = connection.wait(list(busy), _LOOK_S)
             if stop.is_set():
                 return
-            yield from (busy[pipe].take() for pipe in ready)
+            for pipe in ready:
+                yield from busy[pipe].take()
     finally:
         for worker in workers:
             worker.process.terminate()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge.config import Config
-from edge.geometry import SE2
+from edge.loop.behaviours.pursuits import PURSUITS, Pursuit
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
@@ -18,7 +18,7 @@ from edge.types import Goal, Instance
 
 
 class SearchBehaviour:
-    """A behaviour that goes to the best candidate: a frontier or an object of the active target.
+    """A behaviour that pursues the active target: a thing to search for, or a destination.
 
     Args:
         mission: The mission.
@@ -40,41 +40,39 @@ class SearchBehaviour:
     ) -> None:
         self._mission, self._config = mission, config
         self._map, self._goals, self._surveyor = here, goals, surveyor
+        self._things = tuple(t for t in mission.brief.targets if t not in mission.destinations)
+        self._pursued: tuple[int, Pursuit] | None = None  # first the turns of the mission
 
     @property
-    def _place(self) -> SE2 | None:
-        """The active target's pose if it is a place; None for a thing, and for exploring."""
-        return self._mission.places.get(self._mission.target)
+    def _pursuit(self) -> Pursuit:
+        """The pursuit of the active target, a new one whenever another target becomes active."""
+        if self._pursued is None or self._pursued[0] != self._mission.turns:
+            mission = self._mission
+            destination = mission.destinations.get(mission.target)
+            kind = PURSUITS[None if destination is None else type(destination)]
+            pursuit = kind(destination, mission, self._map, self._goals)
+            self._pursued = (mission.turns, pursuit)
+        return self._pursued[1]
 
     def gather(self) -> Sequence[Instance]:
-        """Return the objects of the active target; a place has none."""
-        if self._mission.done or self._mission.target in self._mission.places:
-            return ()
-        sure, doubted = not self._config.policy.instances, self._goals.searched
-        return self._map.tracker.of(self._mission.target, sure, doubted=doubted)
+        """Return the objects that are candidates for the active target."""
+        return () if self._mission.done else self._pursuit.gather()
 
     def plan(self, context: PolicyInput, images: int) -> None:
         """Check the goal; fail the target if the search for it is exhausted."""
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
         sure = not self._config.policy.instances
-        seen = newest_ids(self._map.tracker, mission.brief.prompts, sure)
-        mission.see(seen | dict.fromkeys(mission.places, 0), now_ns)
+        seen = newest_ids(self._map.tracker, self._things, sure)
+        mission.see(seen | dict.fromkeys(mission.destinations, 0), now_ns)
         if self._surveyor is not None:
             self._surveyor.step(mission, grid, self._map.tracker, pose, now_ns)
         if goals.follows(mission) and mission.active:
-            goals.judge(grid, pose, mission, images, now_ns)
-            if goals.exhausted and mission.target in mission.places and self._place is None:
-                mission.on_reached(f"{grid.known_m2:.0f} m² are known", now_ns)
-            elif goals.exhausted:
-                mission.give_up(goals.failure_reason(mission, grid), now_ns)
+            self._pursuit.judge(context, images)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
-        """Choose the goal by the candidates' scores, or go to the place."""
-        if (place := self._place) is not None:
-            target, grid = self._mission.target, self._map.grid
-            return self._goals.go_to_place(context, grid, place, target, images)
-        return self._goals.choose(context, self._map.grid, scores, images)
+        """Return the goal that the pursuit of the active target chooses."""
+        return self._pursuit.select(context, scores, images)
 
     def facts(self) -> None:
         """Return None, since there is no trajectory."""

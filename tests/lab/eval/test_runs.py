@@ -72,11 +72,11 @@ def test_processes_give_the_same_outcomes(tasks, alone):
     assert len(shared) == len(tasks)
 
 
-def fallen(task: EpisodeJob) -> EpisodeOutcome:
+def fallen(task: EpisodeJob) -> list[EpisodeOutcome]:
     """What a worker runs instead: it falls over at the sofa."""
     if task.episode.target == "sofa":
         os._exit(7)
-    return run_episode(task.column, task.episode, in_process)
+    return [run_episode(task.column, task.episode, in_process)]
 
 
 def serve_fallen(pipe):

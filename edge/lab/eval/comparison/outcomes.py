@@ -17,6 +17,8 @@ from edge.lab.eval.outcome import FAILURES, MAX_BYTES
 from edge.text import one_line, read_json_object
 
 OTHER = "other"
+RIGHT = "right"
+"""Verdict of an answer (`edge.lab.eval.questions`)."""
 
 Record = dict[str, Any]
 """A line of `outcomes.jsonl`: one episode with one arm."""
@@ -27,9 +29,14 @@ def _p95(record: Record, key: str) -> float | None:
     return times.get("p95") if isinstance(times, dict) else times
 
 
+def _share_right(answers: dict[str, str]) -> float | None:
+    return sum(each == RIGHT for each in answers.values()) / len(answers) if answers else None
+
+
 # By name, the reader of a record's number. A missing number or null becomes NaN.
 NUMERIC_FIELDS: dict[str, Callable[[Record], Any]] = {
     "success": lambda r: r["success"],
+    "shortest_m": lambda r: r["shortest_m"],
     "path_m": lambda r: r["path_m"],
     "elapsed_s": lambda r: r["elapsed_s"],
     "wall_s": lambda r: r.get("wall_s"),
@@ -42,6 +49,8 @@ NUMERIC_FIELDS: dict[str, Callable[[Record], Any]] = {
     "tick_p95_ms": lambda r: _p95(r, "tick_ms"),
     "score_p95_ms": lambda r: _p95(r, "score_ms"),
     "revisited_m2": lambda r: r.get("revisited_m2"),
+    "zone_entries": lambda r: r.get("zone_entries"),
+    "answers_right": lambda r: _share_right(r.get("answers") or {}),
 }
 
 
@@ -55,8 +64,10 @@ class Outcomes:
         world: (E,) str.
         kind: (E,) str, kind of world.
         target: (E,) str; "" for a mission with several targets.
+        ways: (E,) str; see `edge.lab.eval.episodes.Episode`.
         rooms: (E,) float64, number of rooms of the world; NaN if unknown (`with_rooms`).
-        shortest_m: (E,) float64.
+        shortest_m: (E,) float64; of goals of a session, which begin where each arm's last goal
+            ended, that of one arm. The numbers have each arm's own.
         ran: (C, E) bool, True if there is a record.
         numbers: by name of `NUMERIC_FIELDS`, (C, E) float64, NaN if there is none.
         failure: (C, E) str, one of FAILURES or OTHER; "" for a success or without a record.
@@ -70,6 +81,7 @@ class Outcomes:
     world: np.ndarray
     kind: np.ndarray
     target: np.ndarray
+    ways: np.ndarray
     rooms: np.ndarray
     shortest_m: np.ndarray
     ran: np.ndarray
@@ -133,12 +145,13 @@ def _checked(record: Record) -> Record:
 def gather(records: Iterable[Record]) -> Outcomes:
     """Return records as arrays.
 
-    The last record of an arm and episode counts, and only the newest settings of an arm.
+    The last record of an arm and episode counts, and only the newest settings of an arm. The first
+    goal of a session does not count: nothing can be remembered yet.
 
     Raises:
         UserError: two arms have different targets or shortest paths for one episode.
     """
-    records = list(records)
+    records = [record for record in records if record.get("goal") != 1]
     settings = {r["column"]: r.get("column_id") for r in records}
     kept = [r for r in records if r.get("column_id") == settings[r["column"]]]
     newest = {(r["column"], r["episode"]): r for r in kept}
@@ -166,6 +179,7 @@ def gather(records: Iterable[Record]) -> Outcomes:
         np.array([r["world"] for r in about], dtype=str),
         np.array([r["kind"] for r in about], dtype=str),
         np.array([r.get("target") or "" for r in about], dtype=str),
+        np.array([r.get("ways") or "" for r in about], dtype=str),
         np.full(len(about), np.nan),
         np.array([r["shortest_m"] for r in about], np.float64),
         ran, numbers, failure, at, len(records) - len(at),
@@ -173,7 +187,7 @@ def gather(records: Iterable[Record]) -> Outcomes:
 
 
 def _agree(one: Record, other: Record) -> None:
-    for key in ("target", "shortest_m"):
+    for key in ("target",) if other.get("goal") else ("target", "shortest_m"):
         if one and one.get(key) != other.get(key):
             raise UserError(
                 f"episode {one_line(other['episode'])}: its {key} is {one_line(one.get(key))} in "

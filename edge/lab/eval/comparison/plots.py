@@ -110,7 +110,7 @@ def within_budget(outcomes: Outcomes, column: int, budgets: np.ndarray) -> np.nd
     A budget is a factor on the length of the shortest path.
     """
     ran = outcomes.ran[column]
-    shortest = np.maximum(outcomes.shortest_m[ran], 1e-9)
+    shortest = np.maximum(outcomes["shortest_m"][column][ran], 1e-9)
     needed = np.where(
         outcomes.success[column][ran], np.maximum(outcomes["path_m"][column][ran] / shortest, 1.0),
         math.inf,

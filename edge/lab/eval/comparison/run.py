@@ -99,7 +99,7 @@ def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:
     configs: dict[str, Config] = {}
     at = {name: e for e, name in enumerate(outcomes.episodes)}
     for episode in episodes.read(path):
-        e = at.get(episode.id)
+        e = next((at[part] for part in episode.parts if part in at), None)
         if e is not None and str(outcomes.world[e]) not in configs:
             own = {"perception": {"detector": {"kind": "sim"}}, "sim": {"world": episode.world}}
             data = merged(episode.sensing, own)

@@ -52,7 +52,7 @@ def _of_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
 
 def spl_of(outcomes: Outcomes) -> np.ndarray:
     """Return (C, E) SPL of each episode, NaN without a record."""
-    each = episode_spl(outcomes.success, outcomes.shortest_m, outcomes["path_m"])
+    each = episode_spl(outcomes.success, outcomes["shortest_m"], outcomes["path_m"])
     return np.where(outcomes.ran, each, np.nan)
 
 
@@ -64,7 +64,7 @@ def _soft_spl(outcomes: Outcomes) -> np.ndarray:
     """
     unknown = np.isnan(outcomes["left_m"]) & outcomes.ran & (outcomes.target != "")
     left_m = np.where(unknown, np.inf, outcomes["left_m"])
-    return episode_soft_spl(outcomes.success, outcomes.shortest_m, outcomes["path_m"], left_m)
+    return episode_soft_spl(outcomes.success, outcomes["shortest_m"], outcomes["path_m"], left_m)
 
 
 def _any(name: str) -> Callable[[Outcomes], np.ndarray]:
@@ -96,6 +96,13 @@ METRICS: dict[str, ComparisonMetric] = {
     "revisited_m2": ComparisonMetric(
         "seen again, m²", 1, "floor that a search saw after an earlier search of the mission",
         _of("revisited_m2"),
+    ),
+    "zone_entries": ComparisonMetric(
+        "zone entries", 3, "of the footprint into keep-out zones, per episode", _of("zone_entries")
+    ),
+    "answers_right": ComparisonMetric(
+        "answers, %", 1, "right answers to \"where is …?\", mean of the worlds",
+        _of("answers_right"), 100.0,
     ),
     "tick_p95_ms": ComparisonMetric(
         "tick p95, ms", 2, "per episode, the median of all", _of("tick_p95_ms"), how="median"
@@ -307,7 +314,10 @@ def _groups(
     outcomes: Outcomes, resamples: int
 ) -> dict[str, dict[str, dict[str, dict[str, Estimate]]]]:
     rooms = ["" if math.isnan(r) else f"{r:g}" for r in outcomes.rooms.tolist()]
-    by = {"target": outcomes.target, "kind of world": outcomes.kind, "rooms": np.array(rooms)}
+    by = {
+        "target": outcomes.target, "kind of world": outcomes.kind, "rooms": np.array(rooms),
+        "ways around the zone": outcomes.ways,
+    }  # fmt: skip
     all_groups: dict[str, dict[str, dict[str, dict[str, Estimate]]]] = {}
     for name, labels in by.items():
         present = sorted({label for label in labels.tolist() if label}, key=natural)
@@ -370,7 +380,7 @@ def excess_m(outcomes: Outcomes, left_m: np.ndarray) -> tuple[np.ndarray, np.nda
         sum is the path minus the shortest path, or 0 if that is negative because of the raster.
     """
     counted = outcomes.success & (outcomes.target != "")
-    over = np.maximum(outcomes["path_m"] - outcomes.shortest_m, 0.0)
-    until = outcomes["first_sight_path_m"] + left_m - outcomes.shortest_m
+    over = np.maximum(outcomes["path_m"] - outcomes["shortest_m"], 0.0)
+    until = outcomes["first_sight_path_m"] + left_m - outcomes["shortest_m"]
     search = np.where(np.isnan(until), over, np.clip(until, 0.0, over))
     return np.where(counted, search, np.nan), np.where(counted, over - search, np.nan)

@@ -26,13 +26,13 @@ from edge.text import format_table, one_line
 
 DASH = "–"
 # Metrics whose intervals are in the tables. All intervals are in the CSV.
-BOUNDED = ("sr", "spl", "soft_spl", "wrong_stops")
+BOUNDED = ("sr", "spl", "soft_spl", "wrong_stops", "zone_entries", "answers_right")
 SUMMARIES = {
     "summary": ("Columns", ("sr", "spl", "soft_spl", "path_m", "success_path_m", "elapsed_s")),
     "conduct": (
         "On the way",
         ("seen", "first_sight_s", "wrong_stops", "false_confirmations", "collisions",
-         "revisited_m2"),
+         "revisited_m2", "zone_entries", "answers_right"),
     ),
     "cost": ("Cost in the tick", ("tick_p95_ms", "score_p95_ms")),
 }  # fmt: skip

@@ -1,0 +1,105 @@
+"""Moving of objects in a world of boxes, as people do while a robot is away."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge import names
+from edge.geometry import SE2
+from edge.lab.sim.base import WorldObject
+from edge.lab.sim.boxworld import BoxWorld
+
+_FLOOR_M = 0.1  # the bottom of what stands on the floor is lower than this
+_GAP_M = 0.05  # kept between a moved object and others
+_APART_M = 2.0  # an object moves by this at least
+_PLACES = 40
+
+
+def rearrange(
+    world: BoxWorld,
+    share: float,
+    rng: np.random.Generator,
+    robot: SE2,
+    radius_m: float,
+    goals: Sequence[str],
+) -> list[str]:
+    """Move a share of the objects to free places on the floor.
+
+    An object can move if it stands on the floor and carries nothing. It moves by 2 m or more, not
+    onto the robot. No passage is closed, and each goal that was reachable stays so.
+
+    Args:
+        world: changed in place.
+        share: of the objects that can move, from 0 to 1.
+        rng: draws objects and places.
+        robot: pose of the robot.
+        radius_m: its radius.
+        goals: names of objects that must stay reachable.
+
+    Returns:
+        The names of the objects that moved. An object without a place stays.
+    """
+    loose = [item for item in world.objects if _is_loose(item, world.objects)]
+    wanted, moved = round(share * len(loose)), []
+    for k in rng.permutation(len(loose)).tolist():
+        if len(moved) < wanted and _move(world, loose[k], rng, robot, radius_m, goals):
+            moved.append(loose[k].name)
+    return moved
+
+
+def _is_loose(item: WorldObject, others: Sequence[WorldObject]) -> bool:
+    bottom_m, top_m = (item.center_m[2] + side * 0.5 * item.size_m[2] for side in (-1, 1))
+    carries = any(
+        other is not item
+        and other.center_m[2] - 0.5 * other.size_m[2] > 0.5 * (bottom_m + top_m)
+        and item.distance_m(*other.center_m[:2]) == 0.0
+        for other in others
+    )
+    return bottom_m < _FLOOR_M and not carries
+
+
+def _move(
+    world: BoxWorld,
+    item: WorldObject,
+    rng: np.random.Generator,
+    robot: SE2,
+    radius_m: float,
+    goals: Sequence[str],
+) -> bool:
+    """Move an object to the first of some random places that does no harm."""
+    plan, (x_m, y_m) = world.plan, item.center_m[:2]
+    half_m = 0.5 * math.hypot(*item.size_m[:2])
+    before = plan.reachable(robot.x_m, robot.y_m, radius_m)
+    near = _goals_in_reach(world, goals, before)
+    row, col = np.nonzero(before & (plan.clearance_m > half_m + _GAP_M))
+    for k in rng.integers(0, len(row), _PLACES).tolist() if len(row) else ():
+        x, y = plan.grid.centres_m(row[k : k + 1], col[k : k + 1])[0].tolist()
+        if math.dist((x, y), (x_m, y_m)) < _APART_M:
+            continue
+        if robot.distance_to(x, y) < half_m + 3.0 * radius_m:
+            continue
+        world.move(item.id, x, y)
+        after = plan.reachable(robot.x_m, robot.y_m, radius_m)
+        lost = before & ~after & (plan.clearance_m > radius_m)
+        if not lost.any() and near <= _goals_in_reach(world, goals, after):
+            return True
+        world.move(item.id, x_m, y_m)
+    return False
+
+
+def _goals_in_reach(world: BoxWorld, goals: Sequence[str], reachable: np.ndarray) -> set[str]:
+    """Return the names of the goals that have an object next to a reachable cell."""
+    row, col = np.nonzero(reachable[::4, ::4])
+    xy_m = world.plan.grid.centres_m(4 * row, 4 * col)
+    found = set()
+    for item in world.objects:
+        for goal in goals:
+            if goal not in found and names.same_name(item.label, goal):
+                reach_m = 0.5 * math.hypot(*item.size_m[:2]) + 1.0
+                close = np.hypot(*(xy_m - item.center_m[:2]).T) <= reach_m
+                if any(item.distance_m(x, y) <= 0.8 for x, y in xy_m[close].tolist()):
+                    found.add(goal)
+    return found

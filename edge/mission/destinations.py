@@ -1,0 +1,222 @@
+"""Destinations: propositions that are no things to search for, such as places and waits.
+
+The text of a proposition decides what it is; see `destination_of`. So a formula that a person
+wrote and quoted names in an instruction mean the same.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Union
+
+from pydantic import ConfigDict, Discriminator, Field, TypeAdapter
+
+from edge import names
+from edge.errors import UserError
+from edge.geometry import SE2
+from edge.memory import Place, Site
+from edge.mission.language.places import EXPLORED, HERE, START
+from edge.text import one_line
+
+CALLER = "caller"
+"""The place that a request gives as `from_pose`."""
+LONGEST_S = 24 * 3600.0
+_UNITS_S = {"s": 1, "sec": 1, "second": 1, "min": 60, "minute": 60, "h": 3600, "hour": 3600}
+DURATION = r"[\w.]+(?:\s+\w+)?\s+(?:s|secs?|seconds?|mins?|minutes?|h|hours?)"
+"""Pattern of a text for `duration_s`."""
+_WAIT = re.compile(rf"wait(?: (?:for )?(?P<time>{DURATION}))?")
+_EXPLORE = re.compile(rf"{EXPLORED}(?: (?!for )(?P<room>.+?))?(?: for (?P<time>{DURATION}))?")
+_CHECK = re.compile(r"check (?:the )?(?P<name>.+)")
+
+Name = Annotated[str, Field(max_length=1000)]
+Seconds = Annotated[float, Field(gt=0, le=LONGEST_S)]
+
+
+class DestinationError(UserError):
+    """A destination that cannot be used; one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceTarget:
+    """A pose to stop at.
+
+    Attributes:
+        pose: in `map`; None for `start` and `here` until the mission begins.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    pose: SE2 | None = None
+    kind: Literal["place"] = "place"
+
+
+@dataclass(frozen=True, slots=True)
+class ExploreTarget:
+    """Exploration, reached when no reachable frontier is left or the time is over.
+
+    Attributes:
+        room: name of the room to explore; "" for everything.
+        limit_s: time after which it ends; None for no limit.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    room: Name = ""
+    limit_s: Seconds | None = None
+    kind: Literal["explore"] = "explore"
+
+
+@dataclass(frozen=True, slots=True)
+class WaitTarget:
+    """A wait at the robot's position.
+
+    Attributes:
+        seconds: duration; None to wait until a person tells the robot to go on.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    seconds: Seconds | None = None
+    kind: Literal["wait"] = "wait"
+
+
+@dataclass(frozen=True, slots=True)
+class CheckTarget:
+    """A question if a thing is there, reached with either answer.
+
+    Attributes:
+        name: the thing, for the detector.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    name: Name
+    kind: Literal["check"] = "check"
+
+
+Destination = Annotated[
+    Union[PlaceTarget, ExploreTarget, WaitTarget, CheckTarget], Discriminator("kind")
+]
+_DESTINATIONS: TypeAdapter[dict[str, Destination]] = TypeAdapter(dict[Name, Destination])
+
+
+def destination_of(text: str, site: Site) -> Destination | None:
+    """Return the destination that a proposition means, or None if it is a thing to search for.
+
+    The canonical phrases are `start`, `here`, `caller`, the names of places, `explored`,
+    `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s` and `check stove`. A place of the
+    site comes before a phrase.
+
+    Raises:
+        DestinationError: a duration is no number or too long, or the caller's pose is not known.
+
+    Example:
+        >>> destination_of("wait half an hour", Site()) is None
+        True
+        >>> destination_of("wait 2 min", Site())
+        WaitTarget(seconds=120.0, kind='wait')
+    """
+    place = site.place(text)
+    if place is not None:
+        return PlaceTarget(place.pose)
+    text = names.normalise(text)
+    if text in (START, HERE):
+        return PlaceTarget()
+    if text == CALLER:
+        raise DestinationError(
+            "caller: the request does not say where the caller is; "
+            "send from_pose: [x_m, y_m, yaw_rad] with it"
+        )
+    if found := _WAIT.fullmatch(text):
+        return WaitTarget(found["time"] and duration_s(found["time"]))
+    if found := _EXPLORE.fullmatch(text):
+        return ExploreTarget(found["room"] or "", found["time"] and duration_s(found["time"]))
+    if found := _CHECK.fullmatch(text):
+        return CheckTarget(found["name"])
+    return None
+
+
+def is_timed(destination: Destination | None) -> bool:
+    """Return True if a destination ends by a time of its own, or when a person says so."""
+    explores = isinstance(destination, ExploreTarget) and destination.limit_s is not None
+    return explores or isinstance(destination, WaitTarget)
+
+
+def with_caller(site: Site, pose: SE2 | None) -> Site:
+    """Return the site with the caller's pose among its places, if it is known."""
+    return site if pose is None else site.with_item(Place(CALLER, pose))
+
+
+def describe_destination(name: str, destination: Destination) -> str:
+    """Return a destination in plain English, as the object of "reach"."""
+    if isinstance(destination, ExploreTarget):
+        room = f" the {destination.room}" if destination.room else ""
+        time = "" if destination.limit_s is None else f" for {shown_s(destination.limit_s)}"
+        return f"the end of exploring{room}{time}"
+    if isinstance(destination, WaitTarget):
+        until = destination.seconds
+        return "the end of a wait" + (" until told" if until is None else f" of {shown_s(until)}")
+    if isinstance(destination, CheckTarget):
+        return f"an answer about the {destination.name}"
+    special = {
+        START: "the start", HERE: "the place where this mission begins", CALLER: "the caller",
+    }  # fmt: skip
+    return special.get(name, f'"{name}"')
+
+
+def shown_s(seconds: float) -> str:
+    """Return a duration for people.
+
+    >>> shown_s(30.0), shown_s(600.0), shown_s(90.0)
+    ('30 s', '10 min', '90 s')
+    """
+    whole_min = seconds >= 60 and seconds % 60 == 0
+    return f"{seconds / 60:g} min" if whole_min else f"{seconds:.0f} s"
+
+
+def destinations_json(destinations: Mapping[str, Destination]) -> dict[str, Any]:
+    """Return destinations as JSON."""
+    return _DESTINATIONS.dump_python(dict(destinations), mode="json")
+
+
+def destinations_of_json(said: Any) -> dict[str, Destination]:
+    """Return destinations from JSON, also from that of `of_places`."""
+    return _DESTINATIONS.validate_python(of_places(said))
+
+
+def of_places(said: Any) -> Any:
+    """Return the JSON of destinations from that of places, which older recordings hold."""
+    if not isinstance(said, dict):
+        return said
+
+    def upgraded(name: str, pose: Any) -> Any:
+        if isinstance(pose, dict) and "kind" in pose:
+            return pose
+        if name == EXPLORED and pose is None:
+            return {"kind": "explore"}
+        if isinstance(pose, list):
+            pose = dict(zip(("x_m", "y_m", "yaw_rad"), pose, strict=True))
+        return {"kind": "place", "pose": pose}
+
+    return {name: upgraded(name, pose) for name, pose in said.items()}
+
+
+def duration_s(text: str) -> float:
+    """Return the seconds of a text such as `30 s`, `1.5 min` or `two hours`.
+
+    Raises:
+        DestinationError: the number is none, or the time too long.
+    """
+    *number, unit = text.split()
+    unit_s = _UNITS_S.get(unit if unit == "s" else unit.rstrip("s"), 0)
+    count: float | None = names.number(number) if number else None
+    if count is None and re.fullmatch(r"\d{1,6}\.\d{1,3}", " ".join(number)):
+        count = float(number[0])
+    if count is None or not 0 < count * unit_s <= LONGEST_S:
+        raise DestinationError(
+            f"{one_line(text, 60)}: expected a time over 0 s and up to {LONGEST_S / 3600:g} h, "
+            'as in "30 s" or "10 min"'
+        )
+    return float(count * unit_s)

@@ -1,0 +1,141 @@
+"""Routines in a simulated house: wait, check, explore for a time, come to the caller."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from small_house import small_house
+
+from edge.bus.verbs import Request
+from edge.errors import UserError
+from edge.geometry import SE2
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.loop.requests import handle_mission, mission_verbs
+from edge.memory import Place, Site
+from edge.mission.spec import prepare
+
+S = 1_000_000_000
+
+
+def loop_of(folder: Path, formula: str, **mission: object) -> ClosedLoop:
+    section = {"instruction": formula, "translator": {"kind": "ltl"}, **mission}
+    camera = {"width_px": 160, "height_px": 128}
+    config = small_house(
+        folder, loop={"lockstep": True}, sim={"lockstep": True, "step_s": 0.2},
+        sensors={"camera": camera}, mission=section,
+    )  # fmt: skip
+    return ClosedLoop(config, colour=False)
+
+
+def ask(loop: ClosedLoop, do: str) -> dict:
+    return handle_mission(loop.service, Request(do), loop.drive.motion.stamp_ns)
+
+
+def steps(loop: ClosedLoop, seconds: float) -> None:
+    until_ns = loop.drive.motion.stamp_ns + int(seconds * S)
+    while loop.drive.motion.stamp_ns < until_ns:
+        loop.step()
+
+
+def test_it_waits_as_long_as_it_was_told_without_moving(tmp_path):
+    loop = loop_of(tmp_path, 'F "wait 3 s"')
+    steps(loop, 1.5)
+    status = loop.service.status
+    assert (status.phase, status.reason) == ("waiting", "waiting, 2 s left")
+    loop.run(10)
+    assert loop.service.status.phase == "reached"
+    assert loop.service.status.reason == "waited 3 s"
+    assert loop.seconds < 5
+    assert not [goal for goal in loop.notes.goals if goal.kind != "look"]
+
+
+def test_a_wait_ends_when_a_person_says_so_and_has_no_limit(tmp_path):
+    loop = loop_of(tmp_path, "F (wait & F start)", time_limit_s=2.0)
+    steps(loop, 4.0)
+    assert loop.service.status.reason == "waiting until told to go on"
+    ask(loop, "pause")
+    steps(loop, 0.5)
+    ask(loop, "resume")
+    steps(loop, 0.5)
+    assert loop.service.mission.waits
+    ask(loop, "resume")
+    loop.step()
+    assert "reached: wait (told to go on)" in loop.notes.events
+    assert loop.service.mission.target == "start"
+
+
+def test_exploring_ends_with_its_time_and_tells_what_was_found(tmp_path):
+    loop = loop_of(tmp_path, 'F "explored for 6 s"', time_limit_s=3.0).run(60)
+    status = loop.service.status
+    assert status.phase == "reached", status
+    assert re.fullmatch(r"\d+ m² are known, found: .*\w", status.reason)
+    assert 6.0 <= status.elapsed_s < 7.0
+
+
+def test_a_check_looks_and_answers_yes_with_the_place(tmp_path):
+    loop = loop_of(tmp_path, 'F ("check bed" & F here)').run(200)
+    status = loop.service.status
+    assert status.phase == "reached", status
+    found = re.fullmatch(r"yes, there is a bed at \((.+), (.+)\), .* m away", status.reason)
+    assert found, status.reason
+    at_m = float(found[1]), float(found[2])
+    assert min(o.distance_m(*at_m) for o in loop.world.objects if o.label == "bed") < 0.5
+
+
+def test_a_check_for_what_is_not_there_answers_no(tmp_path):
+    status = loop_of(tmp_path, 'F "check surfboard"').run(280).service.status
+    assert status.phase == "reached", status
+    assert status.reason.startswith("no, there is no surfboard: explored all reachable space")
+
+
+def test_it_comes_to_the_caller(tmp_path):
+    config = loop_of(tmp_path, "F start").config.mission
+    fields = mission_verbs(prepare)["new"].read({"formula": "F caller", "from_pose": [3, 2, 1.5]})
+    assert fields["caller"] == SE2(3.0, 2.0, 1.5)
+    with pytest.raises(UserError, match="caller: the request does not say where the caller is"):
+        prepare(config, formula="F caller")
+    loop = loop_of(tmp_path, "F start")
+    loop.service.begin(prepare(config, formula="F caller", caller=SE2(3.0, 2.0, 1.5)), 0)
+    loop.run(100)
+    assert loop.service.status.phase == "reached"
+    assert loop.drive.motion.pose.distance_to(3.0, 2.0) < 0.8
+
+
+def test_it_patrols_for_some_time_and_tells_the_round(tmp_path):
+    loop = loop_of(tmp_path, "F start")
+    site = Site((Place("dock", SE2(3.0, 2.0, 0.0)), Place("shelf", SE2(1.5, 1.0, 0.0))))
+    fields = mission_verbs(prepare)["new"].read({"formula": "F (dock & F shelf)", "for_s": 40})
+    repeat = fields["repeat"]
+    formula, now_ns = fields["formula"], loop.drive.motion.stamp_ns
+    brief = prepare(loop.config.mission, formula=formula, repeat=repeat, site=site)
+    loop.service.begin(brief, now_ns)
+    steps(loop, 20.0)
+    assert re.fullmatch(r"round [23], \d\d s left", loop.service.status.reason)
+    loop.run(60.0)
+    status = loop.service.status
+    assert status.phase == "reached"
+    assert re.fullmatch(r"[345] rounds done", status.reason)
+    assert status.elapsed_s == pytest.approx(40.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("rounds", 0), ("rounds", "3"), ("rounds", 1e9), ("for_s", -1), ("for_s", float("nan"))],
+)
+def test_an_end_that_is_none_is_refused(field, value):
+    with pytest.raises(ValueError, match=f"{field}: expected"):
+        mission_verbs(prepare)["new"].read({"formula": "F a & F b", field: value})
+
+
+@pytest.mark.parametrize("pose", [[1, 2], "here", [1, 2, True], [1, 2, 1e9], [1, 2, float("nan")]])
+def test_a_pose_that_is_none_is_refused(pose):
+    with pytest.raises(ValueError, match=r"from_pose: expected \[x_m, y_m, yaw_rad\]"):
+        mission_verbs(prepare)["new"].read({"formula": "F caller", "from_pose": pose})
+
+
+@pytest.mark.parametrize("formula", ['F bed & G !"wait 3 s"', "F bed & G !explored"])
+def test_what_cannot_be_forbidden_is_refused(formula, tmp_path):
+    with pytest.raises(UserError, match="cannot be forbidden; leave it out"):
+        prepare(loop_of(tmp_path, "F start").config.mission, formula=formula)

@@ -1,0 +1,94 @@
+"""Destinations: what the text of a proposition means, and their JSON."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.errors import UserError
+from edge.geometry import SE2
+from edge.memory import Place, Site
+from edge.mission.destinations import (
+    CheckTarget,
+    ExploreTarget,
+    PlaceTarget,
+    WaitTarget,
+    destination_of,
+    destinations_json,
+    destinations_of_json,
+    with_caller,
+)
+
+DOCK = SE2(1.0, 2.0, 0.5)
+SITE = Site((Place("dock", DOCK), Place("wait 5 s", DOCK)))
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("bed", None),
+        ("waiting room", None),
+        ("explored map", ExploreTarget("map")),
+        ("the Dock", PlaceTarget(DOCK)),
+        ("start", PlaceTarget()),
+        ("here", PlaceTarget()),
+        ("wait", WaitTarget()),
+        ("wait 30 s", WaitTarget(30.0)),
+        ("Wait_30_s", WaitTarget(30.0)),
+        ("wait for two minutes", WaitTarget(120.0)),
+        ("wait 1.5 min", WaitTarget(90.0)),
+        ("wait 5 s", PlaceTarget(DOCK)),
+        ("explored", ExploreTarget()),
+        ("explored living room", ExploreTarget("living room")),
+        ("explored for 10 min", ExploreTarget("", 600.0)),
+        ("explored kitchen for one hour", ExploreTarget("kitchen", 3600.0)),
+        ("check stove", CheckTarget("stove")),
+        ("check the red mug", CheckTarget("red mug")),
+    ],
+)
+def test_the_text_decides(text, meant):
+    assert destination_of(text, SITE) == meant
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("wait 0 s", "^0 s: expected a time over 0 s"),
+        ("wait 25 hours", "up to 24 h"),
+        ("explored for some min", "^some min: expected a time"),
+        ("caller", "caller: the request does not say where the caller is; send from_pose"),
+    ],
+)
+def test_what_cannot_be_done_is_refused(text, message):
+    with pytest.raises(UserError, match=message):
+        destination_of(text, SITE)
+
+
+def test_the_caller_is_where_the_request_says():
+    assert destination_of("caller", with_caller(SITE, DOCK)) == PlaceTarget(DOCK)
+    assert with_caller(SITE, None) is SITE
+
+
+numbers = st.floats(-1000, 1000)
+seconds = st.none() | st.floats(0.001, 86400)
+destinations = st.one_of(
+    st.builds(PlaceTarget, st.none() | st.builds(SE2, numbers, numbers, numbers)),
+    st.builds(ExploreTarget, st.text(max_size=20), seconds),
+    st.builds(WaitTarget, seconds),
+    st.builds(CheckTarget, st.text(max_size=20)),
+)
+
+
+@given(st.dictionaries(st.text(max_size=20), destinations, max_size=4))
+def test_json_gives_the_same_destinations(given):
+    assert destinations_of_json(json.loads(json.dumps(destinations_json(given)))) == given
+
+
+def test_places_of_older_files_are_read():
+    pose = {"x_m": 1.0, "y_m": 2.0, "yaw_rad": 0.5}
+    meant = {"dock": PlaceTarget(DOCK), "here": PlaceTarget(), "explored": ExploreTarget()}
+    for dock in (pose, [1.0, 2.0, 0.5]):
+        assert destinations_of_json({"dock": dock, "here": None, "explored": None}) == meant
