@@ -22,7 +22,7 @@ from edge.geometry import Grid
 from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.mapping.zones import ZonePolygons
-from edge.sinks.drawings import PathRing, markers_of
+from edge.sinks.drawings import PathRing, drawing_of, markers_of
 from edge.sinks.keepout import KeepoutPublisher
 from edge.sinks.navigate import NavigateToPoseClient
 from edge.sinks.rate_limiter import RateLimiter
@@ -101,9 +101,7 @@ class Ros2Sink:
         if self._pace.is_due("map", now_ns):
             self._worker.submit(("map", (now_ns, result.snapshot)), key="map")
         if self._pace.is_due("drawings", now_ns):
-            drawn = (
-                now_ns, self._way.poses(), result.frontiers(), result.instances(), result.goal
-            )  # fmt: skip
+            drawn = now_ns, self._way.poses(), drawing_of(result)
             self._worker.submit(("drawings", drawn), key="drawings")
 
     def status(self) -> dict[str, Any]:
@@ -133,10 +131,10 @@ class Ros2Sink:
             stamp_ns, refined = item
             self._planned.put(path_message(refined, stamp_ns, self._frame))
         else:
-            stamp_ns, way, frontiers, instances, goal = item
+            stamp_ns, way, drawing = item
             self._path.put(transforms.encode_path(stamp_ns, self._frame, way))
-            drawn = markers_of(frontiers, instances, goal)
-            self._markers.put(markers.encode_markers(stamp_ns, self._frame, drawn))
+            payload = markers.encode_markers(stamp_ns, self._frame, markers_of(drawing))
+            self._markers.put(payload)
 
     def _drive(self, goal: Goal | None) -> None:
         if self._navigator is None:

@@ -123,6 +123,8 @@ class ReportRecorder:
             frontiers_m=end.frontiers(),
             goals=self._goals.items(),
             instances=tuple(end.instances()),
+            objects=tuple(end.objects()),
+            site=end.site,
             frames=self._album.frames(),
             asked=self._choices.kept(),
             values={n: make() for n, make in end.layers().items() if n.startswith(VALUE_LAYER)},
