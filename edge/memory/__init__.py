@@ -10,6 +10,7 @@ from edge.memory.site import (
     SiteFile,
     Zone,
     item_of,
+    memory_geojson,
     merged,
     read_site,
     site_of,
@@ -18,5 +19,6 @@ from edge.memory.site import (
 
 __all__ = [
     "START", "Item", "KnownObject", "Place", "Site", "SiteError", "SiteFile", "Zone",
-    "item_of", "known_objects", "merged", "read_site", "site_of", "where_is", "write_site",
+    "item_of", "known_objects", "memory_geojson", "merged", "read_site", "site_of",
+    "where_is", "write_site",
 ]  # fmt: skip

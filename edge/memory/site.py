@@ -175,6 +175,21 @@ class Site:
         }
 
 
+def memory_geojson(site: Mapping[str, Any], objects: Iterable[Mapping[str, Any]]) -> dict:
+    """Return all that is remembered as one GeoJSON `FeatureCollection`.
+
+    Args:
+        site: `Site.geojson`.
+        objects: `KnownObject.to_json` of each; all but the name are properties too.
+    """
+    found = [
+        _feature(one["name"], "object", "Point", list(one["xyz"]),
+                 {key: value for key, value in one.items() if key not in ("name", "xyz")})
+        for one in objects
+    ]  # fmt: skip
+    return {**site, "features": [*site["features"], *found]}
+
+
 def _feature(
     name: str, kind: str, shape: str, coordinates: list, more: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:

@@ -12,12 +12,14 @@ from patience import eventually
 
 from edge.geometry import SE2
 from edge.memory import (
+    KnownObject,
     Place,
     Site,
     SiteError,
     SiteFile,
     Zone,
     item_of,
+    memory_geojson,
     read_site,
     site_of,
     write_site,
@@ -141,3 +143,20 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
     eventually(lambda: problems)
     file.close()
     assert "site.geojson: not saved: " in problems[0]
+
+
+def test_an_export_of_nothing_is_an_empty_collection():
+    assert memory_geojson(Site().geojson(), []) == {"type": "FeatureCollection", "features": []}
+
+
+def test_an_export_has_places_zones_and_objects_with_what_is_known_of_them():
+    mug = KnownObject(7, "mug", (1.0, 2.0, 0.75), 0.625, 3, 4.0)
+    collection = memory_geojson(ALL.geojson(), [mug.to_json()])
+    assert collection["features"][:-1] == ALL.geojson()["features"]
+    assert collection["features"][-1] == {
+        "type": "Feature",
+        "properties": {
+            "kind": "object", "name": "mug", "id": 7, "confidence": 0.625, "hits": 3, "age_s": 4.0,
+        },
+        "geometry": {"type": "Point", "coordinates": [1.0, 2.0, 0.75]},
+    }  # fmt: skip

@@ -31,8 +31,8 @@ class Marker:
     Attributes:
         group: its namespace; unique together with `id`.
         kind: `ARROW`, `CUBE`, `LINE_STRIP`, `SPHERE_LIST` or `TEXT`.
-        scale_m: size along x, y, z; for a text z is its height, for a list all are the diameter, for
-            a line x is its width.
+        scale_m: size along x, y, z. z is the height of a text, all are the diameter of a list, x is
+            the width of a line.
         colour: red, green, blue, alpha, 0 to 1.
         points_m: (n, 3) centres of a list, or corners of a line.
     """
