@@ -14,7 +14,7 @@ Frame = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*$", ma
 RosTopic = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom", "tf",
     "tf_static", "goal", "navigate_to_pose", "map", "path", "trajectory", "markers",
-    "keepout_mask", "keepout_info",
+    "keepout_mask", "keepout_info", "request", "answer",
 ]  # fmt: skip
 
 DEFAULT_TOPICS: dict[str, str] = {
@@ -35,6 +35,8 @@ DEFAULT_TOPICS: dict[str, str] = {
     "markers": "/edge/markers",
     "keepout_mask": "/edge/keepout_mask",
     "keepout_info": "/edge/keepout_info",
+    "request": "/edge/request",
+    "answer": "/edge/answer",
 }
 
 
@@ -70,6 +72,8 @@ class Ros2Config(Section):
             stops there.
         keepout_filter: publish the zones for Nav2's KeepoutFilter, as `keepout_info` and
             `keepout_mask`; nav2_msgs must be installed.
+        requests: take requests from the topic `request`, and answer on `answer`. Every node of the
+            graph may then give orders.
         topics: ROS names that differ from the default: `{camera/rgb: /oakd/rgb/image_raw}`.
         adapter: settings of `edge ros2-adapter`.
     """
@@ -82,6 +86,7 @@ class Ros2Config(Section):
     mounts: Literal["tf", "config"] = "tf"
     goals: Literal["navigate_to_pose", "topic"] = "navigate_to_pose"
     keepout_filter: bool = False
+    requests: bool = False
     topics: dict[RosTopic, RosName] = Field(default_factory=dict)
     adapter: Ros2AdapterConfig = Ros2AdapterConfig()
 

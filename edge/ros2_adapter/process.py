@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.bus.ros2.names import NO_HASH, dialect_of
+from edge.bus.ros2.requests import STRING
 from edge.bus.ros2.topics import LATCHED, NAVIGATE_TO_POSE, PUBLISHED, SUBSCRIBED, accepted_types
 from edge.bus.session import session_config
 from edge.config import Config, ConfigError, load
@@ -81,6 +82,10 @@ def make_plan(config: Config) -> dict[str, Any]:
     unused = {"goal"} if by_action else set()
     if not settings.keepout_filter:
         unused |= {"keepout_mask", "keepout_info"}
+    if settings.requests:
+        heard.append(passed("request", STRING, reliable=True))
+    else:
+        unused.add("answer")
     said = [name for name in PUBLISHED if name not in unused]
     return {
         "version": version("eclipse-zenoh"),

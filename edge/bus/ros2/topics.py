@@ -26,6 +26,7 @@ PUBLISHED: dict[str, str] = {
     "markers": "visualization_msgs/msg/MarkerArray",
     "keepout_mask": "nav_msgs/msg/OccupancyGrid",
     "keepout_info": "nav2_msgs/msg/CostmapFilterInfo",
+    "answer": "std_msgs/msg/String",
 }
 """Type of each topic that this service publishes."""
 LATCHED = frozenset({"tf_static", "map", "trajectory", "keepout_mask", "keepout_info"})
