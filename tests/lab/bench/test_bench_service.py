@@ -60,6 +60,6 @@ def test_nothing_measured_is_an_error(tmp_path):
     path = tmp_path / "empty.mcap"
     recording.record_messages(path, [])
     with pytest.raises(
-        UserError, match=r"looked for camera/rgb, camera/depth.* the recording has no topics"
+        UserError, match=r"searched for camera/rgb, camera/depth.* the recording has no topics"
     ):
         bench.run_bench(CONFIG, path, 0.5, threading.Event())

@@ -61,7 +61,7 @@ def nothing_said():
 
 
 def test_what_was_not_shown_or_could_not_be_made_is_told():
-    hidden = fault("a", shows=(lambda stage, watch, when: "nothing shows",))
+    hidden = fault("a", during=(lambda stage, watch, when: "nothing shows",))
     assert run([hidden])[1] == "nothing shows"
     SAID.clear()
     said, why = run([fault("a", lasts_s=(9, 9)), fault("b", "no process")])
