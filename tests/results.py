@@ -47,7 +47,7 @@ def result(now_ns: int = 0, **fields: Any) -> TickResult:
         "controlled": False, "targets": (status.target,), "goals": (), "answers": (),
         "events": (), "inputs": (), "detections": None, "mission": lambda: facts(status.target),
         "task": lambda: None,
-        "instances": list, "objects": list, "site": Site(), "zones": ZonePolygons(),
+        "instances": list, "objects": list, "rooms": (), "site": Site(), "zones": ZonePolygons(),
         "frontiers": lambda: np.zeros((0, 2), np.float32),
         "candidates": lambda: scored(Candidates(0), np.zeros(0, np.float32)),
         "way": lambda: np.zeros((0, 2), np.float32), "choice": None, "layers": dict,

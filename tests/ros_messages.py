@@ -21,6 +21,17 @@ _ACTION = {
     "HumbleResult": "int8 status\nuint8 structure_needs_at_least_one_member",
     "JazzyResult": "int8 status\nuint16 error_code",
     "KiltedResult": "int8 status\nuint16 error_code\nstring error_msg",
+    "DockRobot_Goal": (
+        "bool use_dock_id\nstring dock_id\ngeometry_msgs/PoseStamped dock_pose\nstring dock_type\n"
+        "float32 max_staging_time\nbool navigate_to_staging_pose"
+    ),
+    "DockRobot_SendGoal_Request": (
+        "unique_identifier_msgs/UUID goal_id\nnav2_msgs/DockRobot_Goal goal"
+    ),
+    "DockJazzyResult": "int8 status\nbool success\nuint16 error_code\nuint16 num_retries",
+    "DockKiltedResult": (
+        "int8 status\nbool success\nuint16 error_code\nuint16 num_retries\nstring error_msg"
+    ),
     "NavigateToPose_Feedback": (
         "geometry_msgs/PoseStamped current_pose\nbuiltin_interfaces/Duration navigation_time\n"
         "builtin_interfaces/Duration estimated_time_remaining\nint16 number_of_recoveries\n"
@@ -84,6 +95,15 @@ def _farewell(name: str, n_fields: int) -> Callable[..., bytes]:
     return encode
 
 
+def _dock_farewell(name: str, n_fields: int) -> Callable[..., bytes]:
+    kind = STORE.types[f"nav2_msgs/msg/{name}"]
+
+    def encode(status: int, code: int, text: str) -> bytes:
+        return to_ros(kind(status, *(status == 4, code, 2, text)[:n_fields]))
+
+    return encode
+
+
 FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
     "humble": (_farewell("HumbleResult", 1), Result(6)),
     "jazzy": (_farewell("JazzyResult", 1), Result(6, 103)),
@@ -91,3 +111,9 @@ FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
 }
 """How each distribution's action ends, as (encode(status, code, text), what is read of 6, 103 and
 "no way")."""
+
+DOCK_FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
+    "jazzy": (_dock_farewell("DockJazzyResult", 3), Result(6, 902)),
+    "kilted": (_dock_farewell("DockKiltedResult", 4), Result(6, 902, "no dock")),
+}
+"""The same for docking, of 6, 902 and "no dock"."""

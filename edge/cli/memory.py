@@ -29,7 +29,9 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
             action.add_argument("name" if do == "find" else "file")
         if do == "export":
             action.add_argument(
-                "--geojson", action="store_true", help="write objects, places and zones as GeoJSON"
+                "--geojson",
+                action="store_true",
+                help="write objects, rooms, places and zones as GeoJSON",
             )
         else:
             action.add_argument("--json", action="store_true", help="print JSON")
@@ -60,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
         objects = written = answer["objects"]
         if args.do == "export" and args.geojson:
             site = ask(settings.key(topics.SITE_REQUEST), {"do": "list"})["site"]
-            written = memory_geojson(site, objects)
+            rooms = ask(settings.key(topics.MEMORY_REQUEST), {"do": "rooms"})["rooms"]
+            written = memory_geojson(site, objects, rooms)
     if args.do == "export":
         write_atomically(Path(args.file), (json.dumps(written, indent=1) + "\n").encode())
         print(f"{args.file}: {answer['text']}")

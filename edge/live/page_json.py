@@ -115,6 +115,14 @@ def site_json(moment: LiveSnapshot) -> dict[str, Any]:
     return {"number": moment.n_sites, **moment.site.geojson()}
 
 
+def memory_json(moment: LiveSnapshot) -> dict[str, Any]:
+    """Return remembered objects and rooms, as `memory/request` lists them."""
+    return {
+        "objects": [one.to_json() for one in moment.objects],
+        "rooms": [room.to_json() for room in moment.rooms],
+    }
+
+
 def _goal(goal: Goal, answer: GoalStatus | None) -> dict[str, Any]:
     return {
         "kind": goal.kind,

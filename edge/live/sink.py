@@ -14,7 +14,7 @@ from edge import names
 from edge.geometry import Grid
 from edge.live.trail import DrivenPath
 from edge.loop.result import Event, MissionFacts, ScoredCandidates, TickResult
-from edge.memory import KnownObject, Site
+from edge.memory import KnownObject, MappedRoom, Site
 from edge.perception.scoring.choice.picture import visible_marks
 from edge.perception.scoring.choice.question import LETTERS, FrontierChoice
 from edge.policies.base import FRONTIER
@@ -25,7 +25,7 @@ WATCHED_S = 10.0
 """Time after the last request in which the page counts as viewed."""
 PERIOD_S = 0.2
 OBJECTS_S = 1.0
-"""Period of the list of remembered objects."""
+"""Period of the lists of remembered objects and of rooms."""
 MAX_EVENTS = 400
 MAX_SHOT_PX = 960
 MAX_BOXES = 60
@@ -46,6 +46,7 @@ class LiveSnapshot:
         n_tasks: version of `task`: increases when it changes, except for progress along it.
         instances: objects of the mission.
         objects: remembered objects.
+        rooms: rooms of the map.
         site: places and zones.
         n_sites: version of `site`.
         candidates: candidates for the next goal.
@@ -66,6 +67,7 @@ class LiveSnapshot:
     n_tasks: int
     instances: Sequence[Instance]
     objects: Sequence[KnownObject]
+    rooms: Sequence[MappedRoom]
     site: Site
     n_sites: int
     candidates: ScoredCandidates
@@ -128,6 +130,7 @@ class LiveSink:
         self._trail = DrivenPath(_TRAIL)
         self._events: tuple[Event, ...] = ()
         self._objects: Sequence[KnownObject] = ()
+        self._rooms: Sequence[MappedRoom] = ()
         self._site = Site()
         self._n_events = self._n_shots = self._n_ticks = self._n_tasks = self._n_sites = 0
         self._task: TaskStatus | None = None
@@ -174,7 +177,7 @@ class LiveSink:
         self._site = result.site
         if now_s >= self._objects_due_s:
             self._objects_due_s = now_s + OBJECTS_S
-            self._objects = result.objects()
+            self._objects, self._rooms = result.objects(), result.rooms
         return LiveSnapshot(
             at_s=now_s,
             result=result,
@@ -183,6 +186,7 @@ class LiveSink:
             n_tasks=self._n_tasks,
             instances=result.instances(),
             objects=self._objects,
+            rooms=self._rooms,
             site=self._site,
             n_sites=self._n_sites,
             candidates=result.candidates(),

@@ -130,6 +130,7 @@ class ResultPublisher:
                 lambda: [found.copied() for label in targets for found in map.tracker.of(label)]
             ),
             objects=cache(partial(_objects, map, stamp_ns)),
+            rooms=map.rooms.rooms,
             site=self._site.known,
             zones=grid.zones.polygons,
             frontiers=cache(lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy()),

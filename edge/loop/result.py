@@ -12,7 +12,7 @@ from edge.geometry import SE2, Grid
 from edge.loop.input_log import LoopInput
 from edge.loop.latency import LatencyReport, Span
 from edge.mapping.zones import ZonePolygons
-from edge.memory import KnownObject, Site
+from edge.memory import KnownObject, MappedRoom, Site
 from edge.mission.planning.plan import MissionKnowledge, TargetPlan
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec
@@ -138,6 +138,7 @@ class TickResult:
             first for each target. An instance that matches two targets is listed twice. Nobody
             writes to the arrays of the copies.
         objects: Returns the remembered objects, the most confident first, `MAX_OBJECTS` at most.
+        rooms: Rooms of the map, by id.
         site: Places and zones, with the place `start`.
         zones: Polygons of all zones that are closed now; another object after each change.
         frontiers: Returns a copy of the frontiers, (n, 2) float32 in `map`.
@@ -172,6 +173,7 @@ class TickResult:
     task: Callable[[], TaskStatus | None]
     instances: Callable[[], list[Instance]]
     objects: Callable[[], list[KnownObject]]
+    rooms: tuple[MappedRoom, ...]
     site: Site
     zones: ZonePolygons
     frontiers: Callable[[], np.ndarray]

@@ -133,7 +133,7 @@ class Service:
         self.stamp_ns = 0
         self._surveyor = make_travel_cost_estimator(config.mission.planner, config.loop.lockstep)
         self.behaviour = self._behaviour_of(self.mission)
-        for part in (self._surveyor, self.map.prior, scorers):
+        for part in (self._surveyor, self.map.surveyor, scorers):
             if part is not None:
                 part.through(journal.beside)
         self.faults = ErrorBoundary(self.event)
@@ -229,7 +229,7 @@ class Service:
         self._lift(self._worker.poll(), now_ns)
         self._images = self._worker.stats.done
         self._journal.note("images", done=self._images)
-        self.map.infer(now_ns)
+        self.map.infer(pose, now_ns)
         self._lap(LIFT)
         self.map.gather(self.behaviour.gather(), observation, now_ns)
         self._lap(CANDIDATES)

@@ -66,10 +66,29 @@ class Zones:
             stay_inside_m: polygons; without any, the robot may be anywhere.
             changed: (4,) int64, window rectangle, extended by the cells that open or close.
         """
-        self.polygons = ZonePolygons(tuple(keep_out_m), tuple(stay_inside_m))
-        if self._window.placed:
+        old, old_inside = self.polygons
+        self.polygons = new = ZonePolygons(tuple(keep_out_m), tuple(stay_inside_m))
+        if not self._window.placed:
+            return
+        if _same(old_inside, new.stay_inside_m):
+            moved = [p for p in old if not _among(p, new.keep_out_m)]
+            moved += [p for p in new.keep_out_m if not _among(p, old)]
+            if moved:
+                self._paint_around(np.concatenate(moved), changed)
+        else:
             n = self._window.n
             self.paint((0, 0, n, n), changed)
+
+    def _paint_around(self, points_m: np.ndarray, changed: np.ndarray) -> None:
+        """Paint the rectangle around some points; the whole window would take too long."""
+        n, origin = self._window.n, self._window.origin
+        cells = points_m / self._window.resolution_m - origin
+        low = np.floor(cells.min(axis=0)).astype(int) - self._margin - 1
+        high = np.ceil(cells.max(axis=0)).astype(int) + self._margin + 1
+        (x0, y0), (x1, y1) = np.clip(low, 0, n).tolist(), np.clip(high, 0, n).tolist()
+        x0, x1 = x0 // WORD * WORD, -(-x1 // WORD) * WORD
+        if x0 < x1 and y0 < y1:
+            self.paint((x0, y0, x1, y1), changed)
 
     def paint(self, rect: tuple[int, int, int, int], changed: np.ndarray) -> None:
         """Close the cells that the zones close, and open the others.
@@ -189,3 +208,11 @@ def _fill(
         cells = polygon_m / resolution_m - 0.5 - corner
         fixed = np.round(cells * (1 << _FIXED_BITS)).astype(np.int32)
         cv2.fillPoly(mask, [fixed], 1, shift=_FIXED_BITS)
+
+
+def _among(polygon_m: np.ndarray, polygons_m: Sequence[np.ndarray]) -> bool:
+    return any(np.array_equal(polygon_m, other) for other in polygons_m)
+
+
+def _same(polygons_m: Sequence[np.ndarray], others_m: Sequence[np.ndarray]) -> bool:
+    return len(polygons_m) == len(others_m) and all(_among(p, others_m) for p in polygons_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,19 +73,30 @@ def known_objects(
     ]  # fmt: skip
 
 
-def where_is(name: str, found: list[KnownObject], pose: SE2 | None, is_looked_for: bool) -> str:
+def where_is(
+    name: str,
+    found: list[KnownObject],
+    pose: SE2 | None,
+    is_looked_for: bool,
+    room_of: Callable[[float, float], str] = lambda x_m, y_m: "",
+) -> str:
     """Return the answer to "where is the …?" in one line.
 
     Args:
         found: of this name.
         pose: the robot's; None if it is not known.
         is_looked_for: False if the detector is not asked for it, so it cannot have been seen.
+        room_of: returns the room of a point in words ("in the kitchen"); "" if there is none.
     """
     name = one_line(name)
     if not found:
         hint = "" if is_looked_for else ": the detector is not looking for it"
         return f"no {name} has been seen{hint}"
-    texts = [_place(one, pose) for one in found[:_MOST_TOLD]]
+    rooms = [room_of(*one.xyz_m[:2]) for one in found[:_MOST_TOLD]]
+    texts = [
+        f"{room}, {_place(one, pose)}" if room else _place(one, pose)
+        for one, room in zip(found, rooms, strict=False)
+    ]
     more = f"; {len(found) - _MOST_TOLD} more" if len(found) > _MOST_TOLD else ""
     return f"{name}: {'; '.join(texts)}{more}"
 

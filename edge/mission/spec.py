@@ -18,6 +18,7 @@ from edge.mission.destinations import (
     CheckTarget,
     Destination,
     ExploreTarget,
+    RoomTarget,
     WaitTarget,
     describe_destination,
     destination_of,
@@ -126,7 +127,7 @@ def prepare(
         ('F (bed & F sofa)', ('bed', 'sofa'))
     """
     site = with_caller(site, caller)
-    names_of_places = [place.name for place in site.places]
+    known = [item.name for item in (*site.places, *site.room_names)]
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
     elif instruction is not None or config.instruction is not None:
@@ -135,7 +136,7 @@ def prepare(
         reading = reading if ask else config.reading
         translator = make_translator(config.translator)
         try:
-            quoted, said = split_repetition(quote_places(text, names_of_places))
+            quoted, said = split_repetition(quote_places(text, known))
             repeat = repeat or said
             translation = translator.translate(quoted, reading, ask)
         except TranslationError as error:
@@ -230,7 +231,8 @@ def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) ->
     found: dict[str, str] = {}
     for target in targets:
         destination = destinations.get(target)
-        if destination is None or isinstance(destination, CheckTarget):
+        by_thing = isinstance(destination, RoomTarget) and destination.which == "with"
+        if destination is None or isinstance(destination, CheckTarget) or by_thing:
             thing = target if destination is None else destination.name
             found.setdefault(names.canonical(thing), thing)
     return tuple(found.values())
@@ -240,7 +242,9 @@ def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) 
     """Raise a MissionError if the mission only forbids something that cannot be forbidden."""
     alive = [q for q in range(automaton.n_states) if not automaton.dead(q)]
     for letter in automaton.letters:
-        if not isinstance(destinations.get(letter), (CheckTarget, ExploreTarget, WaitTarget)):
+        destination = destinations.get(letter)
+        chosen = isinstance(destination, RoomTarget) and destination.which != "called"
+        if not chosen and not isinstance(destination, (CheckTarget, ExploreTarget, WaitTarget)):
             continue
         if all(automaton.dead(automaton.step(q, letter)) for q in alive):
             raise MissionError(

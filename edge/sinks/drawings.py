@@ -7,12 +7,13 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from edge.bus.wire import markers
 from edge.bus.wire.markers import Marker
 from edge.geometry import SE2
 from edge.loop.result import TickResult
-from edge.memory import KnownObject, Place, Site, Zone
+from edge.memory import Item, KnownObject, MappedRoom, Place, Site, Zone
 from edge.types import Goal, Instance
 
 _FRONTIER: markers.RGBA = (0.2, 0.6, 1.0, 0.8)
@@ -21,6 +22,7 @@ _REFUTED: markers.RGBA = (0.5, 0.5, 0.5, 0.3)
 _GOAL: markers.RGBA = (0.2, 0.9, 0.3, 0.9)
 _WORDS: markers.RGBA = (1.0, 1.0, 1.0, 1.0)
 _KNOWN: markers.RGBA = (0.4, 0.6, 0.9, 0.6)
+_ROOM: markers.RGBA = (0.6, 0.4, 0.9, 0.8)
 _PLACE: markers.RGBA = (0.1, 0.7, 0.8, 0.9)
 _ZONES: dict[str, markers.RGBA] = {
     "keep_out": (0.9, 0.2, 0.2, 0.9), "stay_inside": (0.2, 0.7, 0.3, 0.9),
@@ -59,6 +61,7 @@ class Drawing(NamedTuple):
         frontiers_m: (n, 2) float32.
         instances: objects of the mission.
         objects: remembered objects.
+        rooms: rooms of the map.
         site: places and zones.
         goal: current goal, if any.
     """
@@ -66,6 +69,7 @@ class Drawing(NamedTuple):
     frontiers_m: np.ndarray
     instances: Sequence[Instance]
     objects: Sequence[KnownObject]
+    rooms: Sequence[MappedRoom]
     site: Site
     goal: Goal | None
 
@@ -73,7 +77,12 @@ class Drawing(NamedTuple):
 def drawing_of(result: TickResult) -> Drawing:
     """Return the drawn parts of a result; any thread may use them."""
     return Drawing(
-        result.frontiers(), result.instances(), result.objects(), result.site, result.goal
+        result.frontiers(),
+        result.instances(),
+        result.objects(),
+        result.rooms,
+        result.site,
+        result.goal,
     )
 
 
@@ -109,6 +118,12 @@ def markers_of(drawing: Drawing) -> list[Marker]:
         drawn.append(
             Marker("object names", i, markers.TEXT, _LABEL_M, _KNOWN, at, z + 0.3, known.name)
         )
+    for room in drawing.rooms:
+        drawn.append(_line("rooms", room.id, room.polygon_m, _ROOM, 0.03))
+        at = SE2(*room.xy_m, 0.0)
+        drawn.append(
+            Marker("room names", room.id, markers.TEXT, _LABEL_M, _ROOM, at, 0.2, room.title)
+        )
     for i, item in enumerate(drawing.site.items):
         drawn += _of_item(i, item)
     if drawing.goal is not None:
@@ -117,15 +132,26 @@ def markers_of(drawing: Drawing) -> list[Marker]:
     return drawn
 
 
-def _of_item(i: int, item: Place | Zone) -> Iterator[Marker]:
-    """Yield the markers of a place or zone; its label lies over its position or first corner."""
+def _line(
+    group: str, id: int, corners_m: ArrayLike, colour: markers.RGBA, width_m: float
+) -> Marker:
+    """Return a closed line through corners (n, 2)."""
+    flat = np.asarray(corners_m, np.float64).reshape(-1, 2)
+    ring = np.zeros((len(flat) + 1, 3))
+    ring[:, :2] = flat[np.arange(len(ring)) % max(len(flat), 1)] if len(flat) else 0.0
+    return Marker(group, id, markers.LINE_STRIP, (width_m,) * 3, colour, points_m=ring)
+
+
+def _of_item(i: int, item: Item) -> Iterator[Marker]:
+    """Yield the markers of a place or zone; its label lies over its position or first corner.
+
+    A room's name has none: the room has one.
+    """
     if isinstance(item, Place):
         yield Marker("places", i, markers.ARROW, (0.4, 0.06, 0.06), _PLACE, item.pose, 0.05)
         yield Marker("place names", i, markers.TEXT, _LABEL_M, _PLACE, item.pose, 0.4, item.name)
-        return
-    ring, colour = np.zeros((len(item.corners_m) + 1, 3)), _ZONES[item.kind]
-    ring[:-1, :2] = item.corners_m
-    ring[-1] = ring[0]
-    yield Marker("zones", i, markers.LINE_STRIP, (0.05,) * 3, colour, points_m=ring)
-    at = SE2(*item.corners_m[0], 0.0)
-    yield Marker("zone names", i, markers.TEXT, _LABEL_M, colour, at, 0.3, item.name)
+    elif isinstance(item, Zone):
+        colour = _ZONES[item.kind]
+        yield _line("zones", i, item.corners_m, colour, 0.05)
+        at = SE2(*item.corners_m[0], 0.0)
+        yield Marker("zone names", i, markers.TEXT, _LABEL_M, colour, at, 0.3, item.name)

@@ -24,7 +24,7 @@ from edge.loop.result import TickResult
 from edge.mapping.zones import ZonePolygons
 from edge.sinks.drawings import PathRing, drawing_of, markers_of
 from edge.sinks.keepout import KeepoutPublisher
-from edge.sinks.navigate import NavigateToPoseClient
+from edge.sinks.navigate import DockRobotClient, NavigateToPoseClient
 from edge.sinks.rate_limiter import RateLimiter
 from edge.tasks.follow import path_message
 from edge.tasks.refine import RefinedTrajectory
@@ -47,7 +47,8 @@ class Ros2Sink:
         self._keepout = self._keepout_publisher(config) if settings.keepout_filter else None
         self._zones: ZonePolygons | None = None
         self._goal = None
-        self._navigator = None
+        self._navigator: NavigateToPoseClient | None = None
+        self._docker: DockRobotClient | None = None
         self._answers = None
         if settings.goals == "topic":
             self._goal = self._publisher("goal")
@@ -57,6 +58,11 @@ class Ros2Sink:
             self._navigator = NavigateToPoseClient(
                 self._node, action, self._frame, self._send_status
             )
+            if settings.docks:
+                docking = settings.topic("dock_robot")
+                self._docker = DockRobotClient(
+                    self._node, docking, settings.docks, self._frame, self._send_status
+                )
         self._pending_goal: Goal | None = None
         self._way = PathRing()
         self._driving = False
@@ -139,14 +145,21 @@ class Ros2Sink:
     def _drive(self, goal: Goal | None) -> None:
         if self._navigator is None:
             self._pending_goal = goal
-        elif goal is None:
-            self._navigator.cancel()
-        else:
-            self._navigator.send(goal)
+            self._beat()
+            return
+        docks = goal is not None and self._docker is not None and self._docker.takes(goal)
+        taken = self._docker if docks else self._navigator
+        for client in (self._navigator, self._docker):
+            if client is not None and (goal is None or client is not taken):
+                client.cancel()
+        if goal is not None and taken is not None:
+            taken.send(goal)
         self._beat()
 
     def _beat(self) -> None:
         self._node.look()
+        if self._docker is not None:
+            self._docker.beat()
         if self._navigator is not None:
             self._navigator.beat()
         # A planner treats each message as a new goal: send once, when there is a subscriber.

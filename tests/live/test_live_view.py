@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 from results import observation, result
+from rooms import KITCHEN
 from simulated import simulated
 from task_facts import INSTRUCTION, by_a_model, looking
 
@@ -60,6 +61,7 @@ def full() -> dict:
         "answer": GoalStatus(1, "failed", EVIL), "events": (Event(1, EVIL),),
         "instances": lambda: [found], "candidates": lambda: scored,
         "objects": lambda: [KnownObject(1, EVIL, (1.0, 2.0, 0.5), 0.5, 3, 4.0)],
+        "rooms": (KITCHEN,),
         "site": Site((Place("dock", SE2(1, 2, 0)), Zone("pit", "keep_out", PIT_M))),
         "way": lambda: np.ones((5000, 2), np.float32), "health": lambda: HEALTH,
         "layers": lambda: {"value of chair": lambda: Grid(np.full((2, 3), 9, np.uint8), (0, 0), 1)},
@@ -71,7 +73,7 @@ def test_before_the_service_is_there_the_page_is_and_says_what_it_waits_for(view
     now = told(view, "/live/now")
     assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}
     assert (now["moment"], now["shot"], now["silent_s"]) == (None, None, None)
-    for path in ("story", "task", "site", "objects", "map", "camera", "layers/0"):
+    for path in ("story", "task", "site", "memory", "map", "camera", "layers/0"):
         assert told(view, f"/live/{path}") is None
     answer = view.forms()["/mission/request"](b'{"do": "pause"}')
     assert (int(answer.status), json.loads(answer.body)) == (
@@ -99,7 +101,9 @@ def test_whatever_is_said_is_json_without_infinities(view):
     assert len(moment["way"]) <= MAX_POINTS
     assert story["events"] == [{"t_s": 1e-9, "text": EVIL}]
     assert story["layers"] == ["value of chair"]
-    (known,) = told(view, "/live/objects")
+    memory = told(view, "/live/memory")
+    (known,) = memory["objects"]
+    assert [(room["kinds"], room["area_m2"]) for room in memory["rooms"]] == [(["kitchen"], 12.0)]
     assert (known["name"], known["xyz"]) == (EVIL, [1.0, 2.0, 0.5])
     site = told(view, "/live/site")
     assert site["number"] == moment["site"]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from results import result
+from rooms import KITCHEN
 
 from edge.bus.wire import markers
 from edge.geometry import SE2
-from edge.memory import KnownObject, Place, Site, Zone
+from edge.memory import KnownObject, Place, RoomName, Site, Zone
 from edge.sinks.drawings import drawing_of, markers_of
 from edge.types import Instance
 
@@ -30,6 +31,10 @@ CUP = Instance(
         (
             {"site": Site((Zone("stairs", "keep_out", CORNERS),))},
             [("zones", markers.LINE_STRIP, ""), ("zone names", markers.TEXT, "stairs")],
+        ),
+        (
+            {"rooms": (KITCHEN,), "site": Site((RoomName("kitchen", (1.0, 1.0)),))},
+            [("rooms", markers.LINE_STRIP, ""), ("room names", markers.TEXT, "kitchen")],
         ),
         (
             {"objects": lambda: [MUG]},

@@ -18,6 +18,7 @@ from task_facts import written
 from edge.bus.ros2 import names
 from edge.bus.ros2.names import BRIDGE, RMW_ZENOH, dialect_of
 from edge.bus.ros2.node import Ros2Node
+from edge.errors import UserError
 from edge.geometry import SE2
 from edge.mapping.zones import ZonePolygons
 from edge.sinks import navigate
@@ -142,6 +143,52 @@ def test_a_refused_goal_has_failed(make, nav2, answers):
     nav2.accepts = False
     make().tick(driving(5))
     assert answers(1) == [GoalStatus(5, "failed", "refused by navigate_to_pose")]
+
+
+def at_place(stamp_ns: int, name: str):
+    one = Goal(stamp_ns, SE2(1.0, 2.0, 0.5), "place", 0, (1.0, 2.0), 1.0, name)
+    return result(goals=(one,), goal=one)
+
+
+@pytest.mark.parametrize(
+    ("status", "end"),
+    [(SUCCEEDED, GoalStatus(8, "reached")),
+     (ABORTED, GoalStatus(8, "failed", "aborted by Nav2 (error 902): no dock"))],
+)  # fmt: skip
+def test_a_goal_at_a_dock_goes_to_the_docking_server(make, nav2, theirs, answers, status, end):
+    docking = Nav2(theirs, "kilted", action="DockRobot")
+    sink = make(docks={"bay 2": "bay_2"})
+    sink.tick(driving(6))
+    first_goal(nav2)
+    sink.tick(at_place(7, "bay two"))
+    goal_id = first_goal(docking)
+    eventually(lambda: nav2.cancelled)
+    asked = docking.goals[0][1]
+    assert (asked.use_dock_id, asked.dock_id) == (True, "bay_2")
+    assert (asked.max_staging_time, asked.navigate_to_staging_pose) == (1000.0, True)
+    sink.tick(at_place(8, "bay two"))  # its cell has moved: the robot docks on
+    assert answers(3)[-1] == GoalStatus(8, "accepted")
+    docking.end(goal_id, status, *((902, "no dock") if status == ABORTED else ()))
+    assert answers(4)[-1] == end
+    assert len(docking.goals) == 1
+    docking.close()
+
+
+def test_a_goal_that_leaves_the_dock_cancels_the_docking(make, nav2, theirs):
+    docking = Nav2(theirs, "jazzy", action="DockRobot")
+    sink = make(docks={"dock": "bay_1"})
+    sink.tick(at_place(7, "dock"))
+    goal_id = first_goal(docking)
+    sink.tick(at_place(8, "shelf"))
+    first_goal(nav2)
+    assert eventually(lambda: docking.cancelled) == [goal_id]
+    docking.close()
+
+
+@pytest.mark.parametrize("more", [{"via": "adapter"}, {"goals": "topic"}])
+def test_docking_needs_actions(make, more):
+    with pytest.raises(UserError, match="docks: needs goals: navigate_to_pose"):
+        make(docks={"dock": "bay_1"}, **more)
 
 
 def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers, caplog, monkeypatch):

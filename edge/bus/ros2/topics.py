@@ -32,6 +32,7 @@ PUBLISHED: dict[str, str] = {
 LATCHED = frozenset({"tf_static", "map", "trajectory", "keepout_mask", "keepout_info"})
 """Transient local topics: a late subscriber gets the last message."""
 NAVIGATE_TO_POSE = "nav2_msgs/action/NavigateToPose"
+DOCK_ROBOT = "nav2_msgs/action/DockRobot"
 
 
 def accepted_types(name: str, ros_name: str) -> tuple[str, ...]:

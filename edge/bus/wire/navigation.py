@@ -1,4 +1,4 @@
-"""Codec of Nav2's messages: the action NavigateToPose, and CostmapFilterInfo.
+"""Codec of Nav2's messages: the actions NavigateToPose and DockRobot, and CostmapFilterInfo.
 
 The action has three services and two topics.
 `send_goal`, `get_result` and `cancel_goal` are services, `feedback` and `status` are topics, all
@@ -21,6 +21,7 @@ _U16 = struct.Struct("<H")
 _F32 = struct.Struct("<f")
 _MOST_GOALS = 1024
 _KEEPOUT_FILTER = 0
+_STAGING_S = 1000.0  # default of DockRobot
 
 # action_msgs/GoalStatus
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6
@@ -33,6 +34,27 @@ def encode_send_goal(
     """Encode NavigateToPose_SendGoal_Request; `tree`: behavior tree, "" for Nav2's default."""
     writer = CdrWriter().write(_UUID, 1, goal_id).header(stamp_ns, frame_id)
     return write_pose(writer, pose.matrix()).string(tree).bytes()
+
+
+def encode_dock_goal(
+    goal_id: bytes, stamp_ns: int, dock_id: str, frame_id: str = MAP_FRAME
+) -> bytes:
+    """Encode DockRobot_SendGoal_Request for a dock that the docking server knows by its id.
+
+    The server drives to the staging pose of the dock itself.
+    """
+    writer = CdrWriter().write(_UUID, 1, goal_id).write(U8, 1, 1).string(dock_id)
+    write_pose(writer.header(stamp_ns, frame_id), SE2(0.0, 0.0, 0.0).matrix())
+    return writer.string("").write(_F32, 4, _STAGING_S).write(U8, 1, 1).bytes()
+
+
+def decode_dock_result(payload: bytes) -> Result:
+    """Decode DockRobot_GetResult_Response of any distribution."""
+    reader = CdrReader(payload)
+    (status,) = reader.read(_I8, 1)
+    reader.read(U8, 1)  # success, which the status tells as well
+    code, _ = reader.read(_U16, 2)[0], reader.read(_U16, 2)
+    return Result(status, code, reader.string() if reader.left >= 4 else "")
 
 
 def decode_send_goal(payload: bytes) -> tuple[bytes, int, SE2, str]:

@@ -40,6 +40,7 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
         mark("frontier at the end", "s", palette.FRONTIER, palette.FRONTIER, 6),
         mark("goal: frontier", "D", "white", palette.FRONTIER),
         mark("goal: instance", "*", "white", palette.TARGET, 14),
+        mark("goal: place", "s", "white", palette.TARGET),
         mark("goal: spin", "o", "white", palette.MUTED, 5),
         *seen,
         mark("refuted", "o", palette.MUTED, "white", 7),
@@ -71,6 +72,8 @@ def more_lines(record: RunRecord) -> list[Artist]:
             Line2D([], [], color=tasks.REFINED, lw=6, alpha=0.45, label="refined trajectory"),
             Line2D([], [], color=tasks.COARSE, lw=1.6, ls=dotted, label="coarse trajectory"),
         ]
+    if record.rooms:
+        lines.append(Line2D([], [], color=palette.ROOM, lw=1.2, ls=(0, (1, 2)), label="room"))
     if record.site.places:
         style = {"markerfacecolor": palette.PLACE, "markeredgecolor": "white", "markersize": 8}
         lines.append(Line2D([], [], ls="", marker="o", label="place", **style))

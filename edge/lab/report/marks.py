@@ -24,6 +24,7 @@ GOAL_STYLES = {
     "frontier": (palette.FRONTIER, "D", 120),
     "instance": (palette.TARGET, "*", 190),
     "look": (palette.MUTED, "o", 28),
+    "place": (palette.TARGET, "s", 100),
 }
 
 
@@ -49,6 +50,17 @@ def goals(axes: Axes, record: RunRecord, scale: float) -> None:
             numbered.append((x_m, y_m))
             style = {"ha": "center", "va": "center_baseline", "fontsize": 7}
             axes.text(x_m, y_m, str(number), color=palette.INK, zorder=6.5, **style)
+
+
+def rooms(axes: Axes, record: RunRecord) -> None:
+    """Draw the outline of every room, with its name or kind in the middle."""
+    for room in record.rooms:
+        if not len(room.polygon_m):
+            continue
+        style = {"fill": False, "edgecolor": palette.ROOM, "lw": 1.2, "ls": (0, (1, 2))}
+        axes.fill(*room.polygon_m.T, zorder=2.5, **style)
+        style = {"ha": "center", "va": "center", "fontsize": 9, "clip_on": True, "zorder": 4}
+        axes.text(*room.xy_m, plain(shorten(room.title, MAX_LABEL)), color=palette.ROOM, **style)
 
 
 def zones(axes: Axes, record: RunRecord) -> None:

@@ -18,6 +18,7 @@ FRONTIER = "#f08c00"
 START = "#2f9e44"
 WARNING = "#e8590c"
 PLACE = "#0b7285"
+ROOM = "#5f3dc4"
 ZONES = {"keep_out": "#c92a2a", "stay_inside": "#2b8a3e"}
 # One for each target of a mission, in order.
 TARGETS = (

@@ -61,6 +61,7 @@ def png(record: RunRecord) -> bytes:
     _frame(axes, box)
     _map(axes, record)
     _frontiers(axes, record, layout.marks)
+    marks.rooms(axes, record)
     marks.zones(axes, record)
     tasks.draw(axes, record)
     right, below_in = LEFT_IN + layout.map_width, 3.3 + LINE_IN * n_more

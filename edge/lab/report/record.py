@@ -12,7 +12,7 @@ from edge import names
 from edge.geometry import Grid
 from edge.loop.latency import LatencyReport
 from edge.loop.result import MissionFacts
-from edge.memory import KnownObject, Site
+from edge.memory import KnownObject, MappedRoom, Site
 from edge.tasks.facts import TaskStatus
 from edge.types import Goal, Instance, MissionEvent, MissionStatus
 
@@ -90,6 +90,7 @@ class RunRecord:
         trajectory_t_s: (n,) float64.
         frontiers_m: (n, 2) float32 cells or centroids in `map`, at the end of the run.
         objects: remembered objects, the most confident first.
+        rooms: rooms of the map.
         site: places and zones.
         values: value maps by name, uint8, 0 for no value.
         events: (t_s, text) in order of time.
@@ -111,6 +112,7 @@ class RunRecord:
     goals: tuple[Goal, ...] = ()
     instances: tuple[Instance, ...] = ()
     objects: tuple[KnownObject, ...] = ()
+    rooms: tuple[MappedRoom, ...] = ()
     site: Site = field(default_factory=Site)
     frames: tuple[Keyframe, ...] = ()
     asked: tuple[ChoiceFrame, ...] = ()

@@ -124,6 +124,7 @@ class ReportRecorder:
             goals=self._goals.items(),
             instances=tuple(end.instances()),
             objects=tuple(end.objects()),
+            rooms=end.rooms,
             site=end.site,
             frames=self._album.frames(),
             asked=self._choices.kept(),

@@ -76,9 +76,9 @@ async function sites() {
   if (told) site.show(told);
 }
 
-async function objects() {
-  const told = await get("live/objects");
-  if (told) site.showObjects(told);
+async function memory() {
+  const told = await get("live/memory");
+  if (told) site.showMemory(told);
 }
 
 async function shots() {
@@ -154,6 +154,6 @@ every(NOW_MS, now);
 every(NOW_MS, shots);
 every(NOW_MS, scripts);
 every(NOW_MS, sites);
-every(STORY_MS, objects);
+every(STORY_MS, memory);
 every(STORY_MS, story);
 every(MAP_MS, maps);

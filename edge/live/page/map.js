@@ -16,7 +16,7 @@ const canvas = $("map");
 const view = { x: 0, y: 0, scale: 60, follow: false, fitted: true };
 const shown = {
   map: null, layer: null, now: null, trail: [], targets: [], radius_m: 0.2, script: null,
-  site: [], objects: [], draft: [],
+  site: [], objects: [], rooms: [], draft: [],
 };
 let due = false;
 
@@ -138,13 +138,14 @@ function paint() {
   const { context, width, height } = fitted(canvas);
   sheet(context, shown.map, false);
   sheet(context, shown.layer, true);
+  for (const room of shown.rooms) outline(context, room);
   for (const { properties, geometry } of shown.site) {
     if (geometry.type === "Polygon") zone(context, properties, geometry.coordinates[0].map(toScreen));
   }
   scaleBar(context, height);
   line(context, trail(now), colour("trail"), 2.5);
   for (const { properties, geometry } of shown.site) {
-    if (geometry.type === "Point") place(context, properties, toScreen(geometry.coordinates));
+    if (properties.kind === "place") place(context, properties, toScreen(geometry.coordinates));
   }
   draft(context);
   if (!now) return;
@@ -261,12 +262,24 @@ function zone(context, { kind, name }, ring) {
   label(context, name, x + 5, y + 11, ink);
 }
 
-function place(context, { kind, name, heading_deg }, [x, y]) {
+export const titleOf = ({ name, kinds, id }) => name || kinds.join(" and ") || `room ${id}`;
+
+function outline(context, room) {
+  if (!room.polygon.length) return;
+  const ring = [...room.polygon, room.polygon[0]].map(toScreen);
+  line(context, ring, colour("room"), 1.5, [2, 4]);
+  const [x, y] = toScreen(room.xy);
+  const p = Math.max(...Object.values(room.chance));
+  const title = room.name || !room.kinds.length ? titleOf(room) : `${titleOf(room)} ${Math.round(100 * p)} %`;
+  context.textAlign = "center";
+  label(context, title, x, y, colour("room"));
+  context.textAlign = "start";
+}
+
+function place(context, { name, heading_deg }, [x, y]) {
   const ink = colour("place");
-  if (kind === "place") {
-    const heading = (heading_deg * Math.PI) / 180;
-    line(context, [[x, y], [x + 15 * Math.cos(heading), y - 15 * Math.sin(heading)]], ink, 3);
-  }
+  const heading = (heading_deg * Math.PI) / 180;
+  line(context, [[x, y], [x + 15 * Math.cos(heading), y - 15 * Math.sin(heading)]], ink, 3);
   context.beginPath();
   context.arc(x, y, 5.5, 0, 2 * Math.PI);
   context.fillStyle = ink;

@@ -8,6 +8,7 @@ import * as map from "./map.js";
 const SURE_MS = 3000;
 const HINTS = {
   place: "Drag on the map from the place to where the robot is to look. Esc: stop.",
+  room: "Click in the room on the map. Esc: stop.",
   zone: "Click the corners on the map, then double-click or press Done. Esc: stop.",
 };
 let [version, allowed, corners] = [undefined, false, null];
@@ -21,8 +22,9 @@ export function show(site) {
   listSite({ features: site.features, allowed });
 }
 
-export function showObjects(objects) {
-  map.update({ objects });
+export function showMemory({ objects, rooms }) {
+  map.update({ objects, rooms });
+  listRooms(rooms);
   listObjects(objects.map((one) => ({ ...one, age_s: Math.round(one.age_s / 5) * 5 })));
 }
 
@@ -38,7 +40,7 @@ export function allow(controls) {
 const metres = ([x, y]) => `${x.toFixed(1)}, ${y.toFixed(1)}`;
 const centre = (ring) => [0, 1].map((axis) => ring.reduce((sum, corner) => sum + corner[axis], 0) / ring.length);
 
-const DETAILS = { keep_out: "keep out", stay_inside: "stay inside" };
+const DETAILS = { keep_out: "keep out", stay_inside: "stay inside", room: "room name" };
 
 const listSite = once(({ features }) => {
   $("site-list").replaceChildren(...features.map(({ properties, geometry }) => {
@@ -49,6 +51,19 @@ const listSite = once(({ features }) => {
     return line;
   }));
 });
+
+const listRooms = once((rooms) => {
+  $("rooms-note").hidden = !rooms.length;
+  say("rooms-note", `Rooms (${rooms.length})`);
+  $("rooms-list").replaceChildren(...rooms.map((room) =>
+    row("mapped", map.titleOf(room), `${chance(room)}${room.area_m2.toFixed(0)} m²`, room.xy)));
+});
+
+// The likeliest kind of a room, with its probability.
+function chance(room) {
+  const [kind, p] = Object.entries(room.chance).reduce((best, one) => (one[1] > best[1] ? one : best), ["", 0]);
+  return p ? `${kind} ${p.toFixed(2)}, ` : "";
+}
 
 const listObjects = once((objects) => {
   say("objects-note", objects.length ? `Remembered objects (${objects.length})` : "No remembered objects");
@@ -99,6 +114,7 @@ $("site-form").addEventListener("submit", async (event) => {
   const { kind, name } = drawn();
   if (corners) finish();
   else if (kind === "place") draw("place", placed);
+  else if (kind === "room") draw("room", named);
   else if (kind !== "here") draw("zone", cornered, []);
   else if (await change({ do: "set", name })) $("site-name").value = "";
 });
@@ -129,6 +145,13 @@ function placed(from, to, isEnd) {
   const { name } = drawn();
   stop();
   add({ kind: "place", name, heading_deg }, { type: "Point", coordinates: from });
+}
+
+function named(from, to, isEnd) {
+  if (!isEnd) return;
+  const { name } = drawn();
+  stop();
+  add({ kind: "room", name }, { type: "Point", coordinates: from });
 }
 
 function cornered(from, to, isEnd) {

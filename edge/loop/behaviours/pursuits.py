@@ -8,26 +8,38 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Generic, TypeVar
 
 import numpy as np
 
+from edge.config import PolicySearch
+from edge.loop.behaviours.room_targets import RoomKindPrior, rooms_of
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import known_objects
+from edge.memory import RECOGNISED_KINDS, MappedRoom, RoomSurvey, kind_of_room, known_objects
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
     ExploreTarget,
     PlaceTarget,
+    RoomTarget,
     WaitTarget,
     shown_s,
 )
 from edge.mission.run import MissionRun
 from edge.policies.base import PolicyInput
+from edge.policies.search import SearchPolicy
+from edge.text import one_line
 from edge.types import Goal, Instance
 
 _MOST_NAMED = 12
+# Least votes for a kind at a goal, as a share of those at the best point; number of surveys that
+# must agree that the robot is inside.
+_BEST, _SURVEYS = 0.9, 2
+_DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
+_LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
+_ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 Kind = TypeVar("Kind", bound="Destination | None")
 
 
@@ -188,12 +200,140 @@ class CheckPursuit(Pursuit[CheckTarget]):
         self._mission.on_reached(answer, now_ns, answer)
 
 
+class RoomPursuit(Pursuit[RoomTarget]):
+    """Pursuit of a room: explore where it is likely; when it is known, go inside.
+
+    The robot is inside if the map says so, whatever the controller says of its goal.
+    """
+
+    _chosen = 0  # id of the room to go to
+    _is_final = False  # True if all is explored: the choice stays
+    _surveyed: RoomSurvey | None = None  # the newest survey that agreed
+    _agreed = 0  # number of surveys since the arrival that agree
+
+    def gather(self) -> Sequence[Instance]:
+        return ()
+
+    def judge(self, context: PolicyInput, images: int) -> None:
+        mission, room = self._mission, self._choose(context)
+        if room is None:
+            mission.activity = "exploring to find it"
+            super().judge(context, images)
+            return
+        number = f"room {room.id}"
+        name = number if room.title == number else f"{room.title}, {number}"
+        why = one_line(f"the {name}" + (f": {room.reason}" if room.reason else ""))
+        if self._is_final and self._kind is not None:
+            why = f"room {room.id}, the most likely {self._kind}"
+        if self._is_inside(room, context):
+            self._goals.drop()
+            mission.on_reached(f"inside {why}", context.now_ns)
+            return
+        mission.activity = f"going to {why}"
+        super().judge(context, images)
+
+    def finish(self, now_ns: int) -> None:
+        room, kind = self._map.rooms.room(self._chosen), self._kind
+        if room is not None:
+            pass  # no path to it
+        elif self._destination.which == "largest":
+            room = max(self._map.rooms.rooms, key=lambda one: one.area_m2, default=None)
+        elif kind is not None:
+            likely = [one for one in self._map.rooms.rooms if one.chance[kind] >= _LAST_CHANCE]
+            room = max(likely, key=lambda one: one.chance[kind], default=None)
+        if room is None or self._chosen == room.id:
+            super().finish(now_ns)
+        else:
+            self._chosen, self._is_final = room.id, True
+
+    def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
+        target, grid, goals = self._destination, self._map.grid, self._goals
+        room = self._map.rooms.room(self._chosen)
+        if room is not None:
+            points_m, old, rooms = self._points_m(room), goals.goal, self._map.rooms
+            keep = old is not None and rooms.entered(old.pose.x_m, old.pose.y_m) == room.id
+            pose = context.pose
+            if goals.arrived and rooms.entered(pose.x_m, pose.y_m) != room.id:
+                keep = False
+                away_m = np.hypot(*(points_m - np.array((pose.x_m, pose.y_m), np.float32)).T)
+                points_m = points_m[away_m >= min(_DEEPER_M, float(away_m.max()))]
+            goal = goals.go_to_point(context, grid, points_m, self._mission.target, keep)
+            return goal or goals.explore_towards(context, grid, room.xy_m, images)
+        if target.which != "with":
+            prior = None if self._kind is None else RoomKindPrior(self._map.rooms, self._kind)
+            scores = SearchPolicy(PolicySearch()).score(replace(context, prior=prior))
+        return goals.choose(context, grid, np.asarray(scores, np.float32), images)
+
+    @property
+    def _kind(self) -> str | None:
+        """The wanted kind of room, if the robot recognises it."""
+        kind = kind_of_room(self._destination.name)
+        return kind if self._destination.which == "called" and kind in RECOGNISED_KINDS else None
+
+    def _is_inside(self, room: MappedRoom, context: PolicyInput) -> bool:
+        """Return True if the robot is inside.
+
+        Before its walls are known, a room may seem to go on behind a door. So a room of a kind is
+        reached only at a point near the objects that it was recognised by, and if the next surveys
+        agree. The goal is such a point, as long as it stays.
+        """
+        inside = self._map.rooms.entered(context.pose.x_m, context.pose.y_m) == room.id
+        if not inside or not self._by_kind(room):
+            return inside
+        if not self._goals.arrived:
+            self._agreed = 0
+        elif self._map.rooms.survey is not self._surveyed:
+            self._surveyed, self._agreed = self._map.rooms.survey, self._agreed + 1
+        return self._agreed > _SURVEYS
+
+    def _by_kind(self, room: MappedRoom) -> bool:
+        return self._kind is not None and not room.is_named
+
+    def _points_m(self, room: MappedRoom) -> np.ndarray:
+        """Return the points of a room to go to, (k, 2) float32, k > 0."""
+        if not self._by_kind(room):
+            return room.points_m
+        assert self._kind is not None
+        votes = self._map.rooms.votes(room, self._kind)
+        most = float(votes.max())
+        return room.points_m[votes >= _BEST * most] if most > 0.0 else room.points_m
+
+    def _choose(self, context: PolicyInput) -> MappedRoom | None:
+        """Return the room to go to; None if none is known. A choice stays while it is possible."""
+        rooms, which = self._map.rooms, self._destination.which
+        kept = self._is_final or which == "next"
+        if kept and (room := rooms.room(self._chosen)) is not None:
+            return room
+        found = rooms_of(self._destination, self._map)
+        if which == "next":
+            here = rooms.room_at(context.pose.x_m, context.pose.y_m)
+            beside = set() if here is None else {door.room for door in here.doors}
+            found = [room for room in found if np.isfinite(self._path_m(room)) and room is not here]
+            found = [room for room in found if room.id in beside] or found
+        chosen = next((room for room in found if room.id == self._chosen), None)
+        if chosen is None and found:
+            chosen = min(found, key=lambda room: (self._path_m(room), room.id))
+        number = 0 if chosen is None else chosen.id
+        if number != self._chosen:
+            self._chosen = number
+            self._goals.drop()
+        return chosen
+
+    def _path_m(self, room: MappedRoom) -> float:
+        """Return the driving distance to a room; inf if no path is known."""
+        n, path_m = len(room.points_m), np.empty(len(room.points_m), np.float32)
+        kind = np.zeros(n, np.int8)
+        self._map.grid.reach.path_lengths_m(room.points_m, kind, _ROOM_SNAP_M, n, path_m)
+        return float(path_m.min(initial=np.inf))
+
+
 PURSUITS: dict[type | None, type[Pursuit]] = {
     None: Pursuit,
     PlaceTarget: PlacePursuit,
     ExploreTarget: ExplorePursuit,
     WaitTarget: WaitPursuit,
     CheckTarget: CheckPursuit,
+    RoomTarget: RoomPursuit,
 }
 """The pursuit of each kind of destination; that of `None` is for things."""
 

@@ -1,4 +1,4 @@
-"""Names of places in an instruction, in quotes, so that every translator takes them as names."""
+"""Names of places and rooms in an instruction, in quotes, so that translators keep them."""
 
 from __future__ import annotations
 
@@ -41,6 +41,14 @@ _BACK = re.compile(
     + _END,
     re.I,
 )  # fmt: skip
+_ROOMS = (
+    (re.compile(r"\b(?:the\s+)?(?:largest|biggest)\s+room\b", re.I), "largest room"),
+    (re.compile(r"\b(?:the\s+)?next\s+room\b", re.I), "next room"),
+    (
+        re.compile(r"\b(?:the\s+)?room\s+with\s+(?:the|an?)\s+((?:\w+\s+){0,2}?\w+)" + _END, re.I),
+        r"room with \1",
+    ),
+)
 _BACK_TO = re.compile(_THEN + r'\b(?:return|(?:come|head|get)\s+back)\s+to\s+(?=")', re.I)
 
 
@@ -88,13 +96,13 @@ def _rounds(found: re.Match[str]) -> str:
 
 
 def quote_places(instruction: str, names: Iterable[str]) -> str:
-    """Put the names of places, and the words for where the robot was, into double quotes.
+    """Put the names of places and rooms, and words for where the robot was, into double quotes.
 
     A patrol for some time becomes a list of stops with the phrase `repeat …` at the end, see
     `edge.mission.repetition`.
 
     Args:
-        names: of places, in lower case.
+        names: of places and rooms, in lower case.
 
     Raises:
         TranslationError: a patrol for some time is not the whole instruction.
@@ -112,6 +120,8 @@ def quote_places(instruction: str, names: Iterable[str]) -> str:
         text = pieces[i]
         for phrase, place in _PHRASES:
             text = phrase.sub(place, text)
+        for phrase, room in _ROOMS:
+            text = phrase.sub(rf'"{room}"', text)
         text = _EXPLORE.sub(f'go to "{EXPLORED}"', text)
         text = _BACK.sub(_then(f'"{HERE}"'), text)
         if known:

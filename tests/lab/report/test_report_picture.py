@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from rooms import KITCHEN
 
 from edge.geometry import SE2, Grid, downsample
 from edge.lab.report import palette, picture, raster
@@ -71,3 +72,14 @@ def test_places_zones_and_remembered_objects_are_drawn(run):
     image = pixels(picture.png(replace(run, site=Site(items), objects=(mug,))))
     for colour in (palette.PLACE, palette.ZONES["keep_out"], palette.MUTED):
         assert count(image, colour) > count(before, colour) + 50
+
+
+def test_rooms_are_drawn_with_their_titles(run):
+    before = pixels(picture.png(run))
+    nameless = replace(KITCHEN, kinds=())
+    images = [pixels(picture.png(replace(run, rooms=(one,)))) for one in (KITCHEN, nameless)]
+    assert images[0].shape[1] == before.shape[1]
+    assert (images[0] != images[1]).any()  # "kitchen" and "room 3"
+    for image in images:
+        h = min(len(image), len(before))
+        assert (image[:h] != before[:h]).any(axis=2).sum() > 300
