@@ -240,6 +240,20 @@ def test_escape_ends_the_drawing_and_adds_nothing(page, house):
     assert house.service.site.site.items == ()
 
 
+def test_a_room_is_named_by_a_click_in_it_and_listed(page, house):
+    page.until("document.querySelector('#rooms-list button') !== null")
+    choose(page, "room", "office")
+    page.says("#site-hint", "Click in the room")
+    page.click("#rooms-list button")  # the map moves, until the room is in its middle
+    box = page.run("document.getElementById('map').getBoundingClientRect().toJSON()")
+    press(page, (round(box["x"] + box["width"] / 2), round(box["y"] + box["height"] / 2)))
+    page.says("#rooms-list", "office")
+    page.says("#site-list", "room name")
+    assert [one.name for one in house.service.site.site.room_names] == ["office"]
+    assert "office" in [room.name for room in house.service.map.rooms.rooms]
+    assert page.complaints == []
+
+
 def test_remembered_objects_are_listed_and_no_markup(page, house):
     house.tasked.objects = [KnownObject(1, INSTRUCTION, (1.0, 2.0, 0.5), 0.625, 3, 61.0)]
     page.says("#objects-note", "Remembered objects (1)")
