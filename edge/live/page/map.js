@@ -150,6 +150,7 @@ function paint() {
   draft(context);
   if (!now) return;
   for (const one of remembered()) known(context, one);
+  for (const room of shown.rooms) roomTitle(context, room);
   if (now.task && shown.script) trajectory(context, shown.script, now.task.index);
   line(context, now.way.map(toScreen), colour("way"), 2.5, [7, 5]);
   const open = now.candidates.filter((c) => c.kind !== "instance");
@@ -268,6 +269,9 @@ function outline(context, room) {
   if (!room.polygon.length) return;
   const ring = [...room.polygon, room.polygon[0]].map(toScreen);
   line(context, ring, colour("room"), 1.5, [2, 4]);
+}
+
+function roomTitle(context, room) {
   const [x, y] = toScreen(room.xy);
   const p = Math.max(...Object.values(room.chance));
   const title = room.name || !room.kinds.length ? titleOf(room) : `${titleOf(room)} ${Math.round(100 * p)} %`;
