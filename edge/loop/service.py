@@ -154,8 +154,9 @@ class Service:
             self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
         self._publisher = ResultPublisher(
-            sinks, self.map, self.goals, scorers, journal, self.latency, self._health.status
-        )
+            sinks, self.map, self.site, self.goals, scorers, journal, self.latency,
+            self._health.status,
+        )  # fmt: skip
         self._changed = NOTHING_CHANGED
         self._detections: Detections | None = None  # of this tick, like `scores` and `pose`
         self.scores = np.zeros(0, np.float32)
@@ -613,5 +614,6 @@ class Service:
             observation: The observation that was handled, if any.
         """
         return self._publisher.result(
-            now_ns, observation, self.pose, self.mission, self.behaviour.facts, self.scores
-        )
+            now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
+            self.scores,
+        )  # fmt: skip

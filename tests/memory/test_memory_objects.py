@@ -63,6 +63,11 @@ def test_an_armchair_comes_after_the_chairs():
     assert ids == {"chair": [2, 3, 1], "armchair": [1], "": [1, 2, 3]}
 
 
+@pytest.mark.parametrize(("most", "ids"), [(0, []), (1, [1]), (9, [1, 2, 3])])
+def test_of_many_objects_the_most_confident_are_returned(most, ids):
+    assert [one.id for one in known_objects(SEEN, NOW_NS, 2, most=most)] == ids
+
+
 def test_the_answer_says_where_when_and_how_sure():
     found = known_objects(SEEN, NOW_NS, 2, "chair")
     assert where_is("chair", found, POSE, True) == (
