@@ -1,7 +1,7 @@
 """Load shedder: it drops expensive work when the computer cannot keep up, and restores it later.
 
-`perception.governor.ladder` lists the work to drop, in order. Each entry is a degradation level. The module
-`edge.loop.degradation` decides when to step. A cheaper model is swapped in as by `edge models use`,
+`perception.governor.ladder` lists the work to drop, in order. Each entry is a degradation level.
+The module `edge.loop.degradation` decides when to step. A cheaper model is swapped in as by `edge models use`,
 without waiting. If a user swaps in another model, the governor waits until the model of its level
 runs again.
 """

@@ -194,7 +194,7 @@ def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
 
 
 def press(tab: Tab, *ends: tuple[int, int]) -> None:
-    """A press of the mouse at the first place, and its release at the last."""
+    """Press the mouse at the first place, and release it at the last."""
     kinds = ("mousePressed", *["mouseMoved"] * (len(ends) - 1), "mouseReleased")
     for kind, (x, y) in zip(kinds, (*ends, ends[-1]), strict=True):
         mouse = {"button": "left", "buttons": 1, "clickCount": 1}

@@ -392,7 +392,7 @@ def test_zones_are_a_mask_for_nav2_that_opens_while_the_robot_is_inside(make, th
     mask = node.subscription("/edge/keepout_mask", (kind,), 8, latched=True)
 
     def after(now_s: int, zones: ZonePolygons, x_m: float) -> tuple[set[int], int]:
-        """The values and the number of cells that a tick publishes."""
+        """Return the values and the number of cells that a tick publishes."""
         sink.tick(result(now_s * 10**9, zones=zones, pose=SE2(x_m, 1.5, 0.0)))
         type_name, payload = eventually(mask.take)[-1]
         grid = from_ros(payload.to_bytes(), type_name)

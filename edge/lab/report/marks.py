@@ -106,6 +106,9 @@ def instances(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Bo
     """Draw the surface points of every instance, and labels if there is room.
 
     Args:
+        axes: of the picture.
+        record: what is drawn.
+        scale: of the marks.
         taken: space of labels, extended by those drawn.
     """
     numbers = _order_reached(record)

@@ -34,7 +34,7 @@ def port() -> Iterator[int]:
 
 @pytest.fixture(params=["rmw_zenoh", "bridge", "adapter"])
 def ask(request, port) -> Iterator[Ask]:
-    """Sends a message until an answer comes; the loop only knows `list` and `remove`."""
+    """Send a message until an answer comes; the loop only knows `list` and `remove`."""
     config = simulated({"ros2": {"via": request.param, "requests": True}})
     config = config.model_copy(update={"zenoh": zenoh_settings(port)})
     verbs = {"list": Verb(reads=True), "remove": Verb(("name",), dict)}
