@@ -22,7 +22,7 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
     for do, text in (
         ("find", "where is it?"),
         ("list", "list all known objects"),
-        ("export", "write all known objects as JSON"),
+        ("export", "write all known objects as JSON, or the whole memory as GeoJSON"),
         ("crop", "write the picture of an object, as JPEG"),
     ):
         action = actions.add_parser(do, help=text)
@@ -31,6 +31,12 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
             action.add_argument("id", type=int, help="number of the object, from `list`")
         if do != "list":
             action.add_argument("name" if do == "find" else "file")
+        if do == "export":
+            action.add_argument(
+                "--geojson",
+                action="store_true",
+                help="write objects, rooms, places and zones as GeoJSON",
+            )
         if do in ("find", "list"):
             action.add_argument("--json", action="store_true", help="print JSON")
         if do != "crop":
@@ -51,20 +57,28 @@ def run(args: argparse.Namespace) -> int:
     from edge.bus import client, topics
     from edge.config import load
     from edge.host.files import write_atomically
+    from edge.memory import memory_geojson
     from edge.text import format_table, one_line
 
     settings = load(args.config).zenoh
     request = _request(args)
     with client.connect(settings, ANSWER_S, "service") as session:
-        key = settings.key(topics.MEMORY_REQUEST)
-        answer = client.send_request(session, key, request, ANSWER_S, "service")
+
+        def ask(key: str, asked: dict) -> dict:
+            return client.send_request(session, key, asked, ANSWER_S, "service")
+
+        answer = ask(settings.key(topics.MEMORY_REQUEST), request)
+        objects = written = answer.get("objects")
+        if args.do == "export" and args.geojson:
+            site = ask(settings.key(topics.SITE_REQUEST), {"do": "list"})["site"]
+            rooms = ask(settings.key(topics.MEMORY_REQUEST), {"do": "rooms"})["rooms"]
+            written = memory_geojson(site, objects, rooms)
     if args.do == "crop":
         write_atomically(Path(args.file), base64.b64decode(answer["jpeg_base64"]))
         print(f"{args.file}: {answer['text']}")
         return 0
-    objects = answer["objects"]
     if args.do == "export":
-        write_atomically(Path(args.file), (json.dumps(objects, indent=1) + "\n").encode())
+        write_atomically(Path(args.file), (json.dumps(written, indent=1) + "\n").encode())
         print(f"{args.file}: {answer['text']}")
     elif args.json:
         print(json.dumps(objects, indent=1))

@@ -12,6 +12,7 @@ from edge.bus.verbs import Request, Verb, check_text, shown
 from edge.errors import UserError
 from edge.memory import known_objects, similar_is, where_is
 from edge.memory.site import MAX_NAME_CHARS, name_of
+from edge.text import one_line
 
 if TYPE_CHECKING:
     from edge.loop.prior import LocationPrior
@@ -48,38 +49,43 @@ MEMORY_VERBS = {
     "find": Verb(("name", *_FILTERS), _find, reads=True),
     "list": Verb(_FILTERS, _list, reads=True),
     "crop": Verb(("id",), _crop, reads=True),
+    "rooms": Verb(reads=True),
 }
 """`{"do": "find", "name": "mug"}` or `{"do": "list"}`; both answer with `text` and `objects`, and
-take the filters `room` and `since_s`. `{"do": "crop", "id": 3}` answers with `jpeg_base64`."""
+take the filters `room` and `since_s`. `{"do": "crop", "id": 3}` answers with `jpeg_base64`,
+`{"do": "rooms"}` with `text` and `rooms`."""
 
 
 def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
-    """Return the known objects of a name, or all; or the picture of one.
+    """Return the known objects of a name, or all; the picture of one; or the rooms.
 
     Raises:
-        UserError: there is no picture of the object, or rooms are not mapped.
+        UserError: there is no picture of the object, or no room of this name.
     """
+    rooms = service.map.rooms
+    if request.do == "rooms":
+        known_rooms = [room.to_json() for room in rooms.rooms]
+        return {"text": f"{len(known_rooms)} rooms", "rooms": known_rooms}
     if request.do == "crop":
         return _picture(service, request.fields["id"])
-    name, filters = request.fields.get("name", ""), dict(request.fields)
-    filters.pop("name", None)
-    room_of = service.map.described.room_of
-    if "room" in filters and room_of is None:
-        raise UserError("room: this robot does not map rooms")
+    name, room = request.fields.get("name", ""), request.fields.get("room", "")
+    if room and not rooms.matching(room):
+        raise UserError(f"room: no room is known as {one_line(room)}")
     sightings, pose = service.map.sightings.shown, service.pose
     known = partial(
         known_objects, sightings, service.stamp_ns, service.config.perception.min_hits,
-        room_of=room_of, **filters,
+        since_s=request.fields.get("since_s"), room_of=rooms.title_at,
+        is_in=partial(rooms.is_in, room) if room else None,
     )  # fmt: skip
     found = known(name=name)
     if name:
         asked = (*service.mission.brief.prompts, *sightings.words)
         is_looked_for = any(names.is_kind_of(word, name) for word in asked)
-        text = where_is(name, found, pose, is_looked_for)
+        text = where_is(name, found, pose, is_looked_for, rooms.where)
         if not found:
             words = similar_words(name, sightings.words, service.map.prior)
             similar = {word: seen for word in words if (seen := known(name=word))}
-            text = similar_is(name, similar, pose, is_looked_for)
+            text = similar_is(name, similar, pose, is_looked_for, rooms.where)
             found = [one for seen in similar.values() for one in seen]
     else:
         text = f"{len(found)} objects"

@@ -14,6 +14,7 @@ from typing import Literal
 
 from edge import names
 from edge.errors import UserError
+from edge.memory.room_kinds import is_room_name
 from edge.perception.tracking.instance_kernels import least_gap
 from edge.text import one_line
 from edge.types import Instance
@@ -28,7 +29,7 @@ MOST_DESCRIBED = 64
 
 Relation = Literal["", "next to", "nearest to", "on", "under", "in"]
 InstancesOf = Callable[[str], Sequence[Instance]]
-RoomOf = Callable[[float, float], Sequence[str]]
+IsIn = Callable[[str, float, float], bool]
 
 _WORDS: dict[str, Relation] = {
     "next to": "next to", "beside": "next to", "near": "next to", "close to": "next to",
@@ -74,14 +75,11 @@ class DescribedThing:
         return (self.noun, self.anchor) if self.anchor else (self.noun,)
 
 
-def described(
-    text: str, is_room: Callable[[str], bool] = lambda name: False
-) -> DescribedThing | None:
+def described(text: str) -> DescribedThing | None:
     """Return the thing that a text describes by a relation; None if the text is a plain name.
 
     Args:
         text: a proposition.
-        is_room: returns True for names of rooms and of their kinds.
 
     Raises:
         RelationError: the text has a relation that cannot be decided.
@@ -95,7 +93,7 @@ def described(
     if names.is_known(phrase):
         return None
     room = ""
-    if (found := _last_room(phrase, is_room)) is not None:
+    if (found := _last_room(phrase)) is not None:
         phrase, room = found
     split = _SPLIT.match(phrase)
     relation: Relation = ""
@@ -115,11 +113,11 @@ def described(
     return DescribedThing(noun, relation, anchor, room, nth)
 
 
-def _last_room(phrase: str, is_room: Callable[[str], bool]) -> tuple[str, str] | None:
+def _last_room(phrase: str) -> tuple[str, str] | None:
     """Return the phrase without its last "in ROOM", and the room; None if there is none."""
     for word in (" in ", " inside "):
         thing, _, room = phrase.rpartition(word)
-        if thing and is_room(names.normalise(room)):
+        if thing and is_room_name(names.normalise(room)):
             return thing, names.normalise(room)
     return None
 
@@ -145,16 +143,11 @@ class DescribedTargets:
     """Finds the instances that described targets mean, for `InstanceTracker.resolver`.
 
     Args:
-        room_of: returns the names of the room at (x, y) in `map`; None: rooms are not mapped.
-
-    Attributes:
-        room_of: as in `Args`; may be set.
-        is_room: see `described`; may be set.
+        is_in: returns True if the room of a name contains a point (x, y) in `map`.
     """
 
-    def __init__(self, room_of: RoomOf | None = None) -> None:
-        self.room_of = room_of
-        self.is_room: Callable[[str], bool] = lambda name: False
+    def __init__(self, is_in: IsIn) -> None:
+        self._contains = is_in
         self._known: dict[str, DescribedThing | None] = {}
 
     def thing(self, label: str) -> DescribedThing | None:
@@ -163,7 +156,7 @@ class DescribedTargets:
             if len(self._known) >= MOST_DESCRIBED:
                 self._known.clear()
             try:
-                self._known[label] = described(label, self.is_room)
+                self._known[label] = described(label)
             except RelationError:  # a label of a recording or a checkpoint; it names no instance
                 self._known[label] = None
         return self._known[label]
@@ -209,12 +202,7 @@ class DescribedTargets:
         ]
 
     def _is_in(self, room: str, one: Instance) -> bool:
-        if not room:
-            return True
-        if self.room_of is None:
-            return False
-        x_m, y_m, _ = one.center_m.tolist()
-        return room in self.room_of(x_m, y_m)
+        return not room or self._contains(room, *one.center_m[:2].tolist())
 
 
 def _related(

@@ -103,7 +103,7 @@ def test_over_its_capacity_the_least_confident_goes(scene, monkeypatch):
 
 
 def moved(scene):
-    """A chair that was seen three times, and then is gone from its place."""
+    """Return a scene with a chair that was seen three times, and then is gone from its place."""
     s = scene()
     for _ in range(3):
         s.see(("chair", NEAR, 0.5, 0.8))
