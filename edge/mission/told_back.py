@@ -1,4 +1,4 @@
-"""What a mission asks for, as orders: "Go to the kitchen, then look for the mug."
+"""Missions as orders in plain English: "Go to the kitchen, then look for the mug."
 
 `edge.mission.language.english` describes any formula as what is reached; this says the common forms
 as a person would.
@@ -20,7 +20,7 @@ from edge.mission.destinations import (
     describe_destination,
     shown_s,
 )
-from edge.mission.language.english import Chain, alternatives_of
+from edge.mission.language.english import Chain, alternatives_of, is_too_long
 from edge.mission.language.places import HERE, START
 from edge.mission.logic.ltl import Formula, conj
 
@@ -39,6 +39,8 @@ def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
         >>> orders_of(parse('F (mug & F "wait 30 s") & G !dog'), {"wait 30 s": WaitTarget(30.0)})
         'Look for the mug, then wait 30 s. Stay away from the dog.'
     """
+    if is_too_long(formula):
+        return ""
     parts = formula.args if formula.op == "&" else (formula,)
     bans = [part for part in parts if _banned(part)]
     found = alternatives_of(conj(*(part for part in parts if not _banned(part))))
