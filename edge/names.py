@@ -390,8 +390,7 @@ def may_be_same_object(a: str, b: str) -> bool:
 
 
 def look_alike(a: str, b: str) -> bool:
-    """Return True if two objects are hard to tell apart in one view: `may_be_same_object`, or
-    listed in `NEAR`.
+    """Return True if two objects are hard to tell apart: `may_be_same_object`, or listed in `NEAR`.
 
     >>> near("wardrobe", "cabinet"), near("cabinet", "wardrobe"), near("bed", "sofa")
     (True, True, False)

@@ -196,6 +196,8 @@ class GoalTracker:
         """Return a goal at a place; a frontier on the way to it while no path to it is known.
 
         Args:
+            context: input of this tick.
+            grid: the map.
             place: position and final heading.
             target: the place's name.
             images: number of images that the detector has searched so far.
@@ -222,7 +224,12 @@ class GoalTracker:
         return self.choose(context, grid, score.astype(np.float32), images)
 
     def go_to_point(
-        self, context: PolicyInput, grid: RollingMap, points_m: np.ndarray, target: str
+        self,
+        context: PolicyInput,
+        grid: RollingMap,
+        points_m: np.ndarray,
+        target: str,
+        keep: bool,
     ) -> Goal | None:
         """Return a goal at the nearest of some points; arriving there does not reach the target.
 
@@ -231,13 +238,15 @@ class GoalTracker:
             grid: The map.
             points_m: (n, 2) float32 in `map`, n > 0.
             target: Name of the target.
+            keep: True if the current goal may stay while it is free and near one of the points.
 
         Returns:
-            None if no path to any of the points is known. The current goal stays while it is free.
+            None if no path to any of the points is known.
         """
         goal, n = self.goal, len(points_m)
         if (
-            goal is not None
+            keep
+            and goal is not None
             and (goal.kind, goal.target) == ("place", target)
             and not grid.state_at(goal.pose.x_m, goal.pose.y_m)
             and math.isfinite(grid.reach.distance_m(goal.pose.x_m, goal.pose.y_m))

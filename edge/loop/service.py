@@ -135,10 +135,10 @@ class Service:
         self.behaviour = self._behaviour_of(self.mission)
         for part in (self._surveyor, self.map.surveyor, scorers):
             if part is not None:
-                part.through(journal.beside)
+                part.through(journal.wrap)
         self.faults = ErrorBoundary(self.event)
         self.stage = INGEST
-        self._worker = journal.beside(DETECTOR, worker)
+        self._worker = journal.wrap(DETECTOR, worker)
         self.scorers = scorers
         self.swapper = DetectorSwap(config.perception, worker, self.event)
         self.governor: LoadShedder | None = None
@@ -154,8 +154,9 @@ class Service:
             self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
         self._publisher = ResultPublisher(
-            sinks, self.map, self.goals, scorers, journal, self.latency, self._health.status
-        )
+            sinks, self.map, self.site, self.goals, scorers, journal, self.latency,
+            self._health.status,
+        )  # fmt: skip
         self._changed = NOTHING_CHANGED
         self._detections: Detections | None = None  # of this tick, like `scores` and `pose`
         self.scores = np.zeros(0, np.float32)
@@ -613,5 +614,6 @@ class Service:
             observation: The observation that was handled, if any.
         """
         return self._publisher.result(
-            now_ns, observation, self.pose, self.mission, self.behaviour.facts, self.scores
-        )
+            now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
+            self.scores,
+        )  # fmt: skip

@@ -24,6 +24,7 @@ SURE = 0.15
 """A sighting of this confidence has full weight, because the mean includes views from afar."""
 SURE_KIND = 0.7
 """Smallest probability of a kind for a room to count as one."""
+_VOTE_M = 1.5  # distance at which an object's vote for the kind of a point has fallen to 1/e
 PERIOD_NS = 250_000_000
 """Shortest time between two updates by new objects."""
 _REASONS = 2  # number of objects that an explanation names
@@ -304,23 +305,25 @@ class RoomMemory:
             return np.ones(len(xy_m))
         return belief[self.survey.regions.at(xy_m)] / average
 
-    def clearest_object(self, room: MappedRoom, kind: str) -> tuple[float, float] | None:
-        """Return the place of the object in a room that speaks most for a kind; None without one.
+    def votes(self, room: MappedRoom, kind: str) -> np.ndarray:
+        """Return how much the objects near each of a room's points speak for a kind, (j,) float64.
+
+        Objects that speak more for another kind of the room count against it: in an open-plan room,
+        the kitchen is where its objects are.
 
         Args:
             room: the room.
             kind: of the prior's table.
         """
-        objects = self._objects
+        objects, column = self._objects, self._table.kinds.index(kind)
         at = self.survey.ids[self.survey.regions.at(objects.xyz_m)] == room.id
         mine = np.flatnonzero(at & (objects.row >= 0))
-        says = (
-            objects.weight[mine] * self._log_ratio[self._table.kinds.index(kind)][objects.row[mine]]
-        )
-        if not len(mine) or says.max() <= 0.0:
-            return None
-        x_m, y_m = objects.xyz_m[mine[int(says.argmax())], :2].tolist()
-        return x_m, y_m
+        others = [self._table.kinds.index(k) for k in room.kinds if k in self._table.kinds]
+        rows = [self._log_ratio[other] for other in others if other != column]
+        against = np.maximum(0.0, np.max(rows, axis=0)) if rows else 0.0
+        says = (self._log_ratio[column] - against)[objects.row[mine]] * objects.weight[mine]
+        apart_m = np.hypot(*(room.points_m[:, None] - objects.xyz_m[mine, :2]).transpose(2, 0, 1))
+        return np.exp(-apart_m / _VOTE_M) @ says
 
     # -- frames and checkpoints ----------------------------------------------------------------
 

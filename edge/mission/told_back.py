@@ -1,4 +1,4 @@
-"""Missions as orders in plain English: "Go to the kitchen, then look for the mug."
+"""Description of what a mission asks for as orders, such as "Go to the kitchen, then wait.".
 
 `edge.mission.language.english` describes any formula as what is reached; this says the common forms
 as a person would.
@@ -79,7 +79,7 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
         seconds = destination.seconds
         return "wait until told to go on" if seconds is None else f"wait {shown_s(seconds)}"
     if isinstance(destination, CheckTarget):
-        return f"check if there is a {destination.name}"
+        return f"check if there is a {re.sub('^check (the )?', '', name)}"
     if name in (START, HERE):
         return "go back to the start" if name == START else "come back to where this mission began"
     if name == CALLER:

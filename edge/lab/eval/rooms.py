@@ -1,4 +1,4 @@
-"""Rooms against ground truth: are their kinds right, and does the robot reach a named one?
+"""Evaluation of rooms: are their kinds right, and does the robot reach a named one.
 
 `edge eval rooms` explores houses with known kinds of rooms, and drives to a room of each kind.
 """
@@ -167,7 +167,9 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         UserError: a world or the configuration cannot be used.
     """
-    config = load(args.config)
+    data = data_of(load(args.config))
+    data["perception"]["detector"] = {"kind": "sim"}
+    config = parse(data, args.config)
     verdicts: list[RoomVerdict] = []
     outcomes: list[RoomGoalOutcome] = []
     for here, world in worlds_of(config, args.worlds):

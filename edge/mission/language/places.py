@@ -14,6 +14,7 @@ def quote_places(instruction: str, names: Iterable[str]) -> str:
     """Put the names of places into double quotes, without their articles.
 
     Args:
+        instruction: English text.
         names: of places, in lower case.
 
     Example:
