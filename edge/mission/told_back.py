@@ -20,7 +20,7 @@ from edge.mission.destinations import (
     describe_destination,
     shown_s,
 )
-from edge.mission.language.english import Chain, alternatives_of
+from edge.mission.language.english import Chain, alternatives_of, is_too_long
 from edge.mission.language.places import HERE, START
 from edge.mission.logic.ltl import Formula, conj
 
@@ -39,6 +39,8 @@ def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
         >>> orders_of(parse('F (mug & F "wait 30 s") & G !dog'), {"wait 30 s": WaitTarget(30.0)})
         'Look for the mug, then wait 30 s. Stay away from the dog.'
     """
+    if is_too_long(formula):
+        return ""
     parts = formula.args if formula.op == "&" else (formula,)
     bans = [part for part in parts if _banned(part)]
     found = alternatives_of(conj(*(part for part in parts if not _banned(part))))
@@ -77,7 +79,7 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
         seconds = destination.seconds
         return "wait until told to go on" if seconds is None else f"wait {shown_s(seconds)}"
     if isinstance(destination, CheckTarget):
-        return f"check if there is a {destination.name}"
+        return f"check if there is a {re.sub('^check (the )?', '', name)}"
     if name in (START, HERE):
         return "go back to the start" if name == START else "come back to where this mission began"
     if name == CALLER:

@@ -1,4 +1,4 @@
-"""What people say to a running service, besides missions: questions, orders to learn, control."""
+"""Speech to a running service that is no mission: questions, orders to learn, control."""
 
 from __future__ import annotations
 

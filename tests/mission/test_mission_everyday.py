@@ -78,6 +78,7 @@ def test_what_is_no_mission(said, found):
         "look for a blanket, but keep out of the kitchen", "stop, go to the dock",
         "wait two minutes, then go to the dock", "you may go into the kitchen",
         "stay out of the kitchen until you have found the mug", "do not go near the stove",
+        "you are not in the kitchen", "is the sofa red?", "this is not the office",
     ],
 )  # fmt: skip
 def test_what_is_an_errand_or_not_clear_goes_to_the_translators(said):

@@ -112,7 +112,7 @@ _NUMBERS = ["zero", "one", "two", "three", "four", "five", "six", "seven", "eigh
 
 def describe(formula: Formula) -> str:
     """Return one or more English sentences that say what a formula asks for."""
-    if _too_long(formula):
+    if is_too_long(formula):
         text = to_text(formula)
         cut = text if len(text) <= _SHOWN else text[:_SHOWN] + " …"
         return f"Fulfil this formula, which is too long to put into words: {cut}"
@@ -130,7 +130,8 @@ def is_plain(formula: Formula) -> bool:
     return _READ_OUT not in describe(formula).lower()
 
 
-def _too_long(formula: Formula) -> bool:
+def is_too_long(formula: Formula) -> bool:
+    """Return True if a formula has more than `MAX_NODES` nodes, or is too deep for words."""
     depth: dict[int, int] = {}
     for count, f in enumerate(postorder(formula)):
         depth[id(f)] = 1 + max((depth[id(arg)] for arg in f.args), default=0)

@@ -154,7 +154,7 @@ _ONLY_THERE = (
 )
 _NOWHERE = nouns.listed(
     """way foot own order point least most floor floors last path road route place places spot area
-    position location side"""
+    position location side one ones"""
 )
 """Words that name no object in "at some point", "on the way", "a place near the door"."""
 _STOP = rf",? (?:and then|and|then|to|or) |, | (?={MARK}|the )"

@@ -213,7 +213,8 @@ def bare(name: str) -> str:
 
 _STATES = nouns.listed(
     """clear open closed locked unlocked free busy ready broken full empty clean dirty safe
-    dangerous warm cold hot dry wet missing awake asleep charged running working okay ok"""
+    dangerous far near close alone warm cold hot dry wet missing awake asleep charged running
+    working okay ok"""
 )
 _UNNAMED = {"other", "another", "same", "every", "each", "all", "both", "anything", "something"}
 
@@ -221,6 +222,6 @@ _UNNAMED = {"other", "another", "same", "every", "each", "all", "both", "anythin
 def is_vague(name: str) -> bool:
     """Return True if a name says too little: "the other side", or how something is."""
     words = bare(name).split()
-    return (
-        words[-1] in nouns.PLAIN_WORDS | _STATES or words == ["room"] or bool(_UNNAMED & set(words))
-    )
+    quality = words[-1] in nouns.QUALITIES - nouns.NOUNS and len(words) > 1  # "sofa red"
+    plain = quality or words[-1] in nouns.PLAIN_WORDS | _STATES or words == ["room"]
+    return plain or bool(_UNNAMED & set(words))

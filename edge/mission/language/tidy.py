@@ -11,7 +11,7 @@ from edge.mission.language.everyday_words import ARTICLE, NAME, any_of
 from edge.mission.language.lexicon import TABLE, WORD, expanded
 from edge.mission.language.spans import number_of
 from edge.mission.language.templates import compiled, first_match
-from edge.mission.language.tokens import STRAIGHT, not_understood
+from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 from edge.mission.language.utterances import REASONS, STATES
 
 _QUOTED = re.compile(r'"[^"]*"')
@@ -97,6 +97,9 @@ def tidied(said: str) -> TidySpeech:
         >>> tidied("Um, could you go to the kitchen, no sorry, the bathroom, please?").text
         'go to the bathroom'
     """
+    if len(said) > MAX_CHARS:
+        hint = f"an instruction has at most {MAX_CHARS} characters"
+        raise not_understood(said[MAX_CHARS:], MAX_CHARS + 1, hint)
     quoted: list[str] = []
 
     def hide(found: re.Match[str]) -> str:

@@ -42,7 +42,8 @@ PARTS = {
         """,
     "not": """
         [you|robot|robots|the robot] (do not [you dare|you|ever|dare]|never [ever]|
-        (must|may|can|should|shall|will|are|have) not|not [may|can|should]|are (forbidden|banned)
+        (must|may|can|should|shall|will) not|not [may|can|should]|
+        (are|have) not (allowed|supposed|permitted|welcome)|are (forbidden|banned)
             [from]|no [more]|
         it is (forbidden|prohibited|not allowed) [for you]|forbidden|(i|we) do not want you)
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
