@@ -1,9 +1,9 @@
 """Load shedder: it drops expensive work when the computer cannot keep up, and restores it later.
 
-`perception.governor.ladder` lists the work to drop, in order. Each entry is a degradation level. The module
-`edge.loop.degradation` decides when to step. A cheaper model is swapped in as by `edge models use`,
-without waiting. If a user swaps in another model, the governor waits until the model of its level
-runs again.
+`perception.governor.ladder` lists the work to drop, in order. Each entry is a degradation level.
+The module `edge.loop.degradation` decides when to step. A cheaper model is swapped in as by `edge
+models use`, without waiting. If a user swaps in another model, the governor waits until the model
+of its level runs again.
 """
 
 from __future__ import annotations
