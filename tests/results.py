@@ -11,6 +11,8 @@ from simulated import simulated
 from edge.geometry import Grid
 from edge.loop.latency import LatencyRing
 from edge.loop.result import MissionFacts, TickResult, mission_facts, scored
+from edge.mapping.zones import ZonePolygons
+from edge.memory import Site
 from edge.mission.run import MissionRun
 from edge.mission.spec import prepare
 from edge.policies.base import Candidates
@@ -45,7 +47,8 @@ def result(now_ns: int = 0, **fields: Any) -> TickResult:
         "controlled": False, "targets": (status.target,), "goals": (), "answers": (),
         "events": (), "inputs": (), "detections": None, "mission": lambda: facts(status.target),
         "task": lambda: None,
-        "instances": list, "frontiers": lambda: np.zeros((0, 2), np.float32),
+        "instances": list, "objects": list, "rooms": (), "site": Site(), "zones": ZonePolygons(),
+        "frontiers": lambda: np.zeros((0, 2), np.float32),
         "candidates": lambda: scored(Candidates(0), np.zeros(0, np.float32)),
         "way": lambda: np.zeros((0, 2), np.float32), "choice": None, "layers": dict,
         "known_m2": lambda: 0.0,

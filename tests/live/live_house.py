@@ -25,6 +25,7 @@ from edge.loop import requests
 from edge.loop.result import TickResult
 from edge.loop.runner import RunningService, loop
 from edge.loop.service_health import PROBES, ServiceHealth
+from edge.memory import KnownObject
 from edge.tasks.facts import TaskStatus
 from edge.tasks.mission_spec import prepare_mission
 from edge.types import GoalStatus, Observation
@@ -90,15 +91,20 @@ class Brittle:
 
 
 class Tasked:
-    """Hands results on to the page as if a task were under way."""
+    """Hands results on to the page as if a task were under way, or other objects known."""
 
     task: TaskStatus | None = None
+    objects: list[KnownObject] | None = None
 
     def __init__(self, page: LiveSink) -> None:
         self._page, self.close = page, page.close
 
     def tick(self, result: TickResult) -> None:
-        self._page.tick(replace(result, task=lambda: self.task) if self.task else result)
+        if self.task:
+            result = replace(result, task=lambda: self.task)
+        if self.objects:
+            result = replace(result, objects=lambda: self.objects)
+        self._page.tick(result)
 
 
 class House:

@@ -80,6 +80,15 @@ def test_goals_go_to_the_action_or_to_a_topic():
         "ros": "/a/go", "key": "edge/ros2/a/go", "type": "nav2_msgs/action/NavigateToPose",
     }  # fmt: skip
     assert "/goal_pose" not in {one["ros"] for one in by_action["said"]}
+    assert "/edge/keepout_info" not in {one["ros"] for one in by_action["said"]}
+    ros_names = {one["ros"] for one in (*by_action["heard"], *by_action["said"])}
+    assert not ros_names & {"/edge/request", "/edge/answer"}
+    with_requests = process.make_plan(adapted(requests=True))
+    assert passed(with_requests, "/edge/request")["reliable"]
+    assert passed(with_requests, "/edge/answer")["type"] == "std_msgs/msg/String"
+    with_zones = process.make_plan(adapted(keepout_filter=True))
+    info = passed(with_zones, "/edge/keepout_info")
+    assert (info["type"], info["latched"]) == ("nav2_msgs/msg/CostmapFilterInfo", True)
     by_topic = process.make_plan(adapted(goals="topic"))
     assert by_topic["action"] is None
     assert passed(by_topic, "/goal_pose")["key"] == "edge/ros2/goal_pose"
