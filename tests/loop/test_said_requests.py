@@ -1,4 +1,4 @@
-"""What people say to a running service, besides missions: questions, orders to learn, control."""
+"""Sentences to a running service other than missions: questions, facts to learn, control."""
 
 from __future__ import annotations
 
