@@ -174,3 +174,7 @@ def resolves(name: str) -> bool:
 )
 def test_names_resolve(name, there):
     assert resolves(name) is there
+
+
+def test_the_readme_has_at_most_a_thousand_words():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 1000

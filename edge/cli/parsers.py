@@ -334,7 +334,8 @@ def _trajectory(commands) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option("--config", default="street", help=f"{CONFIG} (default: %(default)s)")
     option(
-        "--url", help="let a model write it, on this OpenAI-compatible server: http://HOST:PORT/v1"
+        "--url",
+        help="let a model on this OpenAI-compatible server write the trajectory: http://HOST:PORT/v1",
     )
     option("--model", metavar="NAME", help="name of the model on the server")
     option(

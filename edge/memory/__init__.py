@@ -1,4 +1,4 @@
-"""What is remembered: objects and rooms; places, zones and room names that people gave."""
+"""Memory between missions: seen objects and rooms, and places, zones and room names from people."""
 
 from edge.memory.crops import MAX_CROP_BYTES, CropStore
 from edge.memory.objects import KnownObject, known_objects, similar_is, where_is

@@ -198,7 +198,7 @@ class ZmqSource(ZenohSource):
             if len(parts) != 2:
                 raise ValueError(f"expected two parts, header and pixels, got {len(parts)}")
             if len(parts[0]) > MAX_HEADER:
-                raise ValueError(f"a header of {len(parts[0])} bytes, at most {MAX_HEADER}")
+                raise ValueError(f"the header has {len(parts[0])} bytes, more than {MAX_HEADER}")
             header = parse_header(parts[0].bytes, len(parts[1]))
         except ValueError as error:
             self._synchronizer.received(topic)

@@ -1,4 +1,4 @@
-"""Speech to a running service that is no mission: questions, orders to learn, control."""
+"""Sentences to a running service other than missions: questions, facts to learn, control."""
 
 from __future__ import annotations
 

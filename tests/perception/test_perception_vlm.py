@@ -465,7 +465,7 @@ def test_what_is_wrong_is_told_in_one_line(models_dir, what):
     [
         ({"patch_size": 1 << 16}, r"patch_size 65536 .1 to 4096."),
         ({"patch_size": 0}, "patch_size 0"),
-        ({"merge_size": 4096}, "patch_size times merge_size 16384"),
+        ({"merge_size": 4096}, "patch_size times merge_size is 16384"),
         ({"temporal_patch_size": 1 << 40}, "temporal_patch_size 1099511627776"),
         ({"max_pixels": 0, "size": {"longest_edge": 1}}, "max_pixels 1"),
         ({"min_pixels": 1 << 60}, "tokens an image, where the card's image_tokens is 100"),

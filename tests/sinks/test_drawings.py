@@ -1,4 +1,4 @@
-"""What is drawn for RViz and Foxglove, as markers."""
+"""Markers of goals, paths and objects for RViz and Foxglove."""
 
 from __future__ import annotations
 
