@@ -37,7 +37,7 @@ def settings_of(port: int, name: str, **more: object) -> ZenohConfig:
 
 
 class FakeService:
-    """What `edge.loop.requests.handle_mission` has to do with of a service."""
+    """Stand-in for the parts of a service that `edge.loop.requests.handle_mission` uses."""
 
     def __init__(self, known: Mapping[str, float], blind_to: frozenset[str]) -> None:
         self.mission = MissionRun(prepare(LIMITS, formula="F nothing"), LIMITS)
@@ -73,7 +73,7 @@ class FakeService:
     def event(self, text: str, now_ns: int) -> None:
         self.events.append(text)
 
-    pause, fail = Service.pause, Service.fail
+    pause, cancel = Service.pause, Service.cancel
 
 
 class FakeRobot:

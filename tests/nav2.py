@@ -1,4 +1,4 @@
-"""A Nav2 of our own making: the action NavigateToPose over Zenoh, its messages by `rosbags`.
+"""A Nav2 of our own making: NavigateToPose and DockRobot over Zenoh, its messages by `rosbags`.
 
 Stands in for what the package index does not have. It does what a test tells it to.
 """
@@ -10,18 +10,28 @@ from typing import Any
 
 import numpy as np
 import zenoh
-from ros_messages import FAREWELLS, STORE, from_ros, header, pose, to_ros
+from ros_messages import (
+    DOCK_FAREWELLS,
+    FAREWELLS,
+    STORE,
+    UNDOCK_FAREWELLS,
+    from_ros,
+    header,
+    pose,
+    to_ros,
+)
 
 from edge.bus.ros2 import names
 from edge.bus.ros2.names import RMW_ZENOH, Dialect, Endpoint
 from edge.geometry import SE2
 
 ACTION = "/navigate_to_pose/_action"
-_TYPES = {
-    "send_goal": "nav2_msgs/action/NavigateToPose_SendGoal",
-    "get_result": "nav2_msgs/action/NavigateToPose_GetResult",
-    "cancel_goal": "action_msgs/srv/CancelGoal",
+_ACTIONS = {
+    "NavigateToPose": ("navigate_to_pose", FAREWELLS, 500),
+    "DockRobot": ("dock_robot", DOCK_FAREWELLS, 510),
+    "UndockRobot": ("undock_robot", UNDOCK_FAREWELLS, 520),
 }
+"""Name, results by distribution, and number of its node."""
 _FEEDBACK = "nav2_msgs/action/NavigateToPose_FeedbackMessage"
 _STATUS = "action_msgs/msg/GoalStatusArray"
 
@@ -33,6 +43,7 @@ class Nav2:
         distribution: whose result it sends, and whether types have hashes.
         accepts: what it says to new goals.
         dialect: whether it speaks rmw_zenoh, or stands behind a bridge.
+        action: key of `_ACTIONS`.
 
     Attributes:
         goals: (id, request) in the order of coming.
@@ -46,26 +57,36 @@ class Nav2:
         distribution: str = "kilted",
         accepts: bool = True,
         dialect: Dialect = RMW_ZENOH,
+        action: str = "NavigateToPose",
     ) -> None:
+        name, farewells, first = _ACTIONS[action]
+        self._action = action
+        below = f"/{name}/_action"
+        types = {
+            "send_goal": f"nav2_msgs/action/{action}_SendGoal",
+            "get_result": f"nav2_msgs/action/{action}_GetResult",
+            "cancel_goal": "action_msgs/srv/CancelGoal",
+        }
         self._dialect = dialect
         self.goals: list[tuple[bytes, Any]] = []
         self.cancelled: list[bytes] = []
         self.accepts = accepts
         self.junk = 0
-        self._session, self._farewell = session, FAREWELLS[distribution][0]
+        self._session = session
+        self._farewell = farewells[distribution][0]
         self._hash = names.NO_HASH if distribution == "humble" else "RIHS01_" + "ab" * 32
         self._waiting: dict[bytes, zenoh.Query] = {}
         self._lock = threading.Lock()
         self._open: list[Any] = []
         zid = str(session.info.zid())
-        for i, (service, type_name) in enumerate(_TYPES.items()):
+        for i, (service, type_name) in enumerate(types.items()):
             handle = getattr(self, f"_{service}")
-            key = dialect.data_key(0, f"{ACTION}/{service}", type_name, self._hash)
+            key = dialect.data_key(0, f"{below}/{service}", type_name, self._hash)
             self._open.append(session.declare_queryable(key, handle, complete=True))
             if not dialect.has_tokens:
                 continue
-            said = Endpoint("SS", zid, "bt_navigator", f"{ACTION}/{service}", type_name, self._hash)
-            token = names.endpoint_token(0, 500, 501 + i, said, names.RELIABLE)
+            said = Endpoint("SS", zid, "bt_navigator", f"{below}/{service}", type_name, self._hash)
+            token = names.endpoint_token(0, first, first + 1 + i, said, names.RELIABLE)
             self._open.append(session.liveliness().declare_token(token))
 
     def _reply(self, query: zenoh.Query, payload: bytes) -> None:
@@ -76,7 +97,8 @@ class Nav2:
 
     def _send_goal(self, query: zenoh.Query) -> None:
         name = "nav2_msgs/msg/NavigateToPose_SendGoal_"
-        request = from_ros(query.payload.to_bytes(), f"{name}Request")
+        kind = f"nav2_msgs/msg/{self._action}_SendGoal_Request"
+        request = from_ros(query.payload.to_bytes(), kind)
         with self._lock:
             self.goals.append((bytes(request.goal_id.uuid), request.goal))
             self.junk, is_junk = max(self.junk - 1, 0), self.junk > 0
@@ -98,17 +120,17 @@ class Nav2:
         self._reply(query, to_ros(STORE.types["action_msgs/msg/CancelGoal_Response"](0, [])))
 
     def asked(self, goal_id: bytes) -> bool:
-        """Whether somebody waits for this goal's result."""
+        """Return True if a client waits for this goal's result."""
         return goal_id in self._waiting
 
     def end(self, goal_id: bytes, status: int, code: int = 0, text: str = "") -> None:
-        """The goal's result, to whoever waits for it."""
+        """Send the goal's result to its waiting client."""
         with self._lock:
             query = self._waiting.pop(goal_id)
         self._reply(query, self._farewell(status, code, text))
 
     def lose(self, goal_id: bytes) -> None:
-        """The result that was waited for never comes: its query ends without."""
+        """End the query without the awaited result."""
         with self._lock:
             self._waiting.pop(goal_id).drop()
 

@@ -21,6 +21,23 @@ _ACTION = {
     "HumbleResult": "int8 status\nuint8 structure_needs_at_least_one_member",
     "JazzyResult": "int8 status\nuint16 error_code",
     "KiltedResult": "int8 status\nuint16 error_code\nstring error_msg",
+    "DockRobot_Goal": (
+        "bool use_dock_id\nstring dock_id\ngeometry_msgs/PoseStamped dock_pose\nstring dock_type\n"
+        "float32 max_staging_time\nbool navigate_to_staging_pose"
+    ),
+    "DockRobot_SendGoal_Request": (
+        "unique_identifier_msgs/UUID goal_id\nnav2_msgs/DockRobot_Goal goal"
+    ),
+    "DockJazzyResult": "int8 status\nbool success\nuint16 error_code\nuint16 num_retries",
+    "DockKiltedResult": (
+        "int8 status\nbool success\nuint16 error_code\nuint16 num_retries\nstring error_msg"
+    ),
+    "UndockRobot_Goal": "string dock_type\nfloat32 max_undocking_time",
+    "UndockRobot_SendGoal_Request": (
+        "unique_identifier_msgs/UUID goal_id\nnav2_msgs/UndockRobot_Goal goal"
+    ),
+    "UndockJazzyResult": "int8 status\nbool success\nuint16 error_code",
+    "UndockKiltedResult": "int8 status\nbool success\nuint16 error_code\nstring error_msg",
     "NavigateToPose_Feedback": (
         "geometry_msgs/PoseStamped current_pose\nbuiltin_interfaces/Duration navigation_time\n"
         "builtin_interfaces/Duration estimated_time_remaining\nint16 number_of_recoveries\n"
@@ -28,6 +45,12 @@ _ACTION = {
     ),
     "NavigateToPose_FeedbackMessage": (
         "unique_identifier_msgs/UUID goal_id\nnav2_msgs/NavigateToPose_Feedback feedback"
+    ),
+}
+_FILTER = {
+    "CostmapFilterInfo": (
+        "std_msgs/Header header\nuint8 type\nstring filter_mask_topic\nfloat32 base\n"
+        "float32 multiplier"
     ),
 }
 _CANCEL = {
@@ -38,7 +61,7 @@ _CANCEL = {
 
 def _store():
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for package, texts in (("nav2_msgs", _ACTION), ("action_msgs", _CANCEL)):
+    for package, texts in (("nav2_msgs", {**_ACTION, **_FILTER}), ("action_msgs", _CANCEL)):
         for name, text in texts.items():
             store.register(get_types_from_msg(text, f"{package}/msg/{name}"))
     return store
@@ -78,10 +101,31 @@ def _farewell(name: str, n_fields: int) -> Callable[..., bytes]:
     return encode
 
 
+def _dock_farewell(name: str, n_fields: int, retries: tuple[int, ...] = (2,)):
+    kind = STORE.types[f"nav2_msgs/msg/{name}"]
+
+    def encode(status: int, code: int, text: str) -> bytes:
+        return to_ros(kind(status, *(status == 4, code, *retries, text)[:n_fields]))
+
+    return encode
+
+
 FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
     "humble": (_farewell("HumbleResult", 1), Result(6)),
     "jazzy": (_farewell("JazzyResult", 1), Result(6, 103)),
     "kilted": (_farewell("KiltedResult", 2), Result(6, 103, "no way")),
 }
-"""How each distribution's action ends, as (encode(status, code, text), what is read of 6, 103 and
+"""End of each distribution's action, as (encode(status, code, text), what is read of 6, 103 and
 "no way")."""
+
+DOCK_FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
+    "jazzy": (_dock_farewell("DockJazzyResult", 3), Result(6, 902)),
+    "kilted": (_dock_farewell("DockKiltedResult", 4), Result(6, 902, "no dock")),
+}
+"""The same for docking, of 6, 902 and "no dock"."""
+
+UNDOCK_FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
+    "jazzy": (_dock_farewell("UndockJazzyResult", 2, ()), Result(6, 902)),
+    "kilted": (_dock_farewell("UndockKiltedResult", 3, ()), Result(6, 902, "no dock")),
+}
+"""The same for undocking."""

@@ -26,6 +26,7 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
     _planning(kinds)
     _translate(kinds)
     _trajectories(kinds)
+    _rooms(kinds)
 
 
 def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -209,6 +210,11 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
         "formulas ([] in the list: a refusal is correct, too); the first line is a heading",
     )  # fmt: skip
     option(
+        "--everyday", type=Path, metavar="JSONL",
+        help="score only these everyday sentences, with questions and orders to learn among them "
+        "(see docs/language.md)",
+    )  # fmt: skip
+    option(
         "--failures",
         type=Path,
         metavar="FILE",
@@ -216,6 +222,28 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
     )
     option("--out", type=Path, metavar="FILE", help="write the counts to this file, as JSON")
     translate.set_defaults(handler=lazy_handler("edge.lab.eval.translate", "run", lab=True))
+
+
+def _rooms(kinds) -> None:  # type: ignore[no-untyped-def]
+    rooms = kinds.add_parser(
+        "rooms",
+        help="compare the rooms of the map with those of ProcTHOR houses, and drive to some",
+    )
+    rooms.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
+    option = rooms.add_argument
+    option(
+        "--worlds", nargs="+", required=True, metavar="WORLDS",
+        help="houses whose rooms have kinds: FILE.jsonl.gz[0:75]",
+    )  # fmt: skip
+    option(
+        "--goals", type=int, default=2, metavar="N",
+        help="drives in each house, each to a room of another kind (default: %(default)s)",
+    )  # fmt: skip
+    option(
+        "--goals-only", action="store_true", help="do not explore the houses to compare the rooms"
+    )
+    option("--seed", type=int, default=0, help="seed of the starts (default: %(default)s)")
+    rooms.set_defaults(handler=lazy_handler("edge.lab.eval.rooms", "run", lab=True))
 
 
 def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]

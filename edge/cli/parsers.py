@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from edge import __version__
-from edge.cli import eval_parsers, memory, mission, model_parsers, site
+from edge.cli import eval_parsers, memory, mission, model_parsers, room, site
 from edge.cli.options import (
     CONFIG,
     WHERE,
@@ -51,6 +51,7 @@ def make_parser() -> argparse.ArgumentParser:
         site.add_places,
         site.add_zones,
         memory.add,
+        room.add,
         model_parsers.add,
         _record,
         _replay,

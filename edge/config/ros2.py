@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from edge.config.section import Section
 
 _PART = r"[A-Za-z_][A-Za-z0-9_]*"
 RosName = Annotated[str, Field(pattern=rf"^(/{_PART})+$", max_length=200)]
 Frame = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*$", max_length=200)]
+DockId = Annotated[str, Field(min_length=1, max_length=100)]
 RosTopic = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom", "tf",
-    "tf_static", "goal", "navigate_to_pose", "map", "path", "trajectory", "markers",
+    "tf_static", "goal", "navigate_to_pose", "dock_robot", "undock_robot",
+    "map", "path", "trajectory", "markers", "keepout_mask", "keepout_info", "request", "answer",
 ]  # fmt: skip
 
 DEFAULT_TOPICS: dict[str, str] = {
@@ -27,11 +29,17 @@ DEFAULT_TOPICS: dict[str, str] = {
     "tf_static": "/tf_static",
     "goal": "/goal_pose",
     "navigate_to_pose": "/navigate_to_pose",
+    "dock_robot": "/dock_robot",
+    "undock_robot": "/undock_robot",
     # With a bridge, `/edge/map` would have the same Zenoh key as our own topic `map`.
     "map": "/edge/occupancy",
     "path": "/edge/path",
     "trajectory": "/edge/task_path",
     "markers": "/edge/markers",
+    "keepout_mask": "/edge/keepout_mask",
+    "keepout_info": "/edge/keepout_info",
+    "request": "/edge/request",
+    "answer": "/edge/answer",
 }
 
 
@@ -65,6 +73,13 @@ class Ros2Config(Section):
         goals: `navigate_to_pose`: the action, whose result is the result of the goal. `topic`: a
             PoseStamped on the topic `goal`, without a result. The goal is reached when the robot
             stops there.
+        keepout_filter: publish the zones for Nav2's KeepoutFilter, as `keepout_info` and
+            `keepout_mask`; nav2_msgs must be installed.
+        requests: take requests from the topic `request`, and answer on `answer`. Every node of the
+            graph may then give orders.
+        docks: names of places and the ids of their docks in Nav2's docking server: `{dock: bay_1}`.
+            A goal at such a place goes to the action DockRobot instead. UndockRobot comes before
+            the next goal elsewhere.
         topics: ROS names that differ from the default: `{camera/rgb: /oakd/rgb/image_raw}`.
         adapter: settings of `edge ros2-adapter`.
     """
@@ -76,8 +91,17 @@ class Ros2Config(Section):
     base_frame: Frame = "base_link"
     mounts: Literal["tf", "config"] = "tf"
     goals: Literal["navigate_to_pose", "topic"] = "navigate_to_pose"
+    keepout_filter: bool = False
+    requests: bool = False
+    docks: dict[str, DockId] = Field(default_factory=dict, max_length=100)
     topics: dict[RosTopic, RosName] = Field(default_factory=dict)
     adapter: Ros2AdapterConfig = Ros2AdapterConfig()
+
+    @model_validator(mode="after")
+    def _docks_need_actions(self) -> Ros2Config:
+        if self.docks and (self.via == "adapter" or self.goals == "topic"):
+            raise ValueError("docks: needs goals: navigate_to_pose, and via: rmw_zenoh or bridge")
+        return self
 
     def topic(self, name: RosTopic) -> str:
         """Return the ROS name of the topic or action `name`."""

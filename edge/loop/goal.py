@@ -39,6 +39,8 @@ GRACE_NS = 300_000_000
 
 # A place whose cell is closed is reached next to it; a goal there that failed is tried again.
 _AT_PLACE_M, _PLACE_TRIES = 0.5, 3
+# A point in a room is reached on its own cell or the next one. The points move as the map grows.
+_POINT_SNAP_M, _SAME_POINT_M = np.array([0.08]), 0.6
 
 _KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "look")
 
@@ -54,6 +56,8 @@ class _Present:
         peak: Best score of its candidate so far.
         view: The viewpoint, if the goal is one (see `NextBestView`).
         sent: True if the goal was sent.
+        settles: True if a place is reached when the controller says so. False for a room, which is
+            reached when the robot is inside.
         answer: Newest goal status of the controller.
         verifying_since_ns: Time at which the robot was at the goal and near enough to verify the
             instance; None before that.
@@ -64,6 +68,7 @@ class _Present:
     peak: float = 0.0
     view: Viewpoint | None = None
     sent: bool = False
+    settles: bool = True
     answer: GoalStatus | None = None
     verifying_since_ns: int | None = None
     images_before: int = 0
@@ -120,6 +125,11 @@ class GoalTracker:
         return None if self._present is None else self._present.answer
 
     @property
+    def arrived(self) -> bool:
+        """True if the controller says that the robot is at the current goal."""
+        return self.answer is not None and self.answer.state == "reached"
+
+    @property
     def searched(self) -> bool:
         """True if all candidates are used up.
 
@@ -140,7 +150,7 @@ class GoalTracker:
     def failure_reason(self, mission: MissionRun, grid: RollingMap) -> str:
         """Return why the target was not reached, when all attempts are exhausted."""
         target, views = mission.target, self.views
-        seen = target in mission.detected or target in mission.destinations
+        seen = target in mission.detected
         found = "found no path to" if seen else "found no"
         again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
         blocked = _blocked(grid)
@@ -186,16 +196,15 @@ class GoalTracker:
         """Return a goal at a place; a frontier on the way to it while no path to it is known.
 
         Args:
+            context: input of this tick.
+            grid: the map.
             place: position and final heading.
             target: the place's name.
             images: number of images that the detector has searched so far.
         """
         cell = grid.reach.nearest(place.x_m, place.y_m, _AT_PLACE_M)
         if cell is None:
-            frontiers, n = context.candidates, context.candidates.n
-            rest_m = np.hypot(*(frontiers.xy_m[:n] - (place.x_m, place.y_m)).T)
-            score = 1.0 / (1.0 + frontiers.path_m[:n] + rest_m)
-            return self.choose(context, grid, score.astype(np.float32), images)
+            return self.explore_towards(context, grid, (place.x_m, place.y_m), images)
         self._next_view.drop()
         self._search.found()
         goal, at = self.goal, (place.x_m, place.y_m)
@@ -204,6 +213,60 @@ class GoalTracker:
             goal = Goal(context.now_ns, pose, "place", 0, at, 1.0, target)
             self._present = _Present(goal)
         return self.goal
+
+    def explore_towards(
+        self, context: PolicyInput, grid: RollingMap, at_m: tuple[float, float], images: int
+    ) -> Goal | None:
+        """Return a goal at a frontier on the way to a point to which no path is known."""
+        frontiers, n = context.candidates, context.candidates.n
+        rest_m = np.hypot(*(frontiers.xy_m[:n] - at_m).T)
+        score = 1.0 / (1.0 + frontiers.path_m[:n] + rest_m)
+        return self.choose(context, grid, score.astype(np.float32), images)
+
+    def go_to_point(
+        self,
+        context: PolicyInput,
+        grid: RollingMap,
+        points_m: np.ndarray,
+        target: str,
+        keep: bool,
+    ) -> Goal | None:
+        """Return a goal at the nearest of some points; arriving there does not reach the target.
+
+        Args:
+            context: Pose and time of the tick.
+            grid: The map.
+            points_m: (n, 2) float32 in `map`, n > 0.
+            target: Name of the target.
+            keep: True if the current goal may stay while it is free and near one of the points.
+
+        Returns:
+            None if no path to any of the points is known.
+        """
+        goal, n = self.goal, len(points_m)
+        if (
+            keep
+            and goal is not None
+            and (goal.kind, goal.target) == ("place", target)
+            and not grid.state_at(goal.pose.x_m, goal.pose.y_m)
+            and math.isfinite(grid.reach.distance_m(goal.pose.x_m, goal.pose.y_m))
+            and np.hypot(*(points_m - goal.candidate_xy_m).T).min() <= _SAME_POINT_M
+        ):
+            return goal
+        path_m = np.empty(n, np.float32)
+        grid.reach.path_lengths_m(points_m, np.zeros(n, np.int8), _POINT_SNAP_M, n, path_m)
+        best = int(path_m.argmin())
+        at = points_m[best].tolist()
+        cell = grid.reach.nearest(at[0], at[1], float(_POINT_SNAP_M[0]))
+        if cell is None or not math.isfinite(path_m[best]):
+            return None
+        self._next_view.drop()
+        self._search.found()
+        pose, x_m, y_m = context.pose, cell[0], cell[1]
+        yaw_rad = math.atan2(y_m - pose.y_m, x_m - pose.x_m)
+        goal = Goal(context.now_ns, SE2(x_m, y_m, yaw_rad), "place", 0, (at[0], at[1]), 1.0, target)
+        self._present = _Present(goal, settles=False)
+        return goal
 
     def override(self, pose: SE2, mission: MissionRun, now_ns: int, apart_m: float) -> Goal:
         """Replace the current goal by a task's goal and return it.
@@ -484,7 +547,10 @@ class GoalTracker:
         goal, answer = present.goal, present.answer
         state = None if answer is None else answer.state
         away_m = pose.distance_to(*goal.candidate_xy_m)
-        if state == "reached" and away_m <= _AT_PLACE_M + ARRIVED_M:
+        arrived = state == "reached" and away_m <= _AT_PLACE_M + ARRIVED_M
+        if arrived and not present.settles:
+            return
+        if arrived:
             self.drop()
             mission.on_reached(f"{away_m:.1f} m from the place", now_ns)
         elif answer is not None and state in ("reached", "failed"):

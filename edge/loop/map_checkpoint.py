@@ -5,7 +5,7 @@ tick. At the start, a file is first loaded into empty parts, so that a bad file 
 service.
 
 Data that can be computed from the rest, or that lasts only seconds, is not saved. Inflation, bit
-planes and frontier cells are computed from the cells. The travel-cost field, the rooms (`prior`)
+planes and frontier cells are computed from the cells. The travel-cost field, the shapes of rooms
 and travel costs are computed from the map within some ticks. The scorers are queried again.
 """
 
@@ -36,6 +36,9 @@ from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import MAX_FRONTIERS, RollingMap
 from edge.mapping.tiles import MOST_PER_STEP, PackedTiles, TileBatch, TileCopier
+from edge.memory import RoomMemory
+from edge.perception.prior.table import load as load_table
+from edge.perception.prior.words import PriorWordIndex
 from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.sightings import ObjectTracker
 from edge.policies.base import Policy, StatefulPolicy
@@ -150,11 +153,12 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     sightings = ObjectTracker(perception)
     tracker = InstanceTracker(perception, sightings)
     pool = CandidatePool(MAX_FRONTIERS, config.policy.r_assoc_m)
+    rooms = RoomMemory(load_table(), PriorWordIndex(load_table()))
     goals = GoalTracker(config, pool, tracker, lambda goal: None, lambda text, now_ns: None)
     for name, owner, *others in (
         ("map", grid, part("tiles"), size, same), ("gain", grid.gain), ("bumps", grid.bumps, 0),
         ("sightings", sightings, 0), ("instances", tracker, 0), ("candidates", pool, 0, 0),
-        ("goals", goals, state.target, 0),
+        ("goals", goals, state.target, 0), ("rooms", rooms),
     ):  # fmt: skip
         try:
             owner.load_state_dict(part(name), *others)

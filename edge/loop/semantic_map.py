@@ -12,19 +12,24 @@ from functools import partial
 import numpy as np
 
 from edge.config import Config
-from edge.geometry import Grid
+from edge.geometry import SE2, Grid
 from edge.host.checkpoint import Arrays
 from edge.loop.candidates import CandidatePool
 from edge.loop.prior import make_prior
 from edge.loop.result import VALUE_LAYER
+from edge.loop.room_surveyor import make_room_surveyor
 from edge.mapping.grid import MAX_FRONTIERS, RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
-from edge.memory import Site
+from edge.memory import MappedRoom, Site
+from edge.perception.prior.table import load
+from edge.perception.prior.words import make_words
 from edge.perception.tracking.instances import MAX_INSTANCES, InstanceTracker
 from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Detections, Instance, Observation
+
+_SAME_AREA_M2 = 0.5
 
 
 class SemanticMap:
@@ -43,6 +48,8 @@ class SemanticMap:
         sightings: Objects of all classes.
         tracker: Instances of the targets.
         pool: Candidates.
+        rooms: Rooms.
+        surveyor: Cuts the map into rooms.
         prior: Likelihood of targets near places; None if no prior is configured.
         epoch: Number of pose jumps (changes of the frame).
     """
@@ -53,16 +60,20 @@ class SemanticMap:
         self.sightings = ObjectTracker(perception)
         self.tracker = InstanceTracker(perception, self.sightings)
         self.pool = CandidatePool(MAX_FRONTIERS + MAX_INSTANCES, config.policy.r_assoc_m)
-        self.prior = make_prior(config)
+        words = make_words(load(), perception.detector)
+        self.surveyor = make_room_surveyor(config, words)
+        self.rooms = self.surveyor.memory
+        self.prior = make_prior(config, words)
         self.epoch = 0
         self._lifter = BackProjector(perception)
         self._zones_m: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+        self._closed: dict[int, MappedRoom] = {}
         self._lay(RollingMap(config.mapping, config.robot))
 
     def _lay(self, grid: RollingMap) -> None:
         """Replace the grid."""
         self.grid, self.view = grid, MapView(grid)
-        grid.set_zones(*self._zones_m)
+        self._set_zones()
         self._feed_values()
 
     def _feed_values(self) -> None:
@@ -95,10 +106,13 @@ class SemanticMap:
         self.tracker.expire(seen, detections.prompts)
         self.grid.coverage.look(seen, perception.confirm_range_m, perception.confirm_hits)
 
-    def infer(self, now_ns: int) -> None:
-        """Update the prior with the objects seen."""
+    def infer(self, pose: SE2, now_ns: int) -> None:
+        """Update rooms and prior with the objects seen."""
+        self.surveyor.step(self.view, now_ns)
+        self.rooms.on_pose(pose.x_m, pose.y_m)
+        self.rooms.update(self.sightings.shown, now_ns)
         if self.prior is not None:
-            self.prior.step(self.view, self.sightings.shown, now_ns)
+            self.prior.step(self.rooms.survey.regions, self.sightings.shown)
 
     def gather(self, instances: Sequence[Instance], observation: Observation, now_ns: int) -> None:
         """Update the candidates: frontiers, these instances, and the best spin."""
@@ -114,14 +128,36 @@ class SemanticMap:
         """Prepare for another mission: forget verdicts and viewpoints of the last one."""
         self._targets = targets
         self._feed_values()
+        self.close_rooms(())
         self.tracker.forget_verdicts()
         self.tracker.recall(targets)
         self.grid.coverage.forget()
 
     def set_site(self, site: Site) -> None:
-        """Close the cells that the site's zones close."""
+        """Close the cells that the site's zones close, and name the rooms that it names."""
+        self.rooms.set_site(site)
         self._zones_m = site.polygons_m("keep_out"), site.polygons_m("stay_inside")
-        self.grid.set_zones(*self._zones_m)
+        self._set_zones()
+
+    def close_rooms(self, rooms: Sequence[MappedRoom]) -> None:
+        """Close these rooms like zones, and open those that were closed before.
+
+        A closed room keeps its outline until its area has changed, because painting costs time.
+        """
+        before = self._closed
+        self._closed = {
+            room.id: before[room.id]
+            if room.id in before and abs(before[room.id].area_m2 - room.area_m2) < _SAME_AREA_M2
+            else room
+            for room in rooms
+        }
+        if [*self._closed.values()] != [*before.values()]:
+            self._set_zones()
+
+    def _set_zones(self) -> None:
+        keep_out_m, stay_inside_m = self._zones_m
+        closed_m = [room.polygon_m for room in self._closed.values()]
+        self.grid.set_zones([*keep_out_m, *closed_m], stay_inside_m)
 
     def reconfigure(self, config: Config) -> None:
         """Use another configuration; see `edge.loop.reload.LIVE` for the keys that may differ."""
@@ -135,12 +171,13 @@ class SemanticMap:
     def forget(self) -> None:
         """Forget everything, since the frame has changed."""
         self.epoch += 1
+        self._closed = {}
         self._lay(RollingMap(self.config.mapping, self.config.robot))
         self.tracker.clear()
         self.sightings.clear()
         self.pool.clear()
-        if self.prior is not None:
-            self.prior.forget()
+        self.surveyor.forget()
+        self.rooms.forget()
 
     def state_dict(self) -> dict[str, Arrays]:
         """Return the arrays to save by part, without the tiles of the grid."""
@@ -149,6 +186,7 @@ class SemanticMap:
             "map": grid.state_dict(), "gain": grid.gain.state_dict(),
             "bumps": grid.bumps.state_dict(), "sightings": self.sightings.state_dict(),
             "instances": self.tracker.state_dict(), "candidates": self.pool.state_dict(),
+            "rooms": self.rooms.state_dict(),
         }  # fmt: skip
 
     def load_state_dict(
@@ -171,11 +209,12 @@ class SemanticMap:
         self.sightings.load_state_dict(part("sightings"), later_stamp_ns)
         self.tracker.load_state_dict(part("instances"), later_stamp_ns)
         self.pool.load_state_dict(part("candidates"), later_ns, later_stamp_ns)
+        self.surveyor.forget()
+        self.rooms.load_state_dict(part("rooms"))
 
     def close(self) -> None:
         """Stop the background work."""
-        if self.prior is not None:
-            self.prior.close()
+        self.surveyor.close()
 
     # -- layers for displays ------------------------------------------------------------------
 

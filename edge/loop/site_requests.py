@@ -1,29 +1,43 @@
-"""Requests about places and zones."""
+"""Requests about places, zones and room names."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edge.bus.verbs import Request, Verb, check_flag, check_text
+from edge.bus.verbs import Request, Verb, check_flag, check_text, shown
 from edge.errors import UserError
-from edge.memory import Place, Site, Zone, item_of, merged, site_of
-from edge.memory.site import MAX_NAME_CHARS, name_of
-from edge.text import one_line
+from edge.memory import Place, RoomName, Site, Zone, item_of, merged, site_of
+from edge.memory.site import MAX_NAME_CHARS, ZONE_KINDS, Item, name_of
+from edge.text import bounded_repr, one_line
 
 if TYPE_CHECKING:
     from edge.loop.service import Service
 
 
 def _set(fields: dict) -> dict:
-    if ("name" in fields) == ("feature" in fields):
-        raise ValueError("do: set needs a name (the place is here) or a GeoJSON feature")
+    kind = fields.get("kind", "place")
+    if kind in ZONE_KINDS and "room" in fields and "feature" not in fields:
+        room = check_text("room", fields["room"], MAX_NAME_CHARS)
+        name = check_text("name", fields.get("name", f"{room} zone"), MAX_NAME_CHARS)
+        return {"room": room, "kind": kind, "name": _here(name).name}
+    if "room" in fields or ("name" in fields) == ("feature" in fields):
+        raise ValueError(
+            "do: set needs a name (of the place or room here), a GeoJSON feature, or a room and "
+            "kind: keep_out or stay_inside"
+        )
     if "feature" in fields:
         return {"item": item_of(fields["feature"])}
-    here = {"type": "Point", "coordinates": [0.0, 0.0]}
+    if kind not in ("place", "room"):
+        raise ValueError(f"kind: expected place or room, got {shown(kind)}")
     name = check_text("name", fields["name"], MAX_NAME_CHARS)
-    properties = {"kind": "place", "name": name}
-    feature = {"type": "Feature", "properties": properties, "geometry": here}
-    return {"item": item_of(feature), "here": True}
+    return {"item": _here(name, kind), "here": True}
+
+
+def _here(name: str, kind: str = "place") -> Item:
+    """Return a place or room of this name, at the origin."""
+    here = {"type": "Point", "coordinates": [0.0, 0.0]}
+    properties = {"kind": kind, "name": name}
+    return item_of({"type": "Feature", "properties": properties, "geometry": here})
 
 
 def _import(fields: dict) -> dict:
@@ -31,12 +45,13 @@ def _import(fields: dict) -> dict:
 
 
 SITE_VERBS = {
-    "set": Verb(("name", "feature"), _set),
+    "set": Verb(("name", "feature", "kind", "room"), _set),
     "remove": Verb(("name",), lambda fields: {"name": check_text("name", fields.get("name"))}),
     "import": Verb(("site", "replace"), _import),
     "list": Verb(reads=True),
 }
-"""`{"do": "set", "name": NAME}` names the robot's pose;
+"""`{"do": "set", "name": NAME}` names the robot's pose, with `"kind": "room"` the room around it;
+`{"do": "set", "kind": "keep_out" | "stay_inside", "room": ROOM}` makes a zone of a known room;
 `{"do": "set", "feature": FEATURE}` adds a GeoJSON feature (see `edge.memory.site`);
 `{"do": "remove", "name": NAME}`; `{"do": "import", "site": COLLECTION, "replace": BOOL}`;
 `{"do": "list"}`. Each answers with the site."""
@@ -50,11 +65,13 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
     """
     fields, site, done = request.fields, service.site.site, ""
     if request.do == "set":
-        item = fields["item"]
+        item = _zone_of(service, fields) if "room" in fields else fields["item"]
         if fields.get("here"):
             if service.pose is None:
                 raise UserError("the robot's pose is not known yet: wait for the first observation")
-            item = Place.at(item.name, service.pose)
+            at_m = (service.pose.x_m, service.pose.y_m)
+            is_room = isinstance(item, RoomName)
+            item = RoomName(item.name, at_m) if is_room else Place.at(item.name, service.pose)
         service.change_site(site.with_item(item), now_ns)
         done = describe_item(item)
     elif request.do == "remove":
@@ -69,9 +86,22 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
     return {"text": done, "site": service.site.known.geojson()}
 
 
-def describe_item(item: Place | Zone) -> str:
-    """Return one line about a place or zone."""
+def _zone_of(service: Service, fields: dict) -> Zone:
+    """Return a zone with the outline of a known room."""
+    found = service.map.rooms.called(fields["room"])
+    if len(found) != 1:
+        known = one_line(", ".join(room.title for room in service.map.rooms.rooms) or "none")
+        number = "no room" if not found else f"{len(found)} rooms"
+        raise UserError(f"{number} called {bounded_repr(fields['room'])} (known: {known})")
+    corners = tuple((round(x, 3), round(y, 3)) for x, y in found[0].polygon_m.tolist())
+    return Zone(fields["name"], fields["kind"], corners)
+
+
+def describe_item(item: Item) -> str:
+    """Return one line about a place, zone or room name."""
     name = one_line(item.name)
+    if isinstance(item, RoomName):
+        return f"room: {name} is the one around ({item.xy_m[0]:.2f}, {item.xy_m[1]:.2f})"
     if isinstance(item, Zone):
         words = "keep out of" if item.kind == "keep_out" else "stay inside"
         return f"zone: {words} {name} ({len(item.corners_m)} corners)"

@@ -19,7 +19,7 @@ from edge.config import Config, PolicyPlugin
 from edge.geometry import SE2, CameraModel
 from edge.host.children import python_module
 from edge.loop.candidates import CandidatePool
-from edge.loop.prior import warm_up as warm_prior
+from edge.loop.room_surveyor import warm_up as warm_rooms
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
 from edge.mapping.warmup import warm_values
@@ -55,7 +55,7 @@ def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None)
     }
     steps: dict[str, Callable[[], object]] = {
         "mapping": lambda: warm_mapping(config.mapping),
-        "prior": lambda: warm_prior(config),
+        "rooms": lambda: warm_rooms(config),
         "policy": lambda: warm_policy(config),
         **apart,
         "tasks": warm_tasks,

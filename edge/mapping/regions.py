@@ -9,6 +9,7 @@ it separates nothing. This module only knows arrays.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -24,6 +25,54 @@ DOOR_M = 2.2
 _NARROWER = 0.8
 _LEAST_M2 = 1.0
 """A smaller basin is a corner of a larger one."""
+CELL_M = 0.1
+"""Approximate side of a cell of `survey_regions`."""
+NEAR_M = 0.7
+"""Largest distance of an object from the cells of its region: it may be at a wall."""
+
+
+class RegionMap(NamedTuple):
+    """The map cut into regions.
+
+    Attributes:
+        grid: see `coarse_grid`.
+        wall: (h, w) bool, True for walls.
+        label: (h, w) int16, region of each cell: 1 … n, 0 for none.
+        n: number of regions.
+        border: see `border_lengths`.
+    """
+
+    grid: Grid
+    wall: np.ndarray
+    label: np.ndarray
+    n: int
+    border: np.ndarray
+
+    def at(self, xy_m: np.ndarray) -> np.ndarray:
+        """Return the region of each place, (n,) int16; see `regions_at`.
+
+        Args:
+            xy_m: (n, 2 or more) float32 in `map`.
+        """
+        grid, out = self.grid, np.empty(len(xy_m), np.int16)
+        regions_at(self.label, *grid.origin_xy_m, grid.resolution_m, xy_m, len(xy_m), NEAR_M, out)
+        return out
+
+
+NO_REGIONS = RegionMap(
+    Grid(np.zeros((0, 0), np.uint8), (0.0, 0.0), CELL_M),
+    np.zeros((0, 0), np.bool_),
+    np.zeros((0, 0), np.int16),
+    0,
+    np.zeros((1, 1), np.int64),
+)
+
+
+def survey_regions(layers: Layers, window: Window, tall_code: int) -> RegionMap:
+    """Cut the explored part of the map into regions; see `coarse_grid` for the arguments."""
+    grid = coarse_grid(layers, window, tall_code, CELL_M)
+    label, n = segment_rooms(grid.cells, grid.resolution_m)
+    return RegionMap(grid, grid.cells == WALL, label, n, border_lengths(label, n))
 
 
 def coarse_grid(layers: Layers, window: Window, tall_code: int, cell_m: float) -> Grid:
@@ -215,6 +264,9 @@ def regions_at(label, x0_m, y0_m, cell_m, xy_m, n, radius_m, out):
         col = math.floor((xy_m[i, 0] - x0_m) / cell_m)
         best = reach * reach + 1
         out[i] = 0
+        if 0 <= row < h and 0 <= col < w and label[row, col]:
+            out[i] = label[row, col]
+            continue
         for r in range(max(row - reach, 0), min(row + reach + 1, h)):
             for c in range(max(col - reach, 0), min(col + reach + 1, w)):
                 d = (r - row) ** 2 + (c - col) ** 2

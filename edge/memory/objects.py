@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from edge import names
 from edge.geometry import SE2
@@ -41,42 +44,63 @@ class KnownObject:
 
 
 def known_objects(
-    sightings: TrackedObjects, stamp_ns: int, min_hits: int, name: str = ""
+    sightings: TrackedObjects,
+    stamp_ns: int,
+    min_hits: int,
+    name: str = "",
+    most: int | None = None,
 ) -> list[KnownObject]:
     """Return the objects of the map, the most confident first; kinds of a name after the name.
 
     Args:
+        sightings: objects of the map.
         stamp_ns: now, on the sensors' clock.
         min_hits: leave out what was detected in fewer images.
         name: only these and kinds of them; empty for all.
+        most: limit of their number.
     """
     s = sightings
-    wanted = [not name or names.is_kind_of(word, name) for word in s.words]
-    found = [
+    is_wanted = np.array([not name or names.is_kind_of(word, name) for word in s.words], np.bool_)
+    rows = np.flatnonzero(s.hits[: s.n] >= min_hits)
+    rows = rows[is_wanted[s.word[rows]]]
+    is_kind = np.array([name and not names.same_name(word, name) for word in s.words], np.bool_)
+    # By name, then by confidence and id: `lexsort` has its first key last.
+    order = np.lexsort((s.id[rows], -s.confidence[rows], is_kind[s.word[rows]]))
+    rows = rows[order][:most]
+    return [
         KnownObject(
             int(s.id[i]), s.words[s.word[i]], (x_m, y_m, z_m), float(s.confidence[i]),
             int(s.hits[i]), max(0.0, (stamp_ns - int(s.last_seen_ns[i])) * 1e-9),
         )
-        for i, (x_m, y_m, z_m) in enumerate(s.xyz_m[: s.n].tolist())
-        if wanted[s.word[i]] and s.hits[i] >= min_hits
+        for i, (x_m, y_m, z_m) in zip(rows.tolist(), s.xyz_m[rows].tolist(), strict=True)
     ]  # fmt: skip
-    kinds = {word for word in s.words if name and not names.same_name(word, name)}
-    return sorted(found, key=lambda one: (one.name in kinds, -one.confidence, one.id))
 
 
-def where_is(name: str, found: list[KnownObject], pose: SE2 | None, is_looked_for: bool) -> str:
+def where_is(
+    name: str,
+    found: list[KnownObject],
+    pose: SE2 | None,
+    is_looked_for: bool,
+    room_of: Callable[[float, float], str] = lambda x_m, y_m: "",
+) -> str:
     """Return the answer to "where is the …?" in one line.
 
     Args:
+        name: class of the object.
         found: of this name.
         pose: the robot's; None if it is not known.
         is_looked_for: False if the detector is not asked for it, so it cannot have been seen.
+        room_of: returns the room of a point in words ("in the kitchen"); "" if there is none.
     """
     name = one_line(name)
     if not found:
         hint = "" if is_looked_for else ": the detector is not looking for it"
         return f"no {name} has been seen{hint}"
-    texts = [_place(one, pose) for one in found[:_MOST_TOLD]]
+    rooms = [room_of(*one.xyz_m[:2]) for one in found[:_MOST_TOLD]]
+    texts = [
+        f"{room}, {_place(one, pose)}" if room else _place(one, pose)
+        for one, room in zip(found, rooms, strict=False)
+    ]
     more = f"; {len(found) - _MOST_TOLD} more" if len(found) > _MOST_TOLD else ""
     return f"{name}: {'; '.join(texts)}{more}"
 

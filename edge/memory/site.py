@@ -1,9 +1,10 @@
-"""The site: places and zones that people have given, as GeoJSON in metres of `map`.
+"""The site: places, zones and room names that people have given, as GeoJSON in metres of `map`.
 
 A `FeatureCollection` (RFC 7946) whose coordinates are x and y in `map`, not longitude and latitude:
 
 - a place is a `Point` with `{"kind": "place", "name": "dock", "heading_deg": 90}`;
-- a zone is a `Polygon` with `{"kind": "keep_out" | "stay_inside", "name": "stairs"}`.
+- a zone is a `Polygon` with `{"kind": "keep_out" | "stay_inside", "name": "stairs"}`;
+- a room's name is a `Point` in it with `{"kind": "room", "name": "office"}`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import json
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
@@ -109,12 +110,24 @@ class Zone:
         return _feature(self.name, self.kind, "Polygon", [ring])
 
 
-Item = Union[Place, Zone]
+@dataclass(frozen=True, slots=True)
+class RoomName:
+    """A person's name for the room around a point."""
+
+    name: str
+    xy_m: Point
+
+    def feature(self) -> dict[str, Any]:
+        """Return the name as a GeoJSON feature."""
+        return _feature(self.name, "room", "Point", list(self.xy_m))
+
+
+Item = Union[Place, Zone, RoomName]
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """All places and zones; immutable.
+    """All places, zones and room names; immutable.
 
     Example:
         >>> site = Site().with_item(Place("dock", SE2(1.0, 2.0, 0.0)))
@@ -136,9 +149,18 @@ class Site:
         """The zones."""
         return tuple(item for item in self.items if isinstance(item, Zone))
 
+    @property
+    def room_names(self) -> tuple[RoomName, ...]:
+        """The names that people gave to rooms."""
+        return tuple(item for item in self.items if isinstance(item, RoomName))
+
     def place(self, name: str) -> Place | None:
         """Return the place of this name, or None."""
         return next((place for place in self.places if is_same(place.name, name)), None)
+
+    def room_name(self, name: str) -> RoomName | None:
+        """Return the room's name that is the same as this, or None."""
+        return next((room for room in self.room_names if is_same(room.name, name)), None)
 
     def polygons_m(self, kind: str) -> list[np.ndarray]:
         """Return the corners of all zones of a kind, each (n, 2) float64."""
@@ -173,6 +195,33 @@ class Site:
             "type": "FeatureCollection",
             "features": [item.feature() for item in self.items],
         }
+
+
+def memory_geojson(
+    site: Mapping[str, Any],
+    objects: Iterable[Mapping[str, Any]],
+    rooms: Iterable[Mapping[str, Any]] = (),
+) -> dict[str, Any]:
+    """Return all that is remembered as one GeoJSON `FeatureCollection`.
+
+    Args:
+        site: `Site.geojson`.
+        objects: `KnownObject.to_json` of each; the other fields become properties.
+        rooms: `MappedRoom.to_json` of each; those without an outline are left out.
+    """
+    found = [
+        _feature(one["name"], "object", "Point", list(one["xyz"]), _without(one, "name", "xyz"))
+        for one in objects
+    ]
+    for room in rooms:
+        if ring := room["polygon"]:
+            more = _without(room, "name", "polygon")
+            found.append(_feature(room["name"], "room", "Polygon", [[*ring, ring[0]]], more))
+    return {**site, "features": [*site["features"], *found]}
+
+
+def _without(fields: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: value for name, value in fields.items() if name not in names}
 
 
 def _feature(
@@ -223,6 +272,11 @@ class _PlaceProperties(_Model):
     heading_deg: Annotated[float, Field(allow_inf_nan=False, ge=-3600, le=3600)] = 0.0
 
 
+class _RoomProperties(_Model):
+    kind: Literal["room"]
+    name: Name
+
+
 class _ZoneProperties(_Model):
     kind: Literal["keep_out", "stay_inside"]
     name: Name
@@ -237,6 +291,16 @@ class _PlaceFeature(_Model):
         x_m, y_m = self.geometry.coordinates[:2]
         heading_rad = math.radians(self.properties.heading_deg)
         return Place(self.properties.name, SE2(x_m, y_m, heading_rad))
+
+
+class _RoomFeature(_Model):
+    type: Literal["Feature"]
+    properties: _RoomProperties
+    geometry: _Point
+
+    def item(self) -> Item:
+        x_m, y_m = self.geometry.coordinates[:2]
+        return RoomName(self.properties.name, (x_m, y_m))
 
 
 class _ZoneFeature(_Model):
@@ -256,12 +320,13 @@ class _ZoneFeature(_Model):
 def _kind(value: Any) -> str:
     properties = value.get("properties") if isinstance(value, dict) else None
     kind = properties.get("kind", "place") if isinstance(properties, dict) else None
-    return "zone" if kind in ZONE_KINDS else "place"
+    return "zone" if kind in ZONE_KINDS else "room" if kind == "room" else "place"
 
 
 _Feature = Annotated[
     Union[
         Annotated[_PlaceFeature, Tag("place")],
+        Annotated[_RoomFeature, Tag("room")],
         Annotated[_ZoneFeature, Tag("zone")],
     ],
     Discriminator(_kind),
@@ -277,7 +342,7 @@ _FEATURE: TypeAdapter = TypeAdapter(_Feature)
 
 
 def item_of(feature: object, where: str = "feature") -> Item:
-    """Return the place or zone of a GeoJSON feature.
+    """Return the place, zone or room name of a GeoJSON feature.
 
     Raises:
         SiteError: it is none; `where` begins the message.
@@ -338,7 +403,7 @@ def write_site(path: Path, site: Site) -> None:
 def _first(error: ValidationError) -> str:
     """Return the first error in words, with its place in the data."""
     first = error.errors(include_url=False)[0]
-    path = ".".join(str(part) for part in first["loc"] if part not in ("place", "zone"))
+    path = ".".join(str(part) for part in first["loc"] if part not in ("place", "zone", "room"))
     text = first["msg"].removeprefix("Value error, ")
     return one_line(f"{path}: {text}" if path else text)
 
@@ -368,14 +433,21 @@ class SiteFile:
     def __post_init__(self) -> None:
         if self.site is None:
             self.site = Site() if self.path is None else read_site(self.path)
+        self._known: tuple[Site, Place | None, Site] = self.site, None, self.site
         self._worker: Worker[Site, None] = Worker("site", self._save, finishes=True)
 
     @property
     def known(self) -> Site:
-        """The site with `start` among its places."""
-        if self.start is None or self.site.place(START) is not None:
-            return self.site
-        return replace(self.site, items=(*self.site.items, self.start))
+        """The site with `start` among its places; the same object until one of them changes."""
+        site, start, known = self._known
+        if site is not self.site or start is not self.start:
+            site, start = self.site, self.start
+            if start is None or site.place(START) is not None:
+                known = site
+            else:
+                known = Site((*site.items, start))
+            self._known = site, start, known
+        return known
 
     def change(self, site: Site) -> None:
         """Replace the site."""

@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Discriminator, Field, TypeAdapter
 from edge import names
 from edge.errors import UserError
 from edge.geometry import SE2
-from edge.memory import Place, Site
+from edge.memory import RECOGNISED_KINDS, Place, Site, kind_of_room
 from edge.mission.language.places import EXPLORED, HERE, START
 from edge.text import one_line
 
@@ -28,7 +28,9 @@ DURATION = r"[\w.]+(?:\s+\w+)?\s+(?:s|secs?|seconds?|mins?|minutes?|h|hours?)"
 """Pattern of a text for `duration_s`."""
 _WAIT = re.compile(rf"wait(?: (?:for )?(?P<time>{DURATION}))?")
 _EXPLORE = re.compile(rf"{EXPLORED}(?: (?!for )(?P<room>.+?))?(?: for (?P<time>{DURATION}))?")
-_CHECK = re.compile(r"check (?:the )?(?P<name>.+)")
+_CHECK = re.compile(r"check (?:the )?(?P<name>.+?)(?: in (?:the )?(?P<room>.+))?")
+_ROOM_NUMBER = re.compile(r"room (?P<n>\w+)")
+_ROOM_WITH = re.compile(r"room with (?:(?:the|a|an) )?(?P<name>.+)")
 
 Name = Annotated[str, Field(max_length=1000)]
 Seconds = Annotated[float, Field(gt=0, le=LONGEST_S)]
@@ -88,16 +90,35 @@ class CheckTarget:
 
     Attributes:
         name: the thing, for the detector.
+        room: name of the room to look in; "" for everywhere.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     name: Name
+    room: Name = ""
     kind: Literal["check"] = "check"
 
 
+@dataclass(frozen=True, slots=True)
+class RoomTarget:
+    """A room, reached when the robot is inside.
+
+    Attributes:
+        name: of a room or kind of room, or "room 3"; for `with` the thing in it.
+        which: `called` by its name, `largest`, `next` (the nearest unvisited one), or `with` a
+            thing.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    name: Name = ""
+    which: Literal["called", "largest", "next", "with"] = "called"
+    kind: Literal["room"] = "room"
+
+
 Destination = Annotated[
-    Union[PlaceTarget, ExploreTarget, WaitTarget, CheckTarget], Discriminator("kind")
+    Union[PlaceTarget, ExploreTarget, WaitTarget, CheckTarget, RoomTarget], Discriminator("kind")
 ]
 _DESTINATIONS: TypeAdapter[dict[str, Destination]] = TypeAdapter(dict[Name, Destination])
 
@@ -106,8 +127,11 @@ def destination_of(text: str, site: Site) -> Destination | None:
     """Return the destination that a proposition means, or None if it is a thing to search for.
 
     The canonical phrases are `start`, `here`, `caller`, the names of places, `explored`,
-    `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s` and `check stove`. A place of the
-    site comes before a phrase.
+    `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s`, `check stove`,
+    `check kettle in kitchen`, the names of
+    rooms and their kinds, `room 3`, `largest room`, `next room` and `room with sofa`. A place of
+    the site comes before a phrase, and a room's name before a kind. A kind of room that the robot
+    cannot recognise is a thing, unless a person gave a room that name.
 
     Raises:
         DestinationError: a duration is no number or too long, or the caller's pose is not known.
@@ -132,10 +156,50 @@ def destination_of(text: str, site: Site) -> Destination | None:
     if found := _WAIT.fullmatch(text):
         return WaitTarget(found["time"] and duration_s(found["time"]))
     if found := _EXPLORE.fullmatch(text):
-        return ExploreTarget(found["room"] or "", found["time"] and duration_s(found["time"]))
+        room = _checked_room(found["room"], site)
+        return ExploreTarget(room, found["time"] and duration_s(found["time"]))
     if found := _CHECK.fullmatch(text):
-        return CheckTarget(found["name"])
-    return None
+        return CheckTarget(found["name"], _checked_room(found["room"], site))
+    return _room_of(text, site)
+
+
+def room_target(text: str) -> RoomTarget:
+    """Return the room that a normalised name means, if it means one."""
+    if text in ("largest room", "biggest room"):
+        return RoomTarget(which="largest")
+    if text == "next room":
+        return RoomTarget(which="next")
+    if found := _ROOM_WITH.fullmatch(text):
+        return RoomTarget(found["name"], "with")
+    return RoomTarget(text)
+
+
+def _checked_room(text: str | None, site: Site) -> str:
+    """Return the name of a room that a phrase has; "" for none.
+
+    Raises:
+        DestinationError: the robot cannot know a room of this name.
+    """
+    name = (text or "").removeprefix("the ")
+    if name and _room_of(name, site) is None:
+        raise DestinationError(
+            f"{one_line(name, 60)}: no room has this name, and the robot does not recognise this "
+            "kind of room; give a room this name first"
+        )
+    return name
+
+
+def _room_of(text: str, site: Site) -> RoomTarget | None:
+    """Return the room that a normalised name means, or None."""
+    target = room_target(text)
+    if target.which != "called":
+        return target
+    kind, found = kind_of_room(text), _ROOM_NUMBER.fullmatch(text)
+    by_number = found is not None and names.number([found["n"]]) is not None
+    by_person = site.room_name(text) or any(
+        kind and kind_of_room(room.name) == kind for room in site.room_names
+    )
+    return target if by_number or by_person or kind in RECOGNISED_KINDS else None
 
 
 def is_timed(destination: Destination | None) -> bool:
@@ -159,7 +223,10 @@ def describe_destination(name: str, destination: Destination) -> str:
         until = destination.seconds
         return "the end of a wait" + (" until told" if until is None else f" of {shown_s(until)}")
     if isinstance(destination, CheckTarget):
-        return f"an answer about the {destination.name}"
+        room = f" in the {destination.room}" if destination.room else ""
+        return f"an answer about the {destination.name}{room}"
+    if isinstance(destination, RoomTarget) and destination.which != "called":
+        return f"the {names.normalise(name)}".replace("room with ", "room with the ")
     special = {
         START: "the start", HERE: "the place where this mission begins", CALLER: "the caller",
     }  # fmt: skip

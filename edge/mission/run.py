@@ -11,7 +11,7 @@ import numpy as np
 
 from edge.config import MissionConfig
 from edge.geometry import SE2
-from edge.mission.destinations import Destination, PlaceTarget, WaitTarget, is_timed
+from edge.mission.destinations import Destination, PlaceTarget, RoomTarget, WaitTarget, is_timed
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.planning.plan import MissionKnowledge, Planner, TargetPlan
 from edge.mission.planning.planner import make_planner
@@ -80,7 +80,8 @@ class MissionRun:
         self.target = brief.targets[0]
         self.destinations: dict[str, Destination] = dict(brief.translation.destinations)
         self.word: tuple[str, ...] = ()
-        self.detected: frozenset[str] = frozenset(self.destinations)
+        known = [n for n, d in self.destinations.items() if not isinstance(d, RoomTarget)]
+        self.detected: frozenset[str] = frozenset(known)
         self.reached: tuple[str, ...] = ()
         self.failed: frozenset[str] = frozenset()
         self.started = False
@@ -106,7 +107,7 @@ class MissionRun:
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
-        self._newest: dict[str, int] = dict.fromkeys(self.destinations, 0)
+        self._newest: dict[str, int] = dict.fromkeys(known, 0)
         self._stale: dict[str, int] = {}
         self.pursued_s: dict[str, float] = {}
         self._left_out = 0  # targets left out since one was reached
@@ -184,7 +185,7 @@ class MissionRun:
 
     @property
     def _doing(self) -> str:
-        """What the robot does now, for the status; "" to say nothing."""
+        """Return the robot's present activity for the status; "" for none."""
         repeat = self.brief.translation.repeat
         if not self.active:
             return ""

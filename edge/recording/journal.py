@@ -21,9 +21,9 @@ from edge.host.checkpoint import Checkpoint
 from edge.loop.behaviours.plan_worker import PlanResult
 from edge.loop.input_log import LoopInput
 from edge.loop.map_checkpoint import MAP
-from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
-from edge.memory import Site, site_of
+from edge.mapping.regions import RegionMap
+from edge.memory import LostRoom, RoomSurvey, Site, outlined, site_of
 from edge.mission.checkpoint import MISSION
 from edge.mission.destinations import destinations_json, destinations_of_json
 from edge.mission.logic import ltl
@@ -289,20 +289,25 @@ def _masks_of(said: dict[str, Any] | None) -> np.ndarray | None:
     return None if said is None else np.unpackbits(_array_of(said), axis=-1).astype(np.bool_)
 
 
-def _rooms(r: Rooms) -> dict[str, Any]:
+def _rooms(found: RoomSurvey) -> dict[str, Any]:
+    r = found.regions
     return {
         "cells": _array(r.grid.cells), "origin_xy_m": list(map(float, r.grid.origin_xy_m)),
         "resolution_m": r.grid.resolution_m, "wall": _array(r.wall), "label": _array(r.label),
         "n": int(r.n), "border": _array(r.border),
+        "ids": _array(found.ids), "next_id": found.next_id, "lost": [list(x) for x in found.lost],
     }  # fmt: skip
 
 
-def rooms_of(said: dict[str, Any]) -> Rooms:
-    """Decode `edge.loop.prior.Rooms`."""
+def rooms_of(said: dict[str, Any]) -> RoomSurvey:
+    """Decode a survey of the rooms; in older recordings the rooms have no ids."""
     origin = said["origin_xy_m"]
     grid = Grid(_array_of(said["cells"]), (origin[0], origin[1]), said["resolution_m"])
     wall, label = _array_of(said["wall"]), _array_of(said["label"])
-    return Rooms(grid, wall, label, said["n"], _array_of(said["border"]))
+    regions = RegionMap(grid, wall, label, said["n"], _array_of(said["border"]))
+    ids = _array_of(said["ids"]) if "ids" in said else np.zeros(said["n"] + 1, np.int64)
+    lost = tuple(LostRoom(int(i), float(x), float(y)) for i, x, y in said.get("lost", ()))
+    return outlined(regions, ids, said.get("next_id", 1), lost)
 
 
 def _similarity(found: tuple[Any, ImageSimilarity]) -> dict[str, Any]:
@@ -396,7 +401,7 @@ def survey_of(said: dict[str, Any]) -> np.ndarray:
 
 
 _FOUND: dict[str, Callable[[Any], dict[str, Any]]] = {
-    "detector": _boxes, "surveyor": _survey, "prior": _rooms, "similarity": _similarity,
+    "detector": _boxes, "surveyor": _survey, "rooms": _rooms, "similarity": _similarity,
     "choice": _choice, "task": _draft,
 }  # fmt: skip
 

@@ -40,7 +40,7 @@ from edge.recording.session import RecordedRun, RecordedStep
 from edge.text import one_line
 from edge.types import Detections, Observation
 
-_BY_THE_MAP = ("surveyor", "prior")
+_BY_THE_MAP = ("surveyor", "rooms")
 
 
 class ReplayError(UserError):

@@ -62,10 +62,8 @@ class ReplayTick:
     pictures: set[int] = field(default_factory=set)
 
     def begin(self, entries: Sequence[LoopInput]) -> None:
-        self.asked = {e.fields["worker"] for e in entries if e.kind == "asked"}
-        self.found = {
-            e.fields["worker"]: e.fields["what"] for e in entries if e.kind == "found"
-        }  # fmt: skip
+        self.asked = {_worker_of(e) for e in entries if e.kind == "asked"}
+        self.found = {_worker_of(e): e.fields["what"] for e in entries if e.kind == "found"}
         self.decided = {e.fields["what"]: e.fields["said"] for e in entries if e.kind == "decided"}
 
     def see(self, observation: Observation, picture: bool) -> None:
@@ -89,6 +87,12 @@ class ReplayTick:
     def _forget(self, seq: int) -> None:
         del self.frames[seq]
         self.pictures.discard(seq)
+
+
+def _worker_of(entry: LoopInput) -> str:
+    """Return the worker's name; in older recordings, the prior cut the map into rooms."""
+    name = entry.fields["worker"]
+    return "rooms" if name == "prior" else name
 
 
 def _bytes_of(observation: Observation) -> int:
@@ -142,7 +146,7 @@ class ReplaySource(InputLog):
         self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._detections,
             "surveyor": lambda said, asked: journal.survey_of(said),
-            "prior": lambda said, asked: journal.rooms_of(said),
+            "rooms": lambda said, asked: journal.rooms_of(said),
             "similarity": self._similarity,
             "choice": self._choice,
             "task": lambda said, asked: journal.draft_of(said),
@@ -156,7 +160,7 @@ class ReplaySource(InputLog):
         said = self._now.decided.get(what, usual)
         return decide() if said is None else said
 
-    def beside(self, name: str, worker: Any) -> Any:
+    def wrap(self, name: str, worker: Any) -> Any:
         if name in self._own:
             return worker
         return _ReplayedWorker(name, worker, self._now, self._decode[name])

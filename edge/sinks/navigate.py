@@ -1,4 +1,4 @@
-"""Client of Nav2's action NavigateToPose: sends goals and reports their progress.
+"""Clients of Nav2's actions NavigateToPose, DockRobot and UndockRobot: send goals, report progress.
 
 Nav2 replaces an old goal by a new one itself. If a server still drives to the old one, that goal is
 cancelled. A goal ends with its result, which has the reason. If the result is lost, for example
@@ -12,12 +12,13 @@ import math
 import time
 import uuid
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from edge import names
 from edge.bus.ros2.node import PendingReply, Ros2Node
-from edge.bus.ros2.topics import NAVIGATE_TO_POSE
+from edge.bus.ros2.topics import DOCK_ROBOT, NAVIGATE_TO_POSE, UNDOCK_ROBOT
 from edge.bus.wire import DecodeError, navigation
 from edge.bus.wire.navigation import SETTLED, SUCCEEDED
 from edge.text import one_line
@@ -67,6 +68,8 @@ class _Driven:
 class NavigateToPoseClient:
     """Sends goals as the module's docstring says; for one thread, which calls `beat` repeatedly.
 
+    A subclass is a client of another action that ends like this one.
+
     Args:
         node: the ROS 2 node.
         action: its ROS name.
@@ -74,12 +77,14 @@ class NavigateToPoseClient:
         tell: called with each new status of a goal.
     """
 
+    _kind, _name = NAVIGATE_TO_POSE, "navigate_to_pose"
+
     def __init__(
         self, node: Ros2Node, action: str, frame_id: str, tell: Callable[[GoalStatus], None]
     ) -> None:
         self._action, self._frame_id, self._report = action, frame_id, tell
         below = f"{action}/_action"
-        kind = NAVIGATE_TO_POSE
+        kind = self._kind
         self._send = node.client(f"{below}/send_goal", f"{kind}_SendGoal", _ACCEPT_S)
         self._result = node.client(f"{below}/get_result", f"{kind}_GetResult", _RESULT_S)
         self._cancel = node.client(f"{below}/cancel_goal", "action_msgs/srv/CancelGoal", _ACCEPT_S)
@@ -138,7 +143,7 @@ class NavigateToPoseClient:
         except DecodeError as error:
             self._malformed += 1
             if self._malformed == 1:
-                log.warning("ros2: navigate_to_pose: %s; further ones are only counted", error)
+                log.warning("ros2: %s: %s; further ones are only counted", self._name, error)
 
     # -- one step a stage -------------------------------------------------------------------------
 
@@ -154,10 +159,26 @@ class NavigateToPoseClient:
         driven.due_s, self._waiting_told = now_s + AGAIN_S, False
         # A new id for each attempt: a server refuses an id that it knows.
         driven.goal_id = uuid.uuid4().bytes
-        request = navigation.encode_send_goal(
-            driven.goal_id, driven.goal.stamp_ns, driven.goal.pose, self._frame_id
-        )
+        request = self._encode(driven.goal_id, driven.goal)
         driven.answer, driven.stage = self._send.ask(request), "sent"
+
+    def _adopt(self, goal: Goal) -> bool:
+        """Continue the current action for a new goal; return False if there is none."""
+        driven = self._driven
+        if driven is None or driven.unwanted:
+            return False
+        driven.goal = goal
+        if driven.stage == "driving":
+            self._report(GoalStatus(goal.stamp_ns, "accepted"))
+        return True
+
+    def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
+        """Return the request that sends a goal."""
+        return navigation.encode_send_goal(goal_id, goal.stamp_ns, goal.pose, self._frame_id)
+
+    def _decode_result(self, payload: bytes) -> navigation.Result:
+        """Return the result of a goal."""
+        return navigation.decode_result(payload)
 
     def _step_sent(self, driven: _Driven) -> None:
         payload = driven.answer.poll()
@@ -168,7 +189,7 @@ class NavigateToPoseClient:
             return
         self._cancel_replaced_s = time.monotonic() + REPLACED_S
         if not navigation.decode_send_goal_answer(payload):
-            self._settle(driven, "failed", "refused by navigate_to_pose")
+            self._settle(driven, "failed", f"refused by {self._name}")
             return
         driven.stage, driven.due_s = "driving", 0.0
         driven.answer = PendingReply(None)
@@ -181,7 +202,7 @@ class NavigateToPoseClient:
     def _step_driving(self, driven: _Driven) -> None:
         payload = driven.answer.poll()
         if payload is not None:
-            self._end(driven, navigation.decode_result(payload))
+            self._end(driven, self._decode_result(payload))
         elif driven.status and time.monotonic() >= driven.ended_s + RESULT_LATE_S:
             self._end(driven, navigation.Result(driven.status))
         elif driven.answer.over and time.monotonic() >= driven.due_s:
@@ -195,7 +216,7 @@ class NavigateToPoseClient:
         elif driven.lost_s == 0.0:
             driven.lost_s = now_s
         elif now_s - driven.lost_s > GONE_S:
-            self._settle(driven, "failed", "navigate_to_pose is gone")
+            self._settle(driven, "failed", f"{self._name} is gone")
 
     # -- messages from Nav2 -----------------------------------------------------------------------
 
@@ -246,6 +267,104 @@ class NavigateToPoseClient:
 
     def _call_off(self, goal_id: bytes) -> None:
         self._cancel.ask(navigation.encode_cancel(goal_id))
+
+
+class DockRobotClient(NavigateToPoseClient):
+    """Client of the action DockRobot of Nav2's docking server.
+
+    Args:
+        node: the ROS 2 node.
+        action: its ROS name.
+        docks: names of places and the ids of their docks.
+        frame_id: frame of the goals.
+        tell: called with each new status of a goal.
+
+    Attributes:
+        docked: True after docking has succeeded; the caller sets it to False after undocking.
+    """
+
+    _kind, _name = DOCK_ROBOT, "dock_robot"
+
+    def __init__(
+        self,
+        node: Ros2Node,
+        action: str,
+        docks: Mapping[str, str],
+        frame_id: str,
+        tell: Callable[[GoalStatus], None],
+    ) -> None:
+        super().__init__(node, action, frame_id, tell)
+        self.docked = False
+        self._docks = {names.normalise(place): dock for place, dock in docks.items()}
+
+    def takes(self, goal: Goal) -> bool:
+        """Return True if a goal is at a place with a dock."""
+        return goal.kind == "place" and names.normalise(goal.target) in self._docks
+
+    def send(self, goal: Goal) -> None:
+        """Dock at this goal's place. A robot that is docking there goes on, for the new goal."""
+        if self._driven is None or self._driven.goal.target != goal.target or not self._adopt(goal):
+            super().send(goal)
+
+    def _settle(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
+        self.docked |= state == "reached"
+        super()._settle(driven, state, reason)
+
+    def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
+        dock_id = self._docks[names.normalise(goal.target)]
+        return navigation.encode_dock_goal(goal_id, goal.stamp_ns, dock_id, self._frame_id)
+
+    def _decode_result(self, payload: bytes) -> navigation.Result:
+        return navigation.decode_dock_result(payload)
+
+    def _feed_back(self, payload: bytes) -> None:
+        """Do nothing: the feedback of DockRobot tells no progress that a mission needs."""
+
+
+class UndockRobotClient(NavigateToPoseClient):
+    """Client of the action UndockRobot of Nav2's docking server.
+
+    Args:
+        node: the ROS 2 node.
+        action: its ROS name.
+        frame_id: frame of the goals.
+        tell: called with each new status of a goal.
+        go_on: called with the goal to drive to, after undocking has succeeded.
+    """
+
+    _kind, _name = UNDOCK_ROBOT, "undock_robot"
+
+    def __init__(
+        self,
+        node: Ros2Node,
+        action: str,
+        frame_id: str,
+        tell: Callable[[GoalStatus], None],
+        go_on: Callable[[Goal], None],
+    ) -> None:
+        super().__init__(node, action, frame_id, tell)
+        self._go_on = go_on
+
+    def send(self, goal: Goal) -> None:
+        """Undock for this goal. A robot that is undocking goes on, for the new goal."""
+        if not self._adopt(goal):
+            super().send(goal)
+
+    def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
+        return navigation.encode_undock_goal(goal_id)
+
+    def _decode_result(self, payload: bytes) -> navigation.Result:
+        return navigation.decode_undock_result(payload)
+
+    def _feed_back(self, payload: bytes) -> None:
+        """Do nothing: UndockRobot has no feedback."""
+
+    def _settle(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
+        if state == "reached" and not driven.unwanted:
+            self._driven = None
+            self._go_on(driven.goal)
+        else:
+            super()._settle(driven, state, reason)
 
 
 _STEPS: dict[str, Callable[[NavigateToPoseClient, _Driven], None]] = {

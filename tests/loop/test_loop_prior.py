@@ -12,7 +12,7 @@ from edge.geometry import se3
 from edge.loop.prior import LEAST, MOST, LocationPrior
 from edge.mapping.grid import RollingMap
 from edge.mapping.points import HEIGHT_CODES
-from edge.mapping.view import MapView
+from edge.mapping.regions import NO_REGIONS, RegionMap, survey_regions
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
 from edge.perception.tracking.sightings import TrackedObjects
@@ -22,8 +22,8 @@ WORDS = make_words(TABLE, DetectorSim())
 BY = ("cooccurrence", "rooms", "both")
 
 
-def walls(*ends: tuple[float, float, float, float]) -> MapView:
-    """A map in which walls were seen from (x, y) to (x, y), from where the robot stands (0, 0)."""
+def walls(*ends: tuple[float, float, float, float]) -> RegionMap:
+    """Walls seen from (x, y) to (x, y), by a robot at (0, 0), as the cut of its map."""
     grid, points = RollingMap(MappingConfig(extent_m=30.0)), []
     for x0, y0, x1, y1 in ends:
         for f in np.linspace(0, 1, 400):
@@ -33,7 +33,7 @@ def walls(*ends: tuple[float, float, float, float]) -> MapView:
     cloud = np.array(points, np.float32).reshape(-1, 3) - np.float32([0, 0, 0.6])
     for _ in range(2):
         grid.update_cloud(cloud, np.eye(4), se3(z_m=0.6))
-    return MapView(grid)
+    return survey_regions(grid.layers, grid.window, int(0.85 * HEIGHT_CODES))
 
 
 def seen(*things: tuple[str, float, float], confidence: float = 0.5) -> TrackedObjects:
@@ -46,8 +46,8 @@ def seen(*things: tuple[str, float, float], confidence: float = 0.5) -> TrackedO
     return s
 
 
-def prior(by: str, inline: bool = True) -> LocationPrior:
-    return LocationPrior(by, TABLE, WORDS, int(0.85 * HEIGHT_CODES), inline)
+def prior(by: str) -> LocationPrior:
+    return LocationPrior(by, TABLE, WORDS)
 
 
 def lifts(p: LocationPrior, target: str, *places: tuple[float, float]) -> list[float]:
@@ -71,25 +71,25 @@ def test_no_opinion(by, things, target):
     p = prior(by)
     assert lifts(p, target) == []
     assert lifts(p, target, (0, 0)) == [1]
-    p.step(walls((2, -2, 2, 2)), seen(*things), 0)
+    p.step(walls((2, -2, 2, 2)), seen(*things))
     assert lifts(p, target, (0, 0), (1, 1)) == [1, 1]
     assert lifts(p, target) == []
 
 
 def test_what_stands_near_tells():
-    p, empty = prior("cooccurrence"), MapView(RollingMap(MappingConfig()))
-    p.step(empty, seen(("toilet paper", 1, 0), ("bed", -6, 0)), 0)
+    p, empty = prior("cooccurrence"), NO_REGIONS
+    p.step(empty, seen(("toilet paper", 1, 0), ("bed", -6, 0)))
     by_sink, by_bed, far = lifts(p, "toilet", (0, 0), (-5, 0), (0, 9))
     assert by_bed < far == 1 < by_sink
     hint = seen(("toilet paper", 1, 0), ("bed", -6, 0), confidence=0.05)
     hint.generation += 1
-    p.step(empty, hint, 0)
+    p.step(empty, hint)
     assert 1 < lifts(p, "toilet", (0, 0))[0] < by_sink
 
 
 def test_not_through_walls():
     p, things = prior("cooccurrence"), seen(("toilet paper", 1, 0))
-    p.step(walls((2, -2, 2, 2)), things, 0)
+    p.step(walls((2, -2, 2, 2)), things)
     beside, behind = lifts(p, "toilet", (0.5, 0.5), (2.6, 0.0))
     assert behind == 1 < beside
 
@@ -98,7 +98,7 @@ def test_rooms_tell_as_far_as_they_reach():
     """A room of 5 m × 6 m, one end of which holds what only a bathroom does."""
     room = walls((-1, -3, 4, -3), (4, -3, 4, 3), (4, 3, -1, 3), (-1, 3, -1, -3))
     p = prior("rooms")
-    p.step(room, seen(("toilet", 3.5, 2.5), ("sink", 3.5, -2.5)), 0)
+    p.step(room, seen(("toilet", 3.5, 2.5), ("sink", 3.5, -2.5)))
     inside, outside = lifts(p, "toilet paper", (-0.5, 0.0), (-8.0, 0.0))
     assert outside == 1 < inside
     assert lifts(p, "bed", (-0.5, 0.0))[0] < 1
@@ -117,11 +117,11 @@ def test_rooms_tell_as_far_as_they_reach():
     target=st.sampled_from(TABLE.things),
 )
 def test_never_out_of_bounds_and_in_any_order(things, by, target):
-    empty, places = MapView(RollingMap(MappingConfig())), ((0, 0), (1, 2), (3, -3))
+    empty, places = NO_REGIONS, ((0, 0), (1, 2), (3, -3))
     found = []
     for order in (things, things[::-1]):
         p = prior(by)
-        p.step(empty, seen(*order), 0)
+        p.step(empty, seen(*order))
         found.append(lifts(p, target, *places))
     assert found[0] == pytest.approx(found[1], rel=1e-4)
     assert all(LEAST <= lift <= MOST for lift in found[0])
@@ -130,12 +130,12 @@ def test_never_out_of_bounds_and_in_any_order(things, by, target):
 def test_what_changed_is_looked_at_again():
     p, view = prior("both"), walls((2, -2, 2, 2))
     things = seen(("toilet paper", 1, 0))
-    p.step(view, things, 0)
+    p.step(view, things)
     first = lifts(p, "toilet", (0.5, 0.5))
     assert first == lifts(p, "toilet", (0.5, 0.5))
     assert lifts(p, "toilet", (-5, 0.5)) != first
     things.n, things.generation = 0, things.generation + 1
-    p.step(view, things, 0)
+    p.step(view, things)
     assert lifts(p, "toilet", (0.5, 0.5)) == [1]
 
 
@@ -145,7 +145,7 @@ def test_a_layer_of_it_says_what_it_says_of_each_place(by):
     assert p.layer("toilet")().cells.size == 0
     room = walls((-1, -3, 4, -3), (4, -3, 4, 3), (4, 3, -1, 3), (-1, 3, -1, -3))
     things = seen(("toilet paper", 3.5, 2.5), ("sink", 3.5, -2.5), ("bed", 0.0, 2.5))
-    p.step(room, things, 0)
+    p.step(room, things)
     assert p.layer("zeppelin")().cells.size == 0
     grid = p.layer("toilet")()
     drawn = np.argwhere(grid.cells)
@@ -161,7 +161,7 @@ def test_a_layer_is_of_when_it_was_asked_for_and_leaves_the_rest_alone():
     """As another thread may call for it, while the loop goes on."""
     p, view = prior("both"), walls((2, -2, 2, 2))
     things = seen(("toilet paper", 1, 0))
-    p.step(view, things, 0)
+    p.step(view, things)
     at = (0.5, 0.5)
     before, (looked_at, kept) = lifts(p, "toilet", at), (p._xy_m, p._lifts["toilet"])
     early, same = p.layer("toilet"), p.layer("toilet")

@@ -1,4 +1,4 @@
-"""Where is it: answers from the object map."""
+"""Answers of the object map to "where is it"."""
 
 from __future__ import annotations
 
@@ -61,6 +61,11 @@ def test_an_armchair_comes_after_the_chairs():
         for name in ("chair", "armchair", "")
     }
     assert ids == {"chair": [2, 3, 1], "armchair": [1], "": [1, 2, 3]}
+
+
+@pytest.mark.parametrize(("most", "ids"), [(0, []), (1, [1]), (9, [1, 2, 3])])
+def test_of_many_objects_the_most_confident_are_returned(most, ids):
+    assert [one.id for one in known_objects(SEEN, NOW_NS, 2, most=most)] == ids
 
 
 def test_the_answer_says_where_when_and_how_sure():

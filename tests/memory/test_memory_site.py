@@ -1,23 +1,29 @@
-"""Places and zones: GeoJSON in and out, files, names."""
+"""Places, zones and room names: GeoJSON in and out, files, names."""
 
 from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from patience import eventually
+from rooms import KITCHEN
 
 from edge.geometry import SE2
 from edge.memory import (
+    KnownObject,
     Place,
+    RoomName,
     Site,
     SiteError,
     SiteFile,
     Zone,
     item_of,
+    memory_geojson,
     read_site,
     site_of,
     write_site,
@@ -25,8 +31,9 @@ from edge.memory import (
 
 DOCK = Place("dock", SE2(1.0, -2.0, math.pi / 2))
 STAIRS = Zone("stairs", "keep_out", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)))
+OFFICE = RoomName("office", (3.0, 4.0))
 NAME, AT = "here: features.0.properties.name", "here: features.0.geometry"
-ALL = Site((DOCK, STAIRS))
+ALL = Site((DOCK, STAIRS, OFFICE))
 
 
 def feature(kind="place", name="dock", shape="Point", coordinates=(1.0, 2.0), **properties):
@@ -77,7 +84,7 @@ def test_a_place_is_found_by_its_name(name):
 def test_an_item_replaces_the_one_of_its_name():
     there = Place("dock", SE2(5.0, 5.0, 0.0))
     assert ALL.with_item(there).place("dock") == there
-    assert len(ALL.with_item(there).items) == 2
+    assert len(ALL.with_item(there).items) == 3
     assert ALL.without("The Dock").places == ()
 
 
@@ -116,7 +123,7 @@ def test_a_damaged_file_is_named(tmp_path, content):
 
 
 def test_what_is_unknown_is_refused_with_what_there_is():
-    with pytest.raises(SiteError, match=r"no place or zone 'door' .known: dock, stairs"):
+    with pytest.raises(SiteError, match=r"no place or zone 'door' .known: dock, stairs, office"):
         ALL.without("door")
 
 
@@ -128,6 +135,7 @@ def test_changes_are_saved_and_start_is_not(tmp_path):
     file.close()
     assert read_site(path) == ALL
     assert file.known.place("start") is file.start
+    assert file.known is file.known
     assert SiteFile(path).site == ALL
 
 
@@ -140,3 +148,26 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
     eventually(lambda: problems)
     file.close()
     assert "site.geojson: not saved: " in problems[0]
+
+
+def test_an_export_of_nothing_is_an_empty_collection():
+    assert memory_geojson(Site().geojson(), []) == {"type": "FeatureCollection", "features": []}
+
+
+def test_an_export_has_places_zones_and_objects_with_what_is_known_of_them():
+    mug = KnownObject(7, "mug", (1.0, 2.0, 0.75), 0.625, 3, 4.0)
+    outlineless = replace(KITCHEN, polygon_m=np.zeros((0, 2)))
+    rooms = [room.to_json() for room in (KITCHEN, outlineless)]
+    collection = memory_geojson(ALL.geojson(), [mug.to_json()], rooms)
+    kitchen = collection["features"].pop()
+    assert (kitchen["properties"]["kind"], kitchen["properties"]["kinds"]) == ("room", ["kitchen"])
+    (ring,) = kitchen["geometry"]["coordinates"]
+    assert ring == [*KITCHEN.polygon_m.tolist(), KITCHEN.polygon_m[0].tolist()]
+    assert collection["features"][:-1] == ALL.geojson()["features"]
+    assert collection["features"][-1] == {
+        "type": "Feature",
+        "properties": {
+            "kind": "object", "name": "mug", "id": 7, "confidence": 0.625, "hits": 3, "age_s": 4.0,
+        },
+        "geometry": {"type": "Point", "coordinates": [1.0, 2.0, 0.75]},
+    }  # fmt: skip

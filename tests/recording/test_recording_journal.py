@@ -18,8 +18,8 @@ import edge
 from edge.geometry import SE2, CameraModel, Grid
 from edge.loop.behaviours.plan_worker import PlanResult
 from edge.loop.input_log import LoopInput
-from edge.loop.prior import Rooms
-from edge.memory import Place, Site
+from edge.mapping.regions import OPEN, RegionMap, border_lengths
+from edge.memory import NO_SURVEY, LostRoom, Place, Site, survey_rooms
 from edge.mission.spec import prepare
 from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies.base import ImageSimilarity
@@ -130,12 +130,14 @@ def test_recordings_of_before_there_were_masks_are_read():
 
 def test_what_was_found_beside_the_loop_comes_back():
     values = np.array([0.1, np.inf, np.nan], np.float32)
-    cells = np.arange(6, dtype=np.uint8).reshape(2, 3)
-    rooms = Rooms(Grid(cells, (0.1, -0.2), 0.1), cells > 2, cells.astype(np.int16), 3, cells * 1)
+    label = np.repeat(np.array([[1, 2]], np.int16), 20, axis=1).repeat(20, axis=0)
+    grid = Grid(np.full(label.shape, OPEN, np.uint8), (0.1, -0.2), 0.1)
+    regions = RegionMap(grid, label < 1, label, 2, border_lengths(label, 2))
+    rooms = survey_rooms(regions, NO_SURVEY)._replace(lost=(LostRoom(7, 0.1, 0.2),))
     pose, stamp = SE2(0.1, 0.2, 0.3), 5
     what = {
         "surveyor": values,
-        "prior": rooms,
+        "rooms": rooms,
         "similarity": ("asked", ImageSimilarity(stamp, pose, ("a", "b"), values[:2])),
         "choice": ("asked", FrontierChoice(stamp, "a", (3, 1), values[:2], 0.25, 0.5)),
     }
@@ -144,10 +146,15 @@ def test_what_was_found_beside_the_loop_comes_back():
     )
     back = {entry.fields["worker"]: entry.fields["what"] for entry in entries}
     assert journal.survey_of(back["surveyor"]).tobytes() == values.tobytes()
-    again_rooms = journal.rooms_of(back["prior"])
-    assert again_rooms.grid.origin_xy_m == (0.1, -0.2)
-    for one, other in zip(rooms[1:], again_rooms[1:], strict=True):
+    again_rooms = journal.rooms_of(back["rooms"])
+    assert again_rooms.regions.grid.origin_xy_m == (0.1, -0.2)
+    for one, other in zip(regions[1:], again_rooms.regions[1:], strict=True):
         np.testing.assert_array_equal(one, other)
+    assert again_rooms[1:4] == (pytest.approx([0, 1, 2]), 3, ((7, 0.1, 0.2),))
+    np.testing.assert_array_equal(again_rooms.depth_m, rooms.depth_m)
+    assert [one.doors for one in again_rooms.shapes] == [one.doors for one in rooms.shapes]
+    old = {key: v for key, v in back["rooms"].items() if key not in ("ids", "next_id", "lost")}
+    assert journal.rooms_of(old).shapes == ()
     similarity = journal.similarity_of(back["similarity"])
     assert (similarity.stamp_ns, similarity.pose, similarity.targets) == (stamp, pose, ("a", "b"))
     choice = journal.choice_of(back["choice"])

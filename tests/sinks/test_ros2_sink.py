@@ -18,7 +18,9 @@ from task_facts import written
 from edge.bus.ros2 import names
 from edge.bus.ros2.names import BRIDGE, RMW_ZENOH, dialect_of
 from edge.bus.ros2.node import Ros2Node
+from edge.errors import UserError
 from edge.geometry import SE2
+from edge.mapping.zones import ZonePolygons
 from edge.sinks import navigate
 from edge.sinks.ros2 import PathRing, Ros2Sink
 from edge.sources.goal_status import GoalStatusInbox
@@ -32,7 +34,7 @@ def goal(stamp_ns: int, x_m: float = 1.0) -> Goal:
 
 
 def driving(stamp_ns: int, x_m: float = 1.0):
-    """A tick in which a goal goes out."""
+    """Return a tick in which a goal is sent."""
     one = goal(stamp_ns, x_m)
     return result(goals=(one,), goal=one)
 
@@ -73,7 +75,7 @@ def make(port, session):
 
 @pytest.fixture
 def answers(port, session):
-    """What the loop would hear of its goals."""
+    """Return the goal statuses that the loop would receive."""
     inbox = GoalStatusInbox(session, zenoh_settings(port))
     heard: list[GoalStatus] = []
 
@@ -141,6 +143,78 @@ def test_a_refused_goal_has_failed(make, nav2, answers):
     nav2.accepts = False
     make().tick(driving(5))
     assert answers(1) == [GoalStatus(5, "failed", "refused by navigate_to_pose")]
+
+
+def at_place(stamp_ns: int, name: str):
+    one = Goal(stamp_ns, SE2(1.0, 2.0, 0.5), "place", 0, (1.0, 2.0), 1.0, name)
+    return result(goals=(one,), goal=one)
+
+
+@pytest.mark.parametrize(
+    ("status", "end"),
+    [(SUCCEEDED, GoalStatus(8, "reached")),
+     (ABORTED, GoalStatus(8, "failed", "aborted by Nav2 (error 902): no dock"))],
+)  # fmt: skip
+def test_a_goal_at_a_dock_goes_to_the_docking_server(make, nav2, theirs, answers, status, end):
+    docking = Nav2(theirs, "kilted", action="DockRobot")
+    sink = make(docks={"bay 2": "bay_2"})
+    sink.tick(driving(6))
+    first_goal(nav2)
+    sink.tick(at_place(7, "bay two"))
+    goal_id = first_goal(docking)
+    eventually(lambda: nav2.cancelled)
+    asked = docking.goals[0][1]
+    assert (asked.use_dock_id, asked.dock_id) == (True, "bay_2")
+    assert (asked.max_staging_time, asked.navigate_to_staging_pose) == (1000.0, True)
+    sink.tick(at_place(8, "bay two"))  # its cell has moved: the robot docks on
+    assert answers(3)[-1] == GoalStatus(8, "accepted")
+    docking.end(goal_id, status, *((902, "no dock") if status == ABORTED else ()))
+    assert answers(4)[-1] == end
+    assert len(docking.goals) == 1
+    docking.close()
+
+
+def test_a_goal_that_leaves_the_dock_cancels_the_docking(make, nav2, theirs):
+    docking = Nav2(theirs, "jazzy", action="DockRobot")
+    sink = make(docks={"dock": "bay_1"})
+    sink.tick(at_place(7, "dock"))
+    goal_id = first_goal(docking)
+    sink.tick(at_place(8, "shelf"))
+    first_goal(nav2)
+    assert eventually(lambda: docking.cancelled) == [goal_id]
+    docking.close()
+
+
+@pytest.mark.parametrize("status", [SUCCEEDED, ABORTED])
+def test_a_docked_robot_undocks_before_it_drives(make, nav2, theirs, answers, status):
+    docking = Nav2(theirs, "jazzy", action="DockRobot")
+    undocking = Nav2(theirs, "jazzy", action="UndockRobot")
+    sink = make(docks={"dock": "bay_1"})
+    sink.tick(at_place(7, "dock"))
+    docking.end(first_goal(docking), SUCCEEDED)
+    assert answers(2)[-1] == GoalStatus(7, "reached")
+    sink.tick(driving(8))
+    goal_id = first_goal(undocking)
+    sink.tick(driving(9))  # a better goal: it undocks on
+    assert answers(4)[-1] == GoalStatus(9, "accepted")
+    assert nav2.goals == []
+    undocking.end(goal_id, status, 903)
+    if status == SUCCEEDED:
+        nav2.end(first_goal(nav2), SUCCEEDED)
+        assert answers(6)[-1] == GoalStatus(9, "reached")
+        sink.tick(driving(10))
+        eventually(lambda: len(nav2.goals) == 2)
+    else:
+        assert answers(5)[-1] == GoalStatus(9, "failed", "aborted by Nav2 (error 903)")
+    assert len(undocking.goals) == 1
+    docking.close()
+    undocking.close()
+
+
+@pytest.mark.parametrize("more", [{"via": "adapter"}, {"goals": "topic"}])
+def test_docking_needs_actions(make, more):
+    with pytest.raises(UserError, match="docks: needs goals: navigate_to_pose"):
+        make(docks={"dock": "bay_1"}, **more)
 
 
 def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers, caplog, monkeypatch):
@@ -298,6 +372,42 @@ def test_map_and_drawings(make, theirs):
     type_name, payload = eventually(lambda: heard(drawn))[0]
     _, frontiers = from_ros(payload.to_bytes(), type_name).markers
     assert len(frontiers.points) == 2
+    node.close()
+
+
+SQUARE = np.array([(1.0, 1.0), (2.0, 1.0), (2.0, 2.0), (1.0, 2.0)])
+
+
+@pytest.mark.parametrize("via", ["rmw_zenoh", "bridge"])
+def test_zones_are_a_mask_for_nav2_that_opens_while_the_robot_is_inside(make, theirs, via):
+    sink = make(via=via, keepout_filter=True, map_frame="world")
+    node = Ros2Node(theirs, 0, "costmap", dialect_of(via, "edge"))
+    kind = "nav2_msgs/msg/CostmapFilterInfo"
+    info = node.subscription("/edge/keepout_info", (kind,), 8, latched=True)
+    ((type_name, payload),) = eventually(info.take)
+    said = from_ros(payload.to_bytes(), type_name)
+    assert (said.type, said.base, said.multiplier) == (0, 0.0, 1.0)
+    assert (said.filter_mask_topic, said.header.frame_id) == ("/edge/keepout_mask", "world")
+    kind = "nav_msgs/msg/OccupancyGrid"
+    mask = node.subscription("/edge/keepout_mask", (kind,), 8, latched=True)
+
+    def after(now_s: int, zones: ZonePolygons, x_m: float) -> tuple[set[int], int]:
+        """Return the values and the number of cells that a tick publishes."""
+        sink.tick(result(now_s * 10**9, zones=zones, pose=SE2(x_m, 1.5, 0.0)))
+        type_name, payload = eventually(mask.take)[-1]
+        grid = from_ros(payload.to_bytes(), type_name)
+        assert grid.header.frame_id == "world"
+        assert len(grid.data) == grid.info.width * grid.info.height
+        return set(grid.data.tolist()), len(grid.data)
+
+    zones = ZonePolygons((SQUARE,))
+    assert after(1, ZonePolygons(), 0.0) == ({-1}, 1)
+    values, size = after(2, zones, 0.0)
+    assert values == {-1, 100}
+    assert after(4, zones, 1.5) == ({-1}, size)
+    assert after(6, zones, 0.0) == (values, size)
+    sink.tick(result(8 * 10**9, zones=zones, pose=SE2(0.0, 0.0, 0.0)))  # nothing new
+    assert after(9, ZonePolygons(), 0.0) == ({-1}, 1)
     node.close()
 
 

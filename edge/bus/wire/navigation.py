@@ -1,7 +1,8 @@
-"""Codec of the action nav2_msgs/NavigateToPose: three services and two topics.
+"""Codec of Nav2's messages: NavigateToPose, DockRobot, UndockRobot and CostmapFilterInfo.
 
-`send_goal`, `get_result` and `cancel_goal` are services, `feedback` and `status` are topics, all
-below `<action>/_action/`. The client chooses a random 16-byte id for each goal.
+An action is three services and two topics: `send_goal`, `get_result` and `cancel_goal` are
+services, `feedback` and `status` are topics, all below `<action>/_action/`. The client chooses a
+random 16-byte id for each goal.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ _I16 = struct.Struct("<h")
 _U16 = struct.Struct("<H")
 _F32 = struct.Struct("<f")
 _MOST_GOALS = 1024
+_KEEPOUT_FILTER = 0
+_STAGING_S, _UNDOCKING_S = 1000.0, 30.0  # defaults of DockRobot and UndockRobot
 
 # action_msgs/GoalStatus
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6
@@ -31,6 +34,41 @@ def encode_send_goal(
     """Encode NavigateToPose_SendGoal_Request; `tree`: behavior tree, "" for Nav2's default."""
     writer = CdrWriter().write(_UUID, 1, goal_id).header(stamp_ns, frame_id)
     return write_pose(writer, pose.matrix()).string(tree).bytes()
+
+
+def encode_dock_goal(
+    goal_id: bytes, stamp_ns: int, dock_id: str, frame_id: str = MAP_FRAME
+) -> bytes:
+    """Encode DockRobot_SendGoal_Request for a dock that the docking server knows by its id.
+
+    The server drives to the staging pose of the dock itself.
+    """
+    writer = CdrWriter().write(_UUID, 1, goal_id).write(U8, 1, 1).string(dock_id)
+    write_pose(writer.header(stamp_ns, frame_id), SE2(0.0, 0.0, 0.0).matrix())
+    return writer.string("").write(_F32, 4, _STAGING_S).write(U8, 1, 1).bytes()
+
+
+def encode_undock_goal(goal_id: bytes) -> bytes:
+    """Encode UndockRobot_SendGoal_Request, for the type of dock that the server docked at."""
+    return CdrWriter().write(_UUID, 1, goal_id).string("").write(_F32, 4, _UNDOCKING_S).bytes()
+
+
+def decode_undock_result(payload: bytes) -> Result:
+    """Decode UndockRobot_GetResult_Response of any distribution."""
+    reader = CdrReader(payload)
+    (status,) = reader.read(_I8, 1)
+    reader.read(U8, 1)
+    (code,) = reader.read(_U16, 2)
+    return Result(status, code, reader.string() if reader.left >= 4 else "")
+
+
+def decode_dock_result(payload: bytes) -> Result:
+    """Decode DockRobot_GetResult_Response of any distribution."""
+    reader = CdrReader(payload)
+    (status,) = reader.read(_I8, 1)
+    reader.read(U8, 1)  # success, which the status tells as well
+    code, _ = reader.read(_U16, 2)[0], reader.read(_U16, 2)
+    return Result(status, code, reader.string() if reader.left >= 4 else "")
 
 
 def decode_send_goal(payload: bytes) -> tuple[bytes, int, SE2, str]:
@@ -102,6 +140,12 @@ def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
         reader.skip(STAMP.size, 4)
         goals.append((goal_id, reader.read(_I8, 1)[0] if status else 0))
     return goals
+
+
+def encode_keepout_info(stamp_ns: int, frame_id: str, mask_topic: str) -> bytes:
+    """Encode the nav2_msgs/CostmapFilterInfo that tells a KeepoutFilter the topic of its mask."""
+    writer = CdrWriter().header(stamp_ns, frame_id).write(U8, 1, _KEEPOUT_FILTER)
+    return writer.string(mask_topic).floats((0.0, 1.0), "f").bytes()
 
 
 @dataclass(frozen=True, slots=True)

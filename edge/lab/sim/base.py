@@ -130,10 +130,12 @@ class World(Protocol):
 
     Attributes:
         rooms: each as rectangles of its floor (x0, y0, x1, y1) [m]; empty if unknown.
+        room_kinds: kind of each room; empty if unknown.
     """
 
     name: str
     rooms: tuple[Room, ...]
+    room_kinds: tuple[str, ...]
     objects: list[WorldObject]
     start: SE2
     plan: FloorPlan

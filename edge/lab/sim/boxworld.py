@@ -56,9 +56,10 @@ class BoxWorld:
         robot_height_m: float,
         depth_range_m: tuple[float, float],
         rooms: tuple[Room, ...] = (),
+        room_kinds: tuple[str, ...] = (),
     ) -> None:
         self.name = name
-        self.rooms = rooms
+        self.rooms, self.room_kinds = rooms, room_kinds
         self.objects = [item for item, _ in furniture]
         self.start = start
         self._robot_height_m = robot_height_m

@@ -212,6 +212,7 @@ class MeshWorld:
 
         self.name = name
         self.rooms: tuple[Room, ...] = ()
+        self.room_kinds: tuple[str, ...] = ()
         self._faces = faces
         self._depth_range_m = (
             config.sensors.camera.depth_min_m,

@@ -77,7 +77,8 @@ def build_procthor(house: dict[str, Any], config: Config) -> BoxWorld:
     start = SE2(*(float(v) for v in house["start"]))
     rooms = tuple(tuple(rectangles(room["polygon"])) for room in house["rooms"])
     height_m = config.robot.height_m
-    return BoxWorld(house["name"], structure, furniture, start, height_m, depths, rooms)
+    kinds = tuple(str(room["category"]) for room in house["rooms"])
+    return BoxWorld(house["name"], structure, furniture, start, height_m, depths, rooms, kinds)
 
 
 def _room_parts(room: dict[str, Any], height_m: float) -> list[Primitive]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from edge.config import Config
 from edge.loop.behaviours.pursuits import PURSUITS, Pursuit
+from edge.loop.behaviours.room_targets import close_forbidden, known_targets
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
@@ -64,7 +65,8 @@ class SearchBehaviour:
         pose, now_ns = context.pose, context.now_ns
         sure = not self._config.policy.instances
         seen = newest_ids(self._map.tracker, self._things, sure)
-        mission.see(seen | dict.fromkeys(mission.destinations, 0), now_ns)
+        mission.see(seen | known_targets(mission, self._map), now_ns)
+        close_forbidden(mission, self._map)
         if self._surveyor is not None:
             self._surveyor.step(mission, grid, self._map.tracker, pose, now_ns)
         if goals.follows(mission) and mission.active:

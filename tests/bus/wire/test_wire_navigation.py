@@ -6,7 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from ros_messages import FAREWELLS, STORE, from_ros, header, pose, to_ros
+from ros_messages import (
+    DOCK_FAREWELLS,
+    FAREWELLS,
+    STORE,
+    UNDOCK_FAREWELLS,
+    from_ros,
+    header,
+    pose,
+    to_ros,
+)
 
 from edge.bus.wire import markers, navigation, transforms
 from edge.geometry import SE2
@@ -105,6 +114,35 @@ def test_its_answer(accepted):
 def test_its_result_in_every_distribution(distribution):
     farewell, expected = FAREWELLS[distribution]
     assert navigation.decode_result(farewell(6, 103, "no way")) == expected
+
+
+@pytest.mark.parametrize("distribution", DOCK_FAREWELLS)
+def test_the_result_of_docking(distribution):
+    farewell, expected = DOCK_FAREWELLS[distribution]
+    assert navigation.decode_dock_result(farewell(6, 902, "no dock")) == expected
+
+
+def test_a_goal_of_docking():
+    payload = navigation.encode_dock_goal(ID, 5, "bay_1", "odom")
+    request = from_ros(payload, "nav2_msgs/msg/DockRobot_SendGoal_Request")
+    assert bytes(request.goal_id.uuid) == ID
+    goal = request.goal
+    assert (goal.use_dock_id, goal.dock_id, goal.dock_type) == (True, "bay_1", "")
+    assert (goal.max_staging_time, goal.navigate_to_staging_pose) == (1000.0, True)
+    assert goal.dock_pose.header == header(5, "odom")
+
+
+@pytest.mark.parametrize("distribution", UNDOCK_FAREWELLS)
+def test_the_result_of_undocking(distribution):
+    farewell, expected = UNDOCK_FAREWELLS[distribution]
+    assert navigation.decode_undock_result(farewell(6, 902, "no dock")) == expected
+
+
+def test_a_goal_of_undocking():
+    name = "nav2_msgs/msg/UndockRobot_SendGoal_Request"
+    request = from_ros(navigation.encode_undock_goal(ID), name)
+    assert bytes(request.goal_id.uuid) == ID
+    assert (request.goal.dock_type, request.goal.max_undocking_time) == ("", 30.0)
 
 
 def test_what_asks_for_it_and_what_takes_it_back():

@@ -73,7 +73,7 @@ def test_processes_give_the_same_outcomes(tasks, alone):
 
 
 def fallen(task: EpisodeJob) -> list[EpisodeOutcome]:
-    """What a worker runs instead: it falls over at the sofa."""
+    """Stand-in for the worker's run: it crashes at the sofa."""
     if task.episode.target == "sofa":
         os._exit(7)
     return [run_episode(task.column, task.episode, in_process)]

@@ -1,0 +1,83 @@
+"""`edge room`: rooms that a running service knows, their names and zones.
+
+Light to import, so that the command line can take its arguments from here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from edge.cli.options import CONFIG, lazy_handler
+
+ANSWER_S = 5.0
+
+
+def add(commands) -> None:  # type: ignore[no-untyped-def]
+    """Add `edge room`."""
+    room = commands.add_parser("room", help="list rooms, name them, close them")
+    actions = room.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
+    for do, text in (
+        ("list", "list the known rooms"),
+        ("name", "name the room that the robot is in"),
+        ("forget", "remove a name"),
+        ("keep-out", "make a zone of a room that the robot must not enter"),
+        ("stay-inside", "make a zone of a room that the robot must not leave"),
+    ):
+        action = actions.add_parser(do, help=text)
+        action.add_argument("config", help=CONFIG)
+        if do != "list":
+            action.add_argument("name", help="of the room")
+        action.add_argument("--json", action="store_true", help="print JSON")
+        action.set_defaults(handler=lazy_handler("edge.cli.room", "run"))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge room`.
+
+    Raises:
+        RequestError: no service is there, it does not answer, or it refuses.
+        ConfigError: the configuration cannot be read.
+    """
+    from edge.bus import client, topics
+    from edge.config import load
+
+    settings = load(args.config).zenoh
+    topic = topics.MEMORY_REQUEST if args.do == "list" else topics.SITE_REQUEST
+    with client.connect(settings, ANSWER_S, "service") as session:
+        answer = client.send_request(
+            session, settings.key(topic), _request(args), ANSWER_S, "service"
+        )
+    if args.json:
+        print(json.dumps(answer["rooms" if args.do == "list" else "site"], indent=1))
+    elif args.do == "list":
+        print(_table(answer["rooms"]) or "none")
+    else:
+        print(answer["text"])
+    return 0
+
+
+def _request(args: argparse.Namespace) -> dict:
+    if args.do == "list":
+        return {"do": "rooms"}
+    if args.do == "name":
+        return {"do": "set", "kind": "room", "name": args.name}
+    if args.do == "forget":
+        return {"do": "remove", "name": args.name}
+    return {"do": "set", "kind": args.do.replace("-", "_"), "room": args.name}
+
+
+def _table(rooms: list[dict]) -> str:
+    """Return the rooms as a table; "" for none."""
+    from edge.text import format_table, one_line
+
+    rows = [
+        (
+            str(room["id"]), one_line(room["name"]), " and ".join(room["kinds"]),
+            f"{room['area_m2']:.1f}", f"{room['xy'][0]:.1f}, {room['xy'][1]:.1f}",
+            " ".join(str(door["room"]) for door in room["doors"]), one_line(room["reason"]),
+        )
+        for room in rooms
+    ]  # fmt: skip
+    heading = ("room", "name", "kind", "m²", "x, y", "doors to", "because")
+    return format_table([heading, *rows], left=7) if rows else ""

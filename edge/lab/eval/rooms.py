@@ -1,0 +1,224 @@
+"""Evaluation of rooms: are their kinds right, and does the robot reach a named one.
+
+`edge eval rooms` explores houses with known kinds of rooms, and drives to a room of each kind.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.config import Config, load, parse
+from edge.errors import UserError
+from edge.lab.eval import world_list
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.lab.eval.columns import Data, data_of, merged
+from edge.lab.eval.intervals import Interval, wilson
+from edge.lab.sim.base import World, free_poses
+from edge.memory import MappedRoom, RoomMemory
+from edge.memory.rooms import TYPICAL, typical_things
+from edge.text import format_table
+
+EXPLORE_S, GOAL_S = 180.0, 240.0
+"""Simulated time for exploring a house, and for driving to a room."""
+_SAME_ROOM = 0.5
+"""Smallest share of a mapped room's floor in one true room to be judged."""
+_PART = 0.2
+"""Smallest share of a mapped room's floor in a true room for its kind to count, too."""
+_LOCKSTEP: Data = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+
+
+@dataclass(frozen=True, slots=True)
+class RoomVerdict:
+    """A mapped room, compared with the true room that most of its floor lies in.
+
+    Attributes:
+        world: name of the world.
+        id: of the mapped room.
+        truth: kind of the true room.
+        share: share of the mapped floor that lies in it.
+        also: kinds of all true rooms with at least `_PART` of the mapped floor.
+        kinds: kinds by the robot; empty if none is certain.
+        best: most likely kind by the robot, certain or not.
+        chance: probability of `best`.
+        typical: number of typical things of the true kind that were seen in the mapped room.
+    """
+
+    world: str
+    id: int
+    truth: str
+    share: float
+    also: frozenset[str]
+    kinds: tuple[str, ...]
+    best: str
+    chance: float
+    typical: int
+
+
+@dataclass(frozen=True, slots=True)
+class RoomGoalOutcome:
+    """A drive to a room of a kind.
+
+    Attributes:
+        world: name of the world.
+        kind: the wanted kind.
+        phase: how the mission ended.
+        success: True if the service reported `reached` and the robot is in a room of the kind.
+        seconds: simulated time.
+        reason: by the service.
+    """
+
+    world: str
+    kind: str
+    phase: str
+    success: bool
+    seconds: float
+    reason: str
+
+
+def true_room_at(world: World, xy_m: np.ndarray) -> np.ndarray:
+    """Return the index of the true room of each point, (n,) int64; -1 for none.
+
+    Args:
+        world: the world.
+        xy_m: (n, 2) points.
+    """
+    found = np.full(len(xy_m), -1)
+    for number, room in enumerate(world.rooms):
+        for x0, y0, x1, y1 in room:
+            x, y = xy_m[:, 0], xy_m[:, 1]
+            found[(x0 <= x) & (x < x1) & (y0 <= y) & (y < y1)] = number
+    return found
+
+
+def judge_rooms(world: World, memory: RoomMemory) -> list[RoomVerdict]:
+    """Compare the rooms of the map with those of the world."""
+    regions, verdicts = memory.survey.regions, []
+    for shape in memory.survey.shapes:
+        room = memory.room(shape.id)
+        cells = np.argwhere(regions.label == shape.region)
+        at = true_room_at(world, regions.grid.centres_m(cells[:, 0], cells[:, 1]))
+        counts = np.bincount(at[at >= 0], minlength=len(world.rooms))
+        if room is None or not counts.any():
+            continue
+        best, parts = int(counts.argmax()), np.flatnonzero(counts >= _PART * len(cells)).tolist()
+        also = frozenset(world.room_kinds[at] for at in parts)
+        share = float(counts[best] / len(cells))
+        verdicts.append(_verdict(world, room, world.room_kinds[best], share, also))
+    return verdicts
+
+
+def _verdict(
+    world: World, room: MappedRoom, truth: str, share: float, also: frozenset
+) -> RoomVerdict:
+    best = max(room.chance, key=lambda kind: room.chance[kind])
+    typical = len(typical_things(truth) & set(room.things))
+    chance = room.chance[best]
+    return RoomVerdict(world.name, room.id, truth, share, also, room.kinds, best, chance, typical)
+
+
+def explore(config: Config, world: World, seconds: float = EXPLORE_S) -> ClosedLoop:
+    """Return a closed loop that has explored the world for a time; the caller closes it."""
+    data = merged(data_of(config), _LOCKSTEP, {"mission": {"instruction": "explore the house"}})
+    loop = ClosedLoop(parse(data, config.path), world=world, colour=False)
+    return loop.run(seconds)
+
+
+def drive_to(
+    config: Config, world: World, kind: str, start: tuple[float, float, float]
+) -> RoomGoalOutcome:
+    """Drive to a room of a kind in an unknown house."""
+    limits = {"instruction": f"go to the {kind}", "time_limit_s": GOAL_S}
+    settings = {"mission": limits, "sim": {"start": list(start)}}
+    data = merged(data_of(config), _LOCKSTEP, settings)
+    loop = ClosedLoop(parse(data, config.path), world=world, colour=False)
+    try:
+        loop.run(GOAL_S + 5.0)
+        status, pose = loop.service.status, loop.drive.motion.pose
+        at = int(true_room_at(world, np.array([[pose.x_m, pose.y_m]]))[0])
+        right = at >= 0 and world.room_kinds[at] == kind
+        success = status.phase == "reached" and right
+        return RoomGoalOutcome(world.name, kind, status.phase, success, loop.seconds, status.reason)
+    finally:
+        loop.close()
+
+
+def worlds_of(config: Config, specs: list[str]) -> Iterator[tuple[Config, World]]:
+    """Yield the configuration and the world of each house whose rooms have kinds."""
+    for section in world_list.sections(specs):
+        data = data_of(config)
+        data["sim"]["world"] = section
+        here = parse(data, config.path)
+        world = world_list.load(here)
+        if not world.room_kinds:
+            raise UserError(
+                f"{world.name}: the kinds of its rooms are not known: use ProcTHOR houses"
+            )
+        yield here, world
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge eval rooms`.
+
+    Raises:
+        UserError: a world or the configuration cannot be used.
+    """
+    data = data_of(load(args.config))
+    data["perception"]["detector"] = {"kind": "sim"}
+    config = parse(data, args.config)
+    verdicts: list[RoomVerdict] = []
+    outcomes: list[RoomGoalOutcome] = []
+    for here, world in worlds_of(config, args.worlds):
+        if not args.goals_only:
+            loop = explore(here, world)
+            verdicts += judge_rooms(world, loop.service.map.rooms)
+            loop.close()
+        for kind in random.Random(args.seed).sample(
+            sorted(set(world.room_kinds)), k=min(args.goals, len(set(world.room_kinds)))
+        ):
+            pose = _start_elsewhere(here, world, kind, args.seed)
+            if pose is not None:
+                outcomes.append(drive_to(here, world, kind, pose))
+                print(outcomes[-1], flush=True)
+    print(report(verdicts, outcomes))
+    return 0
+
+
+def _start_elsewhere(
+    config: Config, world: World, kind: str, seed: int
+) -> tuple[float, float, float] | None:
+    """Return a random pose that is in no room of the kind, or None if there is none."""
+    for pose in free_poses(world, 50, seed, config.robot.radius_m):
+        at = int(true_room_at(world, np.array([[pose.x_m, pose.y_m]]))[0])
+        if at >= 0 and world.room_kinds[at] != kind:
+            return (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
+    return None
+
+
+def report(verdicts: list[RoomVerdict], outcomes: list[RoomGoalOutcome]) -> str:
+    """Return the tables of an evaluation, with intervals at 95 %."""
+    judged = [one for one in verdicts if one.share >= _SAME_ROOM]
+    clear = [one for one in judged if one.typical >= TYPICAL]
+    rows = [("measure", "value", "95 %", "n")]
+    for name, among, right in (
+        ("kind is right, two or more typical things seen", clear, _is_right),
+        ("most likely kind is right, the same rooms", clear, lambda v: v.best == v.truth),
+        ("kind is right, of all rooms with a kind", [v for v in judged if v.kinds], _is_right),
+    ):  # fmt: skip
+        rows.append(_row(name, [right(one) for one in among]))
+    rows.append(_row("room is reached", [one.success for one in outcomes]))
+    return format_table(rows, left=1)
+
+
+def _is_right(verdict: RoomVerdict) -> bool:
+    """Return True if the true kind was found, and no kind that is not there."""
+    return verdict.truth in verdict.kinds and verdict.also.issuperset(verdict.kinds)
+
+
+def _row(name: str, right: list[bool]) -> tuple[str, str, str, str]:
+    share: Interval = wilson(sum(right), len(right))
+    return name, f"{share.value:.3f}", f"{share.low:.3f} to {share.high:.3f}", str(len(right))

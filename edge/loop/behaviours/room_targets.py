@@ -1,0 +1,59 @@
+"""Rooms as targets of a mission: which rooms are meant, which are known, which are closed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge.loop.prior import LEAST, MOST
+from edge.loop.semantic_map import SemanticMap
+from edge.memory import MappedRoom, RoomMemory
+from edge.mission.destinations import RoomTarget
+from edge.mission.run import MissionRun
+
+
+class RoomKindPrior:
+    """A prior of frontiers by the kind of room that they are in or lead to."""
+
+    def __init__(self, rooms: RoomMemory, kind: str) -> None:
+        self._rooms, self._kind = rooms, kind
+
+    def lift(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
+        """See `TargetPrior.lift`; the target is the kind of room."""
+        np.clip(self._rooms.kind_ratio(self._kind, xy_m[:n]), LEAST, MOST, out=out[:n])
+
+
+def rooms_of(target: RoomTarget, here: SemanticMap) -> list[MappedRoom]:
+    """Return the known rooms that a target may mean, without the largest one."""
+    rooms = here.rooms
+    if target.which == "called":
+        return rooms.called(target.name)
+    if target.which == "next":
+        return [room for room in rooms.rooms if not room.is_visited]
+    if target.which == "with":
+        shown, min_hits = here.sightings.shown, here.config.perception.min_hits
+        return rooms.with_thing(target.name, shown, min_hits)[:1]
+    return []
+
+
+def known_targets(mission: MissionRun, here: SemanticMap) -> dict[str, int]:
+    """Return the destinations of a mission that are known, each with the id of its newest room.
+
+    A destination that is no room is always known, with id 0.
+    """
+    known = {}
+    for name, target in mission.destinations.items():
+        if not isinstance(target, RoomTarget):
+            known[name] = 0
+        elif found := rooms_of(target, here):
+            known[name] = max(room.id for room in found)
+    return known
+
+
+def close_forbidden(mission: MissionRun, here: SemanticMap) -> None:
+    """Close the rooms that the mission must not reach now, as zones; open all others."""
+    closed: list[MappedRoom] = []
+    for name in () if mission.done else mission.forbidden:
+        target = mission.destinations.get(name)
+        if isinstance(target, RoomTarget):
+            closed += here.rooms.matching(target.name)
+    here.close_rooms(closed)

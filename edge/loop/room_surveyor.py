@@ -1,0 +1,83 @@
+"""The rooms of the running service: a background thread cuts the map, the loop uses the result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from edge.config import Config
+from edge.host.worker import Worker
+from edge.loop.prior import LocationPrior
+from edge.mapping.grid import RollingMap
+from edge.mapping.points import TALL
+from edge.mapping.regions import survey_regions
+from edge.mapping.view import MapView
+from edge.memory import RoomMemory, RoomSurvey, survey_rooms
+from edge.perception.prior.table import load
+from edge.perception.prior.words import PriorWordIndex
+from edge.perception.tracking.sightings import TrackedObjects
+
+PERIOD_NS = 1_000_000_000
+"""Shortest time between two surveys."""
+
+
+class RoomSurveyor:
+    """Cuts the map into rooms in the background, about once a second.
+
+    Args:
+        memory: gets the surveys.
+        inline: cut the map inside `step`, so that a run is reproducible.
+    """
+
+    def __init__(self, memory: RoomMemory, inline: bool) -> None:
+        self.memory = memory
+        self._worker: Worker[Callable[[], RoomSurvey], RoomSurvey] = Worker(
+            "rooms", lambda survey: survey(), inline=inline
+        )
+        self._asked_ns: int | None = None
+
+    def through(self, beside: Callable[[str, Any], Any]) -> None:
+        """Wrap the worker with `beside`, which logs its requests and results."""
+        self._worker = beside("rooms", self._worker)
+
+    def step(self, seen: MapView, now_ns: int) -> None:
+        """Collect a survey, and request the next one when it is due. Call it once a tick."""
+        rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
+        if rested and self._worker.idle:
+            self._asked_ns = now_ns
+            layers, window, before = seen.layers, seen.window, self.memory.survey
+            self._worker.submit(lambda: survey_rooms(survey_regions(layers, window, TALL), before))
+        if (found := self._worker.poll()) is not None:
+            self.memory.on_survey(found)
+
+    def forget(self) -> None:
+        """Drop surveys of a map that is gone."""
+        self._worker.forget()
+        self._asked_ns = None
+
+    def close(self) -> None:
+        """Stop the background work."""
+        self._worker.close()
+
+
+def make_room_surveyor(config: Config, words: PriorWordIndex) -> RoomSurveyor:
+    """Return the surveyor of a service."""
+    return RoomSurveyor(RoomMemory(load(), words), config.loop.lockstep)
+
+
+def warm_up(config: Config) -> None:
+    """Compile the kernels of rooms and prior, or read them from the cache."""
+    grid, sightings, table = RollingMap(config.mapping), TrackedObjects(1), load()
+    grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), np.eye(4))
+    words = PriorWordIndex(table)
+    surveyor = RoomSurveyor(RoomMemory(table, words), inline=True)
+    prior = LocationPrior("both", table, words)
+    sightings.words.append(table.things[0])
+    sightings.n = 1
+    seen = sightings.read_only()
+    surveyor.step(MapView(grid), 0)
+    surveyor.memory.update(seen, 0)
+    prior.step(surveyor.memory.survey.regions, seen)
+    prior.lift(table.things[0], np.zeros((1, 2), np.float32), 1, np.empty(1, np.float32))

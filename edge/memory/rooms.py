@@ -1,0 +1,400 @@
+"""Rooms of the map: kind of each by the objects seen in it, names that people gave, questions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge.host.checkpoint import Arrays, check_arrays
+from edge.mapping.regions import RegionMap
+from edge.memory.objects import known_objects
+from edge.memory.room_kinds import kind_of_room
+from edge.memory.room_shapes import NO_SURVEY, LostRoom, Passage, RoomShape, RoomSurvey
+from edge.memory.site import RoomName, Site, is_same
+from edge.perception.prior import rooms as kinds
+from edge.perception.prior.table import ObjectPrior, load
+from edge.perception.prior.words import PriorWordIndex
+from edge.perception.tracking.sightings import TrackedObjects
+from edge.text import one_line
+
+SURE = 0.15
+"""A sighting of this confidence has full weight, because the mean includes views from afar."""
+SURE_KIND = 0.7
+"""Smallest probability of a kind for a room to count as one."""
+_VOTE_M = 1.5  # distance at which an object's vote for the kind of a point has fallen to 1/e
+PERIOD_NS = 250_000_000
+"""Shortest time between two updates by new objects."""
+_REASONS = 2  # number of objects that an explanation names
+_MOST_ROOMS = 1 << 12
+
+
+RECOGNISED_KINDS = load().kinds
+"""Kinds of rooms that the robot recognises by objects; others only a person can name."""
+TYPICAL, _TYPICAL_RATIO = 2, 1.5
+"""Number of typical things from which the kind of a room should be known."""
+
+
+@cache
+def typical_things(kind: str) -> frozenset[str]:
+    """Return the things of the prior's table that are clearly more frequent in a kind of room."""
+    table = load()
+    chance, prior = kinds.object_given_room(table), kinds.room_prior(table)
+    ratio = chance[table.kinds.index(kind)] / (prior @ chance)
+    return frozenset(table.things[at] for at in np.flatnonzero(ratio >= _TYPICAL_RATIO))
+
+
+class SeenObjects(NamedTuple):
+    """Objects that were seen, as parallel arrays.
+
+    Attributes:
+        xyz_m: (n, 3) float32 in `map`.
+        row: (n,) int32, row of the table; -1 if the object is not in it.
+        weight: (n,) float32 in [0, 1], confidence in the object.
+    """
+
+    xyz_m: np.ndarray
+    row: np.ndarray
+    weight: np.ndarray
+
+
+class SeenObjectIndex:
+    """Rows of the prior's table for the tracked objects.
+
+    Args:
+        words: maps words to rows.
+    """
+
+    def __init__(self, words: PriorWordIndex) -> None:
+        self._words = words
+        self._row = np.zeros(0, np.int32)
+
+    def of(self, sightings: TrackedObjects) -> SeenObjects:
+        """Return the objects; `xyz_m` is a view."""
+        s = sightings
+        if len(s.words) != len(self._row):
+            self._row = np.array([self._words.row(word) for word in s.words], np.int32)
+        weight = np.minimum(s.confidence[: s.n] / np.float32(SURE), np.float32(1.0))
+        return SeenObjects(s.xyz_m[: s.n], self._row[s.word[: s.n]], weight)
+
+
+def objects_by_region(regions: RegionMap, objects: SeenObjects, n_things: int) -> np.ndarray:
+    """Return the confidence that each thing is in each region, (n + 1, things) float32."""
+    held = np.zeros((regions.n + 1, n_things), np.float32)
+    at = regions.at(objects.xyz_m)
+    counts = (at > 0) & (objects.row >= 0)
+    np.maximum.at(held, (at[counts], objects.row[counts]), objects.weight[counts])
+    return held
+
+
+def kinds_by_region(
+    table: ObjectPrior, chance: np.ndarray, border: np.ndarray, held: np.ndarray
+) -> np.ndarray:
+    """Return P(kind of room | objects seen) of each region, (n + 1, kinds) float64.
+
+    Args:
+        table: the prior.
+        chance: see `edge.perception.prior.rooms.object_given_room`.
+        border: see `edge.mapping.regions.border_lengths`.
+        held: see `objects_by_region`.
+    """
+    return kinds.room_posterior_at(table, chance, held, held[kinds.neighbours(border, held)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedRoom:
+    """A room of the map.
+
+    Attributes:
+        id: number of the room; it stays while the map grows.
+        name: name that a person gave; "" for none.
+        kinds: its kinds that are certain enough. An open-plan room may be kitchen and living room.
+        chance: probability of each kind of the prior's table; of a named kind 1.
+        held: (things,) float32, confidence that each thing of the prior's table is in it.
+        polygon_m: (k, 2) float64, outline in `map`.
+        area_m2: known floor, with furniture.
+        xy_m: the point farthest from the border.
+        inside_m: distance from the border from which the robot is inside.
+        points_m: (j, 2) float32, points to stand at.
+        doors: passages to other rooms.
+        is_visited: True if the robot was inside.
+    """
+
+    id: int
+    name: str
+    kinds: tuple[str, ...]
+    chance: dict[str, float]
+    held: np.ndarray
+    polygon_m: np.ndarray
+    area_m2: float
+    xy_m: tuple[float, float]
+    inside_m: float
+    points_m: np.ndarray
+    doors: tuple[Passage, ...]
+    is_visited: bool
+
+    @property
+    def title(self) -> str:
+        """Its name, or its kinds, or its number."""
+        return self.name or " and ".join(self.kinds) or f"room {self.id}"
+
+    @property
+    def phrase(self) -> str:
+        """Its title in a sentence: "the kitchen", or "room 3"."""
+        return f"the {self.title}" if self.name or self.kinds else self.title
+
+    @property
+    def is_named(self) -> bool:
+        """True if a person's name says what kind of room it is."""
+        return kind_of_room(self.name) is not None
+
+    @property
+    def reason(self) -> str:
+        """Why it has its kinds, for people; "" without one."""
+        return "named by a person" if self.is_named else _reason(self.kinds, self.held)
+
+    @property
+    def things(self) -> list[str]:
+        """Things of the prior's table that were seen in it."""
+        return [load().things[at] for at in np.flatnonzero(self.held)]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it JSON-ready."""
+        return {
+            "id": self.id, "name": self.name, "kinds": list(self.kinds), "reason": self.reason,
+            "chance": {kind: round(p, 3) for kind, p in self.chance.items()},
+            "polygon": np.round(self.polygon_m, 2).tolist(), "area_m2": round(self.area_m2, 1),
+            "xy": [round(v, 2) for v in self.xy_m], "visited": self.is_visited,
+            "doors": [
+                {"room": door.room, "xy": [round(v, 2) for v in door.xy_m],
+                 "width_m": round(door.width_m, 1)}
+                for door in self.doors
+            ],
+        }  # fmt: skip
+
+
+class RoomMemory:
+    """The owner of the rooms; for the loop's thread.
+
+    Args:
+        table: co-occurrence table of objects and rooms.
+        words: maps words to rows of the table.
+
+    Attributes:
+        survey: shapes of the rooms.
+        version: raised when anything about the rooms changes.
+        rooms: all rooms, by id.
+    """
+
+    def __init__(self, table: ObjectPrior, words: PriorWordIndex) -> None:
+        self.survey: RoomSurvey = NO_SURVEY
+        self.version = 0
+        self.rooms: tuple[MappedRoom, ...] = ()
+        self._table, self._chance = table, kinds.object_given_room(table)
+        self._log_ratio = np.log(self._chance / (kinds.room_prior(table) @ self._chance))
+        self._index = SeenObjectIndex(words)
+        self._held = np.zeros((1, len(table.things)), np.float32)
+        self._belief = kinds.room_prior(table)[None]
+        self._objects = SeenObjects(
+            np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32)
+        )
+        self._names: tuple[RoomName, ...] = ()
+        self._visited: set[int] = set()
+        self._generation = -1  # of the objects
+        self._updated_ns = 0
+        self._is_due = False
+
+    # -- in each tick -----------------------------------------------------------------------
+
+    def on_survey(self, survey: RoomSurvey) -> None:
+        """Use the shapes of a new survey."""
+        self.survey, self._is_due = survey, True
+
+    def on_pose(self, x_m: float, y_m: float) -> None:
+        """Mark the room as visited that the robot is in."""
+        if (room := self.entered(x_m, y_m)) and room not in self._visited:
+            self._visited.add(room)
+            self._is_due = True
+
+    def update(self, sightings: TrackedObjects, now_ns: int) -> None:
+        """Update kinds and names, if something changed: objects at most every `PERIOD_NS`."""
+        rested = not 0 <= now_ns - self._updated_ns < PERIOD_NS
+        if not self._is_due and (sightings.generation == self._generation or not rested):
+            return
+        self._is_due, self._generation, self._updated_ns = False, sightings.generation, now_ns
+        self.version += 1
+        regions, objects = self.survey.regions, self._index.of(sightings)
+        held = self._held = objects_by_region(regions, objects, len(self._table.things))
+        self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
+        self._belief = kinds_by_region(self._table, self._chance, regions.border, held)
+        shapes, named = self.survey.shapes, self._named()
+        at = [shape.region for shape in shapes]
+        area_m2 = np.array([shape.area_m2 for shape in shapes])
+        chance = kinds.included_kinds(self._table, self._chance, held[at], area_m2)
+        self.rooms = tuple(
+            self._room(shape, held[shape.region], row, named.get(shape.id, ()))
+            for shape, row in zip(shapes, chance, strict=True)
+        )
+
+    def set_site(self, site: Site) -> None:
+        """Use the names that people gave."""
+        self._names, self._is_due = site.room_names, True
+
+    # -- questions --------------------------------------------------------------------------
+
+    def room(self, room_id: int) -> MappedRoom | None:
+        """Return the room with this id, or None."""
+        return next((room for room in self.rooms if room.id == room_id), None)
+
+    def room_at(self, x_m: float, y_m: float) -> MappedRoom | None:
+        """Return the room of a point, or of an object at its wall; None if there is none."""
+        region = int(self.survey.regions.at(np.array([[x_m, y_m]], np.float32))[0])
+        return self.room(int(self.survey.ids[region])) if region else None
+
+    def where(self, x_m: float, y_m: float) -> str:
+        """Return the room of a point in words, such as "in the kitchen"; "" if there is none."""
+        room = self.room_at(x_m, y_m)
+        return "" if room is None else f"in {room.phrase}"
+
+    def entered(self, x_m: float, y_m: float) -> int:
+        """Return the id of the room that a robot at a point is inside of; 0 if it is in none."""
+        room_id, depth_m = self.survey.depth_at(x_m, y_m)
+        shape = next((one for one in self.survey.shapes if one.id == room_id), None)
+        return room_id if shape is not None and depth_m >= shape.inside_m else 0
+
+    def called(self, name: str) -> list[MappedRoom]:
+        """Return the rooms that a name means: by a person's name, else by number, else by kind."""
+        named = [room for room in self.rooms if room.name and is_same(room.name, name)]
+        numbered = [room for room in self.rooms if is_same(f"room {room.id}", name)]
+        kind = kind_of_room(name)
+        return named or numbered or [room for room in self.rooms if kind in room.kinds]
+
+    def matching(self, name: str) -> list[MappedRoom]:
+        """Return all rooms that a name may mean: by a person's name, by number and by kind."""
+        kind = kind_of_room(name)
+        return [
+            room
+            for room in self.rooms
+            if (room.name and is_same(room.name, name))
+            or is_same(f"room {room.id}", name)
+            or kind in room.kinds
+        ]
+
+    def with_thing(self, name: str, sightings: TrackedObjects, min_hits: int) -> list[MappedRoom]:
+        """Return the rooms in which a thing was seen, the most confident sighting first."""
+        found = [
+            self.room_at(*one.xyz_m[:2]) for one in known_objects(sightings, 0, min_hits, name)
+        ]
+        return list({room.id: room for room in found if room is not None}.values())
+
+    def kind_ratio(self, kind: str, xy_m: np.ndarray) -> np.ndarray:
+        """Return P(kind of room | objects seen) / P(kind of room) for the room of each place.
+
+        Args:
+            kind: of the prior's table.
+            xy_m: (n, 2) float32 in `map`.
+
+        Returns:
+            (n,) float64; see `edge.perception.prior.rooms.room_posterior_at`.
+        """
+        at = self._table.kinds.index(kind)
+        belief, average = self._belief[:, at], kinds.room_prior(self._table)[at]
+        if len(belief) != self.survey.regions.n + 1:  # a new survey came after the last update
+            return np.ones(len(xy_m))
+        return belief[self.survey.regions.at(xy_m)] / average
+
+    def votes(self, room: MappedRoom, kind: str) -> np.ndarray:
+        """Return how much the objects near each of a room's points speak for a kind, (j,) float64.
+
+        Objects that speak more for another kind of the room count against it: in an open-plan room,
+        the kitchen is where its objects are.
+
+        Args:
+            room: the room.
+            kind: of the prior's table.
+        """
+        objects, column = self._objects, self._table.kinds.index(kind)
+        at = self.survey.ids[self.survey.regions.at(objects.xyz_m)] == room.id
+        mine = np.flatnonzero(at & (objects.row >= 0))
+        others = [self._table.kinds.index(k) for k in room.kinds if k in self._table.kinds]
+        rows = [self._log_ratio[other] for other in others if other != column]
+        against = np.maximum(0.0, np.max(rows, axis=0)) if rows else 0.0
+        says = (self._log_ratio[column] - against)[objects.row[mine]] * objects.weight[mine]
+        apart_m = np.hypot(*(room.points_m[:, None] - objects.xyz_m[mine, :2]).transpose(2, 0, 1))
+        return np.exp(-apart_m / _VOTE_M) @ says
+
+    # -- frames and checkpoints ----------------------------------------------------------------
+
+    def forget(self) -> None:
+        """Forget all rooms: the frame has changed. Ids go on."""
+        self.survey = NO_SURVEY._replace(next_id=self.survey.next_id)
+        self._visited.clear()
+        self.rooms, self._is_due = (), True
+        self.version += 1
+
+    def state_dict(self) -> Arrays:
+        """Return the ids, each with a point inside; the shapes follow from the map."""
+        s = self.survey
+        known = [*s.lost, *(LostRoom(shape.id, *shape.xy_m) for shape in s.shapes)]
+        return {
+            "id": np.array([one.id for one in known], np.int64),
+            "xy_m": np.array([(one.x_m, one.y_m) for one in known], np.float64).reshape(-1, 2),
+            "visited": np.array([one.id in self._visited for one in known], np.bool_),
+            "next_id": np.array(s.next_id),
+        }
+
+    def load_state_dict(self, state: Arrays) -> None:
+        """Restore a `state_dict`; older checkpoints have none.
+
+        Raises:
+            ValueError: the state is invalid.
+        """
+        if not state:
+            return
+        rows: dict[tuple[str, ...], int] = {("id", "xy_m", "visited"): _MOST_ROOMS}
+        check_arrays(state, self.state_dict(), rows, {}, ("id",))
+        lost = zip(state["id"].tolist(), state["xy_m"].tolist(), strict=True)
+        next_id = max(int(state["next_id"]), 1 + max(state["id"].tolist(), default=0))
+        self.on_survey(
+            NO_SURVEY._replace(next_id=next_id, lost=tuple(LostRoom(i, *at) for i, at in lost))
+        )
+        self._visited = set(state["id"][state["visited"]].tolist())
+
+    # -- internals ----------------------------------------------------------------------------
+
+    def _named(self) -> dict[int, tuple[str, ...]]:
+        """Return the names of each room that has some, newest last."""
+        found: dict[int, tuple[str, ...]] = {}
+        if self._names:
+            at = self.survey.regions.at(np.array([one.xy_m for one in self._names], np.float32))
+            for one, region in zip(self._names, at.tolist(), strict=True):
+                room_id = int(self.survey.ids[region])
+                if room_id:
+                    found[room_id] = (*found.get(room_id, ()), one.name)
+        return found
+
+    def _room(
+        self, shape: RoomShape, held: np.ndarray, chance: np.ndarray, named: tuple[str, ...]
+    ) -> MappedRoom:
+        name = named[-1] if named else ""
+        by_kind = dict(zip(self._table.kinds, chance.tolist(), strict=True))
+        found = tuple(kind for kind, p in by_kind.items() if p >= SURE_KIND)
+        if (by_person := kind_of_room(name)) is not None:
+            found, by_kind = (by_person,), {**dict.fromkeys(by_kind, 0.0), by_person: 1.0}
+        return MappedRoom(
+            shape.id, name, found, by_kind, held, shape.polygon_m, shape.area_m2, shape.xy_m,
+            shape.inside_m, shape.points_m, shape.doors, shape.id in self._visited,
+        )  # fmt: skip
+
+
+def _reason(found: tuple[str, ...], held: np.ndarray) -> str:
+    """Return the objects that speak most for some kinds, in words; "" if there are none."""
+    table, named = load(), []
+    chance, prior = kinds.object_given_room(table), kinds.room_prior(table)
+    for kind in found:
+        says = held * np.log(chance[table.kinds.index(kind)] / (prior @ chance))
+        best = [at for at in np.argsort(-says)[:_REASONS].tolist() if says[at] > 0.0]
+        named += [table.things[at] for at in best]
+    return one_line(f"{' and '.join(dict.fromkeys(named))} seen") if named else ""

@@ -1,0 +1,56 @@
+"""Rooms against ground truth: who is right, and by how much."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge.lab.eval.rooms import RoomGoalOutcome, RoomVerdict, report, true_room_at
+
+
+class _Flat:
+    rooms = (((0.0, 0.0, 2.0, 2.0),), ((2.0, 0.0, 4.0, 1.0), (3.0, 1.0, 4.0, 2.0)))
+
+
+def verdict(kinds=("kitchen",), share=1.0, also=("kitchen",), best="kitchen", typical=3):
+    return RoomVerdict(
+        "flat", 1, "kitchen", share, frozenset(also), tuple(kinds), best, 0.9, typical
+    )
+
+
+def values(text: str) -> list[str]:
+    return [line.split()[-5] for line in text.splitlines()[1:]]
+
+
+def test_nothing_was_measured():
+    assert values(report([], [])) == ["nan"] * 4
+
+
+def test_the_true_room_of_a_point():
+    points = np.array([(1, 1), (2.5, 0.5), (3.5, 1.5), (2.5, 1.5), (-1, 0)])
+    assert true_room_at(_Flat(), points).tolist() == [0, 1, 1, -1, -1]
+    assert true_room_at(_Flat(), np.zeros((0, 2))).tolist() == []
+
+
+@pytest.mark.parametrize(
+    ("one", "shares"),
+    [
+        (verdict(), ["1.000", "1.000", "1.000"]),
+        (verdict(("bedroom",), best="bedroom"), ["0.000", "0.000", "0.000"]),
+        (verdict((), best="kitchen"), ["0.000", "1.000", "nan"]),
+        (verdict(typical=1), ["nan", "nan", "1.000"]),
+        (verdict(share=0.4), ["nan", "nan", "nan"]),
+        (verdict(("kitchen", "living room")), ["0.000", "1.000", "0.000"]),
+        (
+            verdict(("kitchen", "living room"), also=("kitchen", "living room")),
+            ["1.000", "1.000", "1.000"],
+        ),
+    ],
+)
+def test_a_kind_is_right_if_it_is_there_and_no_other_was_found(one, shares):
+    assert values(report([one], []))[:3] == shares
+
+
+def test_drives_count_by_their_success():
+    outcomes = [RoomGoalOutcome("flat", "kitchen", "reached", ok, 1.0, "") for ok in (True, False)]
+    assert values(report([], outcomes))[3] == "0.500"

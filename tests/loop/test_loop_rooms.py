@@ -1,0 +1,126 @@
+"""Rooms in the running service, in a simulated house: goals at them, bans, names and answers."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from simulated import simulated
+
+from edge.bus.verbs import Request, read_request
+from edge.errors import UserError
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
+from edge.loop.site_requests import SITE_VERBS, handle_site
+from edge.memory import RoomName, Site
+from edge.mission.spec import prepare
+
+LIVING, KITCHEN = (1.6, 1.4), (8.5, 2.0)
+KITCHEN_X_M, KITCHEN_Y_M = (6.0, 11.0), (0.0, 4.0)  # of the built-in house
+
+
+def driven(instruction: str, *items, seconds: float = 90.0) -> ClosedLoop:
+    mission = {"instruction": instruction, "translator": {"kind": "grammar"}}
+    config = simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission})
+    return ClosedLoop(config, colour=False, site=Site(items)).run(seconds)
+
+
+def ask(loop: ClosedLoop, verbs=SITE_VERBS, handle=handle_site, **request) -> dict:
+    do, fields = read_request(json.dumps(request).encode(), verbs)
+    return handle(loop.service, Request(do, fields), 0)
+
+
+def is_in_kitchen(loop: ClosedLoop) -> bool:
+    pose = loop.drive.motion.pose
+    (x0, x1), (y0, y1) = KITCHEN_X_M, KITCHEN_Y_M
+    return x0 < pose.x_m < x1 and y0 < pose.y_m < y1
+
+
+@pytest.fixture(scope="module")
+def in_kitchen() -> ClosedLoop:
+    return driven("go to the kitchen")
+
+
+def test_no_room_is_known_before_the_first_tick():
+    loop = driven("go to the kitchen", seconds=0.0)
+    assert ask(loop, MEMORY_VERBS, handle_memory, do="rooms") == {"text": "0 rooms", "rooms": []}
+    with pytest.raises(UserError, match="pose is not known yet"):
+        ask(loop, do="set", kind="room", name="office")
+    with pytest.raises(UserError, match=r"no room called 'kitchen' \(known: none\)"):
+        ask(loop, do="set", kind="keep_out", room="kitchen")
+
+
+def test_the_robot_finds_a_room_of_a_kind_and_goes_inside(in_kitchen):
+    loop = in_kitchen
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert is_in_kitchen(loop)
+    assert loop.service.status.reason.startswith("inside the kitchen, room 2: refrigerator and")
+    assert loop.service.map.rooms.entered(*loop.drive.motion.pose.matrix()[:2, 3]) == 2
+
+
+def test_rooms_are_listed_named_and_closed(in_kitchen):
+    loop = in_kitchen
+    answer = ask(loop, MEMORY_VERBS, handle_memory, do="rooms")
+    kinds = {room["id"]: room["kinds"] for room in answer["rooms"]}
+    assert (kinds[1], kinds[2]) == (["living room"], ["kitchen"])
+    assert [door["room"] for door in answer["rooms"][0]["doors"]] == [2]
+    found = ask(loop, MEMORY_VERBS, handle_memory, do="find", name="refrigerator")
+    assert found["text"].startswith("refrigerator: in the kitchen, at (")
+    named = ask(loop, do="set", kind="room", name="The Canteen")
+    assert named["text"].startswith("room: canteen is the one around (")
+    loop.step()
+    assert loop.service.map.rooms.room(2).title == "canteen"
+    assert ask(loop, do="set", kind="keep_out", room="canteen")["text"].startswith(
+        "zone: keep out of canteen zone ("
+    )
+    loop.step()
+    assert loop.service.map.grid.zones.holds(*KITCHEN)
+    assert not loop.service.map.grid.zones.holds(*LIVING)
+    for name in ("canteen zone", "canteen"):
+        ask(loop, do="remove", name=name)
+    loop.step()
+    assert loop.service.map.rooms.room(2).title == "kitchen"
+    assert not loop.service.map.grid.zones.holds(*KITCHEN)
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        ({"kind": "room"}, "do: set needs a name"),
+        ({"kind": "garden", "name": "a"}, "kind: expected place or room, got 'garden'"),
+        ({"kind": "room", "room": "kitchen"}, "do: set needs a name"),
+        ({"kind": "keep_out", "room": ""}, "room: expected text"),
+    ],
+)
+def test_requests_that_are_refused(request_, message):
+    with pytest.raises(ValueError, match=message):
+        read_request(json.dumps({"do": "set", **request_}).encode(), SITE_VERBS)
+
+
+def test_a_name_by_a_person_is_a_goal():
+    loop = driven("go to the canteen", RoomName("canteen", KITCHEN))
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert is_in_kitchen(loop)
+    assert "inside the canteen, room 2" in loop.service.status.reason
+
+
+def test_a_forbidden_room_is_closed_until_the_mission_ends(in_kitchen):
+    service, mission = in_kitchen.service, in_kitchen.config.mission
+    for instruction in ("go to the bed, but never enter the living room", "go to the sofa"):
+        service.begin(prepare(mission, instruction), in_kitchen.drive.motion.stamp_ns)
+        in_kitchen.step()
+        forbidden = "never" in instruction
+        assert service.map.grid.zones.holds(*LIVING) == forbidden
+        assert not service.map.grid.zones.holds(*KITCHEN)
+    service.begin(prepare(mission, "never enter room 1 and find the bed"), 0)
+    in_kitchen.step()
+    assert service.map.grid.zones.holds(*LIVING)
+    service.fail("enough", 0)
+    in_kitchen.step()
+    assert not service.map.grid.zones.holds(*LIVING)
+
+
+def test_the_next_room_is_one_that_was_not_visited():
+    loop = driven("go to the next room", seconds=60.0)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert is_in_kitchen(loop)
