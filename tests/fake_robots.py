@@ -73,7 +73,7 @@ class FakeService:
     def event(self, text: str, now_ns: int) -> None:
         self.events.append(text)
 
-    pause, fail = Service.pause, Service.fail
+    pause, cancel = Service.pause, Service.cancel
 
 
 class FakeRobot:

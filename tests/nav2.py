@@ -10,13 +10,28 @@ from typing import Any
 
 import numpy as np
 import zenoh
-from ros_messages import DOCK_FAREWELLS, FAREWELLS, STORE, from_ros, header, pose, to_ros
+from ros_messages import (
+    DOCK_FAREWELLS,
+    FAREWELLS,
+    STORE,
+    UNDOCK_FAREWELLS,
+    from_ros,
+    header,
+    pose,
+    to_ros,
+)
 
 from edge.bus.ros2 import names
 from edge.bus.ros2.names import RMW_ZENOH, Dialect, Endpoint
 from edge.geometry import SE2
 
 ACTION = "/navigate_to_pose/_action"
+_ACTIONS = {
+    "NavigateToPose": ("navigate_to_pose", FAREWELLS, 500),
+    "DockRobot": ("dock_robot", DOCK_FAREWELLS, 510),
+    "UndockRobot": ("undock_robot", UNDOCK_FAREWELLS, 520),
+}
+"""Name, results by distribution, and number of its node."""
 _FEEDBACK = "nav2_msgs/action/NavigateToPose_FeedbackMessage"
 _STATUS = "action_msgs/msg/GoalStatusArray"
 
@@ -28,7 +43,7 @@ class Nav2:
         distribution: whose result it sends, and whether types have hashes.
         accepts: what it says to new goals.
         dialect: whether it speaks rmw_zenoh, or stands behind a bridge.
-        action: "NavigateToPose" or "DockRobot".
+        action: key of `_ACTIONS`.
 
     Attributes:
         goals: (id, request) in the order of coming.
@@ -44,9 +59,9 @@ class Nav2:
         dialect: Dialect = RMW_ZENOH,
         action: str = "NavigateToPose",
     ) -> None:
-        docks = action == "DockRobot"
+        name, farewells, first = _ACTIONS[action]
         self._action = action
-        below = "/dock_robot/_action" if docks else ACTION
+        below = f"/{name}/_action"
         types = {
             "send_goal": f"nav2_msgs/action/{action}_SendGoal",
             "get_result": f"nav2_msgs/action/{action}_GetResult",
@@ -58,7 +73,7 @@ class Nav2:
         self.accepts = accepts
         self.junk = 0
         self._session = session
-        self._farewell = (DOCK_FAREWELLS if docks else FAREWELLS)[distribution][0]
+        self._farewell = farewells[distribution][0]
         self._hash = names.NO_HASH if distribution == "humble" else "RIHS01_" + "ab" * 32
         self._waiting: dict[bytes, zenoh.Query] = {}
         self._lock = threading.Lock()
@@ -71,9 +86,7 @@ class Nav2:
             if not dialect.has_tokens:
                 continue
             said = Endpoint("SS", zid, "bt_navigator", f"{below}/{service}", type_name, self._hash)
-            token = names.endpoint_token(
-                0, 500 + 10 * docks, 501 + 10 * docks + i, said, names.RELIABLE
-            )
+            token = names.endpoint_token(0, first, first + 1 + i, said, names.RELIABLE)
             self._open.append(session.liveliness().declare_token(token))
 
     def _reply(self, query: zenoh.Query, payload: bytes) -> None:

@@ -32,6 +32,12 @@ _ACTION = {
     "DockKiltedResult": (
         "int8 status\nbool success\nuint16 error_code\nuint16 num_retries\nstring error_msg"
     ),
+    "UndockRobot_Goal": "string dock_type\nfloat32 max_undocking_time",
+    "UndockRobot_SendGoal_Request": (
+        "unique_identifier_msgs/UUID goal_id\nnav2_msgs/UndockRobot_Goal goal"
+    ),
+    "UndockJazzyResult": "int8 status\nbool success\nuint16 error_code",
+    "UndockKiltedResult": "int8 status\nbool success\nuint16 error_code\nstring error_msg",
     "NavigateToPose_Feedback": (
         "geometry_msgs/PoseStamped current_pose\nbuiltin_interfaces/Duration navigation_time\n"
         "builtin_interfaces/Duration estimated_time_remaining\nint16 number_of_recoveries\n"
@@ -89,11 +95,11 @@ def _farewell(name: str, n_fields: int) -> Callable[..., bytes]:
     return encode
 
 
-def _dock_farewell(name: str, n_fields: int) -> Callable[..., bytes]:
+def _dock_farewell(name: str, n_fields: int, retries: tuple[int, ...] = (2,)):
     kind = STORE.types[f"nav2_msgs/msg/{name}"]
 
     def encode(status: int, code: int, text: str) -> bytes:
-        return to_ros(kind(status, *(status == 4, code, 2, text)[:n_fields]))
+        return to_ros(kind(status, *(status == 4, code, *retries, text)[:n_fields]))
 
     return encode
 
@@ -111,3 +117,9 @@ DOCK_FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
     "kilted": (_dock_farewell("DockKiltedResult", 4), Result(6, 902, "no dock")),
 }
 """The same for docking, of 6, 902 and "no dock"."""
+
+UNDOCK_FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
+    "jazzy": (_dock_farewell("UndockJazzyResult", 2, ()), Result(6, 902)),
+    "kilted": (_dock_farewell("UndockKiltedResult", 3, ()), Result(6, 902, "no dock")),
+}
+"""The same for undocking."""

@@ -14,7 +14,8 @@ Frame = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*$", ma
 DockId = Annotated[str, Field(min_length=1, max_length=100)]
 RosTopic = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom", "tf",
-    "tf_static", "goal", "navigate_to_pose", "dock_robot", "map", "path", "trajectory", "markers",
+    "tf_static", "goal", "navigate_to_pose", "dock_robot", "undock_robot",
+    "map", "path", "trajectory", "markers",
 ]  # fmt: skip
 
 DEFAULT_TOPICS: dict[str, str] = {
@@ -29,6 +30,7 @@ DEFAULT_TOPICS: dict[str, str] = {
     "goal": "/goal_pose",
     "navigate_to_pose": "/navigate_to_pose",
     "dock_robot": "/dock_robot",
+    "undock_robot": "/undock_robot",
     # With a bridge, `/edge/map` would have the same Zenoh key as our own topic `map`.
     "map": "/edge/occupancy",
     "path": "/edge/path",
@@ -68,7 +70,8 @@ class Ros2Config(Section):
             PoseStamped on the topic `goal`, without a result. The goal is reached when the robot
             stops there.
         docks: names of places and the ids of their docks in Nav2's docking server: `{dock: bay_1}`.
-            A goal at such a place goes to the action DockRobot instead.
+            A goal at such a place goes to the action DockRobot instead. UndockRobot comes before
+            the next goal elsewhere.
         topics: ROS names that differ from the default: `{camera/rgb: /oakd/rgb/image_raw}`.
         adapter: settings of `edge ros2-adapter`.
     """

@@ -28,7 +28,7 @@ DURATION = r"[\w.]+(?:\s+\w+)?\s+(?:s|secs?|seconds?|mins?|minutes?|h|hours?)"
 """Pattern of a text for `duration_s`."""
 _WAIT = re.compile(rf"wait(?: (?:for )?(?P<time>{DURATION}))?")
 _EXPLORE = re.compile(rf"{EXPLORED}(?: (?!for )(?P<room>.+?))?(?: for (?P<time>{DURATION}))?")
-_CHECK = re.compile(r"check (?:the )?(?P<name>.+)")
+_CHECK = re.compile(r"check (?:the )?(?P<name>.+?)(?: in (?:the )?(?P<room>.+))?")
 _ROOM_NUMBER = re.compile(r"room (?P<n>\w+)")
 _ROOM_WITH = re.compile(r"room with (?:(?:the|a|an) )?(?P<name>.+)")
 
@@ -90,11 +90,13 @@ class CheckTarget:
 
     Attributes:
         name: the thing, for the detector.
+        room: name of the room to look in; "" for everywhere.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     name: Name
+    room: Name = ""
     kind: Literal["check"] = "check"
 
 
@@ -125,7 +127,8 @@ def destination_of(text: str, site: Site) -> Destination | None:
     """Return the destination that a proposition means, or None if it is a thing to search for.
 
     The canonical phrases are `start`, `here`, `caller`, the names of places, `explored`,
-    `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s`, `check stove`, the names of
+    `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s`, `check stove`,
+    `check kettle in kitchen`, the names of
     rooms and their kinds, `room 3`, `largest room`, `next room` and `room with sofa`. A place of
     the site comes before a phrase, and a room's name before a kind. A kind of room that the robot
     cannot recognise is a thing, unless a person gave a room that name.
@@ -153,26 +156,50 @@ def destination_of(text: str, site: Site) -> Destination | None:
     if found := _WAIT.fullmatch(text):
         return WaitTarget(found["time"] and duration_s(found["time"]))
     if found := _EXPLORE.fullmatch(text):
-        return ExploreTarget(found["room"] or "", found["time"] and duration_s(found["time"]))
+        room = _checked_room(found["room"], site)
+        return ExploreTarget(room, found["time"] and duration_s(found["time"]))
     if found := _CHECK.fullmatch(text):
-        return CheckTarget(found["name"])
+        return CheckTarget(found["name"], _checked_room(found["room"], site))
     return _room_of(text, site)
 
 
-def _room_of(text: str, site: Site) -> RoomTarget | None:
-    """Return the room that a normalised name means, or None."""
+def room_target(text: str) -> RoomTarget:
+    """Return the room that a normalised name means, if it means one."""
     if text in ("largest room", "biggest room"):
         return RoomTarget(which="largest")
     if text == "next room":
         return RoomTarget(which="next")
     if found := _ROOM_WITH.fullmatch(text):
         return RoomTarget(found["name"], "with")
+    return RoomTarget(text)
+
+
+def _checked_room(text: str | None, site: Site) -> str:
+    """Return the name of a room that a phrase has; "" for none.
+
+    Raises:
+        DestinationError: the robot cannot know a room of this name.
+    """
+    name = (text or "").removeprefix("the ")
+    if name and _room_of(name, site) is None:
+        raise DestinationError(
+            f"{one_line(name, 60)}: no room has this name, and the robot does not recognise this "
+            "kind of room; give a room this name first"
+        )
+    return name
+
+
+def _room_of(text: str, site: Site) -> RoomTarget | None:
+    """Return the room that a normalised name means, or None."""
+    target = room_target(text)
+    if target.which != "called":
+        return target
     kind, found = kind_of_room(text), _ROOM_NUMBER.fullmatch(text)
     by_number = found is not None and names.number([found["n"]]) is not None
     by_person = site.room_name(text) or any(
         kind and kind_of_room(room.name) == kind for room in site.room_names
     )
-    return RoomTarget(text) if by_number or by_person or kind in RECOGNISED_KINDS else None
+    return target if by_number or by_person or kind in RECOGNISED_KINDS else None
 
 
 def is_timed(destination: Destination | None) -> bool:
@@ -196,7 +223,8 @@ def describe_destination(name: str, destination: Destination) -> str:
         until = destination.seconds
         return "the end of a wait" + (" until told" if until is None else f" of {shown_s(until)}")
     if isinstance(destination, CheckTarget):
-        return f"an answer about the {destination.name}"
+        room = f" in the {destination.room}" if destination.room else ""
+        return f"an answer about the {destination.name}{room}"
     if isinstance(destination, RoomTarget) and destination.which != "called":
         return f"the {names.normalise(name)}".replace("room with ", "room with the ")
     special = {

@@ -216,7 +216,8 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     automaton = _narrowed(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
-    if translation.repeat is not None and automaton.steps_left[0] < 2:
+    alone = automaton.steps_left[0] < 2 or len(automaton.possible) < 2
+    if translation.repeat is not None and alone:
         raise MissionError(
             "mission: to repeat it, name at least two things or places to reach in each round: "
             f"{one_line(formula)}"
@@ -240,13 +241,10 @@ def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) ->
 
 def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) -> None:
     """Raise a MissionError if the mission only forbids something that cannot be forbidden."""
-    alive = [q for q in range(automaton.n_states) if not automaton.dead(q)]
-    for letter in automaton.letters:
+    for letter in set(automaton.letters).difference(automaton.possible):
         destination = destinations.get(letter)
         chosen = isinstance(destination, RoomTarget) and destination.which != "called"
-        if not chosen and not isinstance(destination, (CheckTarget, ExploreTarget, WaitTarget)):
-            continue
-        if all(automaton.dead(automaton.step(q, letter)) for q in alive):
+        if chosen or isinstance(destination, (CheckTarget, ExploreTarget, WaitTarget)):
             raise MissionError(
                 f"mission: {one_line(letter, 60)}: the robot can do this, but it cannot be "
                 "forbidden; leave it out"

@@ -107,10 +107,4 @@ def _sharing(formulas: Iterable[Formula]) -> list[list[Formula]]:
 
 def required_propositions(formula: Formula, limits: MissionConfig | None = None) -> tuple[str, ...]:
     """Return the propositions that may have to be reached: all except the forbidden ones."""
-    automaton = _compiled(formula, limits or MissionConfig())
-    alive = [q for q in range(automaton.n_states) if not automaton.dead(q)]
-    return tuple(
-        letter
-        for letter in automaton.letters
-        if any(not automaton.dead(automaton.step(q, letter)) for q in alive)
-    )
+    return _compiled(formula, limits or MissionConfig()).possible

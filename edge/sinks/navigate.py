@@ -1,4 +1,4 @@
-"""Clients of Nav2's actions NavigateToPose and DockRobot: send goals and report their progress.
+"""Clients of Nav2's actions NavigateToPose, DockRobot and UndockRobot: send goals, report progress.
 
 Nav2 replaces an old goal by a new one itself. If a server still drives to the old one, that goal is
 cancelled. A goal ends with its result, which has the reason. If the result is lost, for example
@@ -18,7 +18,7 @@ from typing import Literal
 
 from edge import names
 from edge.bus.ros2.node import PendingReply, Ros2Node
-from edge.bus.ros2.topics import DOCK_ROBOT, NAVIGATE_TO_POSE
+from edge.bus.ros2.topics import DOCK_ROBOT, NAVIGATE_TO_POSE, UNDOCK_ROBOT
 from edge.bus.wire import DecodeError, navigation
 from edge.bus.wire.navigation import SETTLED, SUCCEEDED
 from edge.text import one_line
@@ -162,6 +162,16 @@ class NavigateToPoseClient:
         request = self._encode(driven.goal_id, driven.goal)
         driven.answer, driven.stage = self._send.ask(request), "sent"
 
+    def _adopt(self, goal: Goal) -> bool:
+        """Continue the current action for a new goal; return False if there is none."""
+        driven = self._driven
+        if driven is None or driven.unwanted:
+            return False
+        driven.goal = goal
+        if driven.stage == "driving":
+            self._report(GoalStatus(goal.stamp_ns, "accepted"))
+        return True
+
     def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
         """Return the request that sends a goal."""
         return navigation.encode_send_goal(goal_id, goal.stamp_ns, goal.pose, self._frame_id)
@@ -268,6 +278,9 @@ class DockRobotClient(NavigateToPoseClient):
         docks: names of places and the ids of their docks.
         frame_id: frame of the goals.
         tell: called with each new status of a goal.
+
+    Attributes:
+        docked: True after docking has succeeded; the caller sets it to False after undocking.
     """
 
     _kind, _name = DOCK_ROBOT, "dock_robot"
@@ -281,6 +294,7 @@ class DockRobotClient(NavigateToPoseClient):
         tell: Callable[[GoalStatus], None],
     ) -> None:
         super().__init__(node, action, frame_id, tell)
+        self.docked = False
         self._docks = {names.normalise(place): dock for place, dock in docks.items()}
 
     def takes(self, goal: Goal) -> bool:
@@ -289,13 +303,12 @@ class DockRobotClient(NavigateToPoseClient):
 
     def send(self, goal: Goal) -> None:
         """Dock at this goal's place. A robot that is docking there goes on, for the new goal."""
-        driven = self._driven
-        if driven is None or driven.unwanted or driven.goal.target != goal.target:
+        if self._driven is None or self._driven.goal.target != goal.target or not self._adopt(goal):
             super().send(goal)
-            return
-        driven.goal = goal
-        if driven.stage == "driving":
-            self._report(GoalStatus(goal.stamp_ns, "accepted"))
+
+    def _settle(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
+        self.docked |= state == "reached"
+        super()._settle(driven, state, reason)
 
     def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
         dock_id = self._docks[names.normalise(goal.target)]
@@ -306,6 +319,52 @@ class DockRobotClient(NavigateToPoseClient):
 
     def _feed_back(self, payload: bytes) -> None:
         """Do nothing: the feedback of DockRobot tells no progress that a mission needs."""
+
+
+class UndockRobotClient(NavigateToPoseClient):
+    """Client of the action UndockRobot of Nav2's docking server.
+
+    Args:
+        node: the ROS 2 node.
+        action: its ROS name.
+        frame_id: frame of the goals.
+        tell: called with each new status of a goal.
+        go_on: called with the goal to drive to, after undocking has succeeded.
+    """
+
+    _kind, _name = UNDOCK_ROBOT, "undock_robot"
+
+    def __init__(
+        self,
+        node: Ros2Node,
+        action: str,
+        frame_id: str,
+        tell: Callable[[GoalStatus], None],
+        go_on: Callable[[Goal], None],
+    ) -> None:
+        super().__init__(node, action, frame_id, tell)
+        self._go_on = go_on
+
+    def send(self, goal: Goal) -> None:
+        """Undock for this goal. A robot that is undocking goes on, for the new goal."""
+        if not self._adopt(goal):
+            super().send(goal)
+
+    def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
+        return navigation.encode_undock_goal(goal_id)
+
+    def _decode_result(self, payload: bytes) -> navigation.Result:
+        return navigation.decode_undock_result(payload)
+
+    def _feed_back(self, payload: bytes) -> None:
+        """Do nothing: UndockRobot has no feedback."""
+
+    def _settle(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
+        if state == "reached" and not driven.unwanted:
+            self._driven = None
+            self._go_on(driven.goal)
+        else:
+            super()._settle(driven, state, reason)
 
 
 _STEPS: dict[str, Callable[[NavigateToPoseClient, _Driven], None]] = {

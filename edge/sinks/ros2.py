@@ -22,7 +22,7 @@ from edge.geometry import Grid
 from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.sinks.drawings import PathRing, markers_of
-from edge.sinks.navigate import DockRobotClient, NavigateToPoseClient
+from edge.sinks.navigate import DockRobotClient, NavigateToPoseClient, UndockRobotClient
 from edge.sinks.rate_limiter import RateLimiter
 from edge.tasks.follow import path_message
 from edge.tasks.refine import RefinedTrajectory
@@ -45,6 +45,7 @@ class Ros2Sink:
         self._goal = None
         self._navigator: NavigateToPoseClient | None = None
         self._docker: DockRobotClient | None = None
+        self._undocker: UndockRobotClient | None = None
         self._answers = None
         if settings.goals == "topic":
             self._goal = self._publisher("goal")
@@ -58,6 +59,10 @@ class Ros2Sink:
                 docking = settings.topic("dock_robot")
                 self._docker = DockRobotClient(
                     self._node, docking, settings.docks, self._frame, self._send_status
+                )
+                undocking = settings.topic("undock_robot")
+                self._undocker = UndockRobotClient(
+                    self._node, undocking, self._frame, self._send_status, self._leave_dock
                 )
         self._pending_goal: Goal | None = None
         self._way = PathRing()
@@ -130,19 +135,33 @@ class Ros2Sink:
             self._pending_goal = goal
             self._beat()
             return
-        docks = goal is not None and self._docker is not None and self._docker.takes(goal)
-        taken = self._docker if docks else self._navigator
-        for client in (self._navigator, self._docker):
-            if client is not None and (goal is None or client is not taken):
-                client.cancel()
-        if goal is not None and taken is not None:
-            taken.send(goal)
+        client = None if goal is None else self._client_for(goal)
+        for other in (self._navigator, self._docker, self._undocker):
+            if other is not None and other is not client:
+                other.cancel()
+        if goal is not None and client is not None:
+            client.send(goal)
         self._beat()
+
+    def _client_for(self, goal: Goal) -> NavigateToPoseClient | None:
+        """Return the client of the action that must come first for a goal."""
+        if self._docker is not None and self._docker.takes(goal):
+            return self._docker
+        is_docked = self._docker is not None and self._docker.docked
+        return self._undocker if is_docked else self._navigator
+
+    def _leave_dock(self, goal: Goal) -> None:
+        """Drive to a goal after undocking."""
+        assert self._docker is not None
+        assert self._navigator is not None
+        self._docker.docked = False
+        self._navigator.send(goal)
 
     def _beat(self) -> None:
         self._node.look()
-        if self._docker is not None:
-            self._docker.beat()
+        for docking in (self._docker, self._undocker):
+            if docking is not None:
+                docking.beat()
         if self._navigator is not None:
             self._navigator.beat()
         # A planner treats each message as a new goal: send once, when there is a subscriber.

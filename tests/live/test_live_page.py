@@ -125,6 +125,17 @@ def test_a_new_mission_from_the_page_is_what_the_robot_does(page, house):
     assert house.service.mission.brief.targets == ("sofa",)
 
 
+def test_a_wait_is_told_and_ends_by_the_button(page, house):
+    page.click("#new")
+    page.type("#words", 'go to "wait"')
+    page.click("#new-ok")
+    page.says("#phase", "WAITING")
+    page.says("#reason", "now: wait; waiting until told to go on")
+    page.says("#pause", "Go on")
+    page.click("#pause")
+    page.says("#phase", "REACHED")
+
+
 def test_what_is_not_understood_is_said_and_changes_nothing(page, house):
     page.click("#new")
     page.type("#words", INSTRUCTION)

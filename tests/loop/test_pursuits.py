@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_house import small_house
 
@@ -13,8 +14,9 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission, mission_verbs
-from edge.memory import Place, Site
+from edge.memory import Place, RoomName, Site
 from edge.mission.spec import prepare
+from edge.types import Instance
 
 S = 1_000_000_000
 
@@ -78,7 +80,9 @@ def test_a_check_looks_and_answers_yes_with_the_place(tmp_path):
     loop = loop_of(tmp_path, 'F ("check bed" & F here)').run(200)
     status = loop.service.status
     assert status.phase == "reached", status
-    found = re.fullmatch(r"yes, there is a bed at \((.+), (.+)\), .* m away", status.reason)
+    found = re.fullmatch(
+        r"yes, there is a bed in .*room.* at \((.+), (.+)\), .* m away", status.reason
+    )
     assert found, status.reason
     at_m = float(found[1]), float(found[2])
     assert min(o.distance_m(*at_m) for o in loop.world.objects if o.label == "bed") < 0.5
@@ -88,6 +92,71 @@ def test_a_check_for_what_is_not_there_answers_no(tmp_path):
     status = loop_of(tmp_path, 'F "check surfboard"').run(280).service.status
     assert status.phase == "reached", status
     assert status.reason.startswith("no, there is no surfboard: explored all reachable space")
+
+
+def test_a_check_goes_to_where_the_thing_was_and_does_not_trust_its_memory(tmp_path):
+    loop = loop_of(tmp_path, 'F "check piano"')
+    at_m = np.array([6.5, 3.2, 0.5], np.float32)
+    points_m = at_m + np.float32([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.1]])
+    piano = Instance(0, "piano", at_m, points_m, 0.9, 50, 1, 2, "confirmed")
+    loop.service.map.tracker.add(piano)
+    status = loop.run(150).service.status
+    assert status.phase == "reached", status
+    assert status.reason.startswith("no, there is no piano: explored all reachable space")
+    kinds = [goal.kind for goal in loop.notes.goals]
+    assert "instance" in kinds
+    assert loop.service.map.tracker.of("piano", sure=True) == []
+
+
+NAMED = Site((RoomName("workshop", (2.0, 2.0)), RoomName("bedroom", (6.0, 2.0))))
+
+
+def in_rooms(folder: Path, formula: str) -> ClosedLoop:
+    """A loop in the small house whose two rooms have names."""
+    loop = loop_of(folder, "F start")
+    loop.service.change_site(NAMED, loop.drive.motion.stamp_ns)
+    brief = prepare(loop.config.mission, formula=formula, site=NAMED)
+    loop.service.begin(brief, loop.drive.motion.stamp_ns)
+    return loop
+
+
+def test_exploring_a_room_stays_inside_and_tells_what_is_there(tmp_path):
+    loop = in_rooms(tmp_path, 'F "explored workshop"').run(100)
+    status = loop.service.status
+    assert status.phase == "reached", status
+    assert re.fullmatch(r"workshop: 1\d m² are known, found: .*sofa.*", status.reason)
+    assert "bed" not in status.reason
+    assert all(goal.pose.x_m < 4.3 for goal in loop.notes.goals)
+
+
+@pytest.mark.parametrize(
+    ("formula", "answer"),
+    [
+        ('F "check sofa in workshop"', "yes, there is a sofa in the workshop at \\("),
+        ('F "check bed in workshop"', "no, there is no bed in the workshop: the room is explored"),
+        ('F "check bed in bedroom"', "yes, there is a bed in the bedroom at \\("),
+    ],
+)
+def test_a_check_in_a_room_looks_only_there(formula, answer, tmp_path):
+    status = in_rooms(tmp_path, formula).run(150).service.status
+    assert status.phase == "reached", status
+    assert re.match(answer, status.reason), status.reason
+
+
+def test_a_check_that_finds_nothing_tells_where_the_thing_was_before(tmp_path):
+    loop = in_rooms(tmp_path, 'F "check bed in bedroom"').run(100)
+    assert loop.service.status.reason.startswith("yes")
+    formula, now_ns = 'F "check bed in workshop"', loop.drive.motion.stamp_ns
+    loop.service.begin(prepare(loop.config.mission, formula=formula, site=NAMED), now_ns)
+    reason = loop.run(200).service.status.reason
+    assert reason.startswith("no, there is no bed in the workshop: the room is explored; seen ")
+    assert "before: bed: in the bedroom, at (" in reason
+
+
+def test_it_patrols_rooms(tmp_path):
+    loop = in_rooms(tmp_path, "G F workshop & G F bedroom")
+    steps(loop, 60.0)
+    assert loop.service.mission.round >= 2, loop.notes.events
 
 
 def test_it_comes_to_the_caller(tmp_path):

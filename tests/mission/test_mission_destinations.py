@@ -31,7 +31,6 @@ SITE = Site((Place("dock", DOCK), Place("wait 5 s", DOCK)))
     [
         ("bed", None),
         ("waiting room", None),
-        ("explored map", ExploreTarget("map")),
         ("the Dock", PlaceTarget(DOCK)),
         ("start", PlaceTarget()),
         ("here", PlaceTarget()),
@@ -47,6 +46,7 @@ SITE = Site((Place("dock", DOCK), Place("wait 5 s", DOCK)))
         ("explored kitchen for one hour", ExploreTarget("kitchen", 3600.0)),
         ("check stove", CheckTarget("stove")),
         ("check the red mug", CheckTarget("red mug")),
+        ("check the kettle in the kitchen", CheckTarget("kettle", "kitchen")),
     ],
 )
 def test_the_text_decides(text, meant):
@@ -59,6 +59,8 @@ def test_the_text_decides(text, meant):
         ("wait 0 s", "^0 s: expected a time over 0 s"),
         ("wait 25 hours", "up to 24 h"),
         ("explored for some min", "^some min: expected a time"),
+        ("explored map", "map: no room has this name, .*; give a room this name first"),
+        ("check mug in pantry", "pantry: no room has this name"),
         ("caller", "caller: the request does not say where the caller is; send from_pose"),
     ],
 )

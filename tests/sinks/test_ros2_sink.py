@@ -184,6 +184,32 @@ def test_a_goal_that_leaves_the_dock_cancels_the_docking(make, nav2, theirs):
     docking.close()
 
 
+@pytest.mark.parametrize("status", [SUCCEEDED, ABORTED])
+def test_a_docked_robot_undocks_before_it_drives(make, nav2, theirs, answers, status):
+    docking = Nav2(theirs, "jazzy", action="DockRobot")
+    undocking = Nav2(theirs, "jazzy", action="UndockRobot")
+    sink = make(docks={"dock": "bay_1"})
+    sink.tick(at_place(7, "dock"))
+    docking.end(first_goal(docking), SUCCEEDED)
+    assert answers(2)[-1] == GoalStatus(7, "reached")
+    sink.tick(driving(8))
+    goal_id = first_goal(undocking)
+    sink.tick(driving(9))  # a better goal: it undocks on
+    assert answers(4)[-1] == GoalStatus(9, "accepted")
+    assert nav2.goals == []
+    undocking.end(goal_id, status, 903)
+    if status == SUCCEEDED:
+        nav2.end(first_goal(nav2), SUCCEEDED)
+        assert answers(6)[-1] == GoalStatus(9, "reached")
+        sink.tick(driving(10))
+        eventually(lambda: len(nav2.goals) == 2)
+    else:
+        assert answers(5)[-1] == GoalStatus(9, "failed", "aborted by Nav2 (error 903)")
+    assert len(undocking.goals) == 1
+    docking.close()
+    undocking.close()
+
+
 @pytest.mark.parametrize("more", [{"via": "adapter"}, {"goals": "topic"}])
 def test_docking_needs_actions(make, more):
     with pytest.raises(UserError, match="docks: needs goals: navigate_to_pose"):

@@ -29,7 +29,7 @@ PUBLISHED: dict[str, str] = {
 LATCHED = frozenset({"tf_static", "map", "trajectory"})
 """Transient local topics: a late subscriber gets the last message."""
 NAVIGATE_TO_POSE = "nav2_msgs/action/NavigateToPose"
-DOCK_ROBOT = "nav2_msgs/action/DockRobot"
+DOCK_ROBOT, UNDOCK_ROBOT = "nav2_msgs/action/DockRobot", "nav2_msgs/action/UndockRobot"
 
 
 def accepted_types(name: str, ros_name: str) -> tuple[str, ...]:

@@ -1,7 +1,8 @@
-"""Codec of the actions NavigateToPose and DockRobot of nav2_msgs: three services and two topics.
+"""Codec of the actions NavigateToPose, DockRobot and UndockRobot of nav2_msgs.
 
-`send_goal`, `get_result` and `cancel_goal` are services, `feedback` and `status` are topics, all
-below `<action>/_action/`. The client chooses a random 16-byte id for each goal.
+An action is three services and two topics: `send_goal`, `get_result` and `cancel_goal` are
+services, `feedback` and `status` are topics, all below `<action>/_action/`. The client chooses a
+random 16-byte id for each goal.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ _I16 = struct.Struct("<h")
 _U16 = struct.Struct("<H")
 _F32 = struct.Struct("<f")
 _MOST_GOALS = 1024
-_STAGING_S = 1000.0  # default of DockRobot
+_STAGING_S, _UNDOCKING_S = 1000.0, 30.0  # defaults of DockRobot and UndockRobot
 
 # action_msgs/GoalStatus
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6
@@ -44,6 +45,20 @@ def encode_dock_goal(
     writer = CdrWriter().write(_UUID, 1, goal_id).write(U8, 1, 1).string(dock_id)
     write_pose(writer.header(stamp_ns, frame_id), SE2(0.0, 0.0, 0.0).matrix())
     return writer.string("").write(_F32, 4, _STAGING_S).write(U8, 1, 1).bytes()
+
+
+def encode_undock_goal(goal_id: bytes) -> bytes:
+    """Encode UndockRobot_SendGoal_Request, for the type of dock that the server docked at."""
+    return CdrWriter().write(_UUID, 1, goal_id).string("").write(_F32, 4, _UNDOCKING_S).bytes()
+
+
+def decode_undock_result(payload: bytes) -> Result:
+    """Decode UndockRobot_GetResult_Response of any distribution."""
+    reader = CdrReader(payload)
+    (status,) = reader.read(_I8, 1)
+    reader.read(U8, 1)
+    (code,) = reader.read(_U16, 2)
+    return Result(status, code, reader.string() if reader.left >= 4 else "")
 
 
 def decode_dock_result(payload: bytes) -> Result:

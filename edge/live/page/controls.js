@@ -5,13 +5,14 @@ import { $, make, say } from "./dom.js";
 import { isDone } from "./panels.js";
 
 const SURE_MS = 3000;
-let paused = false;
+let resumes = false; // the button resumes a paused mission, or ends a wait
 
 export function show({ controls, moment, service }) {
   $("controls").hidden = $("swap").hidden = !controls;
   $("readonly").hidden = controls;
-  paused = moment?.paused ?? false;
-  say("pause", paused ? "Resume" : "Pause");
+  const paused = moment?.paused ?? false;
+  resumes = paused || moment?.phase === "waiting";
+  say("pause", paused ? "Resume" : resumes ? "Go on" : "Pause");
   $("pause").disabled = $("cancel").disabled = isDone(moment);
   $("new").disabled = service.state === "starting" || service.state === "stopping";
 }
@@ -35,7 +36,7 @@ async function ask(key, said, done) {
 
 const mission = (verb) => ask("mission/request", { do: verb });
 
-$("pause").addEventListener("click", () => mission(paused ? "resume" : "pause"));
+$("pause").addEventListener("click", () => mission(resumes ? "resume" : "pause"));
 
 // Needs two clicks, so that one by mistake does not end a mission.
 let sure = 0;

@@ -25,7 +25,8 @@ export function header({ robot, moment, service }) {
   const phase = moment.paused && !isDone(moment) ? "paused" : at;
   badge(phase, phase);
   say("instruction", phase === "idle" ? "No mission yet" : moment.instruction);
-  say("reason", moment.reason || (moment.target ? `now: ${moment.target}` : ""));
+  const now = isDone(moment) || !moment.target ? "" : `now: ${moment.target}`;
+  say("reason", [now, moment.reason].filter(Boolean).join("; "));
   say("elapsed", duration(moment.elapsed_s));
   say("driven", `${moment.path_m.toFixed(1)} m`);
   say("beat", `${moment.beat_hz.toFixed(0)} Hz`);

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -17,7 +17,14 @@ from edge.config import PolicySearch
 from edge.loop.behaviours.room_targets import RoomKindPrior, rooms_of
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import RECOGNISED_KINDS, MappedRoom, RoomSurvey, kind_of_room, known_objects
+from edge.memory import (
+    RECOGNISED_KINDS,
+    MappedRoom,
+    RoomSurvey,
+    kind_of_room,
+    known_objects,
+    where_is,
+)
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
@@ -25,10 +32,11 @@ from edge.mission.destinations import (
     PlaceTarget,
     RoomTarget,
     WaitTarget,
+    room_target,
     shown_s,
 )
 from edge.mission.run import MissionRun
-from edge.policies.base import PolicyInput
+from edge.policies.base import FRONTIER, PolicyInput
 from edge.policies.search import SearchPolicy
 from edge.text import one_line
 from edge.types import Goal, Instance
@@ -118,17 +126,7 @@ class ExplorePursuit(Pursuit[ExploreTarget]):
 
     def finish(self, now_ns: int) -> None:
         known = f"{self._map.grid.known_m2:.0f} m² are known"
-        self._mission.on_reached(known, now_ns, f"{known}, {self._found()}")
-
-    def _found(self) -> str:
-        """Return the names of the objects in the map, the most frequent first."""
-        least = self._map.config.perception.min_hits
-        objects = known_objects(self._map.sightings.shown, 0, least)
-        numbers = Counter(one.name for one in objects).most_common()
-        named = [f"{name} ({n})" if n > 1 else name for name, n in numbers[:_MOST_NAMED]]
-        more = len(numbers) - len(named)
-        named += [f"{more} more kinds"] if more else []
-        return f"found: {', '.join(named)}" if named else "found no objects"
+        self._mission.on_reached(known, now_ns, f"{known}, {_found(self._map)}")
 
 
 class WaitPursuit(Pursuit[WaitTarget]):
@@ -153,51 +151,92 @@ class WaitPursuit(Pursuit[WaitTarget]):
         return None
 
 
-class CheckPursuit(Pursuit[CheckTarget]):
-    """A look if a thing is there: at where it was before, then everywhere.
+class CheckAnswer:
+    """The answer to a check: yes for a thing that is confirmed and seen during the pursuit.
 
-    The answer is yes if the thing is confirmed and detected during the pursuit. It is no if the
-    search for it ends; the target counts as reached with either answer.
+    Args:
+        check: The check.
+        mission: The mission.
+        here: The semantic map.
     """
 
-    _since_ns: int | None = None  # stamp of the first observation of the pursuit
+    def __init__(self, check: CheckTarget, mission: MissionRun, here: SemanticMap) -> None:
+        self.thing = check.name
+        self._room = f"in the {check.room}" if check.room else ""
+        self._mission, self._map = mission, here
+        self._prompt = mission.brief.prompt_for(mission.target)
+        self._since_ns: int | None = None  # stamp of the first observation of the pursuit
+        self._before = ""  # what was known before
 
-    def judge(self, context: PolicyInput, images: int) -> None:
-        mission, tracker = self._mission, self._map.tracker
+    def seen(self, context: PolicyInput) -> list[Instance]:
+        """Return the confirmed objects that were detected since the first call."""
         if self._since_ns is None:
             self._since_ns = context.observation.stamp_ns
-        prompt = mission.brief.prompt_for(mission.target)
-        seen = [one for one in tracker.of(prompt, sure=True) if one.last_seen_ns >= self._since_ns]
-        if seen:
-            self._answer_yes(seen, context)
-            return
-        mission.activity = f"checking for the {self._destination.name}"
-        limit_s = mission.config.search_limit_s
-        if limit_s is not None and mission.pursued_now_s > limit_s:
-            self._answer_no(f"not found within {shown_s(limit_s)}", context.now_ns)
-            return
-        super().judge(context, images)
+            self._before = self._remembered(context)
+        confirmed = self._map.tracker.of(self._prompt, sure=True)
+        return [one for one in confirmed if one.last_seen_ns >= self._since_ns]
 
-    def finish(self, now_ns: int) -> None:
-        reason = self._goals.failure_reason(self._mission, self._map.grid)
-        self._answer_no(reason, now_ns)
-
-    def _is_reached(self, instance: Instance) -> bool:
-        """Return False: only a new detection counts, and `judge` handles those."""
-        return False
-
-    def _answer_yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
+    def yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
+        """Answer that these objects are there."""
         pose = context.pose
         at = min(seen, key=lambda one: one.distance_m(pose.x_m, pose.y_m))
         x_m, y_m, _ = at.center_m.tolist()
         others = f"; {len(seen)} in all" if len(seen) > 1 else ""
         where = f"at ({x_m:.1f}, {y_m:.1f}), {at.distance_m(pose.x_m, pose.y_m):.1f} m away{others}"
-        answer = f"yes, there is a {self._destination.name} {where}"
+        room = self._map.rooms.where(x_m, y_m) or self._room
+        answer = " ".join(filter(None, ("yes, there is a", self.thing, room, where)))
         self._mission.on_reached(answer, context.now_ns, answer)
 
-    def _answer_no(self, reason: str, now_ns: int) -> None:
-        answer = f"no, there is no {self._destination.name}: {reason}"
+    def no(self, reason: str, now_ns: int) -> None:
+        """Answer that there is none."""
+        before = f"; seen before: {self._before}" if self._before else ""
+        none = " ".join(filter(None, ("no, there is no", self.thing, self._room)))
+        answer = f"{none}: {reason}{before}"
         self._mission.on_reached(answer, now_ns, answer)
+
+    def _remembered(self, context: PolicyInput) -> str:
+        """Return where and when the thing was seen before, for people; "" if never."""
+        shown, least = self._map.sightings.shown, self._map.config.perception.min_hits
+        found = known_objects(shown, context.observation.stamp_ns, least, self.thing)[:1]
+        if not found:
+            return ""
+        return where_is(self.thing, found, context.pose, True, self._map.rooms.where)
+
+    def time_is_over(self, now_ns: int) -> bool:
+        """Answer no and return True if the search limit is over."""
+        limit_s = self._mission.config.search_limit_s
+        if limit_s is None or self._mission.pursued_now_s <= limit_s:
+            return False
+        self.no(f"not found within {shown_s(limit_s)}", now_ns)
+        return True
+
+
+class CheckPursuit(Pursuit[CheckTarget]):
+    """A look if a thing is there: at where it was before, then everywhere.
+
+    The target counts as reached with either answer.
+    """
+
+    def __init__(
+        self, destination: CheckTarget, mission: MissionRun, here: SemanticMap, goals: GoalTracker
+    ) -> None:
+        super().__init__(destination, mission, here, goals)
+        self._answer = CheckAnswer(destination, mission, here)
+
+    def judge(self, context: PolicyInput, images: int) -> None:
+        answer = self._answer
+        self._mission.activity = f"checking for the {answer.thing}"
+        if seen := answer.seen(context):
+            answer.yes(seen, context)
+        elif not answer.time_is_over(context.now_ns):
+            super().judge(context, images)
+
+    def finish(self, now_ns: int) -> None:
+        self._answer.no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
+
+    def _is_reached(self, instance: Instance) -> bool:
+        """Return False: only a new detection counts, and `judge` handles those."""
+        return False
 
 
 class RoomPursuit(Pursuit[RoomTarget]):
@@ -227,10 +266,14 @@ class RoomPursuit(Pursuit[RoomTarget]):
             why = f"room {room.id}, the most likely {self._kind}"
         if self._is_inside(room, context):
             self._goals.drop()
-            mission.on_reached(f"inside {why}", context.now_ns)
+            self.arrive(f"inside {why}", context.now_ns)
             return
         mission.activity = f"going to {why}"
         super().judge(context, images)
+
+    def arrive(self, evidence: str, now_ns: int) -> None:
+        """Handle the arrival inside the room."""
+        self._mission.on_reached(evidence, now_ns)
 
     def finish(self, now_ns: int) -> None:
         room, kind = self._map.rooms.room(self._chosen), self._kind
@@ -327,12 +370,125 @@ class RoomPursuit(Pursuit[RoomTarget]):
         return float(path_m.min(initial=np.inf))
 
 
-PURSUITS: dict[type | None, type[Pursuit]] = {
+class ExploreRoomPursuit(RoomPursuit):
+    """Exploration of one room: go inside, then to its frontiers, until none is left."""
+
+    def __init__(
+        self,
+        destination: ExploreTarget | CheckTarget,
+        mission: MissionRun,
+        here: SemanticMap,
+        goals: GoalTracker,
+    ) -> None:
+        super().__init__(room_target(destination.room), mission, here, goals)
+        self._name, self._doing = destination.room, "exploring"
+        self._limit_s = destination.limit_s if isinstance(destination, ExploreTarget) else None
+        self._inside: MappedRoom | None = None  # once the robot has been inside
+
+    def judge(self, context: PolicyInput, images: int) -> None:
+        if self._inside is not None:
+            self._inside = self._map.rooms.room(self._inside.id) or self._inside
+        left_s = math.inf if self._limit_s is None else self._limit_s - self._mission.pursued_now_s
+        if left_s <= 0.0:
+            self.end(context.now_ns)
+        elif self._inside is None:
+            super().judge(context, images)
+        else:
+            left = "" if self._limit_s is None else f", {_left(left_s)}"
+            self._mission.activity = f"{self._doing} the {self._name}{left}"
+            self._judge_inside(context, images)
+
+    def arrive(self, evidence: str, now_ns: int) -> None:
+        self._inside = self._map.rooms.room(self._chosen)
+
+    def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
+        if self._inside is None:
+            return super().select(context, scores, images)
+        if self._goals.searched:  # retries and second looks would lead elsewhere
+            self._goals.rest()
+            return None
+        self._block_outside(self._inside)
+        return self._goals.choose(context, self._map.grid, scores, images)
+
+    def end(self, now_ns: int) -> None:
+        """End the target: the room is explored, or the time is over."""
+        known = f"the {self._name} was not reached"
+        if self._inside is not None:
+            found = _found(self._map, self._inside)
+            known = f"{self._name}: {self._inside.area_m2:.0f} m² are known, {found}"
+        self._mission.on_reached(known, now_ns, known)
+
+    def _judge_inside(self, context: PolicyInput, images: int) -> None:
+        """Follow the goal; end the target when no candidate in the room is left."""
+        mission, turns = self._mission, self._mission.turns
+        self._goals.judge(
+            self._map.grid, context.pose, mission, images, context.now_ns, self._is_reached
+        )
+        if mission.turns == turns and not mission.done and self._goals.searched:
+            self.end(context.now_ns)
+
+    def _is_in(self, xy_m: np.ndarray, room: MappedRoom) -> np.ndarray:
+        """Return (n,) bool: True for points (n, 2) that are in the room."""
+        survey = self._map.rooms.survey
+        return survey.ids[survey.regions.at(xy_m)] == room.id
+
+    def _block_outside(self, room: MappedRoom) -> None:
+        """Block the frontiers of this tick that are not in the room."""
+        c = self._map.pool.candidates
+        outside = ~self._is_in(c.xy_m[: c.n], room)
+        c.blocked[: c.n] |= outside & (c.kind[: c.n] == FRONTIER)
+
+
+class CheckRoomPursuit(ExploreRoomPursuit):
+    """A look if a thing is in one room."""
+
+    def __init__(
+        self, destination: CheckTarget, mission: MissionRun, here: SemanticMap, goals: GoalTracker
+    ) -> None:
+        super().__init__(destination, mission, here, goals)
+        self._doing = f"checking for the {destination.name} in"
+        self._answer = CheckAnswer(destination, mission, here)
+
+    def gather(self) -> Sequence[Instance]:
+        return () if self._inside is None else self._in_room(Pursuit.gather(self), self._inside)
+
+    def judge(self, context: PolicyInput, images: int) -> None:
+        seen = self._answer.seen(context)
+        found = [] if self._inside is None else self._in_room(seen, self._inside)
+        if found:
+            self._answer.yes(found, context)
+        elif not self._answer.time_is_over(context.now_ns):
+            super().judge(context, images)
+
+    def end(self, now_ns: int) -> None:
+        self._answer.no("the room is explored", now_ns)
+
+    def _is_reached(self, instance: Instance) -> bool:
+        """Return False: only a new detection counts, and `judge` handles those."""
+        return False
+
+    def _in_room(self, instances: Sequence[Instance], room: MappedRoom) -> list[Instance]:
+        xy_m = np.array([one.center_m[:2] for one in instances], np.float32).reshape(-1, 2)
+        return [
+            one for one, inside in zip(instances, self._is_in(xy_m, room), strict=True) if inside
+        ]
+
+
+def _explore(destination: ExploreTarget, *others: Any) -> Pursuit:
+    kind = ExploreRoomPursuit if destination.room else ExplorePursuit
+    return kind(destination, *others)
+
+
+def _check(destination: CheckTarget, *others: Any) -> Pursuit:
+    return (CheckRoomPursuit if destination.room else CheckPursuit)(destination, *others)
+
+
+PURSUITS: dict[type | None, Callable[..., Pursuit]] = {
     None: Pursuit,
     PlaceTarget: PlacePursuit,
-    ExploreTarget: ExplorePursuit,
+    ExploreTarget: _explore,
     WaitTarget: WaitPursuit,
-    CheckTarget: CheckPursuit,
+    CheckTarget: _check,
     RoomTarget: RoomPursuit,
 }
 """The pursuit of each kind of destination; that of `None` is for things."""
@@ -340,3 +496,17 @@ PURSUITS: dict[type | None, type[Pursuit]] = {
 
 def _left(left_s: float) -> str:
     return f"{shown_s(math.ceil(max(0.0, left_s)))} left"
+
+
+def _found(here: SemanticMap, room: MappedRoom | None = None) -> str:
+    """Return the names of the objects in the map, or in a room, the most frequent first."""
+    objects = known_objects(here.sightings.shown, 0, here.config.perception.min_hits)
+    if room is not None:
+        xy_m = np.array([one.xyz_m[:2] for one in objects], np.float32).reshape(-1, 2)
+        ids = here.rooms.survey.ids[here.rooms.survey.regions.at(xy_m)]
+        objects = [one for one, at in zip(objects, ids.tolist(), strict=True) if at == room.id]
+    numbers = Counter(one.name for one in objects).most_common()
+    named = [f"{name} ({n})" if n > 1 else name for name, n in numbers[:_MOST_NAMED]]
+    more = len(numbers) - len(named)
+    named += [f"{more} more kinds"] if more else []
+    return f"found: {', '.join(named)}" if named else "found no objects"

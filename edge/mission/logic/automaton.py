@@ -76,6 +76,16 @@ class Automaton:
         """Return True if success is impossible from this state."""
         return bool(self.steps_left[state] < 0)
 
+    @property
+    def possible(self) -> tuple[str, ...]:
+        """The letters that do not make success impossible in every state: not only forbidden."""
+        alive = [q for q in range(self.n_states) if not self.dead(q)]
+        return tuple(
+            letter
+            for letter in self.letters
+            if any(not self.dead(self.step(q, letter)) for q in alive)
+        )
+
     def edges(self, state: int) -> Iterator[tuple[str, int]]:
         """Return pairs of a letter and the next state, NOTHING last."""
         return zip((*self.letters, NOTHING), self.delta[state].tolist(), strict=True)

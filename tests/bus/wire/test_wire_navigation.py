@@ -6,7 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from ros_messages import DOCK_FAREWELLS, FAREWELLS, STORE, from_ros, header, pose, to_ros
+from ros_messages import (
+    DOCK_FAREWELLS,
+    FAREWELLS,
+    STORE,
+    UNDOCK_FAREWELLS,
+    from_ros,
+    header,
+    pose,
+    to_ros,
+)
 
 from edge.bus.wire import markers, navigation, transforms
 from edge.geometry import SE2
@@ -121,6 +130,19 @@ def test_a_goal_of_docking():
     assert (goal.use_dock_id, goal.dock_id, goal.dock_type) == (True, "bay_1", "")
     assert (goal.max_staging_time, goal.navigate_to_staging_pose) == (1000.0, True)
     assert goal.dock_pose.header == header(5, "odom")
+
+
+@pytest.mark.parametrize("distribution", UNDOCK_FAREWELLS)
+def test_the_result_of_undocking(distribution):
+    farewell, expected = UNDOCK_FAREWELLS[distribution]
+    assert navigation.decode_undock_result(farewell(6, 902, "no dock")) == expected
+
+
+def test_a_goal_of_undocking():
+    name = "nav2_msgs/msg/UndockRobot_SendGoal_Request"
+    request = from_ros(navigation.encode_undock_goal(ID), name)
+    assert bytes(request.goal_id.uuid) == ID
+    assert (request.goal.dock_type, request.goal.max_undocking_time) == ("", 30.0)
 
 
 def test_what_asks_for_it_and_what_takes_it_back():
