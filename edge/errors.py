@@ -54,7 +54,7 @@ class FileError(UserError):
     exit_code = os.EX_IOERR
 
 
-class Stopped(UserError):
+class Stopped(UserError):  # noqa: N818 - a signal, no error
     """A request to stop that came during a wait. It is not a failure."""
 
     exit_code = os.EX_OK

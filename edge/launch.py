@@ -19,6 +19,7 @@ import zenoh
 
 from edge.bus.presence import Presence
 from edge.bus.requests import RequestServer
+from edge.bus.ros2.requests import serve_ros2_requests
 from edge.bus.session import ENVELOPE_BYTES, zenoh_session
 from edge.config import Config
 from edge.config.environment import KNOWN_VARIABLES, is_ours
@@ -186,6 +187,9 @@ def open_service(
         for key, (verbs, handle) in served.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)
+        if config.ros2.requests:
+            queues = {key: server.queue for key, server in servers.items()}
+            stack.enter_context(serve_ros2_requests(config, session, queues))
         presence.announce()
         # Objects of the start-up are never freed, so the collector need not scan them in the loop.
         gc.collect()

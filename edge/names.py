@@ -166,6 +166,8 @@ NEAR: dict[str, tuple[str, ...]] = {
 """Canonical name → other objects that look alike in one view; several views may separate them."""
 
 _PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch"}
+_PAIRS = ("scissors", "trousers", "headphones", "binoculars", "pliers", "tweezers", "sunglasses")
+_EYEGLASSES = ("glasses", "reading glasses", "safety glasses")
 _NO_PLURAL = ("ss", "us", "is")
 _ARTICLES = ("a ", "an ", "the ", "some ", "any ", "my ", "our ")
 # Words that end the name in a phrase: the rest describes where or how the object is.
@@ -304,6 +306,8 @@ def singular(phrase: str) -> str:
     ('dining chair', 'box', 'glass')
     """
     head, _, last = phrase.rpartition(" ")
+    if last in _PAIRS or phrase in _EYEGLASSES:
+        return phrase
     if last in _PLURALS:
         last = _PLURALS[last]
     elif last.endswith("ies") and len(last) > 4:
@@ -386,8 +390,7 @@ def may_be_same_object(a: str, b: str) -> bool:
 
 
 def look_alike(a: str, b: str) -> bool:
-    """Return True if two objects are hard to tell apart in one view: `may_be_same_object`, or
-    listed in `NEAR`.
+    """Return True if two objects are hard to tell apart: `may_be_same_object`, or listed in `NEAR`.
 
     >>> near("wardrobe", "cabinet"), near("cabinet", "wardrobe"), near("bed", "sofa")
     (True, True, False)

@@ -25,7 +25,7 @@ def check_format(path: Path) -> None:
     """Raise ExportError unless every target can load the ONNX file (its IR, its opset, …)."""
     try:
         onnx_file.check_format(path, onnx_file.read_onnx(path))
-    except (ModelError, onnx_file.NotOnnx) as error:
+    except (ModelError, onnx_file.NotOnnxError) as error:
         raise ExportError(str(error)) from None
 
 

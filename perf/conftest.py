@@ -42,7 +42,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def against(benchmark) -> Callable[[Callable[[], object]], None]:
-    """Takes what the benchmark is to be compared with, and times it as the benchmark is timed."""
+    """Return a function that times a reference in the way that the benchmark is timed."""
 
     def compare(work: Callable[[], object], timer: Callable[[], float] = time.thread_time) -> None:
         benchmark.extra_info["reference_ms"] = median_ms(work, timer)
@@ -52,7 +52,7 @@ def against(benchmark) -> Callable[[Callable[[], object]], None]:
 
 @pytest.fixture(autouse=True)
 def _calibrated(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Times the piece of work that the budget names, right after the benchmark."""
+    """Time the reference work that the budget names, right after the benchmark."""
     yield
     benchmark = request.node.funcargs.get("benchmark")
     if benchmark is not None:
@@ -72,8 +72,7 @@ def median_ms(work: Callable[[], object], timer: Callable[[], float]) -> float:
 
 
 def _verdicts(config: pytest.Config) -> list[tuple[str, float, str, bool]]:
-    """(budget name, median, or the budget's quantile, in ms, the limit in words, whether it holds),
-    in order of running."""
+    """Return (budget name, time in ms, limit as text, passed) of each benchmark, in order."""
     session = getattr(config, "_benchmarksession", None)
     measured = {
         bench.extra_info["budget"]: bench

@@ -23,7 +23,7 @@ _UNKNOWN, _CONTROL, _BYTE, _NORMAL = 2, 3, 6, 1
 
 
 class LlamaSize(NamedTuple):
-    """Of a model; SmolLM2-135M has 576, 9, 30, 1536."""
+    """Dimensions of a model; SmolLM2-135M has 576, 9, 30, 1536."""
 
     hidden: int
     heads: int
@@ -53,7 +53,7 @@ def weights(size: LlamaSize, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def onnx_of(size: LlamaSize, told: dict[str, np.ndarray]) -> Any:
-    """A decoder with keys and values in and out, of plain operators, as our exports are."""
+    """Build a decoder with key and value inputs and outputs, of the operators of our exports."""
     g, width = Graph(np.random.default_rng(0), F32), size.hidden // size.heads
     epsilon, two = g.real(EPSILON), g.real(2.0)
 
@@ -127,7 +127,7 @@ def onnx_of(size: LlamaSize, told: dict[str, np.ndarray]) -> Any:
 
 
 def write_gguf(path: Path, size: LlamaSize, told: dict[str, np.ndarray], kind: str) -> None:
-    """The same for llama.cpp, its matrices as F32, Q8_0 or Q4_0; texts of tokens are made up."""
+    """Write the same model for llama.cpp (F32, Q8_0 or Q4_0 matrices), with made-up tokens."""
     import gguf
 
     writer = gguf.GGUFWriter(path, "llama")

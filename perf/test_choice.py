@@ -1,4 +1,4 @@
-"""What reading rules and view once saves a model that chooses directions."""
+"""Benchmark: time that cached prompt prefixes save a model that chooses directions."""
 
 from __future__ import annotations
 
@@ -45,8 +45,10 @@ def view(k: int) -> str:
 
 
 def test_two_questions_against_two_prefills(benchmark, against, tmp_path, monkeypatch):
-    """Both questions about a new view, in processor time; the reference reads both whole, in a
-    session of its own that keeps nothing."""
+    """Compare both questions about a new view with two full prefills, in processor time.
+
+    The reference reads both questions whole, in its own session without a cache.
+    """
     benchmark.extra_info["budget"] = "choice_two_questions"
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     resources.models_dir().mkdir(parents=True)
@@ -75,8 +77,10 @@ def test_two_questions_against_two_prefills(benchmark, against, tmp_path, monkey
 
 
 def test_prefill_against_genai(benchmark, against, tmp_path, monkeypatch):
-    """200 tokens of which 30 come behind what both questions share, in processor time, against
-    onnxruntime-genai on the same file, which says the same."""
+    """Compare the prefill of 200 tokens with onnxruntime-genai on the same file.
+
+    30 tokens follow the prefix that both questions share. Both must give the same answer.
+    """
     genai = pytest.importorskip("onnxruntime_genai", reason="pip install onnxruntime-genai")
     benchmark.extra_info["budget"] = "choice_prefill_200"
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
@@ -150,7 +154,7 @@ def test_prefill_against_llama_cpp(
 
 
 def prefill_of(model: LanguageModel, ids: np.ndarray) -> Callable[[], np.ndarray]:
-    """Reads all but 30 tokens, and then those."""
+    """Read all but 30 tokens, then those 30."""
     decoder, places = model._decoder, np.tile(np.arange(len(ids)), (3, 1))
 
     def prefill() -> np.ndarray:
@@ -172,7 +176,7 @@ def llama_params(llama: Any, path: Path) -> Any:
 
 
 def genai_config(tokens: int) -> dict:
-    """What onnxruntime-genai is to know of the model."""
+    """Return the model's configuration for onnxruntime-genai."""
     inputs = {name: name for name in ("input_ids", "attention_mask", "position_ids")}
     for kind in ("key", "value"):
         inputs[f"past_{kind}_names"] = f"past_key_values.%d.{kind}"

@@ -1,4 +1,4 @@
-"""What an episode costs in one process: a robot would take ten seconds for what is timed here."""
+"""Benchmark: cost of an episode in one process; a robot would need ten seconds for it."""
 
 from __future__ import annotations
 

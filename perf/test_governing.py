@@ -1,4 +1,4 @@
-"""What the governor costs each tick."""
+"""Benchmark: cost of the load shedder in each tick."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 sys.path += [str(Path(__file__).parents[1] / "tests" / folder) for folder in ("", "loop")]
-from test_governor import Bench
+from test_load_shedder import Bench
 
 from edge.loop import load_shedder
 

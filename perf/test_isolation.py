@@ -1,4 +1,4 @@
-"""What a process of its own costs a detector: the same images, in the service and beside it."""
+"""Benchmark: cost of a detector's own process, against the same images inside the service."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OURS = {"model": "mini-house-256x320-int8-cpu"}
 
 @pytest.fixture(scope="module", params=[WORLD, OURS], ids=["yolo-world", "mini-house"])
 def model(request):
-    """The configuration of a model that is there."""
+    """Return the configuration of a model that is installed."""
     vocabulary = str(SHARED_VOCABULARY) if SHARED_VOCABULARY.exists() else None
     return config.DetectorOnnx(vocabulary=vocabulary, **request.param)
 

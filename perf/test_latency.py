@@ -1,4 +1,4 @@
-"""What timing a tick costs, and what a report of it costs."""
+"""Benchmark: cost of timing a tick, and of a latency report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the live view costs: a tick while nobody looks, and what who looks asks for."""
+"""Benchmark: cost of the live view, without and with a viewer."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STEPS = 60
 
 @pytest.fixture(scope="module")
 def closed() -> ClosedLoop:
-    """A robot that has driven for some seconds."""
+    """Return a closed loop that has driven for some seconds."""
     config = parse({"perception": {"detector": {"kind": "sim"}}, "mission": {"target": "bed"}})
     closed = ClosedLoop(config)
     for _ in range(STEPS):

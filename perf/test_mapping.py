@@ -26,7 +26,7 @@ def _compiled():
 
 
 def room_depth(T: np.ndarray, half_m: float = 4.0) -> np.ndarray:
-    """What the camera sees in a square room with pillars (cylinders of 0.2 m) every 2 m."""
+    """Return the depth of a square room with pillars (cylinders of 0.2 m) every 2 m."""
     u, v = np.meshgrid(np.arange(CAMERA.width_px), np.arange(CAMERA.height_px))
     to_optical = np.stack(
         [
@@ -53,7 +53,7 @@ def room_depth(T: np.ndarray, half_m: float = 4.0) -> np.ndarray:
 
 @functools.cache
 def frames() -> list[tuple[np.ndarray, np.ndarray, SE2]]:
-    """A turn on the spot while drifting: new views all the time."""
+    """Return frames of a turn on the spot with drift, so that every view is new."""
     out = []
     for yaw in np.arange(0.0, 2 * math.pi, 0.1):
         pose = SE2(0.1 * math.cos(yaw), 0.1 * math.sin(yaw), yaw)
@@ -63,7 +63,7 @@ def frames() -> list[tuple[np.ndarray, np.ndarray, SE2]]:
 
 
 def explored_map(cells: int) -> grid.RollingMap:
-    """A map whose window is explored all over: free, with obstacles and unknown specks."""
+    """Return a fully explored map: free, with obstacles and unknown specks."""
     m = grid.RollingMap(MAPPING.model_copy(update={"extent_m": cells * MAPPING.resolution_m}))
     m._follow(0, 0)
     rng = np.random.default_rng(0)
@@ -85,7 +85,7 @@ def explored_map(cells: int) -> grid.RollingMap:
 
 
 def numpy_points(depth_m: np.ndarray, T: np.ndarray):
-    """A function that gives the (n, 3) points of a depth image, in float32."""
+    """Return a function that gives the (n, 3) float32 points of a depth image."""
     v, u = np.indices(depth_m.shape, np.float32)
     x = (u - np.float32(CAMERA.cx_px)) / np.float32(CAMERA.fx_px)
     y = (v - np.float32(CAMERA.cy_px)) / np.float32(CAMERA.fy_px)
@@ -140,7 +140,7 @@ def test_reach_step_in_the_open(benchmark):
 
 
 def test_where_the_detector_looked(benchmark):
-    """What each image that was searched adds to a tick."""
+    """Benchmark: cost that each searched image adds to a tick."""
     benchmark.extra_info["budget"] = "coverage_look"
     m = explored_map(1000)
     views = itertools.cycle(

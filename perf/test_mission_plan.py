@@ -52,7 +52,7 @@ def test_replan(benchmark, name, config, k):
 
 
 def hall() -> tuple[Grid, list[np.ndarray]]:
-    """A map of 50 m a side, an open hall full of pillars, a fifth of it unknown; six objects."""
+    """Return a map of 50 m a side: a hall full of pillars, one fifth unknown, six objects."""
     rng = np.random.default_rng(0)
     cells = np.zeros((1000, 1000), np.int8)
     cells[800:] = -1

@@ -1,4 +1,4 @@
-"""How long detection, lifting and merging take."""
+"""Benchmark: time of detection, back-projection and merging."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _warm():
 
 
 def observe(seed=0, seq=0):
-    """A 640 × 480 image of noise with depth that steps between near and far blocks."""
+    """Return an observation: 640 × 480 noise, with depth that steps between near and far blocks."""
     random = np.random.default_rng(seed)
     depth = np.kron(random.uniform(0.5, 7, (12, 16)), np.ones((40, 40))).astype(np.float32)
     depth[random.random(depth.shape) < 0.05] = np.nan
@@ -165,8 +165,7 @@ def test_track(benchmark):
 
 
 def test_sightings(benchmark):
-    """Eight boxes of targets and twenty of context among some two hundred things, and a look at
-    all of them."""
+    """Time eight target boxes and twenty context boxes among about two hundred objects."""
     benchmark.extra_info["budget"] = "sightings_look_28"
     perception = config.PerceptionConfig(detector=config.DetectorSim())
     sightings, lifter = ObjectTracker(perception), BackProjector(perception)

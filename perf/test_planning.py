@@ -21,7 +21,7 @@ CASE_2 = (
 
 @pytest.fixture(scope="module")
 def tasks():
-    """The benchmark's first tasks, of all families as the whole is, and compiled kernels."""
+    """Return the benchmark's first tasks of all families, with compiled kernels."""
     found = generate(SAMPLE)
     run_tasks(found[:1], Settings(tuple(PLANNERS), (0.5,)))
     return found

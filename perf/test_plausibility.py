@@ -1,4 +1,4 @@
-"""What judging an observation costs, next to reading its depth image once."""
+"""Benchmark: cost of the plausibility checks, against reading the depth image once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TICK_NS = 33_333_333
 
 
 def seen(k: int, step_m: float) -> Observation:
-    """A room's floor and far wall, from a robot that drives towards it."""
+    """Return a view of a floor and a far wall, from a robot that drives towards the wall."""
     rng = np.random.default_rng(k)
     row = (np.arange(480) - CAMERA.cy_px) / CAMERA.fy_px
     down = np.maximum(-(T_BASE_CAMERA[2, 1] * row + T_BASE_CAMERA[2, 2]), 1e-3)

@@ -1,4 +1,4 @@
-"""What recording a tick costs: the loop's thread, and all that is written of it."""
+"""Benchmark: cost of recording a tick, in the loop's thread and in the writer."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Kept:
 
 @pytest.fixture(scope="module")
 def results():
-    """Of a second of the demo's loop, its depth in whole millimetres as cameras send it."""
+    """Return the results of one second of the demo, with depth in whole millimetres."""
     lockstep = {"lockstep": True}
     perception = {"detector": {"kind": "sim"}}
     kept = Kept()
@@ -58,7 +58,7 @@ def results():
 
 
 def test_record_a_tick_in_the_loop(benchmark, results):
-    """What the loop's own thread does: depth as millimetres, pictures now and then."""
+    """Time the loop thread's part: depth as millimetres, and an image now and then."""
     config, ticks = results
     teller = ResultEncoder(config, rgb_hz=2.0)
 

@@ -1,4 +1,4 @@
-"""What a detector on a server costs here: the call, without what the server computes."""
+"""Benchmark: client cost of a detector on a server, without the server's computation."""
 
 from __future__ import annotations
 

@@ -152,7 +152,7 @@ def test_odometry_to_goal_over_zenoh(benchmark):
 
 @contextmanager
 def process(command: list[str], environ: dict[str, str]) -> Iterator[subprocess.Popen]:
-    """It ends with its input, or when it is told to."""
+    """Start a process that ends when its input closes, or on a signal."""
     pipe = subprocess.PIPE
     environ = {**os.environ, **environ}
     with subprocess.Popen(command, env=environ, stdin=pipe, stdout=pipe, text=True) as started:

@@ -1,4 +1,4 @@
-"""How long the projection of a scan into masks takes (OpenNav eq. 2), and a whole scene."""
+"""Benchmark: projection of a scan into masks (OpenNav eq. 2), and of a whole scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T_CAMERA_CLOUD = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [
 
 @pytest.fixture(scope="module")
 def scan():
-    """A scan of 64 rings all around, things at every distance, and boxes with round masks."""
+    """Return a scan of 64 rings, with objects at every distance and boxes with round masks."""
     random = np.random.default_rng(0)
     elevation = np.radians(random.choice(np.linspace(2.0, -24.8, 64), POINTS))
     azimuth = random.uniform(-np.pi, np.pi, POINTS)
@@ -33,7 +33,7 @@ def scan():
 
 
 def by_numpy(cloud, boxes, masks):
-    """The same with NumPy: all points projected once, each mask looks at those of its window."""
+    """Do the same with NumPy: project all points once; each mask checks those in its window."""
     at_px, shown = in_picture(cloud, T_CAMERA_CLOUD, CAMERA)
     seen = np.flatnonzero(shown)
     u, v = at_px[seen].T

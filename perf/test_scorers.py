@@ -1,4 +1,4 @@
-"""What a configured choice scorer costs the tick in which it is asked, and what our own takes."""
+"""Benchmark: cost of a configured choice scorer in the tick that calls it, and of our own model."""
 
 from __future__ import annotations
 

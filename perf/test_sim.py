@@ -1,4 +1,4 @@
-"""What the simulated sensors cost."""
+"""Benchmark: cost of the simulated sensors."""
 
 from __future__ import annotations
 

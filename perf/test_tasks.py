@@ -1,4 +1,4 @@
-"""What a task that is driven costs each tick: where it stands, what blocks it, the goal ahead."""
+"""Benchmark: cost of a driven task in each tick: position, obstacles and the goal ahead."""
 
 from __future__ import annotations
 

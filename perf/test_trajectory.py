@@ -33,7 +33,7 @@ def maze(side: int, seed: int = 1) -> np.ndarray:
 
 
 def house(side: int) -> np.ndarray:
-    """An inflated occupancy grid: rooms of 80 cells with doors, the last third unknown."""
+    """Return an inflated occupancy grid: rooms of 80 cells with doors, the last third unknown."""
     cells = np.zeros((side, side), np.int8)
     cells[:, 2 * side // 3 :] = -1
     for k in range(80, side - 40, 80):
@@ -56,8 +56,10 @@ def test_astar_weighted_maze(benchmark, side):
 
 
 def graph(weights: np.ndarray) -> scipy.sparse.csr_matrix:
-    """The search's own graph: 8-connected, entering a cell costs its weight times the step, and no
-    corner of a closed cell is cut."""
+    """Build the search's graph: 8-connected, without cutting corners of closed cells.
+
+    Entering a cell costs its weight times the step.
+    """
     numbers = np.arange(weights.size).reshape(weights.shape)
     is_open = np.pad(weights != 0, 1)
     h, w = weights.shape

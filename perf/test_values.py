@@ -28,7 +28,7 @@ def _compiled():
 
 
 class VlfmValueMap:
-    """What VLFM's ValueMap.update_map does, step by step (bdaiinstitute/vlfm, weighted average).
+    """Twin of VLFM's ValueMap.update_map, step by step (bdaiinstitute/vlfm, weighted average).
 
     A template of confidences, cos^2 over the field of view, is made once; each update cuts the
     visible part out of a copy of it, turns that by the camera's yaw, lays it into an empty map of
@@ -67,7 +67,7 @@ class VlfmValueMap:
         return self._template.copy()
 
     def _visible(self, depth_m: np.ndarray, fov_rad: float, range_m: float) -> np.ndarray:
-        """The cone without what lies behind the farthest return of each column."""
+        """Return the cone without the cells behind the farthest return of each column."""
         shown = np.clip(depth_m, 0.0, range_m) / range_m  # VLFM is given such an image
         farthest = shown.max(axis=0) * range_m
         mask = self._cone(fov_rad, range_m)
@@ -131,7 +131,7 @@ def test_four_channels_against_one_of_vlfm(benchmark):
 
 
 def test_values_of_100_frontiers(benchmark):
-    """What reading them adds to a tick of the policies that go by them."""
+    """Benchmark: cost of reading frontier values in a tick of a value policy."""
     benchmark.extra_info["budget"] = "value_best_100"
     m = explored_map(1000)
     m.values.begin(TARGETS)

@@ -1,4 +1,4 @@
-"""What a frame costs from the wire into its slot."""
+"""Benchmark: cost of a frame from the wire into its slot."""
 
 from __future__ import annotations
 

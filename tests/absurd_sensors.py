@@ -1,4 +1,4 @@
-"""What a sane robot's sensors say of one instant, and the same with one number absurd."""
+"""Sensor messages of one instant: a sane robot's, and the same with one absurd number."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Batch = dict[Topic, bytes]
 
 
 def changed(payload: bytes, code: str, before: float, after: float) -> bytes:
-    """The payload with every number `before` replaced; float32 takes the nearest it has."""
+    """Return the payload with every number `before` replaced (float32: the nearest value)."""
     if code == "f":
         after = max(min(after, 3.4e38), -3.4e38)
     old = struct.pack(f"<{code}", before)
@@ -32,7 +32,7 @@ def changed(payload: bytes, code: str, before: float, after: float) -> bytes:
 
 
 def batch(stamp_ns: int = STAMP_NS) -> Batch:
-    """What a sane robot says of one instant; each number that a test changes stands out."""
+    """Return a sane robot's messages of one instant; each number that a test changes is unique."""
     pose = np.eye(4)
     pose[:3, 3] = 0.111, 0.222, 0.333
     ids = np.zeros((HEIGHT, WIDTH), np.uint16)

@@ -1,5 +1,7 @@
-"""Recordings of robots, written by the libraries `mcap` and `rosbags`, and by SQL alone; and what
-a robot says that drives ahead and sees a wall."""
+"""Recordings of a robot that drives ahead and sees a wall.
+
+Written by the libraries `mcap` and `rosbags`, and in plain SQL.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,7 @@ def write_bag(
     storage: StoragePlugin = StoragePlugin.SQLITE3,
     compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
-    """A rosbag2 folder."""
+    """Write a rosbag2 folder."""
     writer = BagWriter(folder, version=9, storage_plugin=storage)
     if compression != CompressionMode.NONE:
         writer.set_compression(compression, CompressionFormat.ZSTD)
@@ -75,9 +77,11 @@ def write_bag(
 
 
 def write_db3(path: Path, sent: Iterable[Sent], messages: str = "") -> Path:
-    """Only the file, with rosbag2's two tables.
+    """Write the file alone, with rosbag2's two tables.
 
     Args:
+        path: of the file.
+        sent: messages of the recording.
         messages: SQL that makes `messages`, in place of the usual table.
     """
     with closing(sqlite3.connect(path)) as db:
@@ -102,7 +106,7 @@ def stamps(n: int = N) -> Iterator[tuple[int, int]]:
 
 
 def camera(rgb: str = RGB, depth: str = DEPTH, info: str = INFO, n: int = N) -> Iterator[Sent]:
-    """A camera that sees a wall."""
+    """Return messages of a camera that sees a wall."""
     for k, ns in stamps(n):
         described = messages.encode_camera_info(ns, OPTICAL, CAMERA)
         yield info, "sensor_msgs/msg/CameraInfo", ns, described
@@ -118,7 +122,7 @@ def x_m(k: int) -> float:
 def odometry(
     topic: str = "/odom", frame: str = "map", child: str = "base_link", n: int = N
 ) -> Iterator[Sent]:
-    """The robot drives ahead, and stands in the end."""
+    """Return odometry of a robot that drives ahead and stops."""
     for k, ns in stamps(n):
         at = SE2(x_m(min(k, N)), 0.0, 0.0).matrix()
         payload = _renamed(messages.encode_odometry(ns, at, 0.0, 0.0), frame, child)
@@ -139,7 +143,7 @@ def static(*transforms: tuple[str, str, np.ndarray], ns: int = START_NS) -> Iter
 
 
 def moving(parent: str, child: str, dx_m: float = 0.0) -> Iterator[Sent]:
-    """A frame that drives as the robot does, or stands if it is moved."""
+    """Return the transforms of a frame that moves with the robot, or stays if it is moved."""
     for k, ns in stamps():
         T = se3(dx_m) if dx_m else se3(x_m(k))
         yield "/tf", TF, ns, encode_transforms([Transform(ns, parent, child, T)])

@@ -29,7 +29,7 @@ class ChatServer:
 
 
 def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **headers: str) -> None:
-    """A whole answer, of JSON where no header says otherwise."""
+    """Send a whole answer; JSON unless a header says otherwise."""
     http_server.send(handler, body, status, **{"Content_Type": "application/json", **headers})
 
 
@@ -48,14 +48,14 @@ def sends_100_mb(handler: BaseHTTPRequestHandler) -> None:
 
 
 def completion(content: Any, finish_reason: str = "stop") -> bytes:
-    """The body of a chat completion."""
+    """Return the body of a chat completion."""
     message = {"role": "assistant", "content": content}
     choice = {"index": 0, "message": message, "finish_reason": finish_reason}
     return json.dumps({"object": "chat.completion", "choices": [choice]}).encode()
 
 
 def likeliest(logprobs: Any) -> bytes:
-    """The body of a chat completion of one token, with the log-probabilities of its rivals.
+    """Return the body of a one-token chat completion, with log-probabilities of other tokens.
 
     Args:
         logprobs: by token; anything but a mapping is sent in the place of the list as it is.
@@ -82,8 +82,10 @@ def saying(*answers: str) -> Behaviour:
 
 
 def recorded(answers: Mapping[str, Sequence[str]]) -> Behaviour:
-    """Answers that were recorded, by an instruction: the first that the conversation holds. As many
-    as the model has given in it already are passed over; the last one goes on for ever."""
+    """Answer from recorded answers, chosen by the instruction in the conversation.
+
+    It skips as many as the model has already given; the last one repeats.
+    """
 
     def behave(handler: BaseHTTPRequestHandler) -> None:
         messages = handler.asked["messages"]
@@ -100,7 +102,7 @@ def recorded(answers: Mapping[str, Sequence[str]]) -> Behaviour:
 
 @contextlib.contextmanager
 def serving(behave: Behaviour) -> Iterator[ChatServer]:
-    """Runs a server that behaves so, on a free port of this machine."""
+    """Run a server with this behaviour on a free local port."""
     server = ChatServer()
 
     class Handler(http_server.Quiet):

@@ -43,7 +43,7 @@ class Tab:
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """The answer to a command; what happens meanwhile is noted."""
+        """Return the answer to a command; record the events that arrive before it."""
         call = next(self._ids)
         self._socket.send(json.dumps({"id": call, "method": method, "params": params}))
         while True:
@@ -64,7 +64,7 @@ class Tab:
             self.complaints.append(json.dumps(said["args"]))
 
     def run(self, script: str) -> Any:
-        """The value of an expression of JavaScript; a promise is waited for."""
+        """Return the value of a JavaScript expression; await a promise."""
         answer = self.call(
             "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
         )
@@ -76,14 +76,14 @@ class Tab:
         self.until("document.readyState === 'complete'")
 
     def until(self, script: str) -> Any:
-        """Waits until an expression is true; its value."""
+        """Wait until an expression is true; return its value."""
         return eventually(lambda: self.run(script), f"never: {script}\n{self.complaints}")
 
     def text(self, selector: str) -> str:
         return str(self.run(f"document.querySelector({json.dumps(selector)}).innerText"))
 
     def says(self, selector: str, text: str) -> None:
-        """Waits until an element says something."""
+        """Wait until an element shows a text."""
         self.until(
             f"document.querySelector({json.dumps(selector)}).innerText.includes({json.dumps(text)})"
         )
@@ -110,7 +110,7 @@ class Tab:
 
 @contextmanager
 def open_chromium() -> Iterator[Tab]:
-    """A tab of a browser of its own; skips where there is no Chromium."""
+    """Open a tab in a new browser; skip the test if Chromium is not installed."""
     if not BINARY:
         pytest.skip(f"no Chromium on this machine ({', '.join(NAMES)})")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:

@@ -185,14 +185,14 @@ def _logging_as_before() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def _no_overrides(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the developer has set to override configurations is none of the tests' business."""
+    """Clear the developer's own environment overrides."""
     for name in [name for name in os.environ if name.startswith("EDGE__")]:
         monkeypatch.delenv(name)
 
 
 @pytest.fixture(scope="session")
 def shared_dir() -> Path:
-    """The folder of papers, worlds, logs and weights beside the clone; skips where it is not."""
+    """Return the shared folder of papers, worlds, logs and weights; skip if it is missing."""
     if not SHARED.is_dir():
         pytest.skip(f"test data not there: {SHARED.name}/ beside the clone")
     return SHARED
@@ -200,7 +200,7 @@ def shared_dir() -> Path:
 
 @pytest.fixture
 def cards(tmp_path, monkeypatch):
-    """An empty folder of cards beside an empty cache of models."""
+    """Return an empty folder of cards next to an empty model cache."""
     from edge.host import resources
 
     folder = tmp_path / "cards"

@@ -49,7 +49,7 @@ class Edge:
         return "\n".join(self.lines)
 
     def says(self, text: str) -> Edge:
-        """Waits until it has said this."""
+        """Wait until the output contains this text."""
         self.until(lambda: text in self.output, f"never said {text!r}")
         return self
 
@@ -63,7 +63,7 @@ class Edge:
             time.sleep(0.02)
 
     def children(self) -> list[psutil.Process]:
-        """What it has started and still runs; remembered for `end`."""
+        """Return the running child processes, and remember them for `end`."""
         found = psutil.Process(self.process.pid).children(recursive=True)
         self._family.update((child.pid, child) for child in found)
         return found
@@ -75,7 +75,7 @@ class Edge:
         return self.wait(STOP_S)
 
     def wait(self, timeout_s: float = MISSION_S) -> int:
-        """The exit code, once it has ended by itself."""
+        """Return the exit code once the process has ended on its own."""
         try:
             code = self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
@@ -100,7 +100,7 @@ class Edge:
 
 
 def write_config(folder: Path, **sections: dict) -> Path:
-    """A configuration file for the built-in house and the simulated detector."""
+    """Write a configuration with the built-in house and the simulated detector."""
     path = folder / "config.yaml"
     base = {"perception": {"detector": {"kind": "sim"}}, "mission": {"target": "television"}}
     config = {**base, **sections}
@@ -117,7 +117,7 @@ def endpoint() -> str:
 
 @pytest.fixture
 def edge(tmp_path) -> Iterator[Callable[..., Edge]]:
-    """Starts `edge` commands; all are killed at the end."""
+    """Start `edge` commands; kill all of them at the end."""
     started = []
 
     def start(*arguments: object, **environ: str) -> Edge:

@@ -37,7 +37,7 @@ def settings_of(port: int, name: str, **more: object) -> ZenohConfig:
 
 
 class FakeService:
-    """What `edge.loop.requests.handle_mission` has to do with of a service."""
+    """Stand-in for the parts of a service that `edge.loop.requests.handle_mission` uses."""
 
     def __init__(self, known: Mapping[str, float], blind_to: frozenset[str]) -> None:
         self.mission = MissionRun(prepare(LIMITS, formula="F nothing"), LIMITS)

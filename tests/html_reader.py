@@ -8,8 +8,7 @@ VOID = {"meta", "img", "input", "br"}
 
 
 class Reader(HTMLParser):
-    """Checks that tags close in order; gathers tags with what they say, and text with that of
-    pictures."""
+    """Parser that checks the order of closing tags and collects tags and text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

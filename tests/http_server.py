@@ -1,4 +1,4 @@
-"""What the HTTP servers of tests share: a real one, in a thread, whose handler a test chooses."""
+"""Real HTTP server in a thread, with a handler that each test chooses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Quiet(BaseHTTPRequestHandler):
 
 
 def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **headers: str) -> None:
-    """A whole answer."""
+    """Send a whole answer."""
     handler.send_response(status)
     for name, value in headers.items():
         handler.send_header(name.replace("_", "-"), value)
@@ -35,9 +35,10 @@ class _Server(ThreadingHTTPServer):
 def running(
     handler: type[BaseHTTPRequestHandler], stopping: threading.Event, port: int = 0
 ) -> Iterator[str]:
-    """Runs a server; its URL.
+    """Run a server; yield its URL.
 
     Args:
+        handler: class that answers the requests.
         stopping: set at the end, so that a handler which would go on for ever ends too.
         port: 0: a free one of this machine.
     """

@@ -20,15 +20,16 @@ Behaviour = Callable[["Handler"], None]
 
 @dataclass
 class KServe:
-    """
+    """KServe v2 server with a detector.
+
     Attributes:
         run: the model.
-        binary: whether tensors may go as bytes.
-        behave: what it does at each inference in the place of the truth; may be set.
+        binary: True if tensors may be sent as bytes.
+        behave: replacement of the inference; a test may set it.
         metadata: of the model.
-        asked: paths, in order.
-        connections: how many there were.
-        stopping: set at the end, so that a behaviour which would go on for ever ends too.
+        asked: requested paths, in order.
+        connections: number of connections.
+        stopping: set at the end, so that an endless behaviour returns.
     """
 
     run: Run
@@ -42,7 +43,7 @@ class KServe:
 
 
 class Handler(Quiet):
-    """What a behaviour is given; `kserve` is the server."""
+    """HTTP handler that a behaviour gets; `kserve` is the server."""
 
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
@@ -69,7 +70,7 @@ class Handler(Quiet):
         (self.send_tensors if self.kserve.binary else self.send_json_tensors)(outputs)
 
     def tensors(self) -> dict[str, np.ndarray]:
-        """What was sent."""
+        """Return the tensors of the request."""
         length = int(self.headers.get(HEADER_LENGTH, len(self.body)))
         told, at, found = json.loads(self.body[:length]), length, {}
         for entry in told["inputs"]:
@@ -112,7 +113,7 @@ class Handler(Quiet):
 
 @contextlib.contextmanager
 def serving(kserve: KServe, port: int = 0) -> Iterator[KServe]:
-    """Runs it on a port of this machine."""
+    """Run the server on a local port."""
 
     class Bound(Handler):
         pass

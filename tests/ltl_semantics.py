@@ -1,4 +1,4 @@
-"""What a formula says about a word, as `edge.mission.logic.ltl` defines it."""
+"""Truth of a formula on a trace, as `edge.mission.logic.ltl` defines it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from edge.mission.logic.ltl import Formula, postorder
 
 
 def holds(f: Formula, word: Sequence[str | None]) -> bool:
-    """Whether a word satisfies a formula, straight from the definition (a reference, not fast).
+    """Return True if a trace satisfies a formula, straight from the definition (slow reference).
 
     Args:
+        f: formula.
         word: per step the one object that was reached, or None.
     """
     # Truth at every step, and in the last entry of the empty word. Operands come first, which

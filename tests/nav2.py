@@ -120,17 +120,17 @@ class Nav2:
         self._reply(query, to_ros(STORE.types["action_msgs/msg/CancelGoal_Response"](0, [])))
 
     def asked(self, goal_id: bytes) -> bool:
-        """Whether somebody waits for this goal's result."""
+        """Return True if a client waits for this goal's result."""
         return goal_id in self._waiting
 
     def end(self, goal_id: bytes, status: int, code: int = 0, text: str = "") -> None:
-        """The goal's result, to whoever waits for it."""
+        """Send the goal's result to its waiting client."""
         with self._lock:
             query = self._waiting.pop(goal_id)
         self._reply(query, self._farewell(status, code, text))
 
     def lose(self, goal_id: bytes) -> None:
-        """The result that was waited for never comes: its query ends without."""
+        """End the query without the awaited result."""
         with self._lock:
             self._waiting.pop(goal_id).drop()
 

@@ -19,6 +19,8 @@ def eventually(
     """Return the first truthy answer; fail if none comes in time.
 
     Args:
+        what: condition that is polled.
+        patience_s: longest wait.
         otherwise: the reason to fail with; a function if it depends on what happened meanwhile.
     """
     deadline_s = time.monotonic() + patience_s

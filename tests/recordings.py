@@ -13,7 +13,7 @@ from edge.sinks.mcap import McapSink
 
 
 def small(**sections: dict | list) -> Config:
-    """A simulated run in lockstep, with small pictures."""
+    """Return a simulated run in lockstep, with small images."""
     base = {
         "loop": {"lockstep": True},
         "sim": {"lockstep": True, "step_s": 0.2},
@@ -42,7 +42,7 @@ class Recording:
         return self
 
     def close(self) -> Path:
-        """The first file."""
+        """Close the recording; return its first file."""
         self.closed.close()
         self.sink.close()
         return files_of(self.folder)[0]

@@ -11,6 +11,8 @@ from simulated import simulated
 from edge.geometry import Grid
 from edge.loop.latency import LatencyRing
 from edge.loop.result import MissionFacts, TickResult, mission_facts, scored
+from edge.mapping.zones import ZonePolygons
+from edge.memory import Site
 from edge.mission.run import MissionRun
 from edge.mission.spec import prepare
 from edge.policies.base import Candidates
@@ -25,7 +27,7 @@ def observation(stamp_ns: int) -> Observation:
 
 @cache
 def facts(target: str = "chair") -> MissionFacts:
-    """A mission to reach one thing, at its beginning."""
+    """Return a new mission with one target."""
     config = simulated({"mission": {"target": target}}).mission
     return mission_facts(MissionRun(prepare(config), config))
 
@@ -38,14 +40,15 @@ def health() -> dict[str, Any]:
 
 
 def result(now_ns: int = 0, **fields: Any) -> TickResult:
-    """A tick in which nothing happened, but for what is given."""
+    """Return a tick without events, but for the given fields."""
     status = fields.get("status", MissionStatus("chair", "searching"))
     nothing: dict[str, Any] = {
         "observation": None, "pose": None, "status": status, "goal": None, "answer": None,
         "controlled": False, "targets": (status.target,), "goals": (), "answers": (),
         "events": (), "inputs": (), "detections": None, "mission": lambda: facts(status.target),
         "task": lambda: None,
-        "instances": list, "frontiers": lambda: np.zeros((0, 2), np.float32),
+        "instances": list, "objects": list, "rooms": (), "site": Site(), "zones": ZonePolygons(),
+        "frontiers": lambda: np.zeros((0, 2), np.float32),
         "candidates": lambda: scored(Candidates(0), np.zeros(0, np.float32)),
         "way": lambda: np.zeros((0, 2), np.float32), "choice": None, "layers": dict,
         "known_m2": lambda: 0.0,

@@ -47,6 +47,12 @@ _ACTION = {
         "unique_identifier_msgs/UUID goal_id\nnav2_msgs/NavigateToPose_Feedback feedback"
     ),
 }
+_FILTER = {
+    "CostmapFilterInfo": (
+        "std_msgs/Header header\nuint8 type\nstring filter_mask_topic\nfloat32 base\n"
+        "float32 multiplier"
+    ),
+}
 _CANCEL = {
     "CancelGoal_Request": "action_msgs/GoalInfo goal_info",
     "CancelGoal_Response": "int8 return_code\naction_msgs/GoalInfo[] goals_canceling",
@@ -55,7 +61,7 @@ _CANCEL = {
 
 def _store():
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for package, texts in (("nav2_msgs", _ACTION), ("action_msgs", _CANCEL)):
+    for package, texts in (("nav2_msgs", {**_ACTION, **_FILTER}), ("action_msgs", _CANCEL)):
         for name, text in texts.items():
             store.register(get_types_from_msg(text, f"{package}/msg/{name}"))
     return store
@@ -109,7 +115,7 @@ FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
     "jazzy": (_farewell("JazzyResult", 1), Result(6, 103)),
     "kilted": (_farewell("KiltedResult", 2), Result(6, 103, "no way")),
 }
-"""How each distribution's action ends, as (encode(status, code, text), what is read of 6, 103 and
+"""End of each distribution's action, as (encode(status, code, text), what is read of 6, 103 and
 "no way")."""
 
 DOCK_FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {

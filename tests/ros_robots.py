@@ -23,9 +23,11 @@ Edge = tuple[str, str, tuple[float, float, float], tuple[float, float, float]]
 
 @dataclass(frozen=True)
 class Body:
-    """Attributes:
-    camera, lidar: the frames that its messages name.
-    tree: what it says on `/tf_static`.
+    """Simulated body of a ROS robot.
+
+    Attributes:
+        camera, lidar: the frames that its messages name.
+        tree: transforms on `/tf_static`.
     """
 
     camera: str
@@ -61,11 +63,11 @@ ROBOTS = {
 }
 
 ODOM_IN_MAP = SE2(1.0, -0.5, 0.0)
-"""Where localization has found the odometry's frame."""
+"""Pose of the odometry's frame in `map`, from localization."""
 
 
 def ready(name: str, **sections: Any) -> dict[str, Any]:
-    """The data of a ready configuration, with these keys laid over its sections."""
+    """Return a ready configuration's data with these keys laid over its sections."""
     data = read_yaml(resources.find_config(name))
     for section, changes in sections.items():
         before = data.get(section)
@@ -78,7 +80,7 @@ def ready_config(name: str) -> Config:
 
 
 def transforms_of(tree: tuple[Edge, ...]) -> bytes:
-    """A tf2_msgs/TFMessage of it, by `rosbags`."""
+    """Return its tf2_msgs/TFMessage, made by `rosbags`."""
     types, stamped = STORE.types, []
     for parent, child, moved_m, turned_deg in tree:
         quaternion = quaternion_of(se3(*moved_m, *map(math.radians, turned_deg)))

@@ -1,4 +1,4 @@
-"""What `rmw_zenohd` is to a ROS 2 graph: a router, in this process; and sessions that find it."""
+"""Stand-in for `rmw_zenohd`: a router in this process, and sessions that find it."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def router() -> Iterator[int]:
 
 @contextmanager
 def ours(port: int) -> Iterator[zenoh.Session]:
-    """A session as the service has it beside a router."""
+    """Open a session as the service does next to a router."""
     with zenoh_session(zenoh_settings(port), "listen") as session:
         yield session
 
 
 def kept(session: zenoh.Session, dialect: Dialect, topic: str) -> ext.AdvancedPublisher:
-    """A latched topic, as a bridge and the adapter publish it."""
+    """Return a latched topic, as a bridge and the adapter publish it."""
     return ext.declare_advanced_publisher(
         session, dialect.data_key(0, topic, "", ""), cache=ext.CacheConfig(max_samples=1),
         publisher_detection=True,

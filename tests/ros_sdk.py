@@ -16,7 +16,7 @@ sdk = pytest.importorskip("zenoh_ros2_sdk")
 
 @contextmanager
 def peers(port: int) -> Iterator[None]:
-    """The session that all its endpoints share, with the router at a port."""
+    """Open the session of all its endpoints, with the router at a port."""
     from zenoh_ros2_sdk.session import ZenohSession
 
     shared = ZenohSession.get_instance("127.0.0.1", port)

@@ -1,4 +1,4 @@
-"""What docs/security.md makes in `/etc/edge`, made in another folder by the page's own commands."""
+"""Files of `/etc/edge`, made in another folder by the commands of docs/security.md."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def page_section(containing: str, folder: Path, page: str = PAGE) -> str:
 
 
 def etc_edge(folder: Path) -> Path:
-    """What is in `/etc/edge` once the page was followed, and what it says for users."""
+    """Make `/etc/edge` by the page's commands; return it and the page's user settings."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl makes the certificates, and is not there")
     page_commands(folder, "cp config/secure", "openssl req", "sed s/operator")
@@ -61,7 +61,7 @@ def etc_edge(folder: Path) -> Path:
 def settings_of(
     etc: Path, kind: str, port: int, prefix: str = "edge"
 ) -> Callable[[str], ZenohConfig]:
-    """The section `zenoh` of the service, and of each client."""
+    """Return the section `zenoh` of the service, and of each client."""
     protocol, start = ("tls", "") if kind == "certificates" else ("tcp", "password-")
 
     def of(who: str) -> ZenohConfig:
@@ -77,9 +77,11 @@ def settings_of(
 
 
 def out_of_date(etc: Path, file: str, whose: str, use: str) -> Path:
-    """A copy of one of the files of `etc` that names a certificate which is out of date.
+    """Copy a file of `etc`, with an expired certificate.
 
     Args:
+        etc: folder of the files.
+        file: name of the copied file.
         whose: name of a certificate's file, in the place of which it is named.
         use: `clientAuth` or `serverAuth`.
     """
@@ -92,8 +94,10 @@ def out_of_date(etc: Path, file: str, whose: str, use: str) -> Path:
 
 
 def refusal(settings: ZenohConfig, told: str) -> str:
-    """What a command that asks the service says when it is refused, once it says `told`: who is
-    busy may not tell why in time."""
+    """Return a refused command's output, once it contains `told`.
+
+    A busy service may not give the reason in time.
+    """
 
     def refused() -> str:
         with pytest.raises(client.RequestError) as caught:

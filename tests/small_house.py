@@ -25,7 +25,7 @@ HOUSE = {
 
 
 def small_house(folder: Path, **sections: Any) -> Config:
-    """A configuration with that house, and the simulator's detector."""
+    """Write a configuration with that house and the simulator's detector."""
     path = folder / "small.json"
     path.write_text(json.dumps(HOUSE))
     sim = {"world": {"kind": "house", "house": str(path)}, **sections.pop("sim", {})}

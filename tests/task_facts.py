@@ -45,7 +45,7 @@ def looking(**fields: Any) -> TaskStatus:
 
 
 def driving(index: int = 40, **fields: Any) -> TaskStatus:
-    """It was written by the rules and is driven."""
+    """Return a task that was written by the rules and is driven."""
     by_rules, refined = written()
     task = TaskStatus(
         INSTRUCTION, "driving", "rules", understood=by_rules.understood,
@@ -56,7 +56,7 @@ def driving(index: int = 40, **fields: Any) -> TaskStatus:
 
 
 def by_a_model(said: str = HOSTILE, **fields: Any) -> TaskStatus:
-    """A model wrote it, at the second answer, and calls everything by hostile names."""
+    """Return a model's task, accepted at the second answer, with hostile names."""
     rounds = (
         PlanAttempt(said, "", "", f"the answer has no ```python block: {said}"),
         PlanAttempt(said, f"# {said}\nprint(1)\ngive_trajectory([(1, 0)])", f"1\n{said}", ""),

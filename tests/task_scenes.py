@@ -18,8 +18,7 @@ CAMERA = CameraModel.from_hfov(320, 200, 1.6)
 
 @dataclass(frozen=True)
 class Thing:
-    """A box on the ground: its label, its middle, its length and width, what is said of it, and
-    whether the scene tells where one gets nearest to it."""
+    """Box on the ground: label, middle, length, width, description and access point."""
 
     label: str
     x_m: float
@@ -45,9 +44,11 @@ def street(
     walls: tuple[tuple[float, float, float, float], ...] = (),
     picture: bool = False,
 ) -> Scene:
-    """A scene of 40 m by 40 m around the origin, free but for its things and walls.
+    """Return a scene of 40 m by 40 m around the origin, free but for its objects and walls.
 
     Args:
+        *things: objects of the scene.
+        pose: of the robot.
         walls: (x0, x1, y0, y1) of what is occupied and no object.
         picture: with a grey one that has a contour of each thing that is in view.
     """
@@ -90,7 +91,7 @@ def _object(number: int, thing: Thing) -> SceneObject:
 
 
 def _contours(things: tuple[Thing, ...], T_map_camera: np.ndarray) -> dict[int, list[np.ndarray]]:
-    """A square in pixels, 2 m wide, around where each thing's middle is seen."""
+    """Return a square of 2 m around each object's middle, in pixels."""
     found = {}
     for k, thing in enumerate(things, 1):
         ray = T_map_camera[:3, :3].T @ ((thing.x_m, thing.y_m, 0.75) - T_map_camera[:3, 3])

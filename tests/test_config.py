@@ -33,7 +33,7 @@ def write(tmp_path: Path):
 
 @pytest.mark.parametrize("content", ["", "# nothing\n", "{}", "---\n", "perception: {}"])
 def test_an_empty_file_lacks_nothing_but_its_detector(write, content):
-    """Which one it takes is not to be guessed: with the simulator's, a robot sees nothing."""
+    """The detector must be set: with the simulator's, a real robot sees nothing."""
     path = write(content)
     with pytest.raises(ConfigError) as error:
         load(path, {})
@@ -532,3 +532,29 @@ def test_every_key_of_the_ready_files_is_used():
     """A ready file says what differs from the defaults, in keys that exist."""
     for path in READY:
         assert set(yaml.safe_load(path.read_text())) <= set(config.Config.model_fields)
+
+
+def keys_of(schema: dict, node: dict, above: str = "", seen: tuple[str, ...] = ()) -> set[str]:
+    """Return the dotted keys below a node of a JSON Schema; `[]` stands for the items of a list."""
+    if name := node.get("$ref", "").rpartition("/")[2]:
+        return (
+            set() if name in seen else keys_of(schema, schema["$defs"][name], above, (*seen, name))
+        )
+    found = set()
+    for part in [p for kind in ("anyOf", "oneOf", "allOf") for p in node.get(kind, ())]:
+        found |= keys_of(schema, part, above, seen)
+    if isinstance(node.get("items"), dict):
+        found |= keys_of(schema, node["items"], f"{above}[]", seen)
+    for name, below in node.get("properties", {}).items():
+        key = f"{above}.{name}".lstrip(".")
+        found |= {key} | keys_of(schema, below, key, seen)
+    return found
+
+
+def test_every_key_of_before_the_renaming_is_still_read():
+    """`tests/data/config_keys.txt` has the keys of commit 6253ad9f."""
+    before = (Path(__file__).parent / "data" / "config_keys.txt").read_text().split()
+    schema = Config.model_json_schema()
+    now = keys_of(schema, schema)
+    assert len(before) == 252
+    assert [key for key in before if key not in now and key not in REMOVED] == []

@@ -1,4 +1,4 @@
-"""What can be known of the images without an engine that builds them."""
+"""Checks of the container images without an engine that builds them."""
 
 from __future__ import annotations
 

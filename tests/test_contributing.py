@@ -1,5 +1,4 @@
-"""CONTRIBUTING.md: what it names is there, its recipe for a model works word for word, and what
-every change must pass depends on nobody's next release."""
+"""CONTRIBUTING.md: its paths exist, its model recipe works, and CI's packages are pinned."""
 
 from __future__ import annotations
 
@@ -31,7 +30,7 @@ def test_every_place_it_names_is_there():
 
 @pytest.fixture
 def card(tmp_path, monkeypatch) -> dict:
-    """The page's card and a file for it, in a cache of their own."""
+    """Return the page's card and a file for it, in their own cache."""
     (block,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
     folder = tmp_path / "models"
     folder.mkdir()

@@ -11,7 +11,7 @@ KITCHEN = [6.6, 1.4, 1.2]
 
 
 def demo(target: str, start: list[float] | None = None) -> Config:
-    """The demo's configuration in lockstep, at 10 images a second."""
+    """Return the demo's configuration in lockstep, at 10 images a second."""
     config = load("demo", {})
     return config.model_copy(
         update={
@@ -32,7 +32,7 @@ def run(target: str, start: list[float] | None = None, seconds: float = 200) -> 
 
 
 def trash_can_m(loop: ClosedLoop, tall: bool) -> float:
-    """How far the robot stands from the kitchen's tall white trash can, or from any other one."""
+    """Return the robot's distances from the kitchen's tall white trash can and any other one."""
     pose = loop.drive.motion.pose
     return min(
         thing.distance_m(pose.x_m, pose.y_m)

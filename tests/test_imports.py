@@ -63,7 +63,7 @@ def imports_of(module: str) -> Iterator[str]:
 
 @cache
 def imports() -> dict[str, set[str]]:
-    """What each module imports; every worker that collects tests reads this file."""
+    """Return each module's imports; every worker that collects tests reads this file."""
     return {
         module: {target for target in imports_of(module) if target != module} for module in MODULES
     }

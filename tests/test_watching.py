@@ -43,7 +43,7 @@ def asked_by_dashboard() -> Iterator[str]:
 
 
 def plain(expression: str) -> str:
-    """An expression with what Grafana puts in for its own variables."""
+    """Return an expression with values for Grafana's own variables."""
     for name, value in INSTEAD.items():
         expression = expression.replace(name, value)
     return expression
@@ -266,7 +266,7 @@ FIRES = {
 
 
 def of_robot(series: str, robot: str) -> str:
-    """The series with the labels that Prometheus gives to what it scrapes there."""
+    """Return the series with the labels that Prometheus adds to a scrape."""
     name, _, labels = series.rstrip("}").partition("{")
     return f'{name}{{robot="{robot}",instance="{robot}:7480",{labels}}}'
 

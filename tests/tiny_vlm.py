@@ -23,7 +23,7 @@ SIDE = 32
 
 
 class Size(NamedTuple):
-    """Of a decoder."""
+    """Dimensions of a decoder."""
 
     hidden: int
     heads: int
@@ -90,6 +90,10 @@ def publish(
     """Write a model of a family as it is published, and its card; the card.
 
     Args:
+        models_dir: folder of the models.
+        family: of the card.
+        name: of the card.
+        half: store weights in FP16.
         pinned: it lies in the models' cache, and was pulled.
         size: other than `TINY` for the text family only.
     """

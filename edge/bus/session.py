@@ -41,7 +41,7 @@ log = logging.getLogger("edge.bus.session")
 CLOSE_S = 2.0
 HOST_S = 30.0
 """Timeout for name resolution: a computer that is just booting may have no name server yet."""
-OPEN = "{} is open: whoever reaches it may command the robot; see docs/security.md"
+OPEN = "{} is open: every client that reaches it may command the robot; see docs/security.md"
 SHUT = "access_control allows no key below {}/ (zenoh.prefix): no message can be sent or received"
 ENVELOPE_BYTES = 65536
 """More than Zenoh adds to a message: key, attachment and options."""

@@ -32,6 +32,8 @@ class Verb:
         stops: True if it stops the robot: never refused for lack of room, and it refuses requests
             that wait in the second lane of `RequestQueue`.
         reads: True if it changes nothing.
+        instead: returns the verb and the fields of the request that these fields mean, or None.
+            So "stop", said as an instruction, is as urgent as the verb for it.
     """
 
     fields: tuple[str, ...] = ()
@@ -39,6 +41,7 @@ class Verb:
     prepare: Callable[[dict], object] | None = None
     stops: bool = False
     reads: bool = False
+    instead: Callable[[dict], tuple[str, dict] | None] = lambda fields: None
 
 
 def read_request(payload: bytes, verbs: Mapping[str, Verb]) -> tuple[str, dict]:
@@ -53,7 +56,8 @@ def read_request(payload: bytes, verbs: Mapping[str, Verb]) -> tuple[str, dict]:
         raise ValueError(f"do: unknown {shown(do)} (choices: {', '.join(verbs)})")
     if unknown := sorted(data.keys() - set(verbs[do].fields)):
         raise ValueError(f"{bounded_repr(unknown[0], 40)}: not allowed with do: {do}")
-    return do, verbs[do].read(data)
+    fields = verbs[do].read(data)
+    return verbs[do].instead(fields) or (do, fields)
 
 
 def check_text(name: str, text: object, limit: int = MAX_CHARS) -> str:

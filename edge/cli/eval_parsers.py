@@ -34,7 +34,8 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "episodes", help="compare policies on find-the-object episodes in simulated time"
     )
     episodes.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
-    option = episodes.add_argument_group("episodes to run").add_argument
+    group = episodes.add_argument_group("episodes to run")
+    option, task = group.add_argument, group.add_mutually_exclusive_group().add_argument
     option(
         "--episodes", type=Path, metavar="FILE",
         help="run the episodes of a file that --plan wrote; of the other options in this group, "
@@ -58,11 +59,11 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         help="starts for each target and world (default: %(default)s)",
     )
     option("--per-world", type=count, metavar="N", help="at most N random episodes for each world")
-    option(
+    task(
         "--missions", type=count, metavar="N",
         help="instead, N missions for each world, with two to four targets, in order or by choice",
     )  # fmt: skip
-    option(
+    task(
         "--goals", type=count, metavar="N",
         help="instead, one session for each world: N of the targets one after another, with and "
         "without memory of the goals before",
@@ -71,11 +72,11 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "--moved", type=share, default=0.0, metavar="SHARE",
         help="with --goals: share of the movable objects that move between two goals (default: 0)",
     )  # fmt: skip
-    option(
+    task(
         "--zones", action="store_true",
         help="put a random keep-out zone on the shortest path of each episode",
     )  # fmt: skip
-    option(
+    task(
         "--ask", action="store_true",
         help="instead, one episode for each world: explore it, then ask where the targets are",
     )  # fmt: skip
@@ -207,6 +208,11 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
         "--own", type=Path, metavar="TSV",
         help="your own sentences: each in double quotes, a tab, and a JSON list of the correct "
         "formulas ([] in the list: a refusal is correct, too); the first line is a heading",
+    )  # fmt: skip
+    option(
+        "--everyday", type=Path, metavar="JSONL",
+        help="score only these everyday sentences, with questions and orders to learn among them "
+        "(see docs/language.md)",
     )  # fmt: skip
     option(
         "--failures",

@@ -21,13 +21,19 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
     for do, text in (
         ("find", "where is it?"),
         ("list", "list all known objects"),
-        ("export", "write all known objects as JSON"),
+        ("export", "write all known objects as JSON, or the whole memory as GeoJSON"),
     ):
         action = actions.add_parser(do, help=text)
         action.add_argument("config", help=CONFIG)
         if do != "list":
             action.add_argument("name" if do == "find" else "file")
-        if do != "export":
+        if do == "export":
+            action.add_argument(
+                "--geojson",
+                action="store_true",
+                help="write objects, rooms, places and zones as GeoJSON",
+            )
+        else:
             action.add_argument("--json", action="store_true", help="print JSON")
         action.set_defaults(handler=lazy_handler("edge.cli.memory", "run"))
 
@@ -42,16 +48,24 @@ def run(args: argparse.Namespace) -> int:
     from edge.bus import client, topics
     from edge.config import load
     from edge.host.files import write_atomically
+    from edge.memory import memory_geojson
     from edge.text import format_table, one_line
 
     settings = load(args.config).zenoh
     request = {"do": "find", "name": args.name} if args.do == "find" else {"do": "list"}
     with client.connect(settings, ANSWER_S, "service") as session:
-        key = settings.key(topics.MEMORY_REQUEST)
-        answer = client.send_request(session, key, request, ANSWER_S, "service")
-    objects = answer["objects"]
+
+        def ask(key: str, asked: dict) -> dict:
+            return client.send_request(session, key, asked, ANSWER_S, "service")
+
+        answer = ask(settings.key(topics.MEMORY_REQUEST), request)
+        objects = written = answer["objects"]
+        if args.do == "export" and args.geojson:
+            site = ask(settings.key(topics.SITE_REQUEST), {"do": "list"})["site"]
+            rooms = ask(settings.key(topics.MEMORY_REQUEST), {"do": "rooms"})["rooms"]
+            written = memory_geojson(site, objects, rooms)
     if args.do == "export":
-        write_atomically(Path(args.file), (json.dumps(objects, indent=1) + "\n").encode())
+        write_atomically(Path(args.file), (json.dumps(written, indent=1) + "\n").encode())
         print(f"{args.file}: {answer['text']}")
     elif args.json:
         print(json.dumps(objects, indent=1))

@@ -138,7 +138,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def as_text(answer: dict) -> str:
-    """Return the answer as text, one line for each field of `_ROWS` that it has."""
+    """Return the answer as text: its `text`, or one line for each field of `_ROWS` that it has."""
+    if isinstance(text := answer.get("text"), str):
+        return one_line(text, _ROW_CHARS)
     rows = [(name, one_line(format_row(answer), _ROW_CHARS)) for name, format_row in _ROWS.items()]
     width = max(map(len, _ROWS)) + 2
     return "\n".join(f"{name + ':':{width}}{text}" for name, text in rows if text) or "done"

@@ -20,7 +20,7 @@ def add_places(commands) -> None:  # type: ignore[no-untyped-def]
     place = commands.add_parser("place", help="name, list, remove, export and import places")
     actions = place.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
     add = _action(actions, "set", "name the robot's pose, or another")
-    add.add_argument("name", help="of the place")
+    add.add_argument("name", help="name of the place")
     add.add_argument(
         "--at", type=pose, metavar="X,Y,DEG",
         help="metres in map and heading in degrees, instead of the robot's pose; "

@@ -15,7 +15,7 @@ DockId = Annotated[str, Field(min_length=1, max_length=100)]
 RosTopic = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom", "tf",
     "tf_static", "goal", "navigate_to_pose", "dock_robot", "undock_robot",
-    "map", "path", "trajectory", "markers",
+    "map", "path", "trajectory", "markers", "keepout_mask", "keepout_info", "request", "answer",
 ]  # fmt: skip
 
 DEFAULT_TOPICS: dict[str, str] = {
@@ -36,6 +36,10 @@ DEFAULT_TOPICS: dict[str, str] = {
     "path": "/edge/path",
     "trajectory": "/edge/task_path",
     "markers": "/edge/markers",
+    "keepout_mask": "/edge/keepout_mask",
+    "keepout_info": "/edge/keepout_info",
+    "request": "/edge/request",
+    "answer": "/edge/answer",
 }
 
 
@@ -69,6 +73,10 @@ class Ros2Config(Section):
         goals: `navigate_to_pose`: the action, whose result is the result of the goal. `topic`: a
             PoseStamped on the topic `goal`, without a result. The goal is reached when the robot
             stops there.
+        keepout_filter: publish the zones for Nav2's KeepoutFilter, as `keepout_info` and
+            `keepout_mask`; nav2_msgs must be installed.
+        requests: take requests from the topic `request`, and answer on `answer`. Every node of the
+            graph may then give orders.
         docks: names of places and the ids of their docks in Nav2's docking server: `{dock: bay_1}`.
             A goal at such a place goes to the action DockRobot instead. UndockRobot comes before
             the next goal elsewhere.
@@ -83,6 +91,8 @@ class Ros2Config(Section):
     base_frame: Frame = "base_link"
     mounts: Literal["tf", "config"] = "tf"
     goals: Literal["navigate_to_pose", "topic"] = "navigate_to_pose"
+    keepout_filter: bool = False
+    requests: bool = False
     docks: dict[str, DockId] = Field(default_factory=dict, max_length=100)
     topics: dict[RosTopic, RosName] = Field(default_factory=dict)
     adapter: Ros2AdapterConfig = Ros2AdapterConfig()

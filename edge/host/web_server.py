@@ -80,7 +80,7 @@ PostRoutes = Mapping[str, Callable[[bytes], HttpResponse]]
 
 
 @dataclass(frozen=True)
-class Site:
+class ServedPages:
     """All pages of a server, and who may read them.
 
     Attributes:
@@ -121,7 +121,7 @@ def serve(
     forms: PostRoutes | None = None,
     public: Collection[str] = (),
 ) -> Iterator[int | None]:
-    """Serve pages and forms while the block runs; `Site` describes the arguments.
+    """Serve pages and forms while the block runs; `ServedPages` describes the arguments.
 
     Args:
         pages: pages for GET and HEAD.
@@ -142,7 +142,7 @@ def serve(
         yield None
         return
     try:
-        server = _Server(Site(pages, host, token, probes, forms or {}, public), port)
+        server = _Server(ServedPages(pages, host, token, probes, forms or {}, public), port)
     except (OSError, UnicodeError) as error:  # UnicodeError: an invalid label in the host name
         reason = getattr(error, "strerror", None) or one_line(error)
         raise UnavailableError(
@@ -172,7 +172,7 @@ class _Server(ThreadingMixIn, HTTPServer):
     daemon_threads, block_on_close = True, False
     request_queue_size = 4 * MOST_OPEN
 
-    def __init__(self, site: Site, port: int) -> None:
+    def __init__(self, site: ServedPages, port: int) -> None:
         self.site = site
         self._open: dict[socket.socket, int] = {}
         self._hand = threading.Lock()
@@ -282,7 +282,7 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self._refuse(stranger)
 
-    do_HEAD = do_GET
+    do_HEAD = do_GET  # noqa: N815 - the name that http.server calls
 
     def do_POST(self) -> None:
         path = self.path.partition("?")[0]

@@ -43,6 +43,7 @@ def snapshot_json(moment: LiveSnapshot) -> dict[str, Any]:
         "elapsed_s": round(status.elapsed_s, 1),
         "path_m": round(status.path_m, 2),
         "controlled": result.controlled,
+        "site": moment.n_sites,
         "goal": None if result.goal is None else _goal(result.goal, result.answer),
         "way": points(moment.way),
         "candidates": _candidates(moment),
@@ -106,6 +107,19 @@ def task_json(task: TaskStatus, number: int) -> dict[str, Any]:
         "time_s": 0.0 if refined is None else round(float(refined.times_s[-1]), 1),
         "refinements": task.refinements,
         "notes": [one_line(note, MAX_LINE) for note in task.notes[:MAX_LINES]],
+    }
+
+
+def site_json(moment: LiveSnapshot) -> dict[str, Any]:
+    """Return places and zones as GeoJSON, with their version."""
+    return {"number": moment.n_sites, **moment.site.geojson()}
+
+
+def memory_json(moment: LiveSnapshot) -> dict[str, Any]:
+    """Return remembered objects and rooms, as `memory/request` lists them."""
+    return {
+        "objects": [one.to_json() for one in moment.objects],
+        "rooms": [room.to_json() for room in moment.rooms],
     }
 
 

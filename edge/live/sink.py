@@ -14,6 +14,7 @@ from edge import names
 from edge.geometry import Grid
 from edge.live.trail import DrivenPath
 from edge.loop.result import Event, MissionFacts, ScoredCandidates, TickResult
+from edge.memory import KnownObject, MappedRoom, Site
 from edge.perception.scoring.choice.picture import visible_marks
 from edge.perception.scoring.choice.question import LETTERS, FrontierChoice
 from edge.policies.base import FRONTIER
@@ -23,6 +24,8 @@ from edge.types import Detections, Instance, Observation
 WATCHED_S = 10.0
 """Time after the last request in which the page counts as viewed."""
 PERIOD_S = 0.2
+OBJECTS_S = 1.0
+"""Period of the lists of remembered objects and of rooms."""
 MAX_EVENTS = 400
 MAX_SHOT_PX = 960
 MAX_BOXES = 60
@@ -41,7 +44,11 @@ class LiveSnapshot:
         mission: the mission.
         task: the task; None: there is none.
         n_tasks: version of `task`: increases when it changes, except for progress along it.
-        instances: objects.
+        instances: objects of the mission.
+        objects: remembered objects.
+        rooms: rooms of the map.
+        site: places and zones.
+        n_sites: version of `site`.
         candidates: candidates for the next goal.
         way: (n, 2) path to the goal, metres.
         layers: grids to draw, by name.
@@ -59,6 +66,10 @@ class LiveSnapshot:
     task: TaskStatus | None
     n_tasks: int
     instances: Sequence[Instance]
+    objects: Sequence[KnownObject]
+    rooms: Sequence[MappedRoom]
+    site: Site
+    n_sites: int
     candidates: ScoredCandidates
     way: np.ndarray
     layers: dict[str, Callable[[], Grid]]
@@ -115,10 +126,13 @@ class LiveSink:
         self.shot: CameraShot | None = None
         self.ticked_s: float | None = None
         self._viewed_s = self._boxed_s = -math.inf
-        self._due_s = self._shot_due_s = -math.inf
+        self._due_s = self._shot_due_s = self._objects_due_s = -math.inf
         self._trail = DrivenPath(_TRAIL)
         self._events: tuple[Event, ...] = ()
-        self._n_events = self._n_shots = self._n_ticks = self._n_tasks = 0
+        self._objects: Sequence[KnownObject] = ()
+        self._rooms: Sequence[MappedRoom] = ()
+        self._site = Site()
+        self._n_events = self._n_shots = self._n_ticks = self._n_tasks = self._n_sites = 0
         self._task: TaskStatus | None = None
         self._beat = (0.0, 0, 0.0)  # start of the window, ticks until then, previous rate
 
@@ -159,6 +173,11 @@ class LiveSink:
         choice, task = result.choice, result.task()
         self._n_tasks += not same_text(task, self._task)
         self._task = task
+        self._n_sites += result.site is not self._site
+        self._site = result.site
+        if now_s >= self._objects_due_s:
+            self._objects_due_s = now_s + OBJECTS_S
+            self._objects, self._rooms = result.objects(), result.rooms
         return LiveSnapshot(
             at_s=now_s,
             result=result,
@@ -166,6 +185,10 @@ class LiveSink:
             task=task,
             n_tasks=self._n_tasks,
             instances=result.instances(),
+            objects=self._objects,
+            rooms=self._rooms,
+            site=self._site,
+            n_sites=self._n_sites,
             candidates=result.candidates(),
             way=result.way(),
             layers=result.layers(),

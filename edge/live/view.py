@@ -18,7 +18,14 @@ from edge.bus.verbs import error_of
 from edge.config import Config
 from edge.geometry import Grid
 from edge.host.web_server import GetRoutes, HttpResponse, PostRoutes
-from edge.live.page_json import MAX_LAYERS, log_json, snapshot_json, task_json
+from edge.live.page_json import (
+    MAX_LAYERS,
+    log_json,
+    memory_json,
+    site_json,
+    snapshot_json,
+    task_json,
+)
 from edge.live.pictures import grid_json, shot_json
 from edge.live.sink import LiveSink, LiveSnapshot
 from edge.loop.service_health import ServiceHealth
@@ -73,6 +80,8 @@ class LiveView:
             "/live/now": self._now,
             "/live/story": self._story,
             "/live/task": self._task,
+            "/live/site": self._site,
+            "/live/memory": self._memory,
             "/live/map": self._map,
             "/live/camera": self._camera,
             **layers,
@@ -112,6 +121,16 @@ class LiveView:
             return _json(None)
         task = moment.task
         return self._once("task", moment.n_tasks, lambda: _json(task_json(task, moment.n_tasks)))
+
+    def _site(self) -> HttpResponse:
+        moment = self._viewed_moment()
+        if moment is None:
+            return _json(None)
+        return self._once("site", moment.n_sites, lambda: _json(site_json(moment)))
+
+    def _memory(self) -> HttpResponse:
+        moment = self._viewed_moment()
+        return _json(None if moment is None else memory_json(moment))
 
     def _map(self) -> HttpResponse:
         moment = self._viewed_moment()

@@ -1,7 +1,8 @@
 """Decision when to shed load and when to restore it.
 
-This module only computes: the caller passes the time, and there is no access to models. On rung 0,
-all configured work runs. On rung n, the first n entries of the ladder are dropped.
+This module only computes: the caller passes the time, and there is no access to models. At level 0,
+all configured work runs. At level n, the first n entries of the
+list `perception.governor.ladder` are dropped.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ ROOM = 0.7
 MOST_DOUBLINGS = 6
 """Largest number of doublings of `ROOM_S` after failed steps up: about an hour."""
 UNLIKELY = 4
-"""Doublings of `ROOM_S` before a step up that should not fit, by the earlier times of that rung.
+"""Doublings of `ROOM_S` before a step up that should not fit, by the earlier times of that level.
 The step is tried seldom, because the load may have changed."""
 
 
@@ -35,29 +36,29 @@ class LoadSample(NamedTuple):
 
 
 class LevelChange(NamedTuple):
-    """A step to a neighbouring rung, with the reason."""
+    """A step to a neighbouring degradation level, with the reason."""
 
     rung: int
     why: str
 
 
 class DegradationLevels:
-    """The decision of steps: one rung further under overload, one rung back at low load.
+    """Choice of the degradation level: one higher under overload, one lower at low load.
 
     There are at least `DWELL_S` between two steps. A step up has failed if it does not last twice
     as long as the wait before it. The next wait is then doubled.
 
     Args:
-        rungs: Number of rungs, without rung 0.
+        rungs: Number of levels, without level 0.
         budget_ms: See `Attributes`.
 
     Attributes:
-        rung: Current rung.
+        rung: Current level.
         budget_ms: Time budget of the detector; may be set.
 
     Example:
-        >>> ladder = Ladder(rungs=2, budget_ms=33.0)
-        >>> moves = [ladder.look(Second(50.0), k * 1_000_000_000) for k in range(4)]
+        >>> levels = DegradationLevels(rungs=2, budget_ms=33.0)
+        >>> moves = [levels.look(LoadSample(50.0), k * 1_000_000_000) for k in range(4)]
         >>> moves[:3], moves[3].rung
         ([None, None, None], 1)
     """

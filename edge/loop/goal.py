@@ -196,6 +196,8 @@ class GoalTracker:
         """Return a goal at a place; a frontier on the way to it while no path to it is known.
 
         Args:
+            context: input of this tick.
+            grid: the map.
             place: position and final heading.
             target: the place's name.
             images: number of images that the detector has searched so far.

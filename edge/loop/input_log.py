@@ -63,7 +63,7 @@ class InputLog:
             self.note("decided", what=what, said=decision)
         return decision
 
-    def beside(self, name: str, worker: Any) -> Any:
+    def wrap(self, name: str, worker: Any) -> Any:
         """Return a worker with the same interface that logs its requests and results.
 
         A result is logged when the loop polls it.
@@ -72,7 +72,7 @@ class InputLog:
 
 
 class _LoggedWorker:
-    """A worker that logs its requests and results; see `InputLog.beside`."""
+    """A worker that logs its requests and results; see `InputLog.wrap`."""
 
     def __init__(self, name: str, worker: Any, journal: InputLog) -> None:
         self._name, self._worker, self._journal = name, worker, journal

@@ -1,9 +1,9 @@
 """Load shedder: it drops expensive work when the computer cannot keep up, and restores it later.
 
-`perception.governor.ladder` lists the work to drop, in order. Each entry is a rung. The module
-`edge.loop.degradation` decides when to step. A cheaper model is swapped in as by `edge models use`,
-without waiting. If a user swaps in another model, the governor waits until the model of its rung
-runs again.
+`perception.governor.ladder` lists the work to drop, in order. Each entry is a degradation level.
+The module `edge.loop.degradation` decides when to step. A cheaper model is swapped in as by `edge
+models use`, without waiting. If a user swaps in another model, the governor waits until the model
+of its level runs again.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class LoadShedder:
         perception: The configuration, with a ladder.
         worker: Background worker of the detector.
         swapper: Swaps the detector's model.
-        scorers: The scorers, which rungs of the ladder may rest.
+        scorers: The scorers, which a level may pause.
         tell: Reports each step, one line, at a loop time.
         board: Reads the computer's sensors, on its own thread.
 
@@ -85,7 +85,7 @@ class LoadShedder:
 
     @property
     def rung(self) -> int:
-        """Current rung; 0: nothing is dropped."""
+        """Current level; 0: nothing is dropped."""
         return self._ladder.rung
 
     def step(self, now_ns: int) -> None:
@@ -122,13 +122,13 @@ class LoadShedder:
 
     @property
     def _aside(self) -> bool:
-        """True if another swap runs, or if the current model is not that of the rung."""
+        """True if another swap runs, or if the current model is not that of the level."""
         wanted = self._model_on(self.rung)
         running = wanted is None or self._swapper.running == wanted
         return not running or self._swapper.state not in ("idle", *FINAL_STATES)
 
     def _restart(self) -> None:
-        """Restart at rung 0, whose model runs."""
+        """Restart at level 0, whose model runs."""
         detector = self._perception.detector
         self._model = detector.model if detector.kind == "onnx" else None
         self._ladder = DegradationLevels(len(self._rungs), self._perception.swap.budget_ms)
@@ -173,7 +173,7 @@ class LoadShedder:
         what = f"model {wanted}"
         if rested is not None:
             what = f"rest {rested}" if down else f"resume {rested}"
-        where = f"{'down' if down else 'up'} to rung {move.rung} of {len(self._rungs)}"
+        where = f"{'down' if down else 'up'} to level {move.rung} of {len(self._rungs)}"
         self._why = f"{where}: {what}: {move.why}"
         self._log(f"governor: step {self._why}", now_ns)
         if wanted in (None, self._swapper.running):
@@ -195,7 +195,7 @@ class LoadShedder:
             self._arrive(move, now_ns)
             return
         if move.rung > self.rung:
-            self._unfit.add(str(swap["model"]))  # the next rung is tried without it
+            self._unfit.add(str(swap["model"]))  # the next level is tried without it
         self._abort(move, str(swap["detail"]), now_ns)
 
     def _arrive(self, move: LevelChange, now_ns: int) -> None:
@@ -207,16 +207,16 @@ class LoadShedder:
 
     def _abort(self, move: LevelChange, why: str, now_ns: int) -> None:
         self._move = None
-        self._why = f"rung {move.rung} cannot be used: {why}"
+        self._why = f"level {move.rung} cannot be used: {why}"
         self._log(f"governor: {self._why}", now_ns)
-        if self._model_on(move.rung) == self._swapper.running:  # the rest of the rung can be used
+        if self._model_on(move.rung) == self._swapper.running:  # the level is usable otherwise
             self._arrive(move, now_ns)
         else:
             self._ladder.refused(now_ns)
             self._begin_second(now_ns)
 
     def _model_on(self, rung: int) -> str | None:
-        """Return the model of a rung, or None if the detector has no model."""
+        """Return the model of a level, or None if the detector has no model."""
         named = [r.model for r in self._rungs[:rung] if r.model and r.model not in self._unfit]
         return named[-1] if named else self._model
 

@@ -14,10 +14,11 @@ from edge.loop.error_boundary import ErrorBoundary
 from edge.loop.goal import GoalTracker
 from edge.loop.input_log import InputLog
 from edge.loop.latency import LatencyRing
-from edge.loop.result import Event, Sink, TickResult, mission_facts, scored
+from edge.loop.result import MAX_OBJECTS, Event, Sink, TickResult, mission_facts, scored
 from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import RollingMap
+from edge.memory import KnownObject, SiteFile, known_objects
 from edge.mission.run import MissionRun
 from edge.tasks.facts import TaskStatus
 from edge.text import one_line
@@ -53,6 +54,7 @@ class ResultPublisher:
     Args:
         sinks: Receivers of the results; their methods never block.
         map: Semantic map.
+        site: Places and zones.
         goals: Goal tracker.
         scorers: The scorers, if any.
         journal: Input log.
@@ -70,6 +72,7 @@ class ResultPublisher:
         self,
         sinks: Sequence[Sink],
         map: SemanticMap,
+        site: SiteFile,
         goals: GoalTracker,
         scorers: Scorers | None,
         journal: InputLog,
@@ -81,12 +84,13 @@ class ResultPublisher:
         self.events: deque[Event] = deque(maxlen=_KEPT)
         self.detections: Detections | None = None
         self._sinks = sinks
-        self._map, self._tracker, self._scorers = map, goals, scorers
+        self._map, self._site, self._tracker, self._scorers = map, site, goals, scorers
         self._journal, self._latency, self._health = journal, latency, health
 
     def result(
         self,
         now_ns: int,
+        stamp_ns: int,
         observation: Observation | None,
         pose: SE2 | None,
         mission: MissionRun,
@@ -97,6 +101,7 @@ class ResultPublisher:
 
         Args:
             now_ns: Loop time.
+            stamp_ns: Stamp of the newest observation, for the age of objects.
             observation: The observation that was handled, if any.
             pose: Newest pose in `map`; None before the first.
             mission: The mission.
@@ -124,6 +129,10 @@ class ResultPublisher:
             instances=cache(
                 lambda: [found.copied() for label in targets for found in map.tracker.of(label)]
             ),
+            objects=cache(partial(_objects, map, stamp_ns)),
+            rooms=map.rooms.rooms,
+            site=self._site.known,
+            zones=grid.zones.polygons,
             frontiers=cache(lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy()),
             candidates=cache(partial(scored, map.pool.candidates, scores)),
             way=cache(partial(_way_m, grid, goal)),
@@ -158,6 +167,12 @@ class ResultPublisher:
         if self.detections is not None:
             self.detections.observation.release()
             self.detections = None
+
+
+def _objects(map: SemanticMap, stamp_ns: int) -> list[KnownObject]:
+    """Return the remembered objects; see `TickResult.objects`."""
+    min_hits = map.config.perception.min_hits
+    return known_objects(map.sightings.shown, stamp_ns, min_hits, most=MAX_OBJECTS)
 
 
 def _way_m(grid: RollingMap, goal: Goal | None) -> np.ndarray:

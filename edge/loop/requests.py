@@ -9,14 +9,24 @@ from typing import TYPE_CHECKING
 
 from edge.bus import topics
 from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_pose, check_text, shown
+from edge.config import TranslatorLtl
 from edge.errors import UserError
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.result import mission_facts
+from edge.loop.said_requests import carry_out
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.loop.status import answer_of
 from edge.mission.destinations import LONGEST_S
+from edge.mission.language.said import (
+    Control,
+    MemoryQuestion,
+    NoMissionError,
+    SiteOrder,
+    understand,
+)
 from edge.mission.repetition import MAX_ROUNDS, Repetition
 from edge.mission.spec import MissionSpec
+from edge.mission.translate import TranslationError
 from edge.perception.runtime.card_types import DetectCard, DirectionsCard
 from edge.perception.runtime.cards import load_card, load_detector_card
 from edge.perception.swap.base import SwapError
@@ -44,9 +54,10 @@ def request_handlers(
             `edge.tasks.mission_spec`.
         amiss: Returns the reasons why the service is not ready; see `edge.loop.service_health`.
     """
+    in_words = not isinstance(service.config.mission.translator, TranslatorLtl)
     return {
         topics.MISSION_REQUEST: (
-            mission_verbs(prepare),
+            mission_verbs(prepare, in_words),
             partial(handle_mission, service, amiss=amiss),
         ),
         topics.MODELS_REQUEST: (
@@ -58,8 +69,12 @@ def request_handlers(
     }
 
 
-def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
+def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dict[str, Verb]:
     """Return the verbs of mission requests.
+
+    Args:
+        prepare: see `request_handlers`.
+        in_words: True if instructions are English, so that "stop" is an order to stop.
 
     The requests are `{"do": "new", "instruction" | "formula" | "task": …}` and `{"do": VERB}` with
     pause, resume, cancel or status.
@@ -75,16 +90,31 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
 
     With `rounds` or `for_s`, the mission repeats so often, or for so many seconds.
 
+    A pause ends after `for_s` seconds, if it has that field.
+
     With `if_free: true`, the request is refused while another mission runs. `cancel` with an `id`
     cancels only that mission; its `why` becomes the reason.
+
+    An instruction that is a question or an order to learn leaves the mission as it is; the answer
+    has `text`. One about the present mission is the request with that verb.
     """
+
+    def prepared(fields: dict) -> object:
+        try:
+            return prepare(**{name: fields[name] for name in _MEANT if name in fields})
+        except NoMissionError as error:
+            if isinstance(error.said, Control):
+                raise
+            return error.said
+
     return {
         "new": Verb(
             (*_TEXTS, "reading", "from_pose", "rounds", "for_s", "id", "if_free"),
             _new,
-            lambda fields: prepare(**{name: fields[name] for name in _MEANT if name in fields}),
+            prepared,
+            instead=_control if in_words else lambda fields: None,
         ),
-        "pause": Verb(stops=True),
+        "pause": Verb(("for_s",), _pause, stops=True),
         "resume": Verb(),
         "cancel": Verb(("id", "why"), _cancel, stops=True),
         "status": Verb(reads=True),
@@ -119,6 +149,22 @@ def _calling(fields: dict) -> dict:
     return {"caller": check_pose("from_pose", fields["from_pose"])}
 
 
+def _pause(fields: dict) -> dict:
+    """Return the field `for_s`, if present: the pause ends after so many seconds."""
+    return {"for_s": _seconds(fields["for_s"])} if "for_s" in fields else {}
+
+
+def _control(fields: dict) -> tuple[str, dict] | None:
+    """Return the request that an instruction about the present mission means; None for others."""
+    try:
+        said = understand(fields.get("instruction", ""))
+    except TranslationError:
+        return None  # the preparation reports it
+    if not isinstance(said, Control):
+        return None
+    return said.do, {} if said.seconds is None else {"for_s": said.seconds}
+
+
 def _chosen(fields: dict) -> dict:
     """Return the field `reading`, if present."""
     if "reading" not in fields:
@@ -140,9 +186,13 @@ def _repeat(fields: dict) -> dict:
         raise ValueError("rounds, for_s: only valid with an instruction or a formula")
     if rounds is not None and (type(rounds) is not int or not 1 <= rounds <= MAX_ROUNDS):
         raise ValueError(f"rounds: expected an integer from 1 to {MAX_ROUNDS}, got {shown(rounds)}")
-    if for_s is not None and (type(for_s) not in (int, float) or not 0 < for_s <= LONGEST_S):
+    return {"repeat": Repetition(rounds, None if for_s is None else _seconds(for_s))}
+
+
+def _seconds(for_s: object) -> float:
+    if not isinstance(for_s, (int, float)) or type(for_s) is bool or not 0 < for_s <= LONGEST_S:
         raise ValueError(f"for_s: expected seconds up to {LONGEST_S:g}, got {shown(for_s)}")
-    return {"repeat": Repetition(rounds, for_s)}
+    return for_s
 
 
 def _cancel(fields: dict) -> dict:
@@ -180,8 +230,10 @@ def handle_mission(
         UserError: There is nothing to pause, resume or cancel, or the mission cannot be started.
             Nothing has changed then.
     """
-    mission, name = service.mission, request.fields.get("id", "")
-    if request.do == "new":
+    mission, name, told = service.mission, request.fields.get("id", ""), {}
+    if isinstance(request.prepared, (MemoryQuestion, SiteOrder)):
+        told = {"text": carry_out(service, request.prepared, now_ns)}
+    elif request.do == "new":
         _begin(service, request, now_ns)
     elif request.do != "status" and (mission.done or name not in ("", mission.id)):
         if not request.cancelled:
@@ -189,12 +241,13 @@ def handle_mission(
     elif request.do == "cancel":
         service.cancel(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
-        service.pause(request.do == "pause", now_ns)
+        service.pause(request.do == "pause", now_ns, request.fields.get("for_s"))
     task = service.behaviour.facts()
     overtaken = {"overtaken": request.cancelled} if request.cancelled else {}
     return {
         **answer_of(service.status, mission_facts(service.mission), task),
         **overtaken,
+        **told,
         "past": list(service.past),
         "robot": _robot(service, amiss()),
     }

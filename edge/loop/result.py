@@ -11,6 +11,8 @@ import numpy as np
 from edge.geometry import SE2, Grid
 from edge.loop.input_log import LoopInput
 from edge.loop.latency import LatencyReport, Span
+from edge.mapping.zones import ZonePolygons
+from edge.memory import KnownObject, MappedRoom, Site
 from edge.mission.planning.plan import MissionKnowledge, TargetPlan
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec
@@ -29,6 +31,8 @@ from edge.types import (
 
 VALUE_LAYER = "value of "
 """Prefix of the layer names of value maps. The target follows."""
+MAX_OBJECTS = 300
+"""Limit of the objects that displays get."""
 
 
 class Event(NamedTuple):
@@ -107,10 +111,10 @@ class TickResult:
     """The result of a tick, or of a loop cycle without an observation.
 
     Expensive values are functions. A sink calls them in `Sink.tick`, or after the loop has ended.
-    `mission`, `task`, `instances`, `frontiers`, `candidates` and `way` compute their value at the
-    first call and then return the same value. `known_m2`, `snapshot`, `layers`, `latency`, `spans`
-    and `health` return the current value at each call. Only `snapshot`, `latency`, `spans` and the
-    functions in `layers` may be called at other times by another thread.
+    `mission`, `task`, `instances`, `objects`, `frontiers`, `candidates` and `way` compute their
+    value at the first call and then return the same value. `known_m2`, `snapshot`, `layers`,
+    `latency`, `spans` and `health` return the current value at each call. Only `snapshot`,
+    `latency`, `spans` and the functions in `layers` may be called at other times by another thread.
 
     Attributes:
         now_ns: Loop time.
@@ -133,6 +137,10 @@ class TickResult:
         instances: Returns copies of the instances of all targets that are worth driving to, best
             first for each target. An instance that matches two targets is listed twice. Nobody
             writes to the arrays of the copies.
+        objects: Returns the remembered objects, the most confident first, `MAX_OBJECTS` at most.
+        rooms: Rooms of the map, by id.
+        site: Places and zones, with the place `start`.
+        zones: Polygons of all zones that are closed now; another object after each change.
         frontiers: Returns a copy of the frontiers, (n, 2) float32 in `map`.
         candidates: Returns the candidates with their scores.
         way: Returns the shortest path to the goal, (k, 2) float32 in `map`; (0, 2) if there is
@@ -164,6 +172,10 @@ class TickResult:
     mission: Callable[[], MissionFacts]
     task: Callable[[], TaskStatus | None]
     instances: Callable[[], list[Instance]]
+    objects: Callable[[], list[KnownObject]]
+    rooms: tuple[MappedRoom, ...]
+    site: Site
+    zones: ZonePolygons
     frontiers: Callable[[], np.ndarray]
     candidates: Callable[[], ScoredCandidates]
     way: Callable[[], np.ndarray]

@@ -188,6 +188,7 @@ def _obey(running: RunningService, now_ns: int) -> None:
     service = running.service
     for key, server in running.servers.items():
         service.faults.call(key, now_ns, partial(server.serve, now_ns))
+    service.end_pause(now_ns)
     with service.faults.contain("swap", now_ns):
         service.swapper.step(now_ns)
     if service.governor is not None:

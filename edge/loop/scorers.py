@@ -169,12 +169,12 @@ class Scorers:
     def _workers(self) -> list[ScorerWorker]:
         return [w for w in (self._similarity, self._choice) if w is not None]
 
-    def through(self, beside: Callable[[str, Any], Any]) -> None:
-        """Wrap the workers with `beside`, which logs their requests and results."""
+    def through(self, wrap: Callable[[str, Any], Any]) -> None:
+        """Wrap the workers with `wrap`, which logs their requests and results."""
         if self._similarity is not None:
-            self._similarity = beside("similarity", self._similarity)
+            self._similarity = wrap("similarity", self._similarity)
         if self._choice is not None:
-            self._choice = beside("choice", self._choice)
+            self._choice = wrap("choice", self._choice)
 
     def ask(
         self,

@@ -135,10 +135,10 @@ class Service:
         self.behaviour = self._behaviour_of(self.mission)
         for part in (self._surveyor, self.map.surveyor, scorers):
             if part is not None:
-                part.through(journal.beside)
+                part.through(journal.wrap)
         self.faults = ErrorBoundary(self.event)
         self.stage = INGEST
-        self._worker = journal.beside(DETECTOR, worker)
+        self._worker = journal.wrap(DETECTOR, worker)
         self.scorers = scorers
         self.swapper = DetectorSwap(config.perception, worker, self.event)
         self.governor: LoadShedder | None = None
@@ -154,13 +154,15 @@ class Service:
             self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
         self._publisher = ResultPublisher(
-            sinks, self.map, self.goals, scorers, journal, self.latency, self._health.status
-        )
+            sinks, self.map, self.site, self.goals, scorers, journal, self.latency,
+            self._health.status,
+        )  # fmt: skip
         self._changed = NOTHING_CHANGED
         self._detections: Detections | None = None  # of this tick, like `scores` and `pose`
         self.scores = np.zeros(0, np.float32)
         self.pose: SE2 | None = None
         self._looked_ns = 0  # loop time of the last complete tick
+        self._resume_ns: int | None = None  # loop time at which a pause ends by itself
         self._images = 0  # number of images that the detector has processed, as of this tick
         self._newest_seq = self._void_seq = -1
         self.refused = self._in_zone = False
@@ -411,7 +413,7 @@ class Service:
         self._journal.note(
             "mission", translation=brief.translation, task=task_state(brief), id=id, now_ns=now_ns
         )
-        self.mission = mission
+        self.mission, self._resume_ns = mission, None
         self.behaviour.close()
         self.behaviour = self._behaviour_of(mission)
         self._forget_tried()
@@ -468,11 +470,18 @@ class Service:
         self.site.change(site)
         self.map.set_site(site)
 
-    def pause(self, paused: bool, now_ns: int) -> None:
+    def pause(self, paused: bool, now_ns: int, for_s: float | None = None) -> None:
         """Pause the mission, so that the robot stands still, or resume it.
 
         To resume a mission that waits, but is not paused, ends the wait.
+
+        Args:
+            paused: True to pause.
+            now_ns: Loop time.
+            for_s: Seconds until the mission goes on by itself; None: until it is told to. A restart
+                forgets them, and the mission stays paused.
         """
+        self._resume_ns = now_ns + int(1e9 * for_s) if paused and for_s is not None else None
         goes_on = not paused and self.mission.waits
         if paused == self.mission.paused and not goes_on:  # repeated requests are logged once
             return
@@ -482,6 +491,11 @@ class Service:
             return
         self.mission.pause(paused)
         self.event(f"mission: {'paused' if paused else 'resumed'}", now_ns)
+
+    def end_pause(self, now_ns: int) -> None:
+        """Resume the mission if its pause is over; called between ticks, as requests are."""
+        if self._resume_ns is not None and now_ns >= self._resume_ns:
+            self.pause(False, now_ns)
 
     def cancel(self, reason: str, now_ns: int) -> None:
         """End the mission because a person says so; see `MissionRun.cancel`."""
@@ -600,5 +614,6 @@ class Service:
             observation: The observation that was handled, if any.
         """
         return self._publisher.result(
-            now_ns, observation, self.pose, self.mission, self.behaviour.facts, self.scores
-        )
+            now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
+            self.scores,
+        )  # fmt: skip

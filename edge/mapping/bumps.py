@@ -26,7 +26,7 @@ _GOES_ON_M = 1.0
 _FIRST = 0.2
 
 Cell = tuple[int, int]
-Place = tuple[float, float]
+XY = tuple[float, float]
 
 
 class _Bump(NamedTuple):
@@ -42,7 +42,7 @@ class _Bump(NamedTuple):
         again: True if the robot was held up there before; sensors cannot open the cells then.
     """
 
-    place_m: Place
+    place_m: XY
     heading_rad: float
     half_m: float
     until_ns: int
@@ -56,7 +56,7 @@ class _Bump(NamedTuple):
         return self.felt | self.guessed
 
     @property
-    def across(self) -> Place:
+    def across(self) -> XY:
         """Unit vector to the left of the direction of motion."""
         return -math.sin(self.heading_rad), math.cos(self.heading_rad)
 
@@ -113,16 +113,16 @@ class ContactObstacles:
         self._closed: dict[Cell, _Closed] = {}
 
     @property
-    def closed_m(self) -> list[Place]:
+    def closed_m(self) -> list[XY]:
         """Places where the robot was held up and the map is closed, oldest first."""
         return [bump.place_m for bump in self._bumps]
 
     @property
-    def known_m(self) -> list[Place]:
+    def known_m(self) -> list[XY]:
         """`closed_m`, and places that `open_all` opened and the robot has not stood on since."""
         return [bump.place_m for bump in (*self._opened, *self._bumps)]
 
-    def close(self, pose: SE2, place_m: Place, radius_m: float, now_ns: int) -> bool:
+    def close(self, pose: SE2, place_m: XY, radius_m: float, now_ns: int) -> bool:
         """Close the cells that the robot touched; return True if any cell was closed.
 
         No cell is closed outside the window or on the robot's own trail.
@@ -294,7 +294,7 @@ class ContactObstacles:
         held = {cell for cell in felt | guessed if self._window.holds(*cell)}
         return bump._replace(felt=frozenset(felt & held), guessed=frozenset(guessed & held - felt))
 
-    def _off_trail(self, bump: _Bump) -> Place | None:
+    def _off_trail(self, bump: _Bump) -> XY | None:
         """Return the touched place, moved along the heading until it leaves the trail open.
 
         An obstacle on the trail itself is not closed, because the robot came through there.
@@ -336,7 +336,7 @@ class ContactObstacles:
         yield from self._along(b.place_m, (x, y), b.half_m + on_m)
         yield from self._along(a.place_m, (-x, -y), a.half_m + on_m)
 
-    def _along(self, start_m: Place, way: Place, length_m: float) -> Iterator[Cell]:
+    def _along(self, start_m: XY, way: XY, length_m: float) -> Iterator[Cell]:
         """Yield cells from a place on, up to a known obstacle or the robot's trail."""
         res, n = self._window.resolution_m, self._window.n
         for k in range(1, math.floor(2.0 * length_m / res) + 1):

@@ -4,16 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from edge.geometry import Grid
 from edge.mapping.layers import WORD, ZONE, Layers, bits_of, grow
 from edge.mapping.window import Window
 
 MARGIN_CELLS = 2
 """Cells added to the inflation, because a controller may cut a corner by this much."""
 _FIXED_BITS = 4  # fractional bits of the coordinates that OpenCV takes
+_BORDER_M = 1.0  # closed border around a stay-inside zone, which no planner can cross
+_MOST_CELLS = 1 << 22
+_CLOSED, _UNKNOWN = 100, -1
+
+
+class ZonePolygons(NamedTuple):
+    """Zones as polygons, each (n, 2) float64 in `map`.
+
+    Attributes:
+        keep_out_m: areas that the robot must stay out of.
+        stay_inside_m: areas that it must stay inside of; without any, it may be anywhere.
+    """
+
+    keep_out_m: tuple[np.ndarray, ...] = ()
+    stay_inside_m: tuple[np.ndarray, ...] = ()
 
 
 class Zones:
@@ -26,15 +43,15 @@ class Zones:
         layers: layers of the map; the zones are written there.
         window: window of the map.
         inflation_cells: distance that the robot keeps from obstacles.
+
+    Attributes:
+        polygons: the zones; another object after each change.
     """
 
     def __init__(self, layers: Layers, window: Window, inflation_cells: float) -> None:
         self._layers, self._window = layers, window
-        self._margin = math.ceil(inflation_cells) + MARGIN_CELLS
-        side = 2 * self._margin + 1
-        self._disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-        self._keep_out_m: tuple[np.ndarray, ...] = ()
-        self._stay_inside_m: tuple[np.ndarray, ...] = ()
+        self._margin = _margin_cells(inflation_cells)
+        self.polygons = ZonePolygons()
 
     def set(
         self,
@@ -49,13 +66,13 @@ class Zones:
             stay_inside_m: polygons; without any, the robot may be anywhere.
             changed: (4,) int64, window rectangle, extended by the cells that open or close.
         """
-        old, old_inside = self._keep_out_m, self._stay_inside_m
-        self._keep_out_m, self._stay_inside_m = tuple(keep_out_m), tuple(stay_inside_m)
+        old, old_inside = self.polygons
+        self.polygons = new = ZonePolygons(tuple(keep_out_m), tuple(stay_inside_m))
         if not self._window.placed:
             return
-        if _same(old_inside, self._stay_inside_m):
-            moved = [p for p in old if not _among(p, self._keep_out_m)]
-            moved += [p for p in self._keep_out_m if not _among(p, old)]
+        if _same(old_inside, new.stay_inside_m):
+            moved = [p for p in old if not _among(p, new.keep_out_m)]
+            moved += [p for p in new.keep_out_m if not _among(p, old)]
             if moved:
                 self._paint_around(np.concatenate(moved), changed)
         else:
@@ -100,7 +117,7 @@ class Zones:
     @property
     def any(self) -> bool:
         """True if there is a zone."""
-        return bool(self._keep_out_m or self._stay_inside_m)
+        return any(self.polygons)
 
     def holds(self, x_m: float, y_m: float) -> bool:
         """Return True if the zones close the cell of a point."""
@@ -113,24 +130,84 @@ class Zones:
 
     def _closed(self, x0: int, y0: int, width: int, height: int) -> np.ndarray:
         """Return (height, width) uint8, 1 where a cell is closed; (x0, y0) is a window cell."""
-        if not self.any:
-            return np.zeros((height, width), np.uint8)
-        pad, (ox, oy) = self._margin, self._window.origin
-        corner = np.array([x0 + ox - pad, y0 + oy - pad])
-        mask = np.zeros((height + 2 * pad, width + 2 * pad), np.uint8)
-        if self._stay_inside_m:
-            self._fill(mask, self._stay_inside_m, corner)
-            mask ^= 1
-        self._fill(mask, self._keep_out_m, corner)
-        return cv2.dilate(mask, self._disc)[pad : pad + height, pad : pad + width]
+        (ox, oy), resolution_m = self._window.origin, self._window.resolution_m
+        corner = np.array([x0 + ox, y0 + oy])
+        return _closed_cells(self.polygons, resolution_m, self._margin, corner, (height, width))
 
-    def _fill(self, mask: np.ndarray, polygons_m: Sequence[np.ndarray], corner: np.ndarray) -> None:
-        """Set the cells in any of the polygons to 1; `corner` is the world cell of `mask[0, 0]`."""
-        for polygon_m in polygons_m:
-            # OpenCV has pixel centres at integers, the map has cell centres at halves.
-            cells = polygon_m / self._window.resolution_m - 0.5 - corner
-            fixed = np.round(cells * (1 << _FIXED_BITS)).astype(np.int32)
-            cv2.fillPoly(mask, [fixed], 1, shift=_FIXED_BITS)
+
+def keepout_mask(zones: ZonePolygons, resolution_m: float, inflation_m: float) -> Grid:
+    """Return the cells that the zones close for the robot's centre.
+
+    Closed cells are 100, all others -1, "unknown", so that a costmap keeps what it knows there.
+    Around stay-inside zones there is a closed border. A large mask has larger cells.
+
+    Args:
+        zones: the zones.
+        resolution_m: side of a cell.
+        inflation_m: distance that the robot keeps from obstacles.
+
+    Returns:
+        Grid of int8; a single cell without zones.
+    """
+    if not any(zones):
+        return Grid(np.full((1, 1), _UNKNOWN, np.int8), (0.0, 0.0), resolution_m)
+    corners_m = np.concatenate([polygon for polygons in zones for polygon in polygons])
+    while True:
+        margin = _margin_cells(inflation_m / resolution_m + 0.5)
+        border = margin + math.ceil(_BORDER_M / resolution_m)
+        low = np.floor(corners_m.min(axis=0) / resolution_m).astype(np.int64) - border
+        high = np.ceil(corners_m.max(axis=0) / resolution_m).astype(np.int64) + border
+        width, height = (high - low).tolist()
+        if width * height <= _MOST_CELLS:
+            break
+        resolution_m *= 2
+    closed = _closed_cells(zones, resolution_m, margin, low, (height, width))
+    cells = np.where(closed, np.int8(_CLOSED), np.int8(_UNKNOWN))
+    return Grid(cells, (float(low[0] * resolution_m), float(low[1] * resolution_m)), resolution_m)
+
+
+def _margin_cells(inflation_cells: float) -> int:
+    return math.ceil(inflation_cells) + MARGIN_CELLS
+
+
+def _closed_cells(
+    zones: ZonePolygons,
+    resolution_m: float,
+    margin: int,
+    corner: np.ndarray,
+    shape: tuple[int, int],
+) -> np.ndarray:
+    """Return uint8 of a (height, width) `shape`, 1 where a cell is closed.
+
+    Args:
+        zones: the zones.
+        resolution_m: side of a cell.
+        margin: cells that the robot's centre keeps from the polygons' edges.
+        corner: (2,) int64, world cell (x, y) of the first cell.
+        shape: of the result.
+    """
+    height, width = shape
+    if not any(zones):
+        return np.zeros(shape, np.uint8)
+    mask = np.zeros((height + 2 * margin, width + 2 * margin), np.uint8)
+    side = 2 * margin + 1
+    if zones.stay_inside_m:
+        _fill(mask, zones.stay_inside_m, resolution_m, corner - margin)
+        mask ^= 1
+    _fill(mask, zones.keep_out_m, resolution_m, corner - margin)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return cv2.dilate(mask, disc)[margin : margin + height, margin : margin + width]
+
+
+def _fill(
+    mask: np.ndarray, polygons_m: Sequence[np.ndarray], resolution_m: float, corner: np.ndarray
+) -> None:
+    """Set the cells in any of the polygons to 1; `corner` is the world cell of `mask[0, 0]`."""
+    for polygon_m in polygons_m:
+        # OpenCV has pixel centres at integers, the map has cell centres at halves.
+        cells = polygon_m / resolution_m - 0.5 - corner
+        fixed = np.round(cells * (1 << _FIXED_BITS)).astype(np.int32)
+        cv2.fillPoly(mask, [fixed], 1, shift=_FIXED_BITS)
 
 
 def _among(polygon_m: np.ndarray, polygons_m: Sequence[np.ndarray]) -> bool:

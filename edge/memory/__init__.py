@@ -29,6 +29,7 @@ from edge.memory.site import (
     SiteFile,
     Zone,
     item_of,
+    memory_geojson,
     merged,
     read_site,
     site_of,
@@ -39,6 +40,6 @@ __all__ = [
     "NO_SURVEY", "RECOGNISED_KINDS", "ROOM_KINDS", "START", "Item", "KnownObject", "LostRoom",
     "MappedRoom", "Passage", "Place", "RoomMemory", "RoomName", "RoomSurvey", "SeenObjectIndex",
     "SeenObjects", "Site", "SiteError", "SiteFile", "Zone", "item_of", "kind_of_room",
-    "kinds_by_region", "known_objects", "merged", "objects_by_region", "outlined", "read_site",
-    "site_of", "survey_rooms", "where_is", "write_site",
+    "kinds_by_region", "known_objects", "memory_geojson", "merged", "objects_by_region", "outlined",
+    "read_site", "site_of", "survey_rooms", "where_is", "write_site",
 ]  # fmt: skip

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from edge import names
 from edge.geometry import SE2
 from edge.perception.tracking.sightings import TrackedObjects
@@ -42,26 +44,36 @@ class KnownObject:
 
 
 def known_objects(
-    sightings: TrackedObjects, stamp_ns: int, min_hits: int, name: str = ""
+    sightings: TrackedObjects,
+    stamp_ns: int,
+    min_hits: int,
+    name: str = "",
+    most: int | None = None,
 ) -> list[KnownObject]:
-    """Return the objects of the map, the most confident first.
+    """Return the objects of the map, the most confident first; kinds of a name after the name.
 
     Args:
+        sightings: objects of the map.
         stamp_ns: now, on the sensors' clock.
         min_hits: leave out what was detected in fewer images.
         name: only these and kinds of them; empty for all.
+        most: limit of their number.
     """
     s = sightings
-    wanted = [not name or names.is_kind_of(word, name) for word in s.words]
-    found = [
+    is_wanted = np.array([not name or names.is_kind_of(word, name) for word in s.words], np.bool_)
+    rows = np.flatnonzero(s.hits[: s.n] >= min_hits)
+    rows = rows[is_wanted[s.word[rows]]]
+    is_kind = np.array([name and not names.same_name(word, name) for word in s.words], np.bool_)
+    # By name, then by confidence and id: `lexsort` has its first key last.
+    order = np.lexsort((s.id[rows], -s.confidence[rows], is_kind[s.word[rows]]))
+    rows = rows[order][:most]
+    return [
         KnownObject(
             int(s.id[i]), s.words[s.word[i]], (x_m, y_m, z_m), float(s.confidence[i]),
             int(s.hits[i]), max(0.0, (stamp_ns - int(s.last_seen_ns[i])) * 1e-9),
         )
-        for i, (x_m, y_m, z_m) in enumerate(s.xyz_m[: s.n].tolist())
-        if wanted[s.word[i]] and s.hits[i] >= min_hits
+        for i, (x_m, y_m, z_m) in zip(rows.tolist(), s.xyz_m[rows].tolist(), strict=True)
     ]  # fmt: skip
-    return sorted(found, key=lambda one: (-one.confidence, one.id))
 
 
 def where_is(
@@ -74,6 +86,7 @@ def where_is(
     """Return the answer to "where is the …?" in one line.
 
     Args:
+        name: class of the object.
         found: of this name.
         pose: the robot's; None if it is not known.
         is_looked_for: False if the detector is not asked for it, so it cannot have been seen.

@@ -13,7 +13,7 @@ import json
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
@@ -195,6 +195,33 @@ class Site:
             "type": "FeatureCollection",
             "features": [item.feature() for item in self.items],
         }
+
+
+def memory_geojson(
+    site: Mapping[str, Any],
+    objects: Iterable[Mapping[str, Any]],
+    rooms: Iterable[Mapping[str, Any]] = (),
+) -> dict[str, Any]:
+    """Return all that is remembered as one GeoJSON `FeatureCollection`.
+
+    Args:
+        site: `Site.geojson`.
+        objects: `KnownObject.to_json` of each; the other fields become properties.
+        rooms: `MappedRoom.to_json` of each; those without an outline are left out.
+    """
+    found = [
+        _feature(one["name"], "object", "Point", list(one["xyz"]), _without(one, "name", "xyz"))
+        for one in objects
+    ]
+    for room in rooms:
+        if ring := room["polygon"]:
+            more = _without(room, "name", "polygon")
+            found.append(_feature(room["name"], "room", "Polygon", [[*ring, ring[0]]], more))
+    return {**site, "features": [*site["features"], *found]}
+
+
+def _without(fields: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: value for name, value in fields.items() if name not in names}
 
 
 def _feature(
@@ -406,14 +433,21 @@ class SiteFile:
     def __post_init__(self) -> None:
         if self.site is None:
             self.site = Site() if self.path is None else read_site(self.path)
+        self._known: tuple[Site, Place | None, Site] = self.site, None, self.site
         self._worker: Worker[Site, None] = Worker("site", self._save, finishes=True)
 
     @property
     def known(self) -> Site:
-        """The site with `start` among its places."""
-        if self.start is None or self.site.place(START) is not None:
-            return self.site
-        return replace(self.site, items=(*self.site.items, self.start))
+        """The site with `start` among its places; the same object until one of them changes."""
+        site, start, known = self._known
+        if site is not self.site or start is not self.start:
+            site, start = self.site, self.start
+            if start is None or site.place(START) is not None:
+                known = site
+            else:
+                known = Site((*site.items, start))
+            self._known = site, start, known
+        return known
 
     def change(self, site: Site) -> None:
         """Replace the site."""

@@ -185,7 +185,7 @@ class MissionRun:
 
     @property
     def _doing(self) -> str:
-        """What the robot does now, for the status; "" to say nothing."""
+        """Return the robot's present activity for the status; "" for none."""
         repeat = self.brief.translation.repeat
         if not self.active:
             return ""

@@ -1,8 +1,8 @@
-"""Preparation of a mission: from an instruction or a formula to a `MissionSpec`, or a one-line
-error."""
+"""Preparation of a mission: from an instruction or formula to a `MissionSpec`, or an error."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -25,7 +25,10 @@ from edge.mission.destinations import (
     with_caller,
 )
 from edge.mission.language.english import describe
+from edge.mission.language.errands import CHECK, spell_out
+from edge.mission.language.grammar import readings
 from edge.mission.language.places import quote_places
+from edge.mission.language.said import MissionOrder, NoMissionError, understand
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
@@ -33,10 +36,12 @@ from edge.mission.logic.ltl import Formula
 from edge.mission.planning.planner import make_planner
 from edge.mission.repetition import Repetition, recurrence, split_repetition
 from edge.mission.task_step import TaskStep
+from edge.mission.told_back import orders_of
 from edge.mission.translate import Translation, TranslationError, make_translator
 from edge.text import one_line
 
 _NO_SITE = Site()
+_MEANS_MORE = re.compile(rf'"{CHECK} |, then (?:find|look for) ')
 _MOST_SHOWN = 600  # of the parts of a contradiction
 
 
@@ -127,25 +132,64 @@ def prepare(
         ('F (bed & F sofa)', ('bed', 'sofa'))
     """
     site = with_caller(site, caller)
-    known = [item.name for item in (*site.places, *site.room_names)]
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
     elif instruction is not None or config.instruction is not None:
         ask = instruction is not None
-        text = instruction if ask else config.instruction
+        text = instruction if instruction is not None else config.instruction or ""
         reading = reading if ask else config.reading
-        translator = make_translator(config.translator)
         try:
-            quoted, said = split_repetition(quote_places(text, known))
-            repeat = repeat or said
-            translation = translator.translate(quoted, reading, ask)
+            translation = translate(config, text, site, reading, ask)
         except TranslationError as error:
             raise _placed(error, text) from None
-        translation = replace(translation, instruction=text)
+        repeat = repeat or translation.repeat
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
     return spec_of(config, located(repeated(translation, repeat), site))
+
+
+def translate(
+    config: MissionConfig,
+    text: str,
+    site: Site = _NO_SITE,
+    reading: int | None = None,
+    ask: bool = True,
+) -> Translation:
+    """Spell out the everyday words of an instruction and translate it; see `prepare`.
+
+    Raises:
+        NoMissionError: it is a question, an order to learn, or about the present mission.
+        TranslationError: it is not understood.
+    """
+    places = [place.name for place in site.places] + [room.name for room in site.room_names]
+    translator = make_translator(config.translator)
+    if isinstance(config.translator, TranslatorLtl):
+        quoted, repeat = split_repetition(quote_places(text, places))
+        return replace(translator.translate(quoted, reading, ask), repeat=repeat)
+    said = understand(text, [item.name for item in site.items])
+    if not isinstance(said, MissionOrder):
+        raise NoMissionError(said)
+    plain = said.speech.restored(spell_out(said.speech.text, places))
+    given = quote_places(text, places)
+    # What the grammar reads in the person's own words needs no spelling out, unless it would lose
+    # something: a check is no visit, and people mean an order when they say "go there and find".
+    means_more = said.speech.corrected or _MEANS_MORE.search(plain)
+    chosen = given if not means_more and _is_read(given) else plain
+    chosen, repeat = split_repetition(chosen)
+    translation = translator.translate(chosen, reading, ask)
+    unused = "; ".join(f"'{one_line(reason)}'" for reason in said.speech.reasons)
+    english = f"{translation.english} (Not part of the order: {unused}.)" if unused else ""
+    english = english or translation.english
+    return replace(translation, instruction=text, english=english, repeat=repeat)
+
+
+def _is_read(instruction: str) -> bool:
+    """Return True if the grammar understands an instruction."""
+    try:
+        return bool(readings(instruction))
+    except TranslationError:
+        return False
 
 
 def _placed(error: TranslationError, instruction: str) -> TranslationError:
@@ -189,6 +233,9 @@ def located(translation: Translation, site: Site) -> Translation:
             found[letter] = destination
             plain = describe_destination(letter, destination)
             english = english.replace(f'"{letter}"', plain)
+    described, orders = describe(translation.formula), orders_of(translation.formula, found)
+    if found and orders and translation.english.startswith(described):
+        english = orders + translation.english[len(described) :]
     return replace(translation, destinations=found, english=english)
 
 

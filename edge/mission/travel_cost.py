@@ -32,9 +32,9 @@ class TravelCostEstimator:
         self._worker = Worker("surveyor", lambda survey: survey(), inline=inline)
         self._asked_ns: int | None = None
 
-    def through(self, beside: Callable[[str, Any], Any]) -> None:
-        """Wrap the worker so that its inputs and results are logged or replayed by `beside`."""
-        self._worker = beside("surveyor", self._worker)
+    def through(self, wrap: Callable[[str, Any], Any]) -> None:
+        """Wrap the worker so that its inputs and results are logged or replayed by `wrap`."""
+        self._worker = wrap("surveyor", self._worker)
 
     def step(
         self,

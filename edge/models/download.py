@@ -54,7 +54,7 @@ class DownloadLimits:
 LIMITS = DownloadLimits()
 
 
-class _NoRange(InterruptedFetchError):
+class _NoRangeError(InterruptedFetchError):
     """The file on the server is shorter than the partial file."""
 
 
@@ -134,7 +134,7 @@ def _fetch(url: str, part: PartialFile, limits: DownloadLimits) -> None:
                     part.write(block)
                     watch.came += len(block)
                     bar.reach(part.have)
-    except _NoRange:
+    except _NoRangeError:
         part.restart()
         raise
 
@@ -261,6 +261,6 @@ def _check_status(response: httpx.Response) -> None:
     if response.is_success:
         return
     if response.status_code == 416:
-        raise _NoRange("the file on the server is shorter than the part on the disk")
+        raise _NoRangeError("the file on the server is shorter than the part on the disk")
     kind = InterruptedFetchError if response.status_code in _PASSING else FetchError
     raise kind(f"HTTP {response.status_code} {one_line(response.reason_phrase)}")

@@ -160,7 +160,7 @@ class ReplaySource(InputLog):
         said = self._now.decided.get(what, usual)
         return decide() if said is None else said
 
-    def beside(self, name: str, worker: Any) -> Any:
+    def wrap(self, name: str, worker: Any) -> Any:
         if name in self._own:
             return worker
         return _ReplayedWorker(name, worker, self._now, self._decode[name])

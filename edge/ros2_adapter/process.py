@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.bus.ros2.names import NO_HASH, dialect_of
+from edge.bus.ros2.requests import STRING
 from edge.bus.ros2.topics import LATCHED, NAVIGATE_TO_POSE, PUBLISHED, SUBSCRIBED, accepted_types
 from edge.bus.session import session_config
 from edge.config import Config, ConfigError, load
@@ -31,7 +32,10 @@ log = logging.getLogger("edge.ros2_adapter")
 HERE = Path(__file__).parent
 NODE, LAUNCH_FILE = HERE / "node", HERE / "edge_adapter.launch.py"
 
-_DEPTHS, _DEPTH = {"tf": 100, "tf_static": 100, "odom": 100, "map": 1}, 5
+_DEPTHS, _DEPTH = (
+    {"tf": 100, "tf_static": 100, "odom": 100, "map": 1, "keepout_mask": 1, "keepout_info": 1},
+    5,
+)
 _STOP_S = 5.0
 _POLL_S = 0.2
 _PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0
@@ -75,7 +79,14 @@ def make_plan(config: Config) -> dict[str, Any]:
     heard = [passed(name, accepted_types(name, settings.topic(name))[0], name in wanted)
              for name in SUBSCRIBED]  # fmt: skip
     by_action = settings.goals == "navigate_to_pose"
-    said = [name for name in PUBLISHED if not (name == "goal" and by_action)]
+    unused = {"goal"} if by_action else set()
+    if not settings.keepout_filter:
+        unused |= {"keepout_mask", "keepout_info"}
+    if settings.requests:
+        heard.append(passed("request", STRING, reliable=True))
+    else:
+        unused.add("answer")
+    said = [name for name in PUBLISHED if name not in unused]
     return {
         "version": version("eclipse-zenoh"),
         "zenoh": str(session_config(config.zenoh, "connect")),

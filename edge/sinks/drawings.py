@@ -1,14 +1,19 @@
-"""Map drawings for people: the driven path, detected objects and the goal."""
+"""Map drawings for people: driven path, objects, goal, places and zones."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from edge.bus.wire import markers
 from edge.bus.wire.markers import Marker
 from edge.geometry import SE2
+from edge.loop.result import TickResult
+from edge.memory import Item, KnownObject, MappedRoom, Place, Site, Zone
 from edge.types import Goal, Instance
 
 _FRONTIER: markers.RGBA = (0.2, 0.6, 1.0, 0.8)
@@ -16,6 +21,13 @@ _THING: markers.RGBA = (1.0, 0.6, 0.1, 0.6)
 _REFUTED: markers.RGBA = (0.5, 0.5, 0.5, 0.3)
 _GOAL: markers.RGBA = (0.2, 0.9, 0.3, 0.9)
 _WORDS: markers.RGBA = (1.0, 1.0, 1.0, 1.0)
+_KNOWN: markers.RGBA = (0.4, 0.6, 0.9, 0.6)
+_ROOM: markers.RGBA = (0.6, 0.4, 0.9, 0.8)
+_PLACE: markers.RGBA = (0.1, 0.7, 0.8, 0.9)
+_ZONES: dict[str, markers.RGBA] = {
+    "keep_out": (0.9, 0.2, 0.2, 0.9), "stay_inside": (0.2, 0.7, 0.3, 0.9),
+}  # fmt: skip
+_LABEL_M = (0.0, 0.0, 0.2)
 
 
 class PathRing:
@@ -42,23 +54,104 @@ class PathRing:
         return np.roll(self._poses, -first, axis=0)
 
 
-def markers_of(
-    frontiers_m: np.ndarray, instances: list[Instance], goal: Goal | None
-) -> list[Marker]:
-    """Return markers: frontiers as spheres, objects as cubes with names, the goal as an arrow."""
+class Drawing(NamedTuple):
+    """The drawn parts of a result.
+
+    Attributes:
+        frontiers_m: (n, 2) float32.
+        instances: objects of the mission.
+        objects: remembered objects.
+        rooms: rooms of the map.
+        site: places and zones.
+        goal: current goal, if any.
+    """
+
+    frontiers_m: np.ndarray
+    instances: Sequence[Instance]
+    objects: Sequence[KnownObject]
+    rooms: Sequence[MappedRoom]
+    site: Site
+    goal: Goal | None
+
+
+def drawing_of(result: TickResult) -> Drawing:
+    """Return the drawn parts of a result; any thread may use them."""
+    return Drawing(
+        result.frontiers(),
+        result.instances(),
+        result.objects(),
+        result.rooms,
+        result.site,
+        result.goal,
+    )
+
+
+def markers_of(drawing: Drawing) -> list[Marker]:
+    """Return markers: frontiers as spheres, objects as cubes with names, the goal as an arrow.
+
+    Places are arrows with names, zones lines with names, and remembered objects spheres with names.
+    These are left out if an object of the mission has their name.
+    """
     drawn = []
-    if len(frontiers_m):
-        points = np.zeros((len(frontiers_m), 3))
-        points[:, :2] = frontiers_m
+    if len(drawing.frontiers_m):
+        points = np.zeros((len(drawing.frontiers_m), 3))
+        points[:, :2] = drawing.frontiers_m
         drawn.append(
             Marker("frontiers", 0, markers.SPHERE_LIST, (0.1,) * 3, _FRONTIER, points_m=points)
         )
-    for i, thing in enumerate(instances):
+    for i, thing in enumerate(drawing.instances):
         x, y, z = map(float, thing.center_m)
         colour = _REFUTED if thing.state == "refuted" else _THING
         at, words = SE2(x, y, 0.0), f"{thing.label} {thing.score:.2f}"
         drawn.append(Marker("things", i, markers.CUBE, (0.25,) * 3, colour, at, z))
-        drawn.append(Marker("names", i, markers.TEXT, (0.0, 0.0, 0.2), _WORDS, at, z + 0.4, words))
-    if goal is not None:
-        drawn.append(Marker("goal", 0, markers.ARROW, (0.5, 0.08, 0.08), _GOAL, goal.pose, 0.1))
+        drawn.append(Marker("names", i, markers.TEXT, _LABEL_M, _WORDS, at, z + 0.4, words))
+    named = {thing.label for thing in drawing.instances}
+    others = [known for known in drawing.objects if known.name not in named]
+    if others:
+        points = np.array([known.xyz_m for known in others])
+        drawn.append(
+            Marker("objects", 0, markers.SPHERE_LIST, (0.12,) * 3, _KNOWN, points_m=points)
+        )
+    for i, known in enumerate(others):
+        x, y, z = known.xyz_m
+        at = SE2(x, y, 0.0)
+        drawn.append(
+            Marker("object names", i, markers.TEXT, _LABEL_M, _KNOWN, at, z + 0.3, known.name)
+        )
+    for room in drawing.rooms:
+        drawn.append(_line("rooms", room.id, room.polygon_m, _ROOM, 0.03))
+        at = SE2(*room.xy_m, 0.0)
+        drawn.append(
+            Marker("room names", room.id, markers.TEXT, _LABEL_M, _ROOM, at, 0.2, room.title)
+        )
+    for i, item in enumerate(drawing.site.items):
+        drawn += _of_item(i, item)
+    if drawing.goal is not None:
+        pose = drawing.goal.pose
+        drawn.append(Marker("goal", 0, markers.ARROW, (0.5, 0.08, 0.08), _GOAL, pose, 0.1))
     return drawn
+
+
+def _line(
+    group: str, id: int, corners_m: ArrayLike, colour: markers.RGBA, width_m: float
+) -> Marker:
+    """Return a closed line through corners (n, 2)."""
+    flat = np.asarray(corners_m, np.float64).reshape(-1, 2)
+    ring = np.zeros((len(flat) + 1, 3))
+    ring[:, :2] = flat[np.arange(len(ring)) % max(len(flat), 1)] if len(flat) else 0.0
+    return Marker(group, id, markers.LINE_STRIP, (width_m,) * 3, colour, points_m=ring)
+
+
+def _of_item(i: int, item: Item) -> Iterator[Marker]:
+    """Yield the markers of a place or zone; its label lies over its position or first corner.
+
+    A room's name has none: the room has one.
+    """
+    if isinstance(item, Place):
+        yield Marker("places", i, markers.ARROW, (0.4, 0.06, 0.06), _PLACE, item.pose, 0.05)
+        yield Marker("place names", i, markers.TEXT, _LABEL_M, _PLACE, item.pose, 0.4, item.name)
+    elif isinstance(item, Zone):
+        colour = _ZONES[item.kind]
+        yield _line("zones", i, item.corners_m, colour, 0.05)
+        at = SE2(*item.corners_m[0], 0.0)
+        yield Marker("zone names", i, markers.TEXT, _LABEL_M, colour, at, 0.3, item.name)

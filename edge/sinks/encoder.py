@@ -25,7 +25,7 @@ from edge.loop.result import TickResult
 from edge.loop.status import status_message
 from edge.recording import channels
 from edge.recording.channels import Channel
-from edge.sinks.drawings import PathRing, markers_of
+from edge.sinks.drawings import PathRing, drawing_of, markers_of
 from edge.sinks.rate_limiter import RateLimiter
 from edge.tasks.follow import path_message
 from edge.tasks.refine import RefinedTrajectory
@@ -199,12 +199,12 @@ class ResultEncoder:
                 lambda: messages.encode_occupancy_grid(now_ns, result.snapshot()),
             )  # fmt: skip
         if self._pace.is_due("drawings", now_ns):
-            way, drawn = self._way.poses(), (result.frontiers(), result.instances(), result.goal)
+            way, drawing = self._way.poses(), drawing_of(result)
             path = partial(transforms.encode_path, now_ns, MAP_FRAME, way)
             yield _Later(channels.PATH, now_ns, path)
             yield _Later(
                 channels.MARKERS, now_ns,
-                lambda: markers.encode_markers(now_ns, MAP_FRAME, markers_of(*drawn)),
+                lambda: markers.encode_markers(now_ns, MAP_FRAME, markers_of(drawing)),
             )  # fmt: skip
 
         yield from self._of_task(result, now_ns)

@@ -1,4 +1,4 @@
-"""Sink for a robot's ROS 2 graph (`ros2.via`): goals, map, path, trajectory and markers.
+"""Sink for a robot's ROS 2 graph (`ros2.via`): goals, map, path, trajectory, markers, zones.
 
 Answers of the action NavigateToPose are published as `goal_status`, as any controller does, so
 every source receives them.
@@ -16,12 +16,14 @@ from edge.bus import topics
 from edge.bus.ros2.node import Ros2Publisher, open_node
 from edge.bus.ros2.topics import LATCHED, PUBLISHED
 from edge.bus.session import declare_publisher
-from edge.bus.wire import markers, messages, transforms
+from edge.bus.wire import markers, messages, navigation, transforms
 from edge.config import Config
 from edge.geometry import Grid
 from edge.host.worker import Worker
 from edge.loop.result import TickResult
-from edge.sinks.drawings import PathRing, markers_of
+from edge.mapping.zones import ZonePolygons
+from edge.sinks.drawings import PathRing, drawing_of, markers_of
+from edge.sinks.keepout import KeepoutPublisher
 from edge.sinks.navigate import DockRobotClient, NavigateToPoseClient, UndockRobotClient
 from edge.sinks.rate_limiter import RateLimiter
 from edge.tasks.follow import path_message
@@ -42,6 +44,8 @@ class Ros2Sink:
         self._map, self._path, self._planned, self._markers = map(
             self._publisher, ("map", "path", "trajectory", "markers")
         )
+        self._keepout = self._keepout_publisher(config) if settings.keepout_filter else None
+        self._zones: ZonePolygons | None = None
         self._goal = None
         self._navigator: NavigateToPoseClient | None = None
         self._docker: DockRobotClient | None = None
@@ -68,11 +72,19 @@ class Ros2Sink:
         self._way = PathRing()
         self._driving = False
         self._trajectory: RefinedTrajectory | None = None
-        self._pace = RateLimiter(map=config.report.map_hz, drawings=DRAWN_HZ)
+        self._pace = RateLimiter(map=config.report.map_hz, drawings=DRAWN_HZ, zones=DRAWN_HZ)
         self._worker = Worker("ros2-sink", self._deliver, finishes=True, beat=self._beat)
 
     def _publisher(self, name: str) -> Ros2Publisher:
         return self._node.publisher(self._settings.topic(name), PUBLISHED[name], name in LATCHED)
+
+    def _keepout_publisher(self, config: Config) -> KeepoutPublisher:
+        """Announce the mask of the zones, and return its publisher."""
+        mask_topic, mapping = self._settings.topic("keepout_mask"), config.mapping
+        info = navigation.encode_keepout_info(0, self._frame, mask_topic)
+        self._publisher("keepout_info").put(info)
+        put = self._publisher("keepout_mask").put
+        return KeepoutPublisher(put, self._frame, mapping.resolution_m, mapping.inflation_m)
 
     # -- on the loop's thread -------------------------------------------------------------------
 
@@ -92,12 +104,15 @@ class Ros2Sink:
         if refined is not self._trajectory:
             self._trajectory = refined
             self._worker.submit(("trajectory", (now_ns, refined)), key="trajectory")
+        if self._keepout is not None:
+            is_due = self._pace.is_due("zones", now_ns)  # the robot may have entered one
+            if is_due or result.zones is not self._zones:
+                self._zones = result.zones
+                self._worker.submit(("zones", (now_ns, result.zones, result.pose)), key="zones")
         if self._pace.is_due("map", now_ns):
             self._worker.submit(("map", (now_ns, result.snapshot)), key="map")
         if self._pace.is_due("drawings", now_ns):
-            drawn = (
-                now_ns, self._way.poses(), result.frontiers(), result.instances(), result.goal
-            )  # fmt: skip
+            drawn = now_ns, self._way.poses(), drawing_of(result)
             self._worker.submit(("drawings", drawn), key="drawings")
 
     def status(self) -> dict[str, Any]:
@@ -121,14 +136,16 @@ class Ros2Sink:
         elif name == "map":
             stamp_ns, take = item
             self._map.put(_encode_map(stamp_ns, take, self._frame))
+        elif name == "zones" and self._keepout is not None:
+            self._keepout.update(*item)
         elif name == "trajectory":
             stamp_ns, refined = item
             self._planned.put(path_message(refined, stamp_ns, self._frame))
         else:
-            stamp_ns, way, frontiers, instances, goal = item
+            stamp_ns, way, drawing = item
             self._path.put(transforms.encode_path(stamp_ns, self._frame, way))
-            drawn = markers_of(frontiers, instances, goal)
-            self._markers.put(markers.encode_markers(stamp_ns, self._frame, drawn))
+            payload = markers.encode_markers(stamp_ns, self._frame, markers_of(drawing))
+            self._markers.put(payload)
 
     def _drive(self, goal: Goal | None) -> None:
         if self._navigator is None:

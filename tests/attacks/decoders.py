@@ -42,10 +42,12 @@ _OUT = {
 
 @dataclass(frozen=True)
 class Decoder:
-    """Attributes:
-    reads: takes a payload, or raises ValueError with one line.
-    seeds: valid payloads.
-    covers: the functions of `edge` that it calls with the payload.
+    """Decoder under test.
+
+    Attributes:
+        reads: takes a payload, or raises ValueError with one line.
+        seeds: valid payloads.
+        covers: the functions of `edge` that it calls with the payload.
     """
 
     reads: Callable[[bytes], object]
@@ -252,8 +254,10 @@ DECODERS = {
 
 
 def readers_of_payloads() -> set[str]:
-    """The public functions of `edge` whose first parameter is a `payload`, wherever they are but in
-    what reads files of its own (`recording`) or garbles what it made itself (`lab/eval/soak`)."""
+    """Return the public functions of `edge` whose first parameter is a `payload`.
+
+    It leaves out `recording`, which reads its own files, and `lab/eval/soak`.
+    """
     found, root = set(), Path(edge.__file__).parent
     own = {*root.glob("recording/*.py"), *root.glob("lab/eval/soak/*.py")}
     for path in set(root.rglob("*.py")) - own:
@@ -300,7 +304,7 @@ def mutate(payload: bytes, chance: random.Random) -> bytes:
 
 
 def lengths_that_lie(payload: bytes) -> Iterator[bytes]:
-    """The payload with each of its 32-bit words as a huge number."""
+    """Yield the payload with each of its 32-bit words as a huge number."""
     for at in range(4, len(payload) - 3, 4):
         for huge in (2**31 - 1, 2**32 - 1, 2**27):
             yield payload[:at] + struct.pack("<I", huge) + payload[at + 4 :]

@@ -17,7 +17,7 @@ from edge.config import ZenohConfig
 
 
 def odometry() -> bytes:
-    """Where `absurd_sensors.batch` says the robot stands."""
+    """Return an odometry message with the pose of `absurd_sensors.batch`."""
     pose = np.eye(4)
     pose[:3, 3] = 0.111, 0.222, 0.333
     return messages.encode_odometry(time.time_ns(), pose, 0.0, 0.0)

@@ -1,5 +1,7 @@
-"""Scripts of this folder that measure their own process, in one of their own: other tests leave
-threads and garbage in that of pytest."""
+"""Scripts of this folder that measure their own process.
+
+Each runs in a fresh process: other tests leave threads and garbage in pytest's own.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ HERE = Path(__file__).parent
 
 
 def run_fresh(script: str, *arguments: object) -> Any:
-    """What `python script arguments` prints, which is JSON."""
+    """Return the JSON that `python script arguments` prints."""
     done = subprocess.run(
         [sys.executable, HERE / script, *map(str, arguments)],
         env={**os.environ, "PYTHONPATH": str(HERE.parent)}, stdout=subprocess.PIPE, check=True,
@@ -25,10 +27,10 @@ def run_fresh(script: str, *arguments: object) -> Any:
 
 
 def resident_mb() -> float:
-    """Of this process."""
+    """Return the resident memory of this process in MB."""
     return psutil.Process().memory_info().rss / 1e6
 
 
 def descriptors() -> int:
-    """How many this process has open."""
+    """Return the number of open file descriptors of this process."""
     return psutil.Process().num_fds()

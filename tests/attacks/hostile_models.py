@@ -46,6 +46,7 @@ def put_detector(name: str, **how: object) -> None:
     """Write a detector and its card to the folder of models.
 
     Args:
+        name: of the card.
         how: `over`: it does not end for images with a mean (0 to 1) over this; `corner` and
             `score`: of its boxes.
     """
@@ -59,6 +60,6 @@ def put_detector(name: str, **how: object) -> None:
 
 
 def put_words(path: Path) -> Path:
-    """A vocabulary of two words, for these detectors."""
+    """Write a vocabulary of two words for these detectors."""
     np.savez(path, names=np.array(["chair", "bed"]), emb=np.eye(2, 512, dtype=np.float16))
     return path

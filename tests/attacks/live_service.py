@@ -62,7 +62,7 @@ class Live:
         eventually(lambda: self.ticks >= enough, "the loop does not tick")
 
     def is_resumed(self, ticks: int = 3) -> None:
-        """Waits until it has seen more, and answered a request."""
+        """Wait until the service has read more frames and answered a request."""
         self.wait(ticks)
         key = self._settings.key(topics.MISSION_REQUEST)
         assert "phase" in send_request(self.peer, key, {"do": "status"}, PATIENCE_S, "mission")
@@ -70,7 +70,7 @@ class Live:
 
 @contextmanager
 def live(sections: dict) -> Iterator[Live]:
-    """A service with the simulator's detector, and 30 frames a second of a sane robot."""
+    """Run a service with the simulator's detector, and 30 frames a second of a sane robot."""
     config = simulated({
         "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
         "mission": {"target": "surfboard", "time_limit_s": 1e6},
@@ -106,7 +106,7 @@ def _stand(service: Live, stop: threading.Event) -> None:
 
 @contextmanager
 def flood(config: Config, *kinds: str) -> Iterator[None]:
-    """Processes that send as fast as they can, one of each kind (see `flooder.py`)."""
+    """Start processes that send as fast as they can, one of each kind (see `flooder.py`)."""
     script = Path(__file__).with_name("flooder.py")
     senders = [
         subprocess.Popen([sys.executable, script, config.zenoh.endpoint, kind]) for kind in kinds

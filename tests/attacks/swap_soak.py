@@ -1,5 +1,7 @@
-"""Swaps one model for the other and back: `python swap_soak.py ISOLATION SWAPS FIRST SECOND` prints
-what the process has grown to after each swap."""
+"""Soak of model swaps: `python swap_soak.py ISOLATION SWAPS FIRST SECOND`.
+
+Swaps one model for the other and back, and prints the process's memory after each swap.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ def swap(isolation: str, swaps: int, names: tuple[str, str]) -> dict:
     camera, seq = CameraModel.from_hfov(320, 256, 1.3), 0
 
     def over() -> bool:
-        """Whether a swap is, after one more image."""
+        """Return True if a swap has ended, after one more image."""
         nonlocal seq
         seq += 1
         worker.submit(Observation(seq, seq * 200_000_000, np.eye(4), rgb=rgb, camera=camera))

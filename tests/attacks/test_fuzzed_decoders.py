@@ -1,5 +1,7 @@
-"""Whatever comes over the network is decoded or refused in one line, and allocates no more than it
-brought."""
+"""Fuzzing of network decoders: each input is decoded or refused in one line.
+
+A decoder allocates no more than the input's size.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ SLACK_BYTES = 64 * 1024
 
 
 def reads_or_refuses(decoder: Decoder, payload: bytes) -> bool:
-    """Whether it was read; anything but a ValueError of one line fails the test."""
+    """Return True if it was read; an error other than a one-line ValueError fails the test."""
     said = None
     try:
         decoder.reads(payload)

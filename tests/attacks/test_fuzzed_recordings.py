@@ -1,5 +1,4 @@
-"""Any bytes for a recording, and any for what lies in one, are read, read in part or refused in one
-line."""
+"""Fuzzing of recordings: any bytes are read, read in part, or refused in one line."""
 
 from __future__ import annotations
 
@@ -42,7 +41,7 @@ def run(tmp_path_factory) -> Path:
 
 
 def reads_or_refuses(read: Callable[[], object]) -> bool:
-    """Whether it was read; anything but a UserError of one line fails the test."""
+    """Return True if it was read; an error other than a one-line UserError fails the test."""
     try:
         read()
     except UserError as error:
@@ -65,7 +64,7 @@ def look_at(path: Path) -> list[bool]:
 
 
 def rewritten(run: Path, path: Path, change: Callable[[int, RecordedMessage], bytes]) -> Path:
-    """The run again, the payload of each message as `change` makes it: with checksums that hold."""
+    """Rewrite the run with each payload as `change` returns it, with valid checksums."""
     reading = McapReader(run)
     messages = list(reading)
     schemas = {schema.name: schema for schema in reading.schemas.values()}

@@ -30,7 +30,7 @@ def config(endpoint, tmp_path) -> Path:
 
 @pytest.fixture
 def temporary(tmp_path) -> Path:
-    """The one place that a stranger can write to."""
+    """Return the one folder that every user can write to."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     folder.chmod(0o777)
@@ -39,7 +39,7 @@ def temporary(tmp_path) -> Path:
 
 @pytest.fixture
 def as_stranger(temporary) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Runs an `edge` command for a user whom nobody knows and who has no home."""
+    """Run an `edge` command for a user without a name and a home."""
     if os.getuid() != 0 or shutil.which("setpriv") is None:
         pytest.skip("only root can become another user, with setpriv of util-linux")
 

@@ -104,7 +104,7 @@ def test_it_is_not_swapped_in_and_the_next_one_is(put, tmp_path, how):
     camera = CameraModel.from_hfov(64, 64, 1.3)
 
     def over() -> bool:
-        """Whether a swap is, after one more image."""
+        """Return True if a swap has ended, after one more image."""
         nonlocal seq
         seq += 1
         worker.submit(Observation(seq, seq * 200_000_000, np.eye(4), rgb=rgb, camera=camera))

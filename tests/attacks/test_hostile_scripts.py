@@ -150,7 +150,7 @@ MOVE_THE_ROBOT = {
 
 @dataclass
 class Host:
-    """What an attacker would want; see the module's docstring."""
+    """Objects that an attacker would want; see the module's docstring."""
 
     file: Path
     mark: Path

@@ -1,5 +1,7 @@
-"""Whatever bytes come to the port where requests are posted: what is sound is taken, and all else
-is refused, and the next is answered."""
+"""Fuzzing of the HTTP request port: valid requests are accepted, all others refused.
+
+The next request is answered in each case.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +37,10 @@ SEEDS = (
 
 
 class Port:
-    """Attributes:
-    done: what the loop would have been asked to do.
+    """HTTP port whose requests a test takes.
+
+    Attributes:
+        done: requests that reached the loop.
     """
 
     def __init__(self, port: int) -> None:

@@ -60,7 +60,7 @@ class Line:
         self._sock.sendall(data)
 
     def drip(self, data: bytes) -> None:
-        """The bytes one after the other, the last of them for ever."""
+        """Send the bytes one at a time; repeat the last one for ever."""
         for k in itertools.count():
             if self._over.wait(_DRIP_S):
                 return

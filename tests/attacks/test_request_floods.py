@@ -37,7 +37,7 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
     stop = threading.Event()
 
     def flood(_: int) -> list[list[bytes]]:
-        """The answers to each request: what it says, or its error."""
+        """Return the answer to each request: its text, or its error."""
         asked = []
         with open_session(ZenohConfig(endpoint=endpoint), "connect") as session:
             while not stop.is_set():

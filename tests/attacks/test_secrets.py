@@ -37,7 +37,7 @@ SERVICE = """{transport: {auth: {usrpwd: {user: "edge", password: "%s", dictiona
 
 @pytest.fixture
 def config(endpoint, tmp_path) -> Path:
-    """A service that asks for a password, with secrets in all that a configuration has for them."""
+    """Return a service with a password, and secrets in every key that may hold one."""
     (tmp_path / "own_sink.py").write_text(SINK)
     users, service = tmp_path / "users.txt", tmp_path / "service.json5"
     users.write_text(f"operator:{SECRET}\n")
@@ -72,7 +72,7 @@ def environ(tmp_path) -> dict[str, str]:
 
 @pytest.fixture
 def say(tmp_path, environ) -> Callable[..., str]:
-    """Runs an `edge` command to its end; all that it said."""
+    """Run an `edge` command to its end; return its whole output."""
 
     def run(*words: object, **more: str) -> str:
         done = subprocess.run(
@@ -86,7 +86,7 @@ def say(tmp_path, environ) -> Callable[..., str]:
 
 
 def asked(port: int) -> str:
-    """What the service says over HTTP to who knows its token."""
+    """Return the service's HTTP answers to a client with the token."""
     connection = HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
     connection.request("GET", "/readyz", headers={"Authorization": f"Bearer {2 * SECRET}"})
     body = connection.getresponse().read()
@@ -95,7 +95,7 @@ def asked(port: int) -> str:
 
 
 def is_told(text: str) -> list[str]:
-    """The lines with the secret in any of its shapes."""
+    """Return the lines that contain the secret in any encoding."""
     return [line for line in text.splitlines() if any(shape in line for shape in SHAPES)]
 
 

@@ -1,5 +1,4 @@
-"""Valid messages as fast as another process can send them: a look takes a ring's worth at most,
-and the ticks go on. Counts, no times."""
+"""Floods of valid messages: a read takes one ring at most, and ticks go on. No times."""
 
 from __future__ import annotations
 

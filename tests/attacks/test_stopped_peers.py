@@ -35,7 +35,7 @@ FLOWS = ("status", "map", "cmd_vel", "odom", "mission")
 
 @pytest.fixture
 def start_viewer(endpoint) -> Iterator[Callable[[], subprocess.Popen]]:
-    """Starts viewers of everything; all are killed at the end."""
+    """Start viewers of all topics; kill them at the end."""
     started = []
 
     def start() -> subprocess.Popen:

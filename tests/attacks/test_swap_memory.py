@@ -20,7 +20,7 @@ SPREAD_MB = 16.0
 
 @pytest.fixture
 def names(tmp_path, monkeypatch) -> tuple[str, str]:
-    """The shipped model under two names."""
+    """Return two names for the shipped model."""
     shipped = resources.data_dir("models")
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     resources.models_dir().mkdir()

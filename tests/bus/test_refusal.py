@@ -18,7 +18,7 @@ from edge.host.ports import free_port
 
 @pytest.fixture
 def port() -> Iterator[int]:
-    """Of a server that takes every connection and answers it in HTTP."""
+    """Serve HTTP on a free port that accepts every connection."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
 
         def serve() -> None:

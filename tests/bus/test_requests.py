@@ -40,7 +40,7 @@ def serve(session) -> Iterator[Callable[..., RequestServer]]:
     def serve(
         prepare: Callable = lambda **texts: texts, patience_s: float = PATIENCE_S
     ) -> RequestServer:
-        """A server of missions, whose requests the test takes as the loop does."""
+        """Start a server of missions; the test takes its requests as the loop does."""
         verbs = mission_verbs(prepare)
         servers.append(RequestServer(session, KEY, verbs, broken, patience_s))
         return servers[-1]
@@ -55,7 +55,7 @@ def broken(request: Request, now_ns: int) -> dict:
 
 
 def taken(server: RequestServer) -> Request:
-    """The next request, once it is there."""
+    """Return the next request, once one has arrived."""
     return eventually(server.poll)
 
 
@@ -153,8 +153,7 @@ def test_while_one_mission_is_prepared_other_requests_pass_and_few_wait(session,
 
 
 class Preparing:
-    """What `prepare` does: understands a mission as soon as `done` is told of it, at once where
-    it is `quick`."""
+    """Stand-in for `prepare`: it returns when the test sets `done`, or at once if `quick`."""
 
     def __init__(self, quick: Iterable[str] = ()) -> None:
         self.begun: list[str] = []
@@ -172,7 +171,7 @@ class Preparing:
 
 
 def bring(server: RequestServer, session: zenoh.Session, requests: Iterable[dict]) -> list[Asking]:
-    """Requests that the server takes in, one after the other, and the loop has not seen."""
+    """Send requests that the server accepts but the loop has not taken."""
 
     def waiting() -> set[request_queue.Query]:
         queue = server.queue
@@ -189,7 +188,7 @@ def bring(server: RequestServer, session: zenoh.Session, requests: Iterable[dict
 
 
 def give(server: RequestServer, session: zenoh.Session, texts: str) -> list[Asking]:
-    """New missions."""
+    """Send new missions."""
     return bring(server, session, ({"do": "new", "instruction": text} for text in texts))
 
 

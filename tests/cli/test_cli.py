@@ -77,7 +77,7 @@ def test_help_imports_nothing_heavy():
 
 
 def fails(capsys, *words: str, code: int) -> str:
-    """The one line that a command ends with."""
+    """Return the one-line error of a command."""
     assert main(["--log-level", "error", *words]) == code
     err = capsys.readouterr().err.strip()
     assert "\n" not in err, err

@@ -46,7 +46,7 @@ texts = st.one_of(
 
 
 def explained(text: str, formula: bool, reading: int | None = None) -> list[str]:
-    """What `edge mission explain` prints."""
+    """Return the output of `edge mission explain`."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         args = argparse.Namespace(text=text, formula=formula, reading=reading, config="demo")

@@ -1,4 +1,4 @@
-"""What `edge mission` takes for a running service, and what it shows of an answer."""
+"""Requests of `edge mission` to a running service, and the display of its answers."""
 
 from __future__ import annotations
 

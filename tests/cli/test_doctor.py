@@ -44,7 +44,7 @@ def levels(check: machine_checks.Check, settings: config.Config = SIM) -> list[s
 
 
 def ran(*providers: str, fault: str = "") -> ProbeResult | None:
-    """What the probe says where these were tried and ran; None where there are none."""
+    """Return the probe's result for these modules; None without any."""
     return ProbeResult("1.23", providers, providers, fault) if providers else None
 
 
@@ -304,7 +304,7 @@ def test_only_the_configured_model_must_be_there(monkeypatch, tmp_path):
 
 
 def test_models_that_are_neither_here_nor_named_are_only_counted(cache):
-    """Those that the package brings are here; and a similarity card has no file of its own."""
+    """Models of the package are present; a similarity card has no file."""
     *here, others = doctor.check_models(SIM)
     assert {f.level for f in (*here, others)} == {"ok"}
     assert re.match(r"\d+ other models are not on this machine", others.what)

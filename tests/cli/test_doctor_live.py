@@ -75,7 +75,7 @@ def put(name: str, change: Callable[[np.ndarray], object]) -> Change:
 
 @pytest.fixture
 def heard(monkeypatch) -> Callable[..., list[tuple[str, str]]]:
-    """Findings that need something done, as (level, text)."""
+    """Return the findings that need an action, as (level, text)."""
 
     def listened(
         change: Change, rows: tuple[InputStatus, ...] = (ROW,), seconds: float = 0.8

@@ -131,7 +131,7 @@ def test_groups_that_are_not_here_are_not_asked_for(monkeypatch, anywhere):
 
 @pytest.fixture
 def private(tmp_path, monkeypatch) -> Path:
-    """A configuration in a folder that its owner alone can read, and that is no temporary one."""
+    """Return a configuration in a folder that only its owner can read, not a temporary one."""
     monkeypatch.setattr(install_service, "_TEMPORARY", ())
     folder = tmp_path / "mine"
     folder.mkdir(mode=0o700)

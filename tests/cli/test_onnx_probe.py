@@ -40,7 +40,7 @@ def module(*available: str, on_open: str = "pass", on_cuda: str = "pass") -> str
 
 
 def probe_of(source: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> ProbeResult | None:
-    """The answer where a stand-in of this source comes before the real module."""
+    """Return the probe's answer with a stand-in module of this source."""
     (folder / "onnxruntime.py").write_text(source)
     monkeypatch.setenv("PYTHONPATH", str(folder))
     monkeypatch.setattr(onnx_probe.util, "find_spec", lambda name: object())

@@ -41,7 +41,7 @@ def vocabulary(shared_dir: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def photos(shared_dir: Path) -> Path:
-    """A folder with a few real pictures of rooms."""
+    """Return a folder with a few real photographs of rooms."""
     path = shared_dir / "logs" / "redwood_rgbd" / "color"
     if not path.is_dir():
         pytest.skip(f"test data not there: {path.name}/")

@@ -15,6 +15,7 @@ def build(path: Path, gain: float = 1.0) -> Path:
     """Two convolutions with SiLU, and a head that scores against the text and scales boxes.
 
     Args:
+        path: of the ONNX file.
         gain: of the first convolution; the second divides by it, so that the result is the same.
     """
     import onnx

@@ -18,7 +18,7 @@ NAME = "yolo-world-s-256x320-int8-cpu"
 
 @pytest.fixture(scope="module")
 def cache(weights, vocabulary, photos, tmp_path_factory) -> Path:
-    """A cache folder after `python -m exporters` of the INT8 card on a handful of photos."""
+    """Return a cache folder after `python -m exporters` of the INT8 card on a few photographs."""
     from exporters.__main__ import main
 
     folder = tmp_path_factory.mktemp("cache")
@@ -133,7 +133,7 @@ def test_without_a_vocabulary_the_words_inside_the_checkpoint_are_kept(
 
 @pytest.fixture
 def small(tmp_path, monkeypatch) -> Path:
-    """A folder with cards of a small network, its FP32 file, words for it and noise for photos."""
+    """Return a folder with a small network's cards, FP32 file, vocabulary and noise images."""
     for module in ("onnx", "onnxruntime"):
         pytest.importorskip(module)
     import cv2

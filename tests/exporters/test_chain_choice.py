@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.export, pytest.mark.timeout(900)]
 
 @pytest.fixture
 def serve(monkeypatch):
-    """Serves a folder; its address."""
+    """Serve a folder; yield its address."""
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     servers = []
 
@@ -52,7 +52,7 @@ def serve(monkeypatch):
 
 @pytest.fixture
 def pictures(tmp_path):
-    """A folder of noise in a few sizes."""
+    """Return a folder of noise images in a few sizes."""
     random, folder = np.random.default_rng(0), tmp_path / "pictures"
     folder.mkdir()
     for k in range(8):

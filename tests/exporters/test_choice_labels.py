@@ -1,4 +1,4 @@
-"""What is right in a view, by the distances that are kept with it; seeds by ranges."""
+"""Labels of views from stored distances; seeds by ranges."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ INF = np.inf
 
 
 def views_of(rows: list[dict]) -> Views:
-    """Views about one thing."""
+    """Return views of one object."""
     n = len(rows)
     marks = np.zeros((n, MAX_MARKS, 4), np.float32)
     path_m = np.zeros((n, MAX_MARKS), np.float32)

@@ -39,7 +39,7 @@ PRECISIONS = ("fp32", "fp16", "int8-cpu")
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """A folder by architecture."""
+    """Return a folder for each architecture."""
     torch.set_num_threads(1)  # more would only wait for each other
     root = tmp_path_factory.mktemp("published")
     write = {"clip": tiny_folders.write_clip, "siglip": tiny_folders.write_siglip}
@@ -48,7 +48,7 @@ def folders(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cache(folders, photos, tmp_path_factory):
-    """What `$EDGE_CACHE_DIR` is after both were exported in all precisions."""
+    """Return the `$EDGE_CACHE_DIR` after exporting both in all precisions."""
     root = tmp_path_factory.mktemp("cache")
     for kind, folder in folders.items():
         pictures = ["--calibration", photos, "--validation", photos, "--no-gate"]

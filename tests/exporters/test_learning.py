@@ -1,4 +1,4 @@
-"""What training runs share: the curve, the averaged weights, going on from a checkpoint."""
+"""Shared parts of training runs: learning curve, averaged weights, resuming from a checkpoint."""
 
 from __future__ import annotations
 

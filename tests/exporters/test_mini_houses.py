@@ -52,7 +52,7 @@ def test_what_stands_on_something_has_a_support_below_it():
 
 
 def _carries(support, thing) -> bool:
-    """Ends where the thing begins, and has the thing's middle over its own middle line."""
+    """Return True if it ends at the object's start and has the object's middle above it."""
     dx, dy, yaw = (*np.subtract(thing.at, support.at), math.radians(support.yaw_deg))
     across, along = dx * math.cos(yaw) + dy * math.sin(yaw), dy * math.cos(yaw) - dx * math.sin(yaw)
     level = support.size[2] == thing.z_m

@@ -136,7 +136,7 @@ def test_two_processes_train_one_model(frames, tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def run_of(frames, tmp_path_factory):
-    """A checkpoint of two steps, and which run it is of."""
+    """Return a checkpoint of two steps and its run's id."""
     path = tmp_path_factory.mktemp("run") / "checkpoint.pt"
     training.train(frames, plan(2), path)
     return path, checkpoint.run_identity(plan(2), len(frames), 1, "cpu")
@@ -222,7 +222,7 @@ def test_the_card_gives_the_command_that_trains_the_same(
 
 @pytest.fixture
 def trained(run_of, tmp_path, monkeypatch):
-    """A folder of a run whose export takes no time; its model sees as `figures` say."""
+    """Return a run's folder with a fast export; the model's scores are `figures`."""
     figures = {"map50": 0.75, "pairs": (9, 10)}
 
     def write(_, path, *args):
@@ -253,7 +253,7 @@ def shipped(folder) -> dict[str, bytes]:
 
 @pytest.fixture
 def out(tmp_path):
-    """A folder with a model that is shipped already."""
+    """Return a folder that already contains a shipped model."""
     folder = tmp_path / "models"
     folder.mkdir()
     (folder / f"{export.DETECTOR}.onnx").write_bytes(b"shipped")

@@ -21,7 +21,7 @@ NAN = float("nan")
 
 
 def model(xyxy_px: list, scores: list):
-    """A detector that always answers the same."""
+    """Return a detector with a constant answer."""
     answer = np.array([xyxy_px], np.float32).reshape(1, -1, 4), np.array([scores], np.float32)
     return lambda images, txt_feats: answer
 

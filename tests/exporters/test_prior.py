@@ -19,7 +19,7 @@ from exporters.training.prior.samples import Samples, gather, standing
 
 
 def house(*things: tuple[str, float, float], door: tuple[float, float] | None = (1.5, 2.5)) -> dict:
-    """A bathroom and a bedroom of 4 m × 4 m, with a door in the wall between them."""
+    """Return a bathroom and a bedroom of 4 m × 4 m with a door between them."""
     walls = [[0, 0, 8, 0], [8, 0, 8, 4], [8, 4, 0, 4], [0, 4, 0, 0]]
     walls += [[4, 0, 4, 4]] if door is None else [[4, 0, 4, door[0]], [4, door[1], 4, 4]]
     return {
@@ -104,7 +104,7 @@ def test_paths_go_through_the_door():
 
 
 def samples_of(near: np.ndarray, found: np.ndarray, n_houses: int = 100) -> Samples:
-    """Samples of one target, thing 0, and of what is near."""
+    """Return samples of one target (object 0) and its surroundings."""
     n, m = near.shape
     all_found = np.zeros((n, m), np.bool_)
     all_found[:, 0] = found
@@ -157,7 +157,7 @@ def test_too_few_houses_say_nothing():
 
 @pytest.fixture(scope="module")
 def houses(tmp_path_factory):
-    """Of a toilet with its paper in the bathroom, and a bed in the other room."""
+    """Return houses with a toilet and paper in the bathroom, and a bed in the other room."""
     rng = np.random.default_rng(3)
     file = tmp_path_factory.mktemp("houses") / "houses.jsonl.gz"
     with gzip.open(file, "wt") as lines:

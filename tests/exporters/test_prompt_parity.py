@@ -211,7 +211,7 @@ def test_a_picture_is_the_same_tokens_and_numbers(both, layout, hw):
 
 
 def processed(one: Both, rgb: np.ndarray, text: str) -> dict[str, np.ndarray]:
-    """What a family's processor makes of a picture and a text about it."""
+    """Return a processor's tensors for an image and a text about it."""
     prefix = {"smolvlm": "Idefics3", "qwen2-vl": "Qwen2VL"}[one.family]
     images = getattr(transformers, f"{prefix}ImageProcessorPil").from_pretrained(
         one.card.path, local_files_only=True

@@ -134,6 +134,6 @@ def test_a_bias_makes_up_for_what_clipping_takes_on_average(tmp_path, corrected)
 
 
 def mean_output(model, samples):
-    """Of the first convolution, per channel (8,)."""
+    """Return the mean output of the first convolution, per channel (8,)."""
     session = tensor_session(model, ["c0"])
     return np.mean([session.run(["c0"], feed)[0].mean(axis=(0, 2, 3)) for feed in samples], axis=0)

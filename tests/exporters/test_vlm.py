@@ -38,7 +38,7 @@ MAIN = ("vision_encoder", "embed_tokens", "decoder_model_merged")
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """A folder by architecture."""
+    """Return a folder for each architecture."""
     torch.set_num_threads(1)  # more would only wait for each other
     root = tmp_path_factory.mktemp("published")
     return {kind: tiny_folders.write_vlm(root / kind, kind) for kind in KINDS}
@@ -46,7 +46,7 @@ def folders(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cache(folders, photos, tmp_path_factory):
-    """What `$EDGE_CACHE_DIR` is after each was exported."""
+    """Return the `$EDGE_CACHE_DIR` after exporting each."""
     root = tmp_path_factory.mktemp("cache")
     for kind, folder in folders.items():
         models = root / "models"
@@ -78,7 +78,7 @@ def files_of(cache, kind, precision):
 
 @pytest.fixture(scope="module")
 def originals(folders):
-    """(the model asked as a whole, the questions) by architecture."""
+    """Return (whole model, questions) for each architecture."""
     found = {}
     for kind, folder in folders.items():
         model, networks = vlm.load_model(folder)

@@ -20,7 +20,7 @@ WORDS = ["trash can", "sofa (red)", "sofa", "basket", "door"]
 
 @pytest.fixture
 def detic(tmp_path):
-    """A clone; row k of the table t points along axis 10 t + k."""
+    """Return a clone of Detic; row k of table t points along axis 10 t + k."""
     for t, (names, text) in enumerate(
         zip((table[0] for table in TABLES), (json.dumps(LVIS), OBJECTS365, OPENIMAGES), strict=True)
     ):

@@ -104,11 +104,11 @@ TEMPLATE = (
     "{%% if part['type'] == 'image' %%}%s{%% else %%}{{ part['text'] }}{%% endif %%}{%% endfor %%}"
     "\n{%% endfor %%}"
 )
-"""Of the chat, in the style of the families."""
+"""Chat template, in the style of the families."""
 
 
 def write_vlm(folder: Path, kind: str, seed: int = 0) -> Path:
-    """A vision-language model of an architecture, two layers of 64 in each of its halves."""
+    """Write a vision-language model with two layers of width 64 in each half."""
     import torch
     import transformers
 

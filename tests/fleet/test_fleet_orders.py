@@ -1,4 +1,4 @@
-"""Who gets which part: decided from the robots' own accounts alone."""
+"""Assignment of mission parts to robots, from the robots' own reports."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def port() -> Iterator[int]:
 
 @pytest.fixture
 def robots(port) -> Iterator[Callable[..., FakeRobot]]:
-    """Makes robots, each of which others see once it is made."""
+    """Return a function that makes robots; each is discovered before it returns."""
     with ExitStack() as stack:
         other = stack.enter_context(zenoh_session(settings_of(port, "any"), "connect"))
 
@@ -250,7 +250,7 @@ def test_a_robot_back_from_afar_is_told_that_another_is_at_it(port, robots, monk
 )
 def test_a_robot_that_answers_garbage_gets_nothing_and_is_shown(port, robots, answer):
     robots("bob", reaches_in_s=0.0)
-    with liar(port, "mallory\x1b[2J", answer), open_roster(settings_of(port, "any")) as seen:
+    with Liar(port, "mallory\x1b[2J", answer), open_roster(settings_of(port, "any")) as seen:
         eventually(lambda: len(seen.names()) == 2)
         shown = table(seen.look().values())
         assert "mallory [2J" in shown
@@ -261,13 +261,13 @@ def test_a_robot_that_answers_garbage_gets_nothing_and_is_shown(port, robots, an
 def test_a_robot_that_never_answers_holds_nobody_up(port, robots, monkeypatch):
     monkeypatch.setattr(roster, "ANSWER_S", 0.2)
     robots("bob", reaches_in_s=0.0)
-    with liar(port, "late", None), open_roster(settings_of(port, "any")) as seen:
+    with Liar(port, "late", None), open_roster(settings_of(port, "any")) as seen:
         eventually(lambda: len(seen.names()) == 2)
         assert "no answer within 0.2 s" in table(seen.look().values())
         assert Sharing(port, "go to the bed").ended() == {"bed": ("reached", "bob")}
 
 
-class liar:
+class Liar:
     """A robot that is there and answers this to whatever it is asked, twice; None: nothing."""
 
     def __init__(self, port: int, name: str, answer: bytes | None) -> None:
@@ -364,7 +364,7 @@ def test_two_services_that_came_together_later_are_shown(port, robots):
 
 @pytest.fixture
 def carl(port) -> Iterator[subprocess.Popen]:
-    """A robot in a process of its own, which never reaches anything."""
+    """Start a robot in its own process that never reaches anything."""
     command = [sys.executable, FAKE, f"tcp/127.0.0.1:{port}", "carl", "1e9"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "ready\n"

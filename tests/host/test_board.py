@@ -1,4 +1,4 @@
-"""What a board says of itself, from trees of files made up for each kind."""
+"""Facts about a board, from made-up file trees for each kind."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ THERMAL, HWMON = "sys/class/thermal", "sys/class/hwmon"
 
 
 def zone(number: int, kind: str, temp: str, **trips: str) -> dict[str, str]:
-    """A thermal zone; trips by name, as `passive="99000"`."""
+    """Write a thermal zone with trip points by name, such as `passive="99000"`."""
     folder = f"{THERMAL}/thermal_zone{number}"
     found = {f"{folder}/type": f"{kind}\n", f"{folder}/temp": f"{temp}\n"}
     for i, (trip, milli_c) in enumerate(trips.items()):

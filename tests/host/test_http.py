@@ -11,7 +11,7 @@ from edge.host.http import CuttableConnection, failure_reason
 
 
 class Stream:
-    """What httpx hands to `trace`."""
+    """Stand-in for the stream that httpx passes to `trace`."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._sock = sock

@@ -1,4 +1,4 @@
-"""What a machine is said to be, from files made up for each kind."""
+"""Facts about a machine, from made-up files for each kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What /proc says of processes: real ones."""
+"""Facts in /proc about real processes."""
 
 from __future__ import annotations
 

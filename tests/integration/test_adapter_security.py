@@ -1,5 +1,7 @@
-"""Who may pass for `edge ros2-adapter` under the rules of `config/secure`: all clients declare what
-its node does, in sessions of their own. tests/ros2_adapter has the node itself under these rules.
+"""Access rules of `config/secure` for `edge ros2-adapter`.
+
+All clients declare the node's topics in sessions of their own. tests/ros2_adapter has the node
+itself under these rules.
 """
 
 from __future__ import annotations
@@ -55,12 +57,12 @@ class Client:
 
     @property
     def is_heard(self) -> bool:
-        """Whether it is known here that the odometry is wanted."""
+        """Return True if the odometry's subscriber has been discovered."""
         return self._odometry.matching_status.matching
 
 
 class Service:
-    """What the service has of a robot: by whom it was told what."""
+    """Recorder of the robot's messages to the service, by sender."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self.session = session
@@ -74,7 +76,7 @@ class Service:
         return self.node.subscription(f"/{name}", (SUBSCRIBED[name],), 64, latched)
 
     def answers(self) -> set[bytes]:
-        """Of everybody who takes goals."""
+        """Return the answers of all goal servers."""
         every = zenoh.QueryTarget.ALL
         replies = self.session.get(key_of(ACTION), target=every, timeout=PATIENCE_S)
         return {reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None}

@@ -23,7 +23,7 @@ CLONE = Path(__file__).resolve().parents[2]  # the configuration's paths are rel
 
 @pytest.fixture
 def environ(shared_dir) -> dict[str, str]:
-    """Where the model's words are; skips where the world, its extra or the model is missing."""
+    """Return an environment with the text embeddings; skip without world, extra or model."""
     for module in ("trimesh", "embreex", "onnxruntime"):
         pytest.importorskip(module, reason=f"{module} is not installed (extras `worlds`, `cpu`)")
     settings = config.load("aws-house")

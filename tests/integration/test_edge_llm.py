@@ -35,13 +35,13 @@ INSTRUCTIONS = [
 
 @pytest.fixture(scope="module")
 def url() -> Iterator[str]:
-    """Base URL of a server that runs in a process of its own."""
+    """Start a server in its own process; yield its base URL."""
     with serving_llm() as (url, _):
         yield url
 
 
 def same_language(a: str, b: str) -> bool:
-    """Whether two formulas accept the same words, over the letters of both."""
+    """Return True if two formulas accept the same traces over the propositions of both."""
     differ = compile_formula(parse(f"!(({a}) <-> ({b}))"))
     return not np.any(differ.accepting)  # a minimal automaton has no state that none reaches
 

@@ -28,12 +28,12 @@ FAST = {**LOCKSTEP, "EDGE__SIM__STEP_S": "0.2"}  # a camera of 5 Hz sees enough
 
 @pytest.fixture
 def config(endpoint, tmp_path) -> Path:
-    """The built-in house, at an address of this test's own, with a target not far off."""
+    """Write a configuration of the built-in house with its own endpoint and a near target."""
     return write_config(tmp_path, zenoh={"endpoint": endpoint})
 
 
 def check_report(folder: Path, outcome: str) -> None:
-    """A picture with something in it, and a page that needs nothing else."""
+    """Check that the report has a picture, and a page without external files."""
     picture = cv2.imread(str(folder / "report.png"))
     assert min(picture.shape[:2]) > 300
     assert picture.std() > 5.0
@@ -101,8 +101,7 @@ def test_a_killed_demo_takes_its_children_along_and_leaves_no_files(edge, config
 
 @pytest.mark.slow
 def test_the_mission_outlives_simulator_and_controller(edge, endpoint, tmp_path):
-    """Killed, back again, and a controller that comes only after the goal was sent; all on topics
-    of other names."""
+    """Kill and restart both; start the controller after the goal. All topics are renamed."""
     settings = ZenohConfig(endpoint=endpoint, topics=RENAMED)
     config = write_config(tmp_path, zenoh=settings.model_dump())
     service = edge("run", config, "--once").says("ready:")

@@ -1,5 +1,6 @@
-"""Simulated robots, as ROS 2 robots with Nav2, are driven to their target: on rmw_zenoh, and behind
-what does as zenoh-bridge-ros2dds does.
+"""Simulated ROS 2 robots with Nav2 that drive to their target.
+
+Over rmw_zenoh, and behind a stand-in for zenoh-bridge-ros2dds.
 
 Each publishes the topics and frames of a ready configuration; its odometry is not in `map`.
 """

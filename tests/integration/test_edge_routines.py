@@ -16,7 +16,7 @@ LOCKED = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}}
 
 @pytest.fixture
 def command(capsys, monkeypatch):
-    """Runs a command in this process, whose signal handlers it must leave alone."""
+    """Run a command in this process, whose signal handlers it must leave alone."""
     monkeypatch.setattr("signal.signal", lambda *_: None)
 
     def run(*words: object) -> tuple[int, str]:
@@ -47,7 +47,7 @@ def test_routines_by_command(edge, endpoint, tmp_path, command):
     eventually(lambda: status() == ("waiting", "waiting until told to go on"))
     assert command("mission", "resume", config)[0] == 0
     eventually(lambda: status()[0] == "reached")
-    assert status()[1].startswith("yes, there is a television at (")
+    assert status()[1].startswith("yes, there is a television ")
     new('F "wait 1 s" & F start', "--rounds", 2)
     eventually(lambda: status() == ("reached", "2 rounds done"))
     code, said = command("mission", "new", config, "F caller", "--formula")

@@ -16,7 +16,7 @@ LOCKED = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}}
 
 @pytest.fixture
 def command(capsys, monkeypatch):
-    """Runs a command in this process, whose signal handlers it must leave alone."""
+    """Run a command in this process without changing its signal handlers."""
     monkeypatch.setattr("signal.signal", lambda *_: None)
 
     def run(*words: object) -> tuple[int, str]:
@@ -66,8 +66,11 @@ def test_places_and_zones_by_command(edge, endpoint, tmp_path, command):
     code, said = command("memory", "list", config, "--json")
     name = json.loads(said)[0]["name"]
     code, said = command("memory", "find", config, name)
-    assert (code, said.startswith(f"{name}: at (")) == (0, True)
+    assert (code, said.startswith(f"{name}: "), "at (" in said) == (0, True, True), said
     assert command("memory", "export", config, str(exported))[0] == 0
     assert {"id", "name", "xyz"} <= json.loads(exported.read_text())[0].keys()
+    assert command("memory", "export", config, str(exported), "--geojson")[0] == 0
+    kinds = [one["properties"]["kind"] for one in json.loads(exported.read_text())["features"]]
+    assert {"place", "object"} <= set(kinds)
     code, said = command("place", "import", config, str(tmp_path / "none"))
     assert (code, "no such file" in said) == (os.EX_DATAERR, True)

@@ -25,7 +25,7 @@ CONFIG = simulated({"mission": {"time_limit_s": 60.0}})
 
 @contextmanager
 def held_up() -> Iterator[list[str]]:
-    """Stops one child or another for longer than after which things are sent again."""
+    """Suspend a random child for longer than the resend interval."""
     over, held = threading.Event(), []
 
     def hold() -> None:

@@ -81,7 +81,7 @@ def answer(request, now_ns) -> dict:
 
 
 def serve(server: RequestServer):
-    """Serves on a thread; what it returns ends that."""
+    """Serve on a thread; return a function that stops it."""
     over = threading.Event()
 
     def run() -> None:
@@ -99,7 +99,7 @@ def serve(server: RequestServer):
 
 
 def put_by_all(sessions: dict[str, zenoh.Session], whom: str) -> set[str]:
-    """Who can say something that a robot hears, on any of its keys."""
+    """Return the clients that can publish on a key that the robot subscribes to."""
     ring = sessions[whom].declare_subscriber(f"robots/{whom}/**", zenoh.handlers.FifoChannel(4096))
     heard: set[str] = set()
 
@@ -120,7 +120,7 @@ def put_by_all(sessions: dict[str, zenoh.Session], whom: str) -> set[str]:
 
 
 def asked(session: zenoh.Session, key: str) -> dict | str:
-    """The answer, or what is said where there is none."""
+    """Return the answer, or the error if there is none."""
     try:
         return client.send_request(session, key, {"do": "status"}, PATIENCE_S, "fleet")
     except client.RequestError as error:

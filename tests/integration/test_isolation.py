@@ -81,7 +81,7 @@ class Life:
         return self.until(lambda: stats.done > done or self.state() == "degraded")
 
     def images(self) -> int:
-        """How many the loop has taken so far."""
+        """Return the number of images that the loop has taken."""
         return self.running.source.counters["observations"]
 
     def status(self) -> dict:
@@ -91,13 +91,13 @@ class Life:
         return self.detector.health().state
 
     def model(self) -> psutil.Process:
-        """The model's process."""
+        """Return the model's process."""
         (mine,) = fakes()
         return mine
 
 
 def fakes() -> list[psutil.Process]:
-    """Those that live; one that has just ended may not have been asked for yet."""
+    """Return the live model processes; one that has just ended may be listed still."""
     found = []
     for child in psutil.Process().children():
         with suppress(psutil.NoSuchProcess):  # so is a zombie to psutil

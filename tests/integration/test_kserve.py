@@ -96,7 +96,7 @@ def site() -> str:
 
 
 def triton(folder: Path, port: int) -> list[str]:
-    """The command that serves the small detector with Triton."""
+    """Return the command that serves the small detector with Triton."""
     root = Path(site()) / "pytriton/tritonserver"
     if not root.exists():
         pytest.skip("nvidia-pytriton is not installed beside MLServer; see .ci/run")
@@ -127,7 +127,7 @@ def triton(folder: Path, port: int) -> list[str]:
 
 
 def mlserver(folder: Path, port: int) -> list[str]:
-    """The command that serves the small detector with MLServer."""
+    """Return the command that serves the small detector with MLServer."""
     (folder / "small").mkdir()
     (folder / "small/small.py").write_text(MLSERVER_MODEL)
     model = {"name": "small", "implementation": "small.Small"}
@@ -145,7 +145,7 @@ SERVERS = {"triton": (triton, True), "mlserver": (mlserver, False)}
 
 @contextlib.contextmanager
 def served(command: list[str], folder: Path, port: int) -> Iterator[subprocess.Popen]:
-    """Runs a server until it has the model, and to the end of the block."""
+    """Run a server until the end of the block; wait until it has the model."""
     environ = {
         **os.environ, "MODEL_FILE": str(load_card(SMALL).path), "SITE": site(),
         "PYTHONPATH": str(folder / "small"),

@@ -1,5 +1,7 @@
-"""Every word that the small detector knows, in its house: found where it stands in plain view,
-whatever else the default background looks for."""
+"""Every word of the small detector, in its house.
+
+Each is found in plain view, for every default background.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ PLAIN_VIEW = 0.006
 
 @pytest.fixture(scope="module")
 def house():
-    """Configuration, world, camera and poses."""
+    """Return configuration, world, camera and poses."""
     pytest.importorskip("onnxruntime")
     detector = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "threads": 1}
     config = parse({"perception": {"detector": {**detector, "background": BACKGROUND}}}, "<test>")
@@ -53,7 +55,7 @@ def house():
 
 
 def looks(house, thing: WorldObject) -> Iterator[Observation]:
-    """Some looks at a thing in plain view, each from another side."""
+    """Return views of an object in plain sight, from several sides."""
     _, _, rig, poses, _ = house
     seq = 0
     for pose in poses:

@@ -31,7 +31,7 @@ def config(endpoint, tmp_path) -> Path:
 
 @pytest.fixture
 def start() -> Iterator[Callable[..., subprocess.Popen]]:
-    """Starts a peer of a role; all are killed at the end."""
+    """Start a peer with a role; kill all at the end."""
     started = []
 
     def start(role: str, *arguments: object) -> subprocess.Popen:

@@ -1,5 +1,7 @@
-"""A ROS 2 graph whose router has the rules of `config/secure/ros2-router.json5`: what the service
-may do in it from another computer, what it may not, and who else may do what."""
+"""Access rules of `config/secure/ros2-router.json5` in a ROS 2 graph.
+
+They limit the service on another computer, and all other clients.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ def etc(tmp_path_factory) -> Path:
 
 @dataclass
 class Graph:
-    """Where the router listens, for the robot's own nodes and for others."""
+    """Router endpoints for the robot's own nodes and for others."""
 
     etc: Path
     here: int
@@ -144,7 +146,7 @@ def _say_yes(query: zenoh.Query) -> None:
 
 
 def asks(session: zenoh.Session, key: str) -> bool:
-    """Whether a request is answered."""
+    """Return True if a request is answered."""
     return bool(list(session.get(key, payload=b"{}", timeout=PATIENCE_S)))
 
 

@@ -1,5 +1,7 @@
-"""The ready configurations of `config/secure`, with the certificates that docs/security.md makes:
-real sessions in real processes."""
+"""Configurations of `config/secure` with the certificates that docs/security.md makes.
+
+Real sessions in real processes.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,7 @@ def etc(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def elsewhere(tmp_path_factory, etc) -> Path:
-    """The same of another authority."""
+    """Return the same certificates of another authority."""
     return etc_edge(tmp_path_factory.mktemp("elsewhere"))
 
 
@@ -153,7 +155,7 @@ def tried_all(session: zenoh.Session, prefix: str, who: str) -> bool:
 
 
 def heard_by(session: zenoh.Session, prefix: str, least: set[str]) -> set[str]:
-    """The keys that it hears something on, once it has heard enough on each of the `least`."""
+    """Return the keys with messages, once each of `least` has had enough."""
     rings = {
         key: session.declare_subscriber(
             f"{prefix}/{key}",

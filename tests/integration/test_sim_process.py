@@ -81,7 +81,7 @@ class Peer:
 
 
 def run_lockstep(data: dict, steps: int) -> list[dict[str, bytes]]:
-    """The messages of each instant, by topic; every instant is answered with a command."""
+    """Return each instant's messages by topic; send a command after each."""
     config, instants, seen = parse(data), [], {}
     with open_session(config.zenoh, "listen") as session:
         peer = Peer(session, config)

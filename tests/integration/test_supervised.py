@@ -40,7 +40,7 @@ class Hanging:
 
 @pytest.fixture(autouse=True)
 def _not_under_nohup() -> Iterator[None]:
-    """Where the tests themselves do, their children would ignore SIGHUP, too."""
+    """Restore SIGHUP: under nohup, child processes would ignore it."""
     before = signal.signal(signal.SIGHUP, lambda signum, frame: None)
     yield
     signal.signal(signal.SIGHUP, before)
@@ -57,7 +57,7 @@ class Manager:
         self._socket.settimeout(PATIENCE_S)
 
     def hears(self, beginning: str) -> str:
-        """Waits for a line that begins so."""
+        """Wait for a line that begins with this text."""
         while True:
             lines = self._socket.recv(65536).decode().split("\n")
             self.heard += lines
@@ -65,7 +65,7 @@ class Manager:
                 return found[0]
 
     def silence(self, least_s: float) -> bool:
-        """Whether nothing more comes for so long, once what was under way has come."""
+        """Return True if no message comes for this time, after all pending ones."""
         self._socket.settimeout(least_s)
         deadline_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline_s:
@@ -186,7 +186,7 @@ def test_a_hang_up_switches_all_that_changed_or_nothing(edge, config, manager):
 
 
 def reload(service: Edge, manager: Manager) -> str:
-    """What came of it, as `systemctl status` says."""
+    """Return the reload's result from `systemctl status`."""
     service.process.send_signal(signal.SIGHUP)
     return reloaded(manager)
 

@@ -55,8 +55,10 @@ def node(op: str, inputs: list[str], output: str, **attributes) -> bytes:
 
 
 def detector(shift: float = 0.0, bias: float = 0.0, in_black: str = "Div") -> bytes:
-    """Three boxes in every image, all with the score 1 / (1 + exp(-bias)); NaN in one that has
-    black in it, or not if `in_black` is "Mul"."""
+    """Write a detector with three boxes in every image, all with score 1 / (1 + exp(-bias)).
+
+    The score is NaN in an image with black in it, unless `in_black` is "Mul".
+    """
     boxes = [v + shift for place in PLACES for v in place]
     nodes = [
         node("ReduceMin", ["images"], "darkest", keepdims=0),
@@ -101,7 +103,7 @@ def isolation() -> str:
 
 @pytest.fixture
 def config(tmp_path, monkeypatch, endpoint, isolation) -> Path:
-    """A configuration of `first`, cards and files of all, and a vocabulary of two words."""
+    """Write the configuration of `first`, cards and files of all, and a vocabulary of two words."""
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     resources.models_dir().mkdir(parents=True)
     for name, data in MODELS.items():
@@ -144,7 +146,7 @@ class Camera:
 
 
 def asked(config: Path, name: str, force: bool = False, timeout: float = 200.0) -> int | str:
-    """What `edge models use` exits with, or the line of its error."""
+    """Return the exit code of `edge models use`, or its error line."""
     try:
         return use.run(argparse.Namespace(name=name, config=config, force=force, timeout=timeout))
     except RequestError as error:

@@ -47,7 +47,7 @@ def counts_of(running: RunningService) -> Counts:
 
 @pytest.fixture
 def config(tmp_path, monkeypatch, endpoint):
-    """A detector of our own, a model without eyes that chooses, and another one with eyes."""
+    """Write a configuration with our detector and two choice models, one of them text-only."""
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     resources.models_dir().mkdir(parents=True)
     publish(resources.models_dir(), "text", "words")

@@ -36,7 +36,7 @@ def backward() -> MessageFilter:
 
 
 class Track:
-    """Where the robot is, by what it sends itself, and how far it drove; what it sends on."""
+    """Track of the robot from its own messages, with driven distance; forwards messages."""
 
     def __init__(self) -> None:
         self.alter: MessageFilter | None = None
@@ -60,7 +60,7 @@ class Track:
 
 @pytest.fixture
 def driven(edge: Callable[..., Edge], endpoint, tmp_path) -> Iterator[tuple[Edge, Track]]:
-    """A service, a controller and a robot behind a relay, at speed."""
+    """Run a service, a controller and a robot behind a relay, at speed."""
     camera = {"width_px": 160, "height_px": 128, "rate_hz": 10.0}
     settings = {"sensors": {"camera": camera}, "mission": {"target": "surfboard"}}
     robot = ZenohConfig(endpoint=f"tcp/127.0.0.1:{free_port()}")

@@ -16,14 +16,14 @@ pytestmark = [pytest.mark.slow, pytest.mark.weights, pytest.mark.timeout(600)]
 CLONE = Path(__file__).resolve().parents[2]
 TASK = "go around the left of the sofa, then stop at the desk"
 BESIDE_M = 2.0
-"""Who goes around a thing stays as near to its outline."""
+"""Largest distance from the outline of an object that the robot drives around."""
 AT_THE_DESK_M = 1.3
 """The chair before the desk, or the bin beside it, is taken for a part of it: that costs 0.3 m."""
 
 
 @pytest.fixture
 def house(shared_dir, monkeypatch) -> dict[str, str]:
-    """The configuration's environment: its own detector, but told by the simulator what it sees."""
+    """Return the environment: the configuration's own detector, with the simulator's truth."""
     for module in ("trimesh", "embreex"):
         pytest.importorskip(module, reason=f"{module} is not installed (extra `worlds`)")
     monkeypatch.chdir(CLONE)  # the configuration's paths are relative to it

@@ -21,7 +21,7 @@ BESIDE = {"loop": {"lockstep": False}, "sim": {"lockstep": True, "step_s": 0.2}}
 
 
 def until(loop: ClosedLoop, what: Callable[[], object]) -> int:
-    """Steps taken until it is so."""
+    """Step until the condition holds."""
     deadline_s, steps = time.monotonic() + PATIENCE_S, 0
     while not what():
         assert time.monotonic() < deadline_s, loop.notes.events
@@ -31,7 +31,7 @@ def until(loop: ClosedLoop, what: Callable[[], object]) -> int:
 
 
 def swapped_to(state: str, loop: ClosedLoop) -> bool:
-    """Whether the swap is that far, after its next step."""
+    """Return True if the swap has reached this state, after its next step."""
     swapper = loop.service.swapper
     swapper.step(loop.drive.motion.stamp_ns)
     assert swapper.state not in ("refused", "rolled back"), swapper.status()

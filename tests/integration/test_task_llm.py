@@ -25,7 +25,7 @@ from edge.tasks.write import PlanAttempt, WriteError, WrittenTrajectory, write_t
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
 
 MOST_TOKENS = 200
-"""Of an answer: left alone, the model comes to no end."""
+"""Limit of an answer: without one the model does not stop."""
 LIMIT_S = 120.0
 TASKS = [
     ("small", "go past the left of the van, then stop at the gate"),
@@ -48,7 +48,7 @@ def scenes():
 def attempt(
     instruction: str, scene: Scene, config: TasksConfig, rounds: list[PlanAttempt]
 ) -> tuple[str, WrittenTrajectory | None]:
-    """What came of it in a line; None: no trajectory."""
+    """Return the attempt's result in one line; None without a trajectory."""
     try:
         written = write_trajectory(instruction, scene, config, rounds.append)
     except (WriteError, ChatError) as error:

@@ -43,7 +43,7 @@ def config() -> Config:
 
 @pytest.fixture
 def start(config) -> Iterator[Callable[[str], subprocess.Popen]]:
-    """Starts a peer of a role; all are killed at the end."""
+    """Start a peer with a role; kill all at the end."""
     started = []
 
     def start(role: str) -> subprocess.Popen:

@@ -36,7 +36,7 @@ def robot(session: zenoh.Session) -> None:
 
 
 def listener(session: zenoh.Session) -> None:
-    """Prints the stamp of every goal it hears, and takes maps in."""
+    """Print the stamp of every received goal, and receive maps."""
     goals = session.declare_subscriber(
         SETTINGS.key(topics.GOAL.key), zenoh.handlers.RingChannel(64)
     )

@@ -25,6 +25,7 @@ from edge.loop import requests
 from edge.loop.result import TickResult
 from edge.loop.runner import RunningService, loop
 from edge.loop.service_health import PROBES, ServiceHealth
+from edge.memory import KnownObject
 from edge.tasks.facts import TaskStatus
 from edge.tasks.mission_spec import prepare_mission
 from edge.types import GoalStatus, Observation
@@ -90,21 +91,28 @@ class Brittle:
 
 
 class Tasked:
-    """Hands results on to the page as if a task were under way."""
+    """Hands results on to the page as if a task were under way, or other objects known."""
 
     task: TaskStatus | None = None
+    objects: list[KnownObject] | None = None
 
     def __init__(self, page: LiveSink) -> None:
         self._page, self.close = page, page.close
 
     def tick(self, result: TickResult) -> None:
-        self._page.tick(replace(result, task=lambda: self.task) if self.task else result)
+        if self.task:
+            result = replace(result, task=lambda: self.task)
+        if self.objects:
+            result = replace(result, objects=lambda: self.objects)
+        self._page.tick(result)
 
 
 class House:
-    """Attributes:
-    url: of the page.
-    view, service, robot, brittle, tasked: what can be turned.
+    """House behind a live page.
+
+    Attributes:
+        url: of the page.
+        view, service, robot, brittle, tasked: parts that a test can change.
     """
 
     def __init__(
@@ -117,7 +125,7 @@ class House:
 
 @contextmanager
 def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
-    """A service that runs until the block ends."""
+    """Run a service until the block ends."""
     http = {} if token is None else {"http": {"token_file": "/none"}}
     config = simulated({"loop": {"hz": 50.0}, "mission": {"target": "bed"}, **http, **sections})
     vitals = ServiceHealth(SystemdNotifier({}))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
@@ -18,6 +19,7 @@ from edge.host.service_manager import SystemdNotifier
 from edge.host.web_server import serve
 from edge.live.view import LiveView
 from edge.loop.service_health import ServiceHealth
+from edge.memory import KnownObject
 from edge.sources.synchronizer import TimeSynchronizer
 
 SLOWLY = {"max_speed_mps": 0.15}
@@ -39,7 +41,7 @@ def house() -> Iterator[House]:
 
 @pytest.fixture
 def page(tab, house) -> Tab:
-    """The page, before somebody who knows the token."""
+    """Open the page for a viewer with the token."""
     tab.open(house.url)
     tab.run(f"sessionStorage.setItem('edge-token', '{TOKEN}')")
     tab.asked.clear()
@@ -50,7 +52,7 @@ def page(tab, house) -> Tab:
 
 
 def painted(tab: Tab, canvas: str) -> int:
-    """How many colours a canvas shows."""
+    """Return the number of colours on a canvas."""
     return tab.run(
         f"""(() => {{
           const c = document.getElementById("{canvas}");
@@ -191,6 +193,115 @@ def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
         tab.until("document.querySelectorAll('#automaton circle').length >= 3")
 
 
+def press(tab: Tab, *ends: tuple[int, int]) -> None:
+    """Press the mouse at the first place, and release it at the last."""
+    kinds = ("mousePressed", *["mouseMoved"] * (len(ends) - 1), "mouseReleased")
+    for kind, (x, y) in zip(kinds, (*ends, ends[-1]), strict=True):
+        mouse = {"button": "left", "buttons": 1, "clickCount": 1}
+        tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **mouse)
+
+
+def choose(tab: Tab, kind: str, name: str) -> None:
+    """Begins to add a place or a zone."""
+    tab.run(
+        "(() => { const s = document.getElementById('site-kind');"
+        f" s.value = '{kind}'; s.dispatchEvent(new Event('change')); }})()"
+    )
+    tab.type("#site-name", name)
+    tab.click("#site-add")
+
+
+def test_places_and_zones_are_drawn_on_the_map_and_removed_from_the_list(page, house):
+    page.says("#site-list", "start")
+    choose(page, "here", "dock")
+    page.says("#site-list", "dock")
+    choose(page, "place", "<b>shelf</b>")  # refused: no name
+    press(page, (560, 330))
+    page.says("#toast", "letters, digits")
+    page.run("document.getElementById('site-name').value = ''")
+    choose(page, "place", "shelf")
+    page.says("#site-hint", "Drag on the map")
+    press(page, (560, 330), (560, 280))
+    page.says("#site-list", "shelf")
+    choose(page, "keep_out", "stairs")
+    for corner in ((660, 410), (760, 410), (760, 490)):
+        press(page, corner)
+    page.says("#site-add", "Done")
+    page.click("#site-add")
+    page.says("#site-list", "keep out")
+    site = house.service.site.site
+    assert [item.name for item in site.items] == ["dock", "shelf", "stairs"]
+    assert site.place("shelf").pose.yaw_rad == pytest.approx(math.pi / 2)
+    (corners_m,) = site.polygons_m("keep_out")
+    assert corners_m[1] - corners_m[0] == pytest.approx([corners_m[1][0] - corners_m[0][0], 0])
+    page.click("#site-list .place button:last-child")
+    page.says("#site-list", "Remove?")
+    page.click("#site-list .place button:last-child")
+    page.until("!document.querySelector('#site-list').innerText.includes('dock')")
+    assert house.service.site.site.place("dock") is None
+
+
+def test_escape_ends_the_drawing_and_adds_nothing(page, house):
+    page.says("#site-list", "start")
+    choose(page, "stay_inside", "ground floor")
+    press(page, (660, 410))
+    page.call("Input.dispatchKeyEvent", type="keyDown", key="Escape")
+    page.says("#site-add", "Add")
+    assert page.text("#site-hint") == ""
+    assert house.service.site.site.items == ()
+
+
+def test_a_room_is_named_by_a_click_in_it_and_listed(page, house):
+    page.until("document.querySelector('#rooms-list button') !== null")
+    choose(page, "room", "office")
+    page.says("#site-hint", "Click in the room")
+    page.click("#rooms-list button")  # the map moves, until the room is in its middle
+    box = page.run("document.getElementById('map').getBoundingClientRect().toJSON()")
+    press(page, (round(box["x"] + box["width"] / 2), round(box["y"] + box["height"] / 2)))
+    page.says("#rooms-list", "office")
+    page.says("#site-list", "room name")
+    assert [one.name for one in house.service.site.site.room_names] == ["office"]
+    assert "office" in [room.name for room in house.service.map.rooms.rooms]
+    assert page.complaints == []
+
+
+def test_remembered_objects_are_listed_and_no_markup(page, house):
+    house.tasked.objects = [KnownObject(1, INSTRUCTION, (1.0, 2.0, 0.5), 0.625, 3, 61.0)]
+    page.says("#objects-note", "Remembered objects (1)")
+    page.says("#objects-list", INSTRUCTION)
+    page.says("#objects-list", "0.63, 60 s ago")
+    assert page.run("document.querySelector('#objects-list b')") is None
+    page.click("#objects-list button")
+    assert page.complaints == []
+
+
+def test_the_box_for_words_starts_a_mission_or_says_why_not(page, house):
+    page.type("#sentence", "find the sofa")
+    page.click("#send")
+    page.says("#answer", "Started: Reach the sofa.")
+    assert house.service.mission.brief.targets == ("sofa",)
+    page.type("#sentence", INSTRUCTION)
+    page.click("#send")
+    page.until("document.getElementById('answer').className === 'error'")
+    page.run("document.getElementById('sentence').value = ''")
+    page.type("#sentence", "vist the bed")
+    page.click("#send")
+    page.until("document.getElementById('new-dialog').open")
+    page.click("#readings button")
+    page.until("!document.getElementById('new-dialog').open")
+    page.says("#formula", "F bed")
+
+
+def test_the_answer_to_a_question_is_shown(page, house, monkeypatch):
+    asked = house.view._queues["mission/request"]
+    answer = json.dumps({"text": "mug: <b>here</b>"}).encode()
+    monkeypatch.setattr(asked, "take", lambda body, reply: reply(answer, False))
+    page.type("#sentence", "where is the mug?")
+    page.click("#send")
+    page.says("#answer", "mug: <b>here</b>")
+    assert page.text("#sentence") == ""
+
+
 def test_cancelling_takes_two_clicks(page, house):
     page.click("#cancel")
     page.says("#cancel", "Really?")
@@ -274,7 +385,8 @@ def test_without_a_token_nothing_can_be_done(tab):
     with open_house(token=None, robot=SLOWLY) as house:
         tab.open(house.url)
         tab.says("#phase", "SEARCHING")
-        assert tab.run("document.getElementById('controls').hidden")
+        for form in ("controls", "site-form", "ask"):
+            assert tab.run(f"document.getElementById('{form}').hidden")
         assert "http.token_file" in tab.text("#readonly")
 
 

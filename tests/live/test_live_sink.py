@@ -1,4 +1,4 @@
-"""What the sink keeps, and what it costs nobody who does not look."""
+"""State of the live sink, and its cost without a viewer."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ import pytest
 from results import observation, result
 from task_facts import driving, looking
 
-from edge.geometry import CameraModel
+from edge.geometry import SE2, CameraModel
 from edge.live.sink import PERIOD_S, WATCHED_S, LiveSink
 from edge.loop.result import ScoredCandidates
+from edge.memory import Place, Site
 from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies.base import FRONTIER, INSTANCE
 from edge.types import ContextBoxes, Detections, Observation
 
-DEAR = ("mission", "task", "instances", "candidates", "way", "layers", "health")
+SITE = Site((Place("dock", SE2(1.0, 2.0, 0.0)),))
+DEAR = ("mission", "task", "instances", "objects", "candidates", "way", "layers", "health")
 CAMERA = CameraModel.from_hfov(40, 30, 1.2)
 T_BASE_CAMERA = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1.0]])
 
@@ -69,6 +71,19 @@ def test_for_who_looks_it_gathers_once_a_period(sink, clock):
         clock.now_s += PERIOD_S / 5
     assert len(gathered) == 3
     assert sink.moment.at_s == gathered[-1]
+
+
+def test_remembered_objects_are_gathered_once_a_second_and_the_site_has_a_version(sink, clock):
+    sink.look()
+    gathered, sites = [], []
+    for site in (Site(), SITE, SITE, Site(SITE.items)):
+        for _ in range(5):
+            sink.look()
+            sink.tick(result(objects=lambda: gathered.append(clock.now_s) or [], site=site))
+            clock.now_s += PERIOD_S
+        sites.append(sink.moment.n_sites)
+    assert len(gathered) == 4
+    assert sites == [1, 2, 2, 3]
 
 
 def test_boxes_come_with_the_image_that_they_were_found_in(sink):

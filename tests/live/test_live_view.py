@@ -1,4 +1,4 @@
-"""What the page is told: JSON whatever the service says, pictures when they changed."""
+"""Updates of the live page: JSON for every status, images when they changed."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 from results import observation, result
+from rooms import KITCHEN
 from simulated import simulated
 from task_facts import INSTRUCTION, by_a_model, looking
 
@@ -19,6 +20,7 @@ from edge.live.page_json import MAX_LAYERS, MAX_POINTS
 from edge.live.view import PUBLIC, LiveView
 from edge.loop.result import Event, ScoredCandidates
 from edge.loop.service_health import ServiceHealth
+from edge.memory import KnownObject, Place, Site, Zone
 from edge.types import Goal, GoalStatus, Instance, MissionStatus
 
 EVIL = "<script>\u202e\ud800'\"&\x1b[31m"
@@ -26,6 +28,9 @@ HEALTH = {
     "loop": {"state": "ok", "failed": 0, "last_error": EVIL}, "checkpoint": None,
     "detector": {"model": EVIL, "state": "ok"}, "swap": {}, "scorers": {},
 }  # fmt: skip
+
+
+PIT_M = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
 
 
 @pytest.fixture
@@ -40,7 +45,7 @@ def told(view: LiveView, path: str):
 
 
 def full() -> dict:
-    """A tick in which everything there can be is there, with words of others."""
+    """Return a tick with every optional field set and text from outside."""
     found = Instance(
         1, EVIL, np.array([1, 2, 3], np.float32), np.ones((1, 3), np.float32), 0.5, 3, 0, 0
     )
@@ -55,6 +60,9 @@ def full() -> dict:
         "observation": observation(1), "pose": SE2(1, 2, 3), "goal": goal,
         "answer": GoalStatus(1, "failed", EVIL), "events": (Event(1, EVIL),),
         "instances": lambda: [found], "candidates": lambda: scored,
+        "objects": lambda: [KnownObject(1, EVIL, (1.0, 2.0, 0.5), 0.5, 3, 4.0)],
+        "rooms": (KITCHEN,),
+        "site": Site((Place("dock", SE2(1, 2, 0)), Zone("pit", "keep_out", PIT_M))),
         "way": lambda: np.ones((5000, 2), np.float32), "health": lambda: HEALTH,
         "layers": lambda: {"value of chair": lambda: Grid(np.full((2, 3), 9, np.uint8), (0, 0), 1)},
     }  # fmt: skip
@@ -65,7 +73,7 @@ def test_before_the_service_is_there_the_page_is_and_says_what_it_waits_for(view
     now = told(view, "/live/now")
     assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}
     assert (now["moment"], now["shot"], now["silent_s"]) == (None, None, None)
-    for path in ("story", "task", "map", "camera", "layers/0"):
+    for path in ("story", "task", "site", "memory", "map", "camera", "layers/0"):
         assert told(view, f"/live/{path}") is None
     answer = view.forms()["/mission/request"](b'{"do": "pause"}')
     assert (int(answer.status), json.loads(answer.body)) == (
@@ -93,6 +101,13 @@ def test_whatever_is_said_is_json_without_infinities(view):
     assert len(moment["way"]) <= MAX_POINTS
     assert story["events"] == [{"t_s": 1e-9, "text": EVIL}]
     assert story["layers"] == ["value of chair"]
+    memory = told(view, "/live/memory")
+    (known,) = memory["objects"]
+    assert [(room["kinds"], room["area_m2"]) for room in memory["rooms"]] == [(["kitchen"], 12.0)]
+    assert (known["name"], known["xyz"]) == (EVIL, [1.0, 2.0, 0.5])
+    site = told(view, "/live/site")
+    assert site["number"] == moment["site"]
+    assert [one["properties"]["name"] for one in site["features"]] == ["dock", "pit"]
     assert [node["current"] for node in story["automaton"]["nodes"]] == [True, False]
 
 

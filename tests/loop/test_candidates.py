@@ -97,7 +97,7 @@ def test_ids_never_repeat_and_anchors_stay_near(frames):
 
 
 def looking(pose: SE2, *boxes) -> RollingMap:
-    """A map that one look showed, with its reach field."""
+    """Return a map after one view, with its travel-cost field."""
     grid = RollingMap(SMALL)
     look(grid, pose, [*boxes])
     complete(grid, pose)

@@ -1,4 +1,4 @@
-"""Whether depth images move as the poses say, seen from the simulator's robot in its house."""
+"""Agreement of depth images with poses, from the simulator's robot in its house."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the loop outlives is counted, told once, and is `degraded` when it does not end."""
+"""Error boundary of the loop: errors are counted, logged once, and `degraded` if they stay."""
 
 from __future__ import annotations
 

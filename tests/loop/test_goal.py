@@ -1,4 +1,4 @@
-"""Which goal it is, for how long it stands and what follows, on a map that the test makes up."""
+"""Choice, life and end of goals, on a made-up map."""
 
 from __future__ import annotations
 
@@ -135,8 +135,7 @@ class Case:
     def choose(
         self, *entries: Entry, pose: SE2 = HERE, sure=(), after_s: float = 0.1, since_s: float = 0.0
     ):
-        """One tick with candidates of (kind, id, x, y, score), seen for the first time before
-        `since_s`."""
+        """Run a tick with candidates (kind, id, x, y, score), first seen before `since_s`."""
         c = self.pool.candidates
         c.n = len(entries)
         for i, (kind, id, x, y, score) in enumerate(entries):
@@ -171,7 +170,7 @@ class Case:
         self.goals.judge(self.map, pose, self.mission, images, self.now_ns)
 
     def turn(self, pose: SE2 = HERE) -> Goal:
-        """The next turn on the spot, which comes after a second without anything to choose."""
+        """Return the next spin, which comes after one second without a candidate."""
         assert self.choose(pose=pose) is None
         goal = self.choose(pose=pose, after_s=1.1)
         assert goal.kind == "look"

@@ -35,7 +35,7 @@ class Seen:
 
 
 def seen_by(config):
-    """Detections of a few steps, and what the status says of the segmenter."""
+    """Return detections of a few steps, and the segmenter's status."""
     loop = ClosedLoop(config, sinks=[sink := Seen()])
     for _ in range(STEPS):
         loop.step()

@@ -1,4 +1,4 @@
-"""What can be asked of the loop, as JSON, and what comes of it."""
+"""Requests to the loop as JSON, and their results."""
 
 from __future__ import annotations
 

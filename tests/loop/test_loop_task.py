@@ -97,7 +97,7 @@ def test_what_is_too_far_off_to_make_sure_of_is_taken_for_it():
 
 
 def ambiguous(loop: ClosedLoop, monkeypatch, states: tuple[str, ...]) -> None:
-    """The rules take what is named for any of the ovens, while one of them is in such a state."""
+    """Return True if the rules choose among all ovens while one of them is in such a state."""
     tracker = loop.service.map.tracker
 
     def write(instruction, *args, **more):

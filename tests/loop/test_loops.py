@@ -79,7 +79,7 @@ def running_of(
     jump_at: int = -1,
     worker: DetectorWorker | None = None,
 ) -> RunningService:
-    """The loop over these frames, with another worker in place of the closed loop's if need be."""
+    """Return the loop over these frames, with another worker if one is given."""
     servers = {"mission/request": SimpleNamespace(serve=lambda now_ns: 0)}
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:

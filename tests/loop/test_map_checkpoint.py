@@ -75,13 +75,13 @@ class Run(ClosedLoop):
         return self
 
     def killed(self, settings: Config | None = None) -> Run:
-        """The service is gone, and another is in its place."""
+        """Replace the service by a new one."""
         self.service.checkpoint.close()
         self.service = self.another(settings)
         return self
 
     def both(self) -> tuple[Service, Service]:
-        """A tick of the service that drives, then of the one beside, which hears the same."""
+        """Tick the driving service, then the second one with the same observation."""
         observation, now_ns = self.observe(), self.drive.motion.stamp_ns
         self._seq -= 1
         seen = len(self.notes.answers)
@@ -104,7 +104,7 @@ def told(goal: Goal | None) -> tuple | None:
 
 
 def begun(path: Path, ticks: int, settings: Config) -> Run:
-    """A run that was saved after so many ticks, with a service beside that read that."""
+    """Save a run after some ticks; return it with a second service that loaded the checkpoint."""
     run = Run(path, settings).ticks(ticks)
     run.service.checkpoint.close()
     run.beside = run.another()
@@ -118,8 +118,10 @@ def begun(path: Path, ticks: int, settings: Config) -> Run:
 @example("hvl", 90)
 @example("search", 98)  # a thing takes the row of one that is gone
 def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, policy, ticks):
-    """Frontiers, identities, ways, gains, scores, things and goals are the same, bit for bit, on
-    the same further observations."""
+    """Compare with a service that never stopped, bit for bit, on the same further observations.
+
+    Frontiers, ids, paths, gains, scores, objects and goals are equal.
+    """
     run = begun(tmp_path_factory.mktemp("saved") / "m.json", ticks, config(policy))
     before = run.service.goal
     for i in range(25):

@@ -21,7 +21,7 @@ SETTINGS = config("hvl", source={"localised": True})
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory) -> Checkpoint[MapState]:
-    """Of a file that a run has written, with something in every part."""
+    """Return a saved file with content in every part."""
     path = tmp_path_factory.mktemp("saved") / "m.json"
     run = Run(path, SETTINGS).ticks(60)
     pose, now_ns = run.drive.motion.odometry, run.drive.motion.stamp_ns

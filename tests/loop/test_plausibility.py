@@ -34,7 +34,7 @@ SMALL = {"width_px": 160, "height_px": 128, "rate_hz": 10.0}
 
 
 def driving(**sections: Any) -> ClosedLoop:
-    """A robot at speed, in a house that holds nothing it looks for."""
+    """Return a robot at speed in a house without its target."""
     data = {
         "loop": {"lockstep": True}, "mission": {"target": "surfboard"},
         "sensors": {"camera": SMALL}, **sections,
@@ -57,7 +57,7 @@ def always(**fields: Callable[[Observation], np.ndarray]) -> Callable[[], Tamper
 
 
 def frozen(*fields: str) -> Callable[[], Tamper]:
-    """The first of these arrays again and again."""
+    """Repeat the first of these arrays."""
 
     def make() -> Tamper:
         first: dict[str, np.ndarray] = {}
@@ -157,7 +157,7 @@ def test_images_that_are_late_under_new_stamps_are_noticed_by_the_motion(seed, b
 
 
 def room(x_m: float = 0.0) -> dict[str, Any]:
-    """A floor and a wall 4 m away, in colours, from a robot that has driven so far towards it."""
+    """Return a coloured floor and a wall 4 m away, from a robot that has driven this far."""
     row = (np.arange(48) - CAMERA.cy_px) / CAMERA.fy_px
     down = -(T_BASE_CAMERA[2, 1] * row + T_BASE_CAMERA[2, 2])
     depth_m = np.minimum(0.4 / np.maximum(down, 1e-3), 4.0 - x_m).astype(np.float32)
@@ -169,7 +169,7 @@ def room(x_m: float = 0.0) -> dict[str, Any]:
 
 
 def floor(z_m: float | None) -> dict[str, Any]:
-    """A level floor at a height over the base, from a camera that looks down; None: no return."""
+    """Return a level floor below or above the base, from a tilted camera; None: no return."""
     T = to_optical(se3(0.1, 0.0, 0.6, pitch_rad=0.3))
     fall = -(T[2, 1] * (np.arange(48) - CAMERA.cy_px) / CAMERA.fy_px + T[2, 2])
     depth = np.full(48, np.nan)

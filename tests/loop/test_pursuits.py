@@ -112,7 +112,7 @@ NAMED = Site((RoomName("workshop", (2.0, 2.0)), RoomName("bedroom", (6.0, 2.0)))
 
 
 def in_rooms(folder: Path, formula: str) -> ClosedLoop:
-    """A loop in the small house whose two rooms have names."""
+    """Return a loop in the small house whose two rooms have names."""
     loop = loop_of(folder, "F start")
     loop.service.change_site(NAMED, loop.drive.motion.stamp_ns)
     brief = prepare(loop.config.mission, formula=formula, site=NAMED)

@@ -198,7 +198,7 @@ def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, m
 def test_while_another_model_comes_all_may_change_but_the_detector(
     bench, monkeypatch, swap, at_work, says
 ):
-    """What is at work now may be rolled back, or was not when the reload was made ready."""
+    """The running model may be rolled back, or may have changed after the reload was prepared."""
     names = chain(at_work, repeat(at_work[-1]))
     monkeypatch.setattr(swapped.DetectorSwap, "status", lambda self: swap)
     monkeypatch.setattr(swapped.DetectorSwap, "running", property(lambda self: next(names)))

@@ -32,7 +32,7 @@ def nothing(feed):
 
 @pytest.fixture
 def remote(monkeypatch):
-    """A detector on a server, looking for a bed."""
+    """Return a detector on a server that looks for a bed."""
     monkeypatch.setattr(module, "PAUSE_S", 0.01)
     monkeypatch.setattr(module, "MAX_PAUSE_S", 0.01)
     made = []

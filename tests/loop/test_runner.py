@@ -1,4 +1,4 @@
-"""What the loop relies on from start-up, and which mission a service begins with."""
+"""Start-up assumptions of the loop, and a service's first mission."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_nothing_is_compiled_once_the_loop_runs():
 
 @pytest.fixture(autouse=True)
 def as_before():
-    """What a service sets for the whole process holds no longer than the service."""
+    """Check that the process-wide settings end with the service."""
     interval_s, frozen = sys.getswitchinterval(), gc.get_freeze_count()
     yield
     assert sys.getswitchinterval() == interval_s

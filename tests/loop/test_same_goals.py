@@ -22,7 +22,7 @@ TICKS = 180
 
 
 def goals_of(policy: str) -> list[list]:
-    """[number of ticks, goal or None], in order; false detections come in as well."""
+    """Return [number of ticks, goal or None] in order, with false detections."""
     config = simulated(
         {
             "policy": {"kind": policy},

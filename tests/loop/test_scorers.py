@@ -28,7 +28,7 @@ SCENE = {"Yes": math.log(0.75), "No": math.log(0.25)}
 
 
 def model():
-    """A server that answers the two questions in turn."""
+    """Serve a model that answers the two questions in turn."""
     answers = itertools.cycle([DIRECTION, SCENE])
     return lambda handler: send(handler, likeliest(next(answers)))
 
@@ -46,7 +46,7 @@ def settings(url: str, lockstep: bool = False, target: str = "surfboard") -> Con
 
 
 def frontiers_in_view(loop: ClosedLoop) -> ClosedLoop:
-    """Steps until the service has asked its choice scorer something."""
+    """Step until the service has called its choice scorer."""
     for _ in range(80):
         loop.step()
         if status_message(loop.service.result())["scorers"]["choice"]["asked"]:

@@ -28,7 +28,7 @@ BOTH = ("bed", "sofa")
 
 
 def seen_from(pose: SE2, seq: int = 0, range_m: float = 4.0) -> Observation:
-    """A wall right across, so far ahead."""
+    """Return a view of a wall across, this far ahead."""
     depth = np.full((CAMERA.height_px, CAMERA.width_px), range_m, np.float32)
     return Observation(
         seq, seq, pose.matrix(), rgb=np.zeros((120, 160, 3), np.uint8), depth_m=depth,

@@ -51,8 +51,7 @@ def test_a_first_frame_with_nothing_in_it_is_no_trouble():
     ],
 )
 def test_no_luck_with_the_noise_is_needed(seed, rate_hz):
-    """The detector's mistakes and the camera's rate differ; what is found is the bed all the same,
-    and the robot has not been shut in."""
+    """Vary detector errors and camera rate; each time the robot finds the bed."""
     perception = {"detector": {"kind": "sim", "seed": seed}}
     sim = {"lockstep": True, "step_s": 1 / rate_hz}
     settings = config(
@@ -136,7 +135,7 @@ def test_a_robot_that_nobody_answers_for_is_held_up_all_the_same(sections):
 
 
 def driving(**mission) -> ClosedLoop:
-    """A robot on its way to a frontier."""
+    """Return a robot on its way to a frontier."""
     loop = ClosedLoop(config(mission={"target": "surfboard", **mission}), colour=False)
     while not (
         loop.service.goal and loop.service.goal.kind == "frontier" and loop.drive.motion.v_mps > 0.2
@@ -172,7 +171,7 @@ def test_a_robot_that_sees_nothing_any_more_is_stopped_where_it_is():
 
 
 def waiting(how: str) -> ClosedLoop:
-    """A mission of at most 5 s whose sensors have not spoken yet, nor have since it began."""
+    """Return a mission of at most 5 s whose sensors have been silent since before it began."""
     loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}), colour=False)
     if how == "restored":
         loop.service.mission.restore((), (), (), 4.0, 0.0, False)
@@ -302,7 +301,7 @@ def test_a_pose_jump_starts_the_search_over_and_leaves_no_old_goal():
 
 @pytest.fixture
 def watched(monkeypatch) -> Iterator[ClosedLoop]:
-    """A closed loop with the sinks of a real run, over real time and a real session.
+    """Run a closed loop with the sinks of a real run, in real time, over a real session.
 
     Maps, status and latency are copied and encoded beside the loop, and the prior cuts the map into
     rooms there; they are sent so seldom here, and it is left out, so that they stay out of what a

@@ -26,7 +26,7 @@ def run_of(path: Path, instruction: str, kind: str = "ltl") -> Run:
 
 
 def television_given_up(path: Path) -> Run:
-    """A run whose television was seen and given up; its bed was not seen. It was restarted."""
+    """Return a restarted run whose television was seen and abandoned; its bed was not seen."""
     run = run_of(path, "F (television | bed)")
     while "television" not in run.service.mission.detected:
         run.step()

@@ -1,4 +1,4 @@
-"""What a mission saw besides its targets is there for the next one."""
+"""Objects of earlier missions are known to the next mission."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edge.perception.factory import make_detector
 
 @pytest.fixture(scope="module")
 def found_a_bed():
-    """A robot that has found the bed, and passed the sofa on its way."""
+    """Return a robot that has found the bed and passed the sofa."""
     small = {"camera": {"width_px": 160, "height_px": 128}}
     data = {"mission": {"target": "bed"}, "sensors": small}
     return ClosedLoop(simulated(data), colour=False).run(200)

@@ -26,9 +26,11 @@ def closed_loop(
     policy: str = "hvl",
     width_m: float = 1.0,
 ) -> ClosedLoop:
-    """A robot in one of two rooms, a bed in the other; the door between them has the sill.
+    """Return a robot in one of two rooms, a bed in the other, and a sill in the door between.
 
     Args:
+        folder: of the world's file.
+        policy: kind of the policy.
         way_round: whether there is another door, farther off.
         width_m: of the door with the sill.
     """
@@ -132,7 +134,7 @@ def test_any_controller_may_say_where_the_robot_is_held_up(tmp_path, away_m, sta
 
 
 def stand(loop: ClosedLoop, fails_after_s: float, seconds: float) -> int:
-    """The robot stands under a controller that fails every goal so long after it came.
+    """Run a standing robot under a controller that fails every goal after this time.
 
     Returns:
         how long it stood until the map closed somewhere, in nanoseconds; `seconds` at most.

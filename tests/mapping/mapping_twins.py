@@ -58,7 +58,7 @@ def look(grid: RollingMap, pose: SE2, boxes: Sequence[Box], camera: CameraModel 
 def seen_around(
     boxes: Sequence[Box] = (), pose: SE2 = ORIGIN, settings: config.MappingConfig = SMALL
 ) -> RollingMap:
-    """What a robot has seen that turned once all round on the spot."""
+    """Return the cells that a robot observes in one spin."""
     grid = RollingMap(settings)
     for yaw in np.arange(0.0, 2 * math.pi, 0.4):
         look(grid, SE2(pose.x_m, pose.y_m, yaw), boxes)
@@ -87,7 +87,7 @@ def room(half_m: float, height_m: float = 2.5) -> list[Box]:
 
 
 def window(grid: RollingMap, layer: str) -> np.ndarray:
-    """A layer in window coordinates: [0, 0] is the lower-left cell."""
+    """Return a layer in window coordinates: [0, 0] is the lower-left cell."""
     shift_x, shift_y = grid.window.shift
     array = getattr(grid.layers, layer)
     if array.dtype == np.uint64:
@@ -96,7 +96,7 @@ def window(grid: RollingMap, layer: str) -> np.ndarray:
 
 
 def states(grid: RollingMap) -> np.ndarray:
-    """The published state of the whole window, -1, 0 or 100, inflated here from scratch."""
+    """Return the published state of the whole window (-1, 0 or 100), inflated from scratch."""
     raw = window(grid, "raw")
     blocked = np.zeros(raw.shape, bool)
     disc = grid._disc
@@ -135,8 +135,10 @@ def unknown_ratio(state: np.ndarray, x: int, y: int, radius: float) -> float:
 
 
 def geodesic(state: np.ndarray, x: int, y: int, straight: int, diagonal: int) -> np.ndarray:
-    """Dijkstra's distances over free cells, 8-connected without cutting the corners of occupied
-    ones; -1 where nothing leads."""
+    """Return Dijkstra's distances over free cells, -1 if unreachable.
+
+    8-connected, without cutting the corners of occupied cells.
+    """
     passable, occupied = state == 0, state == 100
     n = len(passable)
     distance = np.full(passable.shape, -1)
@@ -180,7 +182,7 @@ def scan_twin(xyz, hits, sensor_z, range_m, inv_res, fx, fy, polar):
 
 
 def near_ground(lowest, polar, sensor_z, step_m, search_m):
-    """What may be floor: (x, y, z) and the area of each bin, for the twins below."""
+    """Return ground candidates, (x, y, z) and area of each bin, for the twins below."""
     s, r = np.nonzero(lowest[:, : int(search_m / polar.ring_m)] < np.inf)
     d, z = (r + 0.5) * polar.ring_m, lowest[s, r].astype(np.float64)
     keep = z < sensor_z - np.maximum(0.08 * d, step_m)
@@ -221,8 +223,10 @@ def fit_twin(lowest, polar, sensor_z, start_z, step_m, search_m):
 
 
 def sweep_twin(lowest, far_slope, polar, sensor_z, floor, slope, step_m, range_m):
-    """Twin of `sweep_ground` for sectors with data: (ground_m, pass_slope, reach_m, heights of
-    the floor near by)."""
+    """Compute the twin of `sweep_ground` for sectors with data.
+
+    Returns (ground_m, pass_slope, reach_m, heights of the near floor).
+    """
     (sectors, rings), ring_m = lowest.shape, polar.ring_m
     ground = np.full(lowest.shape, np.nan)
     passing = np.full(lowest.shape, np.inf)
@@ -263,7 +267,7 @@ def sweep_twin(lowest, far_slope, polar, sensor_z, floor, slope, step_m, range_m
 
 
 def _long(run: list[tuple[int, float]], ring_m: float) -> list[float]:
-    """The heights of a run of ground, where it is long enough to be floor."""
+    """Return the heights of a ground run that is long enough to be floor."""
     return [z for _, z in run] if run and (run[-1][0] - run[0][0]) * ring_m >= 0.3 else []
 
 
@@ -317,7 +321,7 @@ def basins(cells, apart, order, door_half_m, narrower, least_cells):
 
 
 def writable(grid: RollingMap) -> ly.Layers:
-    """The map's layers, for a test that makes a map by hand."""
+    """Return the map's writable layers, for a test that makes a map by hand."""
     return grid._layers
 
 

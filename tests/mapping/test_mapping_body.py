@@ -102,7 +102,7 @@ def test_a_camera_drops_the_robots_own_body_too():
 
 @pytest.mark.parametrize("radius_m", [0.2, 0.5])
 def test_where_the_robot_stands_is_free_whatever_was_there(radius_m):
-    """What was closed stays closed where the robot only stands next to it."""
+    """A closed cell stays closed if the robot only stands next to it."""
     grid = map_of(radius_m=radius_m, self_filter_m=0)
     look(grid, SE2(-1.0, 0.0, 0.0), [(-0.1, -0.1, 0.0, 0.1, 0.1, 0.5)])
     assert grid.state_at(-0.08, 0.0) == 100

@@ -1,4 +1,4 @@
-"""Where the robot was held up the map stays closed, though every ray goes through."""
+"""Bump cells: the map stays closed where the robot was stuck, though rays pass."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def assert_consistent(grid: RollingMap) -> None:
 
 
 def bump(grid: RollingMap, place: tuple[float, float], now_ns: int = 0) -> None:
-    """The robot was held up there, driving along x."""
+    """Record a bump there while driving along x."""
     pose = SE2(place[0] - RADIUS_M, place[1], 0.0)
     grid.bumps.close(pose, place, RADIUS_M, now_ns)
 
@@ -218,7 +218,7 @@ def test_no_more_are_kept_than_there_is_room_for(monkeypatch):
 
 
 def doorway() -> list[twins.Box]:
-    """A wall across at x = 1 with a gap of 0.6 m."""
+    """Return a wall across at x = 1 with a gap of 0.6 m."""
     return [(1.0, 0.3, 0.0, 1.1, 3.0, 2.5), (1.0, -3.0, 0.0, 1.1, -0.3, 2.5)]
 
 

@@ -1,4 +1,4 @@
-"""Where the detector looked: kernels against twins, rolls, and a search that comes to an end."""
+"""Coverage of the detector: kernels against twins, rolling, and an end of the search."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def seen_from(pose: SE2, mount: np.ndarray = T_BASE_CAMERA, camera=CAMERA) -> Ob
 
 
 def explored(half_m: float = 2.0) -> RollingMap:
-    """A square room, seen all round from its middle."""
+    """Return a square room, observed all around from its middle."""
     grid = seen_around(room(half_m))
     complete(grid, SE2(0.0, 0.0, 0.0))
     return grid
@@ -40,7 +40,7 @@ def searched(grid: RollingMap) -> Viewpoint | None:
 
 
 def window(grid: RollingMap) -> np.ndarray:
-    """The looks in window coordinates."""
+    """Return the view counts in window coordinates."""
     looks, bits = grid.coverage.looks, grid.coverage._bits
     (x, y), m = grid.window.origin, len(looks)
     return np.roll(looks, (-((y >> bits) % m), -((x >> bits) % m)), axis=(0, 1))
@@ -186,7 +186,7 @@ def test_view_after_view_comes_to_an_end(how):
 
 
 def place(grid: RollingMap, x_m: float, y_m: float) -> int:
-    """How often the place of a point was looked at."""
+    """Return the number of views of a point's cell."""
     side_m = grid.resolution_m * 2**grid.coverage._bits
     x, y = math.floor(x_m / side_m), math.floor(y_m / side_m)
     m = len(grid.coverage.looks)

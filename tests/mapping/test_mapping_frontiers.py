@@ -45,6 +45,7 @@ def check(grid: RollingMap, cut: bool = False) -> None:
     """Cells, clusters and target points are what NumPy makes of the map.
 
     Args:
+        grid: map under test.
         cut: whether a cluster has ever been cut at its limit; its parts stay apart until
             something changes beside them.
     """

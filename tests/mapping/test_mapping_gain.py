@@ -1,4 +1,4 @@
-"""What a look would show: against plain NumPy, and what is looked at twice."""
+"""Expected gain of a view: against plain NumPy, and for cells seen twice."""
 
 from __future__ import annotations
 

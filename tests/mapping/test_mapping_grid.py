@@ -287,7 +287,7 @@ def test_creeping_up_to_a_bed_does_not_lift_the_floor(foot_m, from_m):
 
 
 def test_the_floor_follows_a_ramp():
-    """What is seen over some way is floor, also where it is not level with the start."""
+    """A surface observed over some distance is floor, even if it slopes from the start."""
     grid = RollingMap(SMALL)
     for step in range(60):
         rise_m, pose = 0.002 * step, SE2(0.02 * step, 0.0, 0.0)

@@ -25,9 +25,13 @@ def see(
     pose: SE2 = ORIGIN,
     lean_rad: float = 0.0,
 ) -> MapUpdate:
-    """What a camera 0.6 m over the floor sees of a world whose floor is at `floor_z_m` of `map`.
+    """Update with a camera 0.6 m over a floor at `floor_z_m` of `map`.
 
     Args:
+        grid: map to update.
+        boxes: obstacles of the world.
+        pose: of the robot in `map`.
+        floor_z_m: height of the floor in `map`.
         base_m: how high the base frame is over the floor.
         lean_rad: by how much the map is tilted, so that the floor falls along its x.
     """
@@ -153,7 +157,7 @@ def test_a_scan_that_sees_no_floor_shows_walls_from_below_the_base_too(z_m):
 
 
 def lidar(ground, boxes: list[Box], blind_m: float = 3.0) -> RollingMap:
-    """The map of a LiDAR of 64 rings 1.7 m over a road z = ground(x, y), blind within `blind_m`."""
+    """Return the map of a 64-ring LiDAR 1.7 m over z = ground(x, y), blind in `blind_m`."""
     azimuth, down = np.meshgrid(
         np.linspace(-math.pi, math.pi, 1440, endpoint=False), np.radians(np.linspace(-25, 2, 64))
     )

@@ -239,7 +239,7 @@ def test_every_obstacle_of_a_decimetre_is_sampled_twice_or_more():
 
 
 def tilted_lidar(boxes, slope=0.0, rings=40, columns=360):
-    """A cloud in map axes of a 3D LiDAR 0.6 m up, -35 to +25 degrees; a ramp begins at x = 1."""
+    """Return a map-frame cloud of a LiDAR 0.6 m up, -35 to +25 degrees; a ramp begins at x = 1."""
     azimuth, elevation = np.meshgrid(
         np.linspace(-math.pi, math.pi, columns, endpoint=False),
         np.radians(np.linspace(-35, 25, rings)),

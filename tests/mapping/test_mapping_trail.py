@@ -1,4 +1,4 @@
-"""Where the robot was it can go back: gaps that look too narrow afterwards stay open."""
+"""Trail of the robot: driven gaps that look too narrow later stay open."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from mapping_twins import ORIGIN, SMALL, complete, look, room, seen_around
 from edge.geometry import SE2
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import ZONE
-from edge.mapping.zones import MARGIN_CELLS
+from edge.mapping.zones import MARGIN_CELLS, ZonePolygons, keepout_mask
 
 WALLS = room(2.8)
 
@@ -163,3 +163,33 @@ def test_a_change_of_zones_closes_what_they_close_at_once(steps, at_m):
     at_once.set_zones(zones, [])
     np.testing.assert_array_equal(closed(step_by_step), closed(at_once))
     np.testing.assert_array_equal(step_by_step.layers.blocked, at_once.layers.blocked)
+
+
+def test_without_zones_the_mask_closes_nothing():
+    assert keepout_mask(ZonePolygons(), 0.05, 0.2).cells.tolist() == [[-1]]
+
+
+@settings(max_examples=10)
+@given(
+    x_m=st.floats(-2, 2), y_m=st.floats(-2, 2), half_m=st.floats(0.05, 1.0), stays=st.booleans()
+)  # fmt: skip
+def test_the_mask_closes_the_cells_that_the_map_closes_and_a_border(x_m, y_m, half_m, stays):
+    grid, polygon = RollingMap(SMALL), square(x_m, y_m, half_m)
+    zones = ZonePolygons((), (polygon,)) if stays else ZonePolygons((polygon,))
+    look(grid, ORIGIN, WALLS)
+    grid.set_zones(*zones)
+    mask = keepout_mask(zones, SMALL.resolution_m, SMALL.inflation_m)
+    there = [mask.cell_of(*xy_m) for xy_m in centres_m(grid)]
+    masked = np.array([cell is not None and mask.cells[cell] > 0 for cell in there])
+    inside = np.array([cell is not None for cell in there])
+    assert (masked == closed(grid).ravel())[inside].all()
+    assert stays or not closed(grid).ravel()[~inside].any()
+    rim = np.concatenate([mask.cells[0], mask.cells[-1], mask.cells[:, 0], mask.cells[:, -1]])
+    assert set(rim.tolist()) == {100 if stays else -1}
+
+
+def test_a_large_mask_has_larger_cells():
+    mask = keepout_mask(ZonePolygons((square(0.0, 0.0, 500.0),)), 0.05, 0.2)
+    assert mask.resolution_m == 0.8
+    assert mask.cells.size < 2**22
+    assert mask.cells[mask.cell_of(500.0, 0.0)] == 100

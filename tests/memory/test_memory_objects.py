@@ -1,4 +1,4 @@
-"""Where is it: answers from the object map."""
+"""Answers of the object map to "where is it"."""
 
 from __future__ import annotations
 
@@ -52,6 +52,20 @@ SEEN = seen(
 )
 def test_objects_are_found_by_name_and_kind_if_they_were_seen_often_enough(name, ids):
     assert [one.id for one in known_objects(SEEN, NOW_NS, 2, name)] == ids
+
+
+def test_an_armchair_comes_after_the_chairs():
+    armchair_first = seen(("armchair", 1.0, 5, 0), ("chair", 2.0, 5, 0), ("chair", 3.0, 5, 0))
+    ids = {
+        name: [one.id for one in known_objects(armchair_first, NOW_NS, 2, name)]
+        for name in ("chair", "armchair", "")
+    }
+    assert ids == {"chair": [2, 3, 1], "armchair": [1], "": [1, 2, 3]}
+
+
+@pytest.mark.parametrize(("most", "ids"), [(0, []), (1, [1]), (9, [1, 2, 3])])
+def test_of_many_objects_the_most_confident_are_returned(most, ids):
+    assert [one.id for one in known_objects(SEEN, NOW_NS, 2, most=most)] == ids
 
 
 def test_the_answer_says_where_when_and_how_sure():

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from patience import eventually
+from rooms import KITCHEN
 
 from edge.geometry import SE2
 from edge.memory import (
+    KnownObject,
     Place,
     RoomName,
     Site,
@@ -19,6 +23,7 @@ from edge.memory import (
     SiteFile,
     Zone,
     item_of,
+    memory_geojson,
     read_site,
     site_of,
     write_site,
@@ -130,6 +135,7 @@ def test_changes_are_saved_and_start_is_not(tmp_path):
     file.close()
     assert read_site(path) == ALL
     assert file.known.place("start") is file.start
+    assert file.known is file.known
     assert SiteFile(path).site == ALL
 
 
@@ -142,3 +148,26 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
     eventually(lambda: problems)
     file.close()
     assert "site.geojson: not saved: " in problems[0]
+
+
+def test_an_export_of_nothing_is_an_empty_collection():
+    assert memory_geojson(Site().geojson(), []) == {"type": "FeatureCollection", "features": []}
+
+
+def test_an_export_has_places_zones_and_objects_with_what_is_known_of_them():
+    mug = KnownObject(7, "mug", (1.0, 2.0, 0.75), 0.625, 3, 4.0)
+    outlineless = replace(KITCHEN, polygon_m=np.zeros((0, 2)))
+    rooms = [room.to_json() for room in (KITCHEN, outlineless)]
+    collection = memory_geojson(ALL.geojson(), [mug.to_json()], rooms)
+    kitchen = collection["features"].pop()
+    assert (kitchen["properties"]["kind"], kitchen["properties"]["kinds"]) == ("room", ["kitchen"])
+    (ring,) = kitchen["geometry"]["coordinates"]
+    assert ring == [*KITCHEN.polygon_m.tolist(), KITCHEN.polygon_m[0].tolist()]
+    assert collection["features"][:-1] == ALL.geojson()["features"]
+    assert collection["features"][-1] == {
+        "type": "Feature",
+        "properties": {
+            "kind": "object", "name": "mug", "id": 7, "confidence": 0.625, "hits": 3, "age_s": 4.0,
+        },
+        "geometry": {"type": "Point", "coordinates": [1.0, 2.0, 0.75]},
+    }  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the planners' tests measure against: plain graphs and random automata."""
+"""References for the planners' tests: plain graphs and random automata."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def knowing(detected=(), reached=(), failed=(), distance_m=None) -> MissionKnowl
 
 
 def table_automaton(delta: list[list[int]], accepting: list[bool]) -> Automaton:
-    """An automaton of a transition table; its letters are a, b, c …"""
+    """Build an automaton from a transition table over the propositions a, b, c and so on."""
     delta, accepting = np.array(delta, np.int32), np.array(accepting)
     n, k = delta.shape[0], delta.shape[1] - 1
     graph = nx.DiGraph()
@@ -69,7 +69,7 @@ def knowledge_of(draw, letters: tuple[str, ...]) -> MissionKnowledge:
 
 
 def eq_1(letter: str, k: MissionKnowledge, w_det: float, known_reached: bool) -> float:
-    """The weight of a letter; inf if it failed."""
+    """Return the weight of a proposition; inf if it failed."""
     if letter == NOTHING:
         return W_NOTHING
     if letter in k.failed:
@@ -81,6 +81,8 @@ def shortest(automaton: Automaton, state: int, weight) -> tuple[float, int]:
     """Least cost and, among those paths, fewest steps to acceptance, by networkx.
 
     Args:
+        automaton: of the mission.
+        state: first state.
         weight: (letter before or None, letter) -> float, inf = not to be taken.
     """
     graph, start = nx.DiGraph(), (state, None)

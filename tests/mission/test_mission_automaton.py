@@ -164,7 +164,7 @@ def test_steps_are_counted_the_same_every_time(text, monkeypatch):
 
 
 def steps_of(text, monkeypatch) -> int:
-    """How many steps a compilation takes in all."""
+    """Return the number of steps of a compilation."""
     made = []
 
     class Noted(CompileBudget):

@@ -39,7 +39,7 @@ def test_meanings(tokens: str, text: str) -> None:
 
 @pytest.mark.parametrize("tokens", ["", "F", "<3>", "F <0> <1>", "& <0>", REFUSED, "F sofa"])
 def test_what_writes_nothing(tokens: str) -> None:
-    with pytest.raises(ValueError, match="writes no formula over 3 names"):
+    with pytest.raises(ValueError, match="is not a formula in prefix notation over 3 names"):
         formula_of(tokens.split(), "abc")
 
 

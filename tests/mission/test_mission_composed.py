@@ -25,7 +25,7 @@ DEBATABLE = {
 }
 """Parts of formulas, names aside, about which people differ; what about."""
 UNCLEAR = {"back", "return", "revisit", "destination"}
-"""Whether 'go to a and back to b' and 'your final destination is b' are in order."""
+"""Words that leave the order open, as in 'go to a and back to b'."""
 
 
 def test_what_is_read_in_one_way_is_what_was_meant() -> None:

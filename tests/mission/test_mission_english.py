@@ -82,7 +82,7 @@ def _formulas(children: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula
 
 @given(st.recursive(NAMES.map(ap), _formulas, max_leaves=8))
 def test_any_formula_is_said_and_never_wrongly(formula: Formula) -> None:
-    """What is not read out literally is read back as the same language.
+    """A formula that is not read literally has the same language when read back.
 
     "Do not reach the bed until the sofa is reached" has more readings, the literal one first.
     """

@@ -22,7 +22,7 @@ _TRANSLATOR = make_translator(TranslatorGrammar())
 
 
 def parse_english(text: str) -> Formula:
-    """The formula that is taken when nobody can be asked."""
+    """Return the formula that is chosen without a person to ask."""
     return _TRANSLATOR.translate(text, ask=False).formula
 
 
@@ -204,7 +204,7 @@ REFUSED = [
 
 @pytest.mark.parametrize(("sentence", "part"), REFUSED)
 def test_refuses_by_name(sentence: str, part: str) -> None:
-    """What was not understood is quoted, with its place."""
+    """The error quotes the unknown words and their position."""
     with pytest.raises(TranslationError) as refusal:
         parse_english(sentence)
     error = refusal.value
@@ -316,7 +316,7 @@ JOINTS = (", then ", " and finally ", ". ")
 
 @st.composite
 def sentences(draw: st.DrawFn) -> tuple[list[str], list[int]]:
-    """The words of an instruction, and where those that mean something are."""
+    """Return the words of an instruction, and the positions of meaningful ones."""
     nouns = iter(draw(st.permutations(["sofa", "bed", "tv", "oven", "desk", "lamp"])))
     said = ""
     for n in range(draw(st.integers(1, 3))):
@@ -328,14 +328,14 @@ def sentences(draw: st.DrawFn) -> tuple[list[str], list[int]]:
 
 
 def starred(said: str) -> tuple[list[str], list[int]]:
-    """The words of a sentence, and where the marked ones are."""
+    """Return the words of a sentence, and the positions of marked ones."""
     words = said.split()
     stars = [i for i, word in enumerate(words) if word.startswith("*")]
     return [word.removeprefix("*") for word in words], stars
 
 
 def meant(words: list[str]) -> tuple[Formula, ...]:
-    """What they may mean; nothing where they are refused."""
+    """Return the possible meanings; empty if the instruction is refused."""
     with contextlib.suppress(TranslationError):
         return distinct(readings(" ".join(words)))[0]
     return ()
@@ -350,7 +350,7 @@ def changed_at(words: list[str], at: int, swapped: str) -> list[str]:
 
 
 def check_counts(words: list[str], at: int, swapped: str) -> None:
-    """Dropped, or with another word in its place, a word changes what is meant, or is missed."""
+    """Check that dropping or replacing each word changes the meaning or raises an error."""
     read = meant(words)
     changed = changed_at(words, at, swapped)
     again = meant(changed)

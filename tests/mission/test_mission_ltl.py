@@ -23,7 +23,7 @@ A, B, C, D = (ltl.ap(name) for name in "abcd")
 
 
 def binary(op: str):
-    """The formula of two others."""
+    """Return the formula of two operands."""
     return lambda a, b: ltl.Formula(op, (a, b))
 
 

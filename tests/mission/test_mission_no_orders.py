@@ -1,5 +1,7 @@
-"""What reads like an order and is none, and what reaches further than can be told: sentences of
-those who set out to have the grammar misread them."""
+"""Sentences that were written to mislead the grammar.
+
+They read like instructions and are none, or go beyond the grammar.
+"""
 
 from __future__ import annotations
 

@@ -26,59 +26,12 @@ NAMES = [place.name for place in SITE.places]
         ("go to loading  bay 2, then the dock", 'go to "loading bay 2", then "dock"'),
         ("go to the docking table", "go to the docking table"),
         ('go to "the dock of the bay"', 'go to "the dock of the bay"'),
-        ("return to the dock", 'go to "dock"'),
-        ("come back to where you started", 'go to "start"'),
-        ("go to the starting point", 'go to "start"'),
-        ("return to the start", 'go to "start"'),
-        ("at the start go to the bed", "at the start go to the bed"),
-        ("find the mug and come back", 'find the mug, then go to "here"'),
-        ("find the mug, then return.", 'find the mug, then go to "here".'),
-        ("go to the bed and return to the dock", 'go to the bed, then go to "dock"'),
-        ("go to the bed and then get back to the start", 'go to the bed, then go to "start"'),
-        ("Come back.", 'go to "here".'),
-        ("explore the whole house, then come back", 'go to "explored", then go to "here"'),
-        ("Explore.", 'go to "explored".'),
-        ("explore the kitchen", "explore the kitchen"),
+        ("find the dock and come back", 'find "dock" and come back'),
         ("patrol the dock and the bed twice", 'patrol "dock" and the bed twice'),
-        (
-            "patrol the dock and the bed 2 times.",
-            'go to "dock", then go to the bed, then go to "dock", then go to the bed.',
-        ),
-        (
-            "patrol between bed, sofa, and dock one times",
-            'go to bed, then go to sofa, then go to "dock"',
-        ),
-        (
-            "patrol the dock and the bed 99 times",
-            'go to "dock", then go to the bed; repeat 99 times',
-        ),
-        (
-            "Please patrol the dock, the bed and the sofa for 20 minutes.",
-            'go to "dock", then go to the bed, then go to the sofa; repeat for 20 minutes',
-        ),
-        (
-            "patrol the dock and the bed until I tell you to stop",
-            'go to "dock", then go to the bed; repeat until told',
-        ),
-        ("patrol the bed for 20 minutes", "patrol the bed for 20 minutes"),
-        ("return the mug to the bed", "return the mug to the bed"),
-        ("go back to the bed", "go back to the bed"),
     ],
 )
 def test_places_are_put_into_quotes(instruction, quoted):
     assert quote_places(instruction, NAMES) == quoted
-
-
-@pytest.mark.parametrize(
-    "instruction",
-    [
-        "find the mug, then patrol the dock and the bed for 20 minutes",
-        "patrol the dock and the bed for 20 minutes, then come back",
-    ],
-)
-def test_a_patrol_for_some_time_is_all_of_an_instruction(instruction):
-    with pytest.raises(TranslationError, match="must be the whole instruction"):
-        quote_places(instruction, NAMES)
 
 
 def briefed(instruction: str):

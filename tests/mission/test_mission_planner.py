@@ -235,7 +235,7 @@ def test_distance_plans_are_shortest_paths(data, automaton, seed):
 
 
 def check(automaton, state, plan, knowledge):
-    """What holds of any plan."""
+    """Check the invariants of any plan."""
     assert plan.reason
     assert "\n" not in plan.reason
     if automaton.accepting[state]:

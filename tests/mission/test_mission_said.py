@@ -1,4 +1,4 @@
-"""What others, who had not seen the grammar, would say for a formula: never understood wrongly."""
+"""Instructions by people who had not seen the grammar: none is misunderstood."""
 
 from __future__ import annotations
 

@@ -102,8 +102,10 @@ def test_words_of_the_parts_interleaved_in_any_way_fulfil_the_whole(formula, dat
 
 @st.composite
 def fulfilling(draw, formula):
-    """A word of a formula's own letters that fulfils it: some steps as they come, then the way to
-    acceptance; None where there is none."""
+    """Return a satisfying trace over a formula's propositions; None if there is none.
+
+    Some random steps, then the path to acceptance.
+    """
     automaton = compile_formula(formula)
     state, word = 0, []
     if automaton.dead(0):

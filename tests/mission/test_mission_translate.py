@@ -65,7 +65,7 @@ def test_a_formula_without_a_text_is_refused() -> None:
 
 
 def _reader(*texts: str, sure: bool = True, doubts: tuple[str, ...] = ()) -> Backend:
-    """Reads whatever it is told as these formulas; refuses it where there are none."""
+    """Return a reader with these formulas for its inputs; it refuses without any."""
 
     def read(said: str) -> ParsedInstruction:
         if not texts:

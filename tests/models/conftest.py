@@ -14,7 +14,7 @@ from edge.host import resources
 
 @dataclass
 class Behaviour:
-    """How one path is answered.
+    """Server behaviour for one path.
 
     Attributes:
         ranges: whether parts can be asked for.
@@ -80,7 +80,7 @@ class Server(http.server.ThreadingHTTPServer):
         self.over = threading.Event()
 
     def handle_error(self, *_: object) -> None:
-        """A client that hangs up is what many tests are about."""
+        """Ignore clients that hang up, which many tests are about."""
 
     def put(self, path: str, content: bytes = b"", **how: object) -> Behaviour:
         self.paths[path] = Behaviour(content, **how)
@@ -92,7 +92,7 @@ class Server(http.server.ThreadingHTTPServer):
 
 @pytest.fixture
 def server(monkeypatch):
-    """A running `Server`, asked directly whatever proxy the environment names."""
+    """Run a `Server`, called directly without the environment's proxy."""
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     made = Server()
     thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.02})
@@ -106,7 +106,7 @@ def server(monkeypatch):
 
 @pytest.fixture
 def put_card(tmp_path, monkeypatch):
-    """An empty folder of cards and an empty cache; `put_card(card)` puts a card there."""
+    """Return `put_card(card)`, with an empty folder of cards and an empty cache."""
     folder = tmp_path / "cards"
     folder.mkdir()
     monkeypatch.setattr(resources, "data_dir", lambda kind: folder)

@@ -31,7 +31,7 @@ DECODER = "onnx/decoder_model_merged.onnx"
 
 @pytest.fixture
 def published(tmp_path, monkeypatch):
-    """A model's folder as its publisher has it, and a card of it; the cache is empty."""
+    """Return a model's folder as published, and a card of it; the cache is empty."""
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     place = tmp_path / "place"
     folder = place / publish(place, "smolvlm", pinned=False).folder

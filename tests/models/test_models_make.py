@@ -40,7 +40,7 @@ QUANTIZE = ["export", "--quantize"]
 
 @pytest.fixture
 def started(put_card, monkeypatch):
-    """The command lines of the exporters that would have been started."""
+    """Return the exporters' command lines instead of running them."""
     for card in (ORIGINAL, DERIVED, SCORER, TRAINED, TOWER, CHOICE):
         put_card(card)
     lines = []

@@ -69,7 +69,7 @@ WHEEL = "my_pkg-1.0-py3-none-any.whl"
 
 @pytest.fixture(autouse=True)
 def no_configured_index(monkeypatch):
-    """What pip is set to on this machine is no part of these tests."""
+    """Remove this machine's pip settings."""
     for name in ("PIP_EXTRA_INDEX_URL", "PIP_FIND_LINKS", "PIP_INDEX_URL"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PIP_CONFIG_FILE", os.devnull)
@@ -320,7 +320,7 @@ def test_a_model_exported_elsewhere_is_brought_with_what_the_export_said(
 
 
 def put_export(folder, model, of=None):
-    """What an export leaves in a folder; `of` is the model it speaks of, if that is another."""
+    """Write an export's files into a folder; `of` is the model it names, if another."""
     folder.mkdir(exist_ok=True)
     (folder / "tiny.onnx").write_bytes(model)
     (folder / "tiny.onnx.json").write_text(json.dumps({"sha256": sha(of or model)}))

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # for `twins`, `tiny_clip`
 
 @pytest.fixture
 def vocabulary(tmp_path):
-    """A small vocabulary with orthogonal embeddings of length 512."""
+    """Return a small vocabulary with orthogonal embeddings of length 512."""
     words = ["chair", "sofa", "trash can", "desk", "bed", "window"]
     path = tmp_path / "words.npz"
     np.savez(path, names=np.array(words), emb=2 * np.eye(len(words), 512, dtype=np.float16))

@@ -37,7 +37,7 @@ def fail(error: BaseException) -> None:
 
 
 def hungry() -> onnxruntime.InferenceSession:
-    """A model that makes as many zeros as it is told."""
+    """Return a model that allocates as many zeros as it is asked for."""
     ends = {"inputs": {"x": (INT64, (1,))}, "outputs": {"y": (FLOAT, None)}}
     return onnxruntime.InferenceSession(
         model(graph(interface(**ends), (node("ConstantOfShape"),))),
@@ -55,8 +55,10 @@ ORDERS = {
 
 
 class Steered:
-    """Finds the whole image once for every prompt, with its mean as the score, and seven boxes that
-    are not sound in the images that it saw so far."""
+    """Stand-in detector: the whole image once for each prompt, with its mean as the score.
+
+    It adds seven unsound boxes if its settings say so for the images so far.
+    """
 
     name = "steered"
     invalid_boxes = 0

@@ -27,7 +27,7 @@ def value_info(name: str, dtype: int, shape: tuple[int | str, ...] | None) -> by
 
 
 def tensor(name: str, location: str | None = None, raw: bytes = b"") -> bytes:
-    """A TensorProto; `location`: the file that its values are in."""
+    """Return a TensorProto; `location` is the file that holds its values."""
     body = field(1, 3) + field(2, FLOAT) + field(8, name) + (field(9, raw) if raw else b"")
     if location is not None:
         body += field(13, field(1, "location") + field(2, location)) + field(14, EXTERNAL)
@@ -49,7 +49,7 @@ def model(inside: bytes, ir: int = 9, opset: int = 19, more: bytes = b"") -> byt
 
 
 def interface(*, inputs: dict, outputs: dict) -> bytes:
-    """Inputs and outputs by name as (type, shape), as fields of a graph."""
+    """Return inputs and outputs by name as (type, shape), as fields of a graph."""
     return b"".join(field(11, value_info(k, *v)) for k, v in inputs.items()) + b"".join(
         field(12, value_info(k, *v)) for k, v in outputs.items()
     )
@@ -62,7 +62,7 @@ DETECTOR = {
 
 
 def detector(nodes=(), tensors=(), ir=9, opset=19, more=b"", **changes) -> bytes:
-    """A detector's file for 64 × 64 images and texts of 512, but for `inputs`, `outputs`."""
+    """Return a detector's file for 64 × 64 images and texts of 512, but for `inputs`, `outputs`."""
     ends = interface(**{**DETECTOR, **changes})
     nodes = nodes or (node("Identity"),)
     return model(graph(ends, tuple(nodes), tuple(tensors)), ir, opset, more)

@@ -34,7 +34,7 @@ DATA = onnx_bytes.detector()
 
 @pytest.fixture
 def place(cards):
-    """An empty folder of cards and an empty cache; `write(**changes)` puts a card there."""
+    """Return `write(**changes)`, which puts a card into an empty folder; the cache is empty."""
 
     def write(stem="tiny", **changes):
         (cards / f"{stem}.yaml").write_text(yaml.safe_dump({**CARD, **changes}))
@@ -200,7 +200,7 @@ def flip_a_byte(path, at=-1):
 
 @pytest.fixture
 def hashed(monkeypatch):
-    """The files that are hashed, as they are."""
+    """Return the list of files that are hashed."""
     files, hash_file = [], model_file.sha256_of
 
     def note(path):
@@ -273,7 +273,7 @@ def test_a_broken_memory_of_hashes_does_no_harm(place):
 
 
 def own(name, **changes):
-    """Puts a card into the models' cache, where users have theirs."""
+    """Put a card into the models' cache, the folder of user models."""
     card = {**CARD, "name": name, "file": f"{name}.onnx", **changes}
     (resources.models_dir() / f"{name}.yaml").write_text(yaml.safe_dump(card))
 

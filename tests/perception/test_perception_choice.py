@@ -235,7 +235,7 @@ def put_to(asks, question):
 
 
 def model(direction=DIRECTIONS, scene=SCENE):
-    """A server that answers the two questions in turn."""
+    """Serve a model that answers the two questions in turn."""
     answers = itertools.cycle([direction, scene])
     return lambda handler: send(handler, likeliest(next(answers)))
 

@@ -120,7 +120,7 @@ def test_another_tokenizer_than_the_cards_is_refused(text_card, cards):
 
 
 class _Card:
-    """What `make_text_encoder` reads of a detector's card."""
+    """Stand-in for the fields of a detector's card that `make_text_encoder` reads."""
 
     name, text_encoder, text_dim = "detector", None, DIM
 

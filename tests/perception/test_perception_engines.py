@@ -223,7 +223,7 @@ def test_how_far_nested_phases_are():
 
 @pytest.fixture
 def gpu(monkeypatch):
-    """A fake TensorRT on a fake GPU; what `import` would give."""
+    """Install a fake TensorRT on a fake GPU, for `import`."""
     fake = FakeTensorrt(FakeCuda())
     monkeypatch.setitem(sys.modules, "tensorrt", fake)
     monkeypatch.setattr(cuda, "load", lambda: fake.cuda)
@@ -287,7 +287,7 @@ def test_more_prompts_than_the_engine_takes(gpu, open_tiny):
 
 
 def test_an_engine_that_does_not_load_is_kept_for_when_there_is_memory(gpu, open_tiny):
-    """Whether it was built only now or is found."""
+    """The engine was either built now or found."""
     gpu.unreadable = 2
     for _ in range(2):
         with pytest.raises(ModelError, match=r"cannot load this engine: out of memory; .*remove"):

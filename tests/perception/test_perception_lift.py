@@ -72,6 +72,7 @@ def test_the_floor_in_front_is_not_the_thing(make_observation, base_m):
     """Camera at 0.6 m: rows below the horizon see the floor, nearer than the thing.
 
     Args:
+        make_observation: depth camera or LiDAR.
         base_m: height of the base's frame over the floor, as of a robot with legs.
     """
     seen = make_observation(depth_m=np.full((64, 80), 4.0, np.float32))
@@ -102,7 +103,7 @@ def test_a_thing_that_lies_flat_on_the_floor_is_still_lifted(make_observation):
 
 
 def cloud_of(observation):
-    """The depth image as a cloud in the base frame."""
+    """Return the depth image as a cloud in the base frame."""
     c, depth = observation.camera, observation.depth_m
     v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
     x, y = (u - c.cx_px) / c.fx_px * depth, (v - c.cy_px) / c.fy_px * depth
@@ -171,7 +172,7 @@ def kitti(folder, frame):
 
 
 def box_around(seen, points):
-    """The image box of LiDAR points."""
+    """Return the image box of LiDAR points."""
     T = invert(seen.T_base_camera) @ seen.T_base_lidar
     x, y, z = (points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).T
     u = seen.camera.fx_px * x / z + seen.camera.cx_px
@@ -237,7 +238,7 @@ def test_the_chair_of_a_real_depth_camera(shared_dir):
 
 
 def sofa_behind_table(table_left=0, table_right=80):
-    """A sofa 3 m away, seen over a table at 1.5 m that hides its lower part, before a wall."""
+    """Return a sofa 3 m away behind a table at 1.5 m that hides its lower part."""
     depth = np.full((64, 80), 5.0, np.float32)
     depth[20:44, 20:60] = 3.0
     depth[36:64, table_left:table_right] = 1.5
@@ -262,8 +263,10 @@ def test_a_thing_on_a_table_before_a_wall_is_still_the_nearest_surface(make_obse
 
 
 def shelf_behind_a_cabinet():
-    """A shelf of 20 × 50 px at 3 m whose lower two thirds a cabinet hides that goes on to the left,
-    before a wall."""
+    """Return a shelf of 20 × 50 px at 3 m, before a wall.
+
+    A cabinet that extends to the left hides its lower two thirds.
+    """
     depth = np.full((64, 80), 5.0, np.float32)
     depth[6:56, 40:60] = 3.0
     depth[22:56, 10:60] = 1.5
@@ -336,7 +339,7 @@ def test_samples_of_other_things_are_dropped_one_by_one(seed):
 
 
 def mask_over(box, shows):
-    """A mask (1, MASK_SIDE, MASK_SIDE) of the pixels of a depth image that `shows` holds for."""
+    """Return a mask (1, MASK_SIDE, MASK_SIDE) of the depth pixels for which `shows` holds."""
     out = np.zeros((1, MASK_SIDE, MASK_SIDE), np.bool_)
     u = np.linspace(box[0], box[2], 2 * MASK_SIDE + 1)[1::2].astype(int)
     v = np.linspace(box[1], box[3], 2 * MASK_SIDE + 1)[1::2].astype(int)

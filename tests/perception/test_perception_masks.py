@@ -42,7 +42,7 @@ def masks_of(rgb, *boxes, deadline=None):
 
 
 def truth(rgb, colour, box):
-    """Of the cells over a box, those whose middle shows a colour."""
+    """Return the cells over a box whose middle shows a colour."""
     out = np.zeros((MASK_SIDE, MASK_SIDE), np.bool_)
     shows = (rgb == colour).all(axis=2) - np.float32(0.5)
     rasterise(shows, (0, 0), (1, 1), np.float32(box), out)

@@ -1,4 +1,4 @@
-"""What is found out about a model's file before onnxruntime sees it."""
+"""Checks of a model's file before onnxruntime loads it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from onnx_bytes import (
 from edge.perception.runtime import card_types
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.onnx_file import (
-    NotOnnx,
+    NotOnnxError,
     OnnxFile,
     Value,
     check_file,
@@ -73,7 +73,7 @@ def test_a_sound_model(check):
 
 
 def branch(inside):
-    """An If that has the graph as its branch."""
+    """Return an If node with the graph as its branch."""
     return node("If", attribute=field(1, "then_branch") + field(6, inside))
 
 
@@ -131,7 +131,7 @@ def test_nesting_without_end_is_given_up(check):
 )
 def test_a_file_that_would_take_time_or_memory_without_end_is_given_up(monkeypatch, limit, content):
     monkeypatch.setattr(f"edge.perception.runtime.onnx_file.MAX_{limit}", 1000)
-    with pytest.raises(NotOnnx, match=f"more than 1000 {limit.lower()}"):
+    with pytest.raises(NotOnnxError, match=f"more than 1000 {limit.lower()}"):
         parse_onnx(content)
 
 
@@ -182,13 +182,13 @@ def test_damage_is_said_or_does_no_harm(data):
     damaged = bytearray(SOUND[:cut])
     for _ in range(data.draw(st.integers(0, 5)) if damaged else 0):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= 1 << data.draw(st.integers(0, 7))
-    with contextlib.suppress(NotOnnx):
+    with contextlib.suppress(NotOnnxError):
         assert isinstance(parse_onnx(bytes(damaged)), OnnxFile)
 
 
 @given(st.binary(max_size=200))
 def test_any_bytes_are_read_or_refused(content):
-    with contextlib.suppress(NotOnnx):
+    with contextlib.suppress(NotOnnxError):
         parse_onnx(content)
 
 

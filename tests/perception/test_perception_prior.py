@@ -114,8 +114,10 @@ def test_a_room_is_what_it_holds():
 
 
 def test_where_nothing_was_seen_the_room_next_door_tells():
-    """The only doors there are join the two kinds; of two rooms of a kind the houses tell nothing,
-    so a bedroom may lie beside a bedroom."""
+    """Only doors between the two kinds of rooms are in the data.
+
+    The houses have no data on two rooms of a kind, so a bedroom may be next to a bedroom.
+    """
     data = {**DATA["kinds"], "doors": [[0, 90], [90, 0]], "pairs": [[200, 100], [100, 200]]}
     t = table.parse({**DATA, "kinds": data})
     chance, prior = rooms.object_given_room(t), rooms.room_prior(t)

@@ -69,7 +69,7 @@ def halt(pid):
 
 @pytest.fixture(autouse=True)
 def place(monkeypatch, tmp_path_factory):
-    """The fake in the model process's place, and where it may leave something: nothing."""
+    """Put the fake in place of the model process; check that it leaves no files."""
     folder = tmp_path_factory.mktemp("shm")
     monkeypatch.setattr(link, "PROGRAM", (sys.executable, str(FAKE)))
     monkeypatch.setattr(wire, "SHARED_MEMORY", folder)
@@ -190,7 +190,7 @@ def test_a_process_that_ends_is_told_once_and_started_again(make, seen, caplog):
 
 
 def test_a_hang_is_ended(make, seen):
-    """Of the model, and of the whole process."""
+    """Both the model and the whole process are ended."""
     detector = make(timeout_s=0.1)
     says = r"no answer within 0\.1 s .*timeout_s.*killed"
     pid = pid_of(detector)
@@ -459,7 +459,7 @@ def test_the_worker_goes_on_over_a_process_that_ends(seen, once):
 
 
 def compare(inside, perception, observations):
-    """What a detector here and one in a process of its own find is the same, bit for bit."""
+    """Compare a detector here with one in its own process, bit for bit."""
     outside = make_detector(perception, inside.prompts)
     try:
         for observation in observations:

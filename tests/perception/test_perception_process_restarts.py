@@ -17,7 +17,7 @@ def _rules(monkeypatch):
 
 
 def pauses(runs):
-    """The pause after each end of a process that was ready for so many seconds."""
+    """Return the pause after each end of a process that was ready for so many seconds."""
     restarts = RestartBackoff()
     return [restarts.after(ran_s) for ran_s in runs]
 

@@ -1,4 +1,4 @@
-"""What is said between service and model process, and what is refused of it."""
+"""Messages between service and model process, and their refusals."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_an_answer_arrives_bit_for_bit(data, n):
 
 
 def changed(**fields):
-    """An answer with two boxes, some of its header put wrong."""
+    """Return an answer with two boxes and a wrong header field."""
     header, block = encode(some())
     return {**header, **fields}, block
 

@@ -35,7 +35,7 @@ LIMIT_S = 60.0  # of a server that answers
 
 
 def card_of(server: KServe | str, time_limit_s: float = LIMIT_S):
-    """The card of the small detector, as the server has it."""
+    """Return the card of the small detector for the server."""
     url = server if isinstance(server, str) else server.url
     told = InferenceServer(url=url, model="m", time_limit_s=time_limit_s)
     return load_card(SMALL).model_copy(update={"server": told, "file": None, "name": "far"})
@@ -48,7 +48,7 @@ def session():
 
 @pytest.fixture(scope="module")
 def model(session):
-    """What the server runs: the small detector itself."""
+    """Return the server's model: the small detector itself."""
 
     def run(feed):
         found = session.run(["boxes", "scores"], feed)
@@ -67,7 +67,7 @@ def picture(make_observation):
 
 @pytest.fixture
 def far(monkeypatch):
-    """Makes detectors of a server; `clock` is theirs."""
+    """Return a function that makes remote detectors; `clock` is theirs."""
     with ExitStack() as stack:
 
         def make(server, **more):
@@ -177,7 +177,7 @@ def silent(handler: Handler) -> None:
 
 
 def drip(handler: Handler) -> None:
-    """A byte now and then, of a header that never ends."""
+    """Send a byte at a time of a header that never ends."""
     handler.wfile.write(b"HTTP/1.1 200 OK\r\nX-Long: ")
     while not handler.kserve.stopping.wait(0.02):
         handler.wfile.write(b"a")

@@ -1,4 +1,4 @@
-"""What is said to a model's server, and what it may say."""
+"""Messages to and from a model's server."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which provider runs a model, what it is told, and how buffers are bound.
+"""Choice of an execution provider, its options, and bound buffers.
 
 No GPU is needed: onnxruntime runs here on the CPU. `DeviceBound` is run for real on onnxruntime's
 own values with the device `cpu`; that CUDA's are used in the same way, and only then, is tested
@@ -41,7 +41,7 @@ def engine(precision="fp32", **more):
 
 
 def save_adder(folder, op="Add", opset=17, ir=8):
-    """A model whose `twice` is `fresh` + `fixed`, (1, 4)."""
+    """Save a model with `twice` = `fresh` + `fixed`, (1, 4)."""
     onnx = pytest.importorskip("onnx")
     from onnx import TensorProto, helper
 
@@ -59,7 +59,7 @@ def save_adder(folder, op="Add", opset=17, ir=8):
 
 @pytest.fixture
 def adds(tmp_path):
-    """A session of `save_adder`'s model."""
+    """Return a session of `save_adder`'s model."""
     return open_session(save_adder(tmp_path), [CPU], threads=1)
 
 
@@ -160,7 +160,7 @@ class FakeOrt:
 
 @pytest.fixture
 def fake_ort(monkeypatch):
-    """A fake onnxruntime on a machine that seems to have TensorRT and a GPU."""
+    """Install a fake onnxruntime on a machine that appears to have TensorRT and a GPU."""
     fake = FakeOrt()
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", fake)
     monkeypatch.setattr(runtime, "tensorrt_version", lambda: "10.3.0")
@@ -193,7 +193,7 @@ def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path, m
 def test_damage_under_an_unchanged_time_of_change_gets_no_engine(
     fake_ort, tmp_path, monkeypatch, known
 ):
-    """Whether the file's hash is the caller's or was remembered."""
+    """The file's hash comes from the caller, or was cached."""
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     path, options = tmp_path / "tiny.onnx", engine("fp16", cache=tmp_path / "engines")
     path.write_bytes(b"model")

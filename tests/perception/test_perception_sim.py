@@ -12,7 +12,7 @@ LABELS = ("ChairA", "sofa", "Trash")
 
 
 def ids_and_depth(distance_m=2.0):
-    """A chair left, a sofa right, a distant bin of few pixels between."""
+    """Return a chair left, a sofa right, and a distant bin of few pixels between."""
     ids, depth = np.zeros((64, 80), np.uint16), np.full((64, 80), 4.0, np.float32)
     ids[20:50, 5:30], ids[25:55, 45:78], ids[30:34, 36:40] = 1, 2, 3
     depth[ids == 1], depth[ids == 2], depth[ids == 3] = distance_m, 3.0, 7.9

@@ -89,7 +89,7 @@ def test_a_damaged_vocabulary_is_named(tmp_path, content):
 
 
 def torn_zip(path):
-    """The compressed bytes of the first array are changed, not those that say where they are."""
+    """Corrupt the first array's compressed bytes, not their offsets."""
     np.savez_compressed(path, names=np.array(["a", "b"]), emb=np.eye(2))
     content = bytearray(path.read_bytes())
     content[60:70] = b"\xff" * 10
@@ -135,7 +135,7 @@ def test_words_for_leaves_out_what_is_not_known(vocabulary):
 
 
 class _Card:
-    """What `make_text_encoder` reads of a detector's card."""
+    """Stand-in for the fields of a detector's card that `make_text_encoder` reads."""
 
     name, text_encoder, text_dim = "detector", None, 512
 
@@ -168,8 +168,10 @@ def test_embeddings_of_another_length_are_refused(cards, vocabulary, monkeypatch
 
 
 def test_a_thing_is_asked_for_under_all_its_names(tmp_path):
-    """Aliases that the vocabulary has, and what lies near in the embedding and is a kind of it, or
-    no thing of its own; never what is broader."""
+    """Prompts include aliases and near words of the embedding, never broader ones.
+
+    A near word must be a kind of the class, or no class of its own.
+    """
     words = {
         "sofa": (1.0, 0.0), "couch": (0.6, 0.8), "futon": (0.97, 0.243), "bed": (0.98, 0.2),
         "armchair": (0.0, 1.0), "chair": (0.01, 1.0), "lamp": (-1.0, 0.0), "#": (1.0, 0.01),

@@ -87,8 +87,7 @@ def test_eq_4_is_a_softmax_over_the_answers_as_servers_tell_it(logits, shift):
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_what_is_read_once_says_the_same(models_dir, family):
-    """Whatever was asked before: other views, other questions, the same again. Against a model that
-    has read nothing yet."""
+    """Compare with a model without a cache after any other views and questions."""
     card = publish(models_dir, family)
     model = opened(card)
     for seed, n, target in [(0, 2, "lamp"), (1, 2, "lamp"), (1, 8, "bed"), (1, 8, "bed")]:
@@ -336,7 +335,7 @@ def lose_tensor(graph):
 
 
 def lie_about(*dims):
-    """Of its largest tensor."""
+    """Change the size of the largest tensor."""
 
     def change(graph):
         largest = max(graph.initializer, key=lambda tensor: len(tensor.raw_data))
@@ -505,7 +504,7 @@ def changed_bytes(content, chance):
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
-    """A card by family, and the content of its files."""
+    """Return a valid card for each family, and its files' content."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("EDGE_CACHE_DIR", str(tmp_path_factory.mktemp("sound")))
         folder = resources.models_dir()
@@ -584,7 +583,7 @@ def test_a_word_that_is_the_image_token_shows_no_second_image(models_dir):
 
 
 def endless_encoder(rounds):
-    """Counts to `rounds`, and then gives the features."""
+    """Count to `rounds`, then return the features."""
     g = Graph(np.random.default_rng(0), F32)
     tick = helper.make_graph(
         [
@@ -613,7 +612,7 @@ def endless_encoder(rounds):
 
 @pytest.fixture
 def endless(models_dir):
-    """A model that answers about a dark image only."""
+    """Return a model that answers only for a dark image."""
     card = publish(models_dir, "smolvlm").model_copy(update={"image_tokens": 4})
     network("vision_encoder", lambda: endless_encoder(1 << 50))(card)
     pin(card)

@@ -100,7 +100,7 @@ def test_a_row_of_failures_ends_with_a_result_and_counts_none_of_a_detector_that
 @pytest.mark.parametrize("looks_at", ["rgb", "depth_m"])
 @pytest.mark.parametrize("inline", [False, True])
 def test_what_has_no_picture_is_no_failure(make_observation, looks_at, inline):
-    """Of a LiDAR that maps at 10 Hz, beside a camera of 5 Hz."""
+    """A LiDAR maps at 10 Hz next to a camera of 5 Hz."""
     fake = Fake(bad=(0, 2))
     fake.looks_at = looks_at
     worker = DetectorWorker(fake, inline)
@@ -182,7 +182,7 @@ class Question(NamedTuple):
 
 
 def stop(worker):
-    """What `close` does while its thread is at work."""
+    """Call `close` while its thread is working."""
     worker.stop()
     if (found := worker.poll()) is not None:
         found.observation.release()
@@ -191,8 +191,10 @@ def stop(worker):
 @pytest.mark.parametrize("inline", [False, True])
 @pytest.mark.parametrize("kind", ["detector", "scorer"])
 def test_no_frame_stays_held_in_any_order_of_events(make_observation, monkeypatch, inline, kind):
-    """Every order of five: a frame comes, the thread works (well or not, while a frame comes,
-    while the worker is closed), the result is polled. Inline, a frame that comes is worked on."""
+    """Run all orders of five events: frames, work, failures, close, poll.
+
+    Inline, a new frame is processed at once.
+    """
     monkeypatch.setattr(host.threading, "Thread", StoodStill)
     frame = make_observation()
 

@@ -60,7 +60,7 @@ def write_tokenizer(path: Path) -> None:
 
 
 def write_text_model(path: Path, table: np.ndarray | None = None, name: str = "tokens") -> None:
-    """The sum of one row of `table` per token: token i counts on axis i, 0 nowhere."""
+    """Write a model that sums one row of `table` for each token: token i counts on axis i."""
     from onnx import TensorProto, helper, numpy_helper
 
     if table is None:
@@ -137,7 +137,7 @@ def _save(path, nodes, given, results, constants) -> None:
 
 
 def write_card(folder: Path, card: dict, file: Path | None = None) -> None:
-    """The card as a file of its name, with the hash of the model's file as it is now."""
+    """Write the card under its name, with the present hash of the model's file."""
     if file is not None:
         card = {**card, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
     (folder / f"{card['name']}.yaml").write_text(yaml.safe_dump(card))

@@ -19,7 +19,7 @@ SIDE, CELLS = 128, 32
 
 
 class Layout(NamedTuple):
-    """What an export is like.
+    """Layout of an export.
 
     Attributes:
         features: outputs of the encoder and inputs of the decoder, by name (channels, stride).
@@ -65,6 +65,9 @@ def write(folder: Path, cards: Path, name: str, slow: bool = False, **changes) -
     """Both files of a layout and their card, as it was written.
 
     Args:
+        folder: of the ONNX files.
+        cards: folder of the card.
+        name: of the card.
         slow: an encoder that has no end with an image that is not black.
         changes: of the card.
     """
@@ -113,7 +116,7 @@ def _write_encoder(path: Path, layout: Layout, slow: bool) -> None:
 
 
 def _endless(pixels: str):
-    """A loop of as many turns as the sum of the pixels above black, times 10^12."""
+    """Return a loop with as many turns as the sum of the pixels above black, times 10^12."""
     from onnx import TensorProto, helper, numpy_helper
 
     info = helper.make_tensor_value_info
@@ -140,8 +143,10 @@ def _endless(pixels: str):
 
 
 def _write_decoder(path: Path, layout: Layout) -> None:
-    """Candidate k of the masks is the features' first channel within the box, and -1 outside, but
-    for the first: that is the reverse, and of a lesser `iou_predictions`."""
+    """Write a decoder whose masks are the features' first channel within the box, -1 outside.
+
+    The first mask is the reverse, with lower `iou_predictions`.
+    """
     from onnx import TensorProto, helper, numpy_helper
 
     info, node = helper.make_tensor_value_info, helper.make_node

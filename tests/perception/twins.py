@@ -43,7 +43,7 @@ def candidates(boxes, scores, n_targets, tau, far_px):
 
 
 def suppress(boxes, anchor, label, score, labels, one_word, iou_max, limit):
-    """Indices of the kept candidates whose label is among `labels`."""
+    """Return the indices of the kept candidates whose label is in `labels`."""
     kept = []
     for i in sorted(range(len(score)), key=lambda i: (-score[i], i)):
         if len(kept) == limit:
@@ -56,7 +56,7 @@ def suppress(boxes, anchor, label, score, labels, one_word, iou_max, limit):
 
 
 def strongest_rivals(boxes, scores, competes, tau, far_px, anchor, label, keep, cut, iou_max):
-    """The best score of a competing column on the place of each kept box."""
+    """Return the best score of a competing class at each kept box."""
     clean = np.where(sound(boxes, scores, far_px)[:, None] & (scores >= tau), scores, 0).astype(
         np.float32
     )
@@ -100,7 +100,7 @@ def cloud_raster(cloud, T, fx, fy, cx, cy, cell_px, shape):
 
 
 def grid_of(low, high, side):
-    """The places along one axis that a box is sampled at."""
+    """Return the positions along one axis at which a box is sampled."""
     step = max(1, -(-(high - low) // side))
     return range(low + step // 2, high, step)
 
@@ -120,7 +120,7 @@ def sample_depth(depth, fx, fy, cx, cy, box, max_range, side):
 
 
 def without_others(samples, view, boxes, word, mine, depth, claim):
-    """Samples in no box of another word that fits nearly as well, at its depths."""
+    """Drop samples inside another class's box that fits nearly as well, at its depths."""
     fx, fy, cx, cy = view[4:]
     u = fx * samples[:, 0] / samples[:, 2] + cx
     v = fy * samples[:, 1] / samples[:, 2] + cy
@@ -206,7 +206,7 @@ def match(centers, points, n_points, word, of_word, x, y, merge_m):
 
 
 def strongest_rival(surface, centers, points, n_points, word, confidence, against, reach_m):
-    """The highest mean confidence of another word over the surface."""
+    """Return the highest mean confidence of another class over the surface."""
     middle = surface[:, :2].mean(axis=0)
     cover = np.zeros((len(against), len(surface)))
     for i in range(len(word)):
@@ -231,7 +231,7 @@ def share_in_view(points, T, view):
 
 
 def look_weight(xyz, points, T, view, depth, near_m, far_m):
-    """What a look counts for a thing."""
+    """Return the weight of an observation for an object."""
     fx, fy, cx, cy, width, height = view
     x, y, z = T[:3, :3] @ xyz + T[:3, 3]
     if not 0.1 < z < far_m:
@@ -282,7 +282,7 @@ def rasterised(values, origin, scale, box, side):
 
 
 def on_mask(samples, view, box, mask):
-    """Those of the samples that lie on a box's mask; all, where hardly any do."""
+    """Return the samples on a box's mask; all of them if hardly any are."""
     *_, fx, fy, cx, cy = view
     rows, columns = mask.shape
     kept = []

@@ -28,7 +28,7 @@ def block(language: str) -> str:
 
 @pytest.fixture
 def written(tmp_path, monkeypatch):
-    """Writes a module where it can be imported."""
+    """Write a module into a folder of the import path."""
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "my_policy", raising=False)
     yield lambda code: (tmp_path / "my_policy.py").write_text(code)

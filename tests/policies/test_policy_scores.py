@@ -37,8 +37,10 @@ def eq3(offset: float, boxes: list[tuple[float, float]], sigma: float) -> float:
 def scored(
     points, boxes, pose=SE2(0, 0, 0), seen_ns=0, stamp=0, vl=None, targets=1, around=0  # noqa: B008
 ):  # fmt: skip
-    """(targets, points) scores; boxes are (bearing, confidence[, target]), the last `around` of
-    them of what is no target."""
+    """Return (targets, points) scores.
+
+    Boxes are (bearing, confidence[, target]); the last `around` of them are no targets.
+    """
     xy = np.array(points, np.float32).reshape(-1, 2)
     n = len(xy)
     out = np.full((targets, n), np.nan, np.float32) if vl is None else np.array([vl], np.float32)
@@ -177,8 +179,10 @@ def scores_in(boxes) -> np.ndarray:
 def context(
     candidates, targets=("chair",), target="chair", boxes=None, stamp_ns=0, around=None
 ) -> PolicyInput:
-    """Boxes are (bearing, confidence, target) in an image taken at the origin, those of what is
-    around (bearing, confidence, word)."""
+    """Return a context with boxes (bearing, confidence, target) from the origin.
+
+    Background boxes are (bearing, confidence, word).
+    """
     seen = Observation(0, stamp_ns, np.eye(4), camera=CAMERA)
     found = None
     if boxes is not None:

@@ -104,7 +104,7 @@ BOMBS = {
 
 @pytest.mark.parametrize("case", BOMBS)
 def test_a_small_file_stays_small(tmp_path, case):
-    """What comes before is read, by all that read recordings."""
+    """All readers of recordings read the part before the limit."""
     bomb, why = BOMBS[case]
     path = tmp_path / "edge-a.mcap"
     write(path, chunk(SMALL, len(SMALL)), bomb)

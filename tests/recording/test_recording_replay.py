@@ -76,7 +76,7 @@ def test_a_drive(drive, capsys):
 
 
 def test_a_task(tmp_path):
-    """What was written beside the loop is taken from the recording."""
+    """Background results come from the recording."""
     recording = Recording(tmp_path).steps(2)
     service, closed = recording.service, recording.closed
     task = prepare_task(closed.config, "go straight for 1 metre")
@@ -175,7 +175,7 @@ URL = "http://127.0.0.1:9/v1"
 
 
 def test_what_the_goal_is_judged_by_is_the_same(drive, tmp_path, monkeypatch):
-    """How many images the detector had been through counts for a search that is given up."""
+    """The number of detector images decides when a search is abandoned."""
     judge, images = GoalTracker.judge, []
 
     def spy(self, grid, pose, mission, done, *rest):
@@ -368,7 +368,7 @@ def test_a_run_that_was_cut_off(drive, tmp_path):
 
 
 def copied(path: Path, out: Path, change, head=None) -> Path:
-    """A recording again, with each message as `change` makes it of (topic, payload); None: none."""
+    """Copy a recording with `change(topic, payload)` applied; None drops the message."""
     reading = McapReader(path)
     messages = list(reading)
     metadata = {"edge-recording": {**reading.metadata["edge-recording"], **(head or {})}}
@@ -480,7 +480,7 @@ STRANGE = {
 
 
 def rewritten(path: Path, out: Path, config: Config, reloaded: Config | None = None) -> Path:
-    """A recording again, with another configuration in its head, and in its reloads."""
+    """Copy a recording with another configuration in its header and its reloads."""
 
     def change(told):
         for entry in told["entries"]:
@@ -492,7 +492,7 @@ def rewritten(path: Path, out: Path, config: Config, reloaded: Config | None = N
 
 @pytest.fixture
 def strangers(tmp_path, monkeypatch):
-    """A module that leaves a mark where it is imported or called."""
+    """Write a module that leaves a mark if it is imported or called."""
     mark = tmp_path / "imported"
     (tmp_path / "strangers_own.py").write_text(f"open({str(mark)!r}, 'w')")
     monkeypatch.syspath_prepend(tmp_path)

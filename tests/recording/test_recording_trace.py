@@ -25,7 +25,7 @@ from edge.recording.trace import TracePage, trace_of
 
 
 def checked(trace: dict) -> list[dict]:
-    """The complete events, after a look at all that the format asks of them."""
+    """Return the complete events after checking the trace format."""
     trace = json.loads(json.dumps(trace, allow_nan=False))
     events = trace["traceEvents"]
     named = {e["tid"]: e["args"]["name"] for e in events if e["name"] == "thread_name"}

@@ -14,8 +14,10 @@ ROS_PYTHON = Path(os.environ.get("EDGE_ROS_PYTHON", HERE.parents[1] / ".venv/ros
 
 
 def make_environ(folder: Path) -> dict[str, str]:
-    """What processes of ROS need in their environment, with the packages that are made in `folder`;
-    skips without ROS. A domain of its own, seen on this machine only."""
+    """Return the environment of ROS processes, with the packages made in `folder`.
+
+    Skips without ROS. Its own domain is visible on this machine only.
+    """
     if not ROS_PYTHON.exists():
         pytest.skip(f"no ROS 2: {ROS_PYTHON} is not there (or set EDGE_ROS_PYTHON)")
     if shutil.which("g++") is None:

@@ -30,7 +30,7 @@ class Process:
             self.lines.append(line.rstrip())
 
     def says(self, what: str, times: int = 1) -> None:
-        """Waits until so many lines have it in them."""
+        """Wait until this many lines contain the text."""
         eventually(
             lambda: self.count(what) >= times or self.process.poll() is not None,
             lambda: f"never said {what!r}: {self.lines}",
@@ -43,7 +43,7 @@ class Process:
         return sum(what in line for line in self.lines)
 
     def end(self) -> int:
-        """The exit code. Peers end with their input, commands of `edge` when they are told to."""
+        """Return the exit code. Peers end with their input, `edge` commands on a signal."""
         self.process.stdin.close()
         self.process.terminate()
         return self.process.wait(STOP_S)

@@ -1,4 +1,4 @@
-"""What `ros_peer.py` and its tests agree on; for both Pythons."""
+"""Names that `ros_peer.py` and its tests share; for both Pythons."""
 
 # What becomes of a goal goes by its x.
 REACHED, ABORTED, REJECTED, ENDLESS = 1.0, 2.0, 3.0, 4.0

@@ -1,5 +1,7 @@
-"""Simulated robots as ROS 2's, with the topics and frames of the ready configurations, driven to
-their target through DDS, the adapter and Zenoh."""
+"""Simulated ROS 2 robots of the ready configurations that drive to their target.
+
+Their topics go through DDS, the adapter and Zenoh.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ SMALL = {"width_px": 320, "height_px": 256, "hfov_deg": 75, "rate_hz": 5}
 
 
 def plan_of(name: str, endpoint: str) -> str:  # noqa: F811
-    """What `ros_robot.py` is told."""
+    """Return the input of `ros_robot.py`."""
     body, settings = ROBOTS[name], ready_config(name).ros2
     frames = dict.fromkeys(("camera/rgb", "camera/depth", "camera/info"), body.camera)
     frames |= {"odom": "odom"} | ({"lidar/scan": body.lidar} if body.lidar else {})

@@ -1,4 +1,4 @@
-"""What the node is told, what it imports, and how it is started: no ROS is needed for that."""
+"""Input, imports and start of the adapter node, without ROS."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIGHT = {"rclpy", "zenoh", "launch", "action", "passing"}
 
 
 def adapted(adapter: dict | None = None, **ros2: object) -> Config:
-    """A robot's configuration, with this Python in the place of ROS's."""
+    """Return a robot's configuration with this Python in place of ROS's."""
     adapter = {"python": sys.executable, **(adapter or {})}
     section = {"via": "adapter", "adapter": adapter, **ros2}
     return simulated({"source": {"kind": "ros2"}, "sinks": ["ros2"], "ros2": section})
@@ -80,6 +80,15 @@ def test_goals_go_to_the_action_or_to_a_topic():
         "ros": "/a/go", "key": "edge/ros2/a/go", "type": "nav2_msgs/action/NavigateToPose",
     }  # fmt: skip
     assert "/goal_pose" not in {one["ros"] for one in by_action["said"]}
+    assert "/edge/keepout_info" not in {one["ros"] for one in by_action["said"]}
+    ros_names = {one["ros"] for one in (*by_action["heard"], *by_action["said"])}
+    assert not ros_names & {"/edge/request", "/edge/answer"}
+    with_requests = process.make_plan(adapted(requests=True))
+    assert passed(with_requests, "/edge/request")["reliable"]
+    assert passed(with_requests, "/edge/answer")["type"] == "std_msgs/msg/String"
+    with_zones = process.make_plan(adapted(keepout_filter=True))
+    info = passed(with_zones, "/edge/keepout_info")
+    assert (info["type"], info["latched"]) == ("nav2_msgs/msg/CostmapFilterInfo", True)
     by_topic = process.make_plan(adapted(goals="topic"))
     assert by_topic["action"] is None
     assert passed(by_topic, "/goal_pose")["key"] == "edge/ros2/goal_pose"

@@ -1,5 +1,7 @@
-"""The adapter beside a live ROS 2 (rclpy, Fast DDS): what it passes, and what becomes of
-goals, with no other rights than `config/secure` gives it."""
+"""Adapter next to a live ROS 2 (rclpy, Fast DDS): its messages and goals.
+
+It has only the rights of `config/secure`.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +83,7 @@ class Service:
         self.navigator.send(Goal(stamp_ns, place, "frontier", 1, (x_m, -1.0), 0.5, "chair"))
 
     def answers(self, stamp_ns: int, until: str) -> list[tuple[str, str]]:
-        """What is told of a goal, until it is in this state."""
+        """Return the statuses of a goal until it has this state."""
 
         def told():
             self.navigator.beat()

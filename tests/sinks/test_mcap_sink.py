@@ -1,4 +1,4 @@
-"""What the sink `mcap` writes: messages that ROS 2 knows, exact depth, in bounded memory."""
+"""Messages of the sink `mcap`: ROS 2 types, exact depth, bounded memory."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def make(tmp_path):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A drive in two rooms, with a camera and a LiDAR."""
+    """Run a drive in two rooms, with a camera and a LiDAR."""
     config = small(sensors={"camera": {"width_px": 80, "height_px": 64},
                             "lidar": {"rings": 4, "columns": 90}})  # fmt: skip
     return Recording(tmp_path_factory.mktemp("run"), config, rgb_hz=100.0).steps(15).close()

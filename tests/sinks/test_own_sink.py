@@ -42,7 +42,7 @@ def test_goals_and_status_go_over_zenoh_unless_told_otherwise():
 
 @pytest.fixture
 def page(tmp_path, monkeypatch) -> list[object]:
-    """The page's module on the path, its configuration with a file of the test's."""
+    """Put the page's module on the path; return its configuration with the test's file."""
     code, section = re.findall(r"```(?:python|yaml)\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     assert len(code.splitlines()) <= MAX_LINES
     (tmp_path / "csv_sink.py").write_text(code, "utf-8")

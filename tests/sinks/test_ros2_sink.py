@@ -20,6 +20,7 @@ from edge.bus.ros2.names import BRIDGE, RMW_ZENOH, dialect_of
 from edge.bus.ros2.node import Ros2Node
 from edge.errors import UserError
 from edge.geometry import SE2
+from edge.mapping.zones import ZonePolygons
 from edge.sinks import navigate
 from edge.sinks.ros2 import PathRing, Ros2Sink
 from edge.sources.goal_status import GoalStatusInbox
@@ -33,7 +34,7 @@ def goal(stamp_ns: int, x_m: float = 1.0) -> Goal:
 
 
 def driving(stamp_ns: int, x_m: float = 1.0):
-    """A tick in which a goal goes out."""
+    """Return a tick in which a goal is sent."""
     one = goal(stamp_ns, x_m)
     return result(goals=(one,), goal=one)
 
@@ -74,7 +75,7 @@ def make(port, session):
 
 @pytest.fixture
 def answers(port, session):
-    """What the loop would hear of its goals."""
+    """Return the goal statuses that the loop would receive."""
     inbox = GoalStatusInbox(session, zenoh_settings(port))
     heard: list[GoalStatus] = []
 
@@ -371,6 +372,42 @@ def test_map_and_drawings(make, theirs):
     type_name, payload = eventually(lambda: heard(drawn))[0]
     _, frontiers = from_ros(payload.to_bytes(), type_name).markers
     assert len(frontiers.points) == 2
+    node.close()
+
+
+SQUARE = np.array([(1.0, 1.0), (2.0, 1.0), (2.0, 2.0), (1.0, 2.0)])
+
+
+@pytest.mark.parametrize("via", ["rmw_zenoh", "bridge"])
+def test_zones_are_a_mask_for_nav2_that_opens_while_the_robot_is_inside(make, theirs, via):
+    sink = make(via=via, keepout_filter=True, map_frame="world")
+    node = Ros2Node(theirs, 0, "costmap", dialect_of(via, "edge"))
+    kind = "nav2_msgs/msg/CostmapFilterInfo"
+    info = node.subscription("/edge/keepout_info", (kind,), 8, latched=True)
+    ((type_name, payload),) = eventually(info.take)
+    said = from_ros(payload.to_bytes(), type_name)
+    assert (said.type, said.base, said.multiplier) == (0, 0.0, 1.0)
+    assert (said.filter_mask_topic, said.header.frame_id) == ("/edge/keepout_mask", "world")
+    kind = "nav_msgs/msg/OccupancyGrid"
+    mask = node.subscription("/edge/keepout_mask", (kind,), 8, latched=True)
+
+    def after(now_s: int, zones: ZonePolygons, x_m: float) -> tuple[set[int], int]:
+        """Return the values and the number of cells that a tick publishes."""
+        sink.tick(result(now_s * 10**9, zones=zones, pose=SE2(x_m, 1.5, 0.0)))
+        type_name, payload = eventually(mask.take)[-1]
+        grid = from_ros(payload.to_bytes(), type_name)
+        assert grid.header.frame_id == "world"
+        assert len(grid.data) == grid.info.width * grid.info.height
+        return set(grid.data.tolist()), len(grid.data)
+
+    zones = ZonePolygons((SQUARE,))
+    assert after(1, ZonePolygons(), 0.0) == ({-1}, 1)
+    values, size = after(2, zones, 0.0)
+    assert values == {-1, 100}
+    assert after(4, zones, 1.5) == ({-1}, size)
+    assert after(6, zones, 0.0) == (values, size)
+    sink.tick(result(8 * 10**9, zones=zones, pose=SE2(0.0, 0.0, 0.0)))  # nothing new
+    assert after(9, ZonePolygons(), 0.0) == ({-1}, 1)
     node.close()
 
 

@@ -45,11 +45,11 @@ class Ears:
         }
 
     def hear(self, key: str) -> bytes:
-        """The next message, once it is there."""
+        """Return the next message, once one has arrived."""
         return eventually(self._subscribers[key].try_recv, f"no {key}").payload.to_bytes()
 
     def rest(self, key: str, pause_s: float = PAUSE_S) -> list[bytes]:
-        """What is there after a pause."""
+        """Return the messages after a pause."""
         time.sleep(pause_s)
         heard = []
         while (sample := self._subscribers[key].try_recv()) is not None:
@@ -93,7 +93,7 @@ def sink(session, ears):
 
 
 def settle(sink: ZenohSink, ears: Ears) -> None:
-    """Waits until the sink's thread has dealt with all that was put before."""
+    """Wait until the sink's thread has processed all earlier items."""
     sink._put("tick", 0)
     ears.hear("tick")
 
@@ -170,7 +170,7 @@ def test_the_mission_reaches_those_who_come_late(sink, session, ears):
 
 
 def planned(payload: bytes) -> list[float]:
-    """Where the poses of a nav_msgs/Path lie along x."""
+    """Return the x of the poses of a nav_msgs/Path."""
     return [at.pose.position.x for at in from_ros(payload, "nav_msgs/msg/Path").poses]
 
 

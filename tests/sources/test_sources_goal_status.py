@@ -1,4 +1,4 @@
-"""What controllers say of goals, and what they should not say."""
+"""Goal statuses of controllers, valid and invalid."""
 
 from __future__ import annotations
 

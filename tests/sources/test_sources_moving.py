@@ -85,7 +85,7 @@ class Head:
 
 
 def errors_rad(observation) -> tuple[float, ...]:
-    """How far the camera, the LiDAR and the base are turned from where they were."""
+    """Return the angles of camera, LiDAR and base from their former direction."""
     s = (observation.stamp_ns - BEGIN_NS) * 1e-9
     yaws = (se2_of(T).yaw_rad for T in (
         observation.T_base_camera, observation.T_base_lidar, observation.T_map_base

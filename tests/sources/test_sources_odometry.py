@@ -12,7 +12,7 @@ from edge.sources.odometry import RESET_AFTER, OdometryRing, StampGuard
 
 
 def ring(*samples: tuple[int, float], capacity=64, max_gap_s=1.0, max_jump_m=1.0) -> OdometryRing:
-    """A ring with poses (stamp, x)."""
+    """Return a ring with poses (stamp, x)."""
     result = OdometryRing(capacity, max_gap_s, max_jump_m)
     for stamp_ns, x_m in samples:
         result.push(stamp_ns, SE2(x_m, 0.0, 0.0).matrix())

@@ -38,7 +38,7 @@ def frame(kind, pixels: np.ndarray):
 
 
 def bent(lens: Lens, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a lens shows the ray (x, y, 1), as the models are defined."""
+    """Return the image point of the ray (x, y, 1), as the lens models define it."""
     r2 = x * x + y * y
     if lens.model == "equidistant":
         r = np.sqrt(np.maximum(r2, 1e-18))
@@ -84,7 +84,7 @@ CAMERA_Z_M = 0.4
 
 
 def depth_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A board 0.5 m wide and 0.3 m high, 2 m away, in front of a wall 4 m away, on a floor."""
+    """Return a board 0.5 m wide and 0.3 m high, 2 m away, before a wall 4 m away, on a floor."""
     with np.errstate(divide="ignore"):
         z = np.minimum(4.0, np.where(y > 0.0, CAMERA_Z_M / y, np.inf))
     board = (np.abs(2.0 * x - 0.2) < 0.25) & (2.0 * y < CAMERA_Z_M) & (2.0 * y > CAMERA_Z_M - 0.3)

@@ -112,7 +112,7 @@ def robot(port):
 
 @pytest.fixture
 def make(port):
-    """Makes sources, with settings of `ros2`."""
+    """Return a function that makes sources with settings of `ros2`."""
     with ours(port) as session:
         made = []
 
@@ -208,7 +208,7 @@ def test_what_is_too_large_is_not_opened(robot, make):
 
 @pytest.mark.parametrize("via", ["bridge", "adapter"])
 def test_a_robot_on_dds(port, make, via):
-    """What zenoh-bridge-ros2dds and the adapter make of it: plain keys, no tokens, no types."""
+    """Names of zenoh-bridge-ros2dds and the adapter: plain keys, no tokens, no types."""
     with ours(port) as session:
         robot = Robot(session, dialect_of(via, "edge"))
         robot.moor()

@@ -309,7 +309,7 @@ STRIPES = np.dstack([STEPS_MM // 20] * 3).astype(np.uint8)
 
 
 def through_a_lens(settings: dict, lens: Lens = LENS, rgb: str = RAW, depth: str = RAW) -> Robot:
-    """A robot that has sent one picture and depth of vertical stripes."""
+    """Return a robot that has sent one image and depth of vertical stripes."""
     robot = Robot({**ONNX, "source": settings}).odom(0).odom(FRAME_NS)
     robot.synchronizer.inputs.listen("camera/rgb", rgb)
     robot.synchronizer.inputs.listen("camera/depth", depth)

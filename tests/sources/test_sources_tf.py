@@ -26,7 +26,7 @@ def buffer(*edges: tuple[str, str, np.ndarray], stamp_ns: int = 0) -> TfBuffer:
 
 
 def panned(*samples: tuple[float, float], tf: TfBuffer | None = None) -> TfBuffer:
-    """A head that pans: (stamp in ms, yaw in rad)."""
+    """Return a head that pans: (stamp in ms, yaw in rad)."""
     tf = tf or TfBuffer(WAIT_NS)
     for ms, yaw_rad in samples:
         assert tf.offer(Transform(int(ms * MS), "base", "pan", se3(yaw_rad=yaw_rad)))

@@ -1,4 +1,4 @@
-"""What the simulator says is to be seen: found by stamp, whatever else comes on its topics."""
+"""Ground truth of the simulator: found by stamp, whatever else comes on its topics."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def address() -> str:
 
 @contextmanager
 def camera_at(where: str) -> Iterator[Callable[..., None]]:
-    """Sends the parts of a message: headers as JSON, bytes as they are."""
+    """Send the parts of a message: headers as JSON, bytes as they are."""
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         socket.linger = 0
         socket.bind(where)
@@ -72,13 +72,13 @@ def configured(where: str, **sections: object) -> Config:
 
 
 def standing() -> Flooded:
-    """A session on which odometry is all that comes, before and after `STAMP_NS`."""
+    """Open a session that sends odometry only, before and after `STAMP_NS`."""
     stamps_ns = (STAMP_NS - 10_000_000, STAMP_NS + 10_000_000)
     return Flooded("edge/odom", [messages.encode_odometry(t, np.eye(4), 0, 0) for t in stamps_ns])
 
 
 def observed(source: ZmqSource, send: Callable[[], None]) -> Observation:
-    """The first observation; what is sent before the source has found the camera is lost."""
+    """Return the first observation; resend until the source has found the camera."""
 
     def look() -> Observation | None:
         send()
@@ -243,7 +243,7 @@ def drive(config: Config, stop: threading.Event) -> None:
 
 
 def pictured(source: ZmqSource, command: list[str]) -> Observation | None:
-    """An observation with a picture, if this showing of the film brings one."""
+    """Return an observation with an image, if this playback has one."""
     with subprocess.Popen(command, env=os.environ) as publisher:
         while publisher.poll() is None:
             source.wait(0.02)

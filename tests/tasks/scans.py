@@ -52,7 +52,7 @@ def cast(boxes, origin, directions):
 
 
 def street(boxes, T_map_base=None, seq=1, range_m=50.0, rings=64, columns=720):
-    """An observation of the street, and which box each point of its cloud is of."""
+    """Return an observation of the street, and the box of each point of its cloud."""
     T_map_base = np.eye(4) if T_map_base is None else T_map_base
     elevation = np.radians(np.linspace(2.0, -24.8, rings))
     azimuth = np.linspace(-np.pi, np.pi, columns, endpoint=False)
@@ -71,7 +71,7 @@ def street(boxes, T_map_base=None, seq=1, range_m=50.0, rings=64, columns=720):
 
 
 def picture(boxes, T_map_base):
-    """The camera's image, and which box each pixel shows."""
+    """Return the camera's image, and the box that each pixel shows."""
     return _picture(tuple(boxes), T_map_base.tobytes())
 
 
@@ -89,7 +89,7 @@ def _picture(boxes, T_map_base):
 
 
 def found_in(observation, boxes):
-    """The boxes that a perfect detector draws around what is seen of each thing."""
+    """Return the boxes of a perfect detector around the visible part of each object."""
     _, hit = picture(boxes, observation.T_map_base)
     labels = tuple(dict.fromkeys(box.label for box in boxes))
     xyxy, class_id = [], []

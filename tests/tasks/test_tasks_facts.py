@@ -1,4 +1,4 @@
-"""What of a task has changed, and its trajectory thinned."""
+"""Changes of a task's facts, and its thinned trajectory."""
 
 from __future__ import annotations
 

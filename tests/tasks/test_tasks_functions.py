@@ -1,4 +1,4 @@
-"""What a script may call: right answers, and one line for what is none."""
+"""Functions of a script: correct results, and one-line errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a robot can get to in a scene."""
+"""Ground of a scene that a robot can reach."""
 
 from __future__ import annotations
 

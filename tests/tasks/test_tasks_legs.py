@@ -15,7 +15,7 @@ ORIGIN = (0.0, 0.0)
 
 
 def ends(segments, start=ORIGIN, tube_m=1.0) -> list[tuple[float, float, bool]]:
-    """Where each leg ends, and whether a segment does there."""
+    """Return the end of each leg, and True if a segment ends there."""
     legs = cut([np.array(segment, float) for segment in segments], start, tube_m)
     return [(*leg.points_m[-1, :2].tolist(), leg.ends_segment) for leg in legs]
 

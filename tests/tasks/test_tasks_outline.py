@@ -1,4 +1,4 @@
-"""What of a thing stands in the way."""
+"""Part of an object that blocks the way."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SOFA = Thing("sofa", 8.0, 2.0, (3.2, 3.2))
 
 
 def outline(thing, *free):
-    """Of a thing in a street where parts (x0, x1, y0, y1) of its box are free."""
+    """Return the outline of an object in a street with free parts (x0, x1, y0, y1) of its box."""
     scene = street(thing)
     x, y = np.moveaxis(scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape)), -1, 0)
     for x0, x1, y0, y1 in free:

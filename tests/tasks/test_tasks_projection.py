@@ -34,9 +34,12 @@ def test_no_cloud_no_points():
 )  # fmt: skip
 @example(x_m=20.0, aside=0.25, heading=0.0, wall_m=8.0)
 def test_a_car_before_a_wall_has_its_own_points_alone(x_m, aside, heading, wall_m):
-    """Eq. 2 with the box for a mask, wherever the car stands: ground and wall are background. All
-    of the car in its box is found, but for what a leap parts from the rest: this LiDAR has a column
-    every 0.5 deg, so on a side at a grazing angle returns lie farther apart than surfaces may."""
+    """Check eq. 2 with the box as the mask, for all positions of the car.
+
+    Ground and wall are background. All points of the car in its box are found, except those behind
+    a gap: this LiDAR has a column every 0.5 deg, so returns of a grazed side lie farther apart
+    than surfaces may.
+    """
     car = Box(x_m, aside * x_m, heading_rad=heading)
     wall = Box(x_m + wall_m, 0.0, (0.5, 100.0, 6.0), label="wall")
     observation, hit = street([car, wall])
@@ -98,7 +101,7 @@ def test_a_corner_of_a_box_is_not_its_thing():
 
 
 def windows_twin(cloud, T, camera, boxes, masks, keep):
-    """Sets of (box, on its mask, point) by plain NumPy."""
+    """Return sets of (box, on its mask, point) by plain NumPy."""
     at_px, shown = in_picture(cloud, T, camera)
     shown &= keep
     rows, columns = masks.shape[1:]

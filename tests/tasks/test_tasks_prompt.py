@@ -1,4 +1,4 @@
-"""What a model is told and shown."""
+"""Prompt and images for a model."""
 
 from __future__ import annotations
 

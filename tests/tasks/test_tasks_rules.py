@@ -31,7 +31,7 @@ GROUND = ground_of(SCENE, LIMITS.clearance_m)
 
 
 def driven(instruction, scene=SCENE):
-    """What was understood, and the trajectory."""
+    """Return the parsed task and the trajectory."""
     ground = GROUND if scene is SCENE else ground_of(scene, LIMITS.clearance_m)
     functions = ScriptFunctions(ground, LIMITS)
     steps = plan_by_rules(instruction, functions)

@@ -1,5 +1,7 @@
-"""A model's script: what it can do, and what is said of one that fails. Hostile ones are in
-tests/attacks."""
+"""Scripts of a model: allowed calls, and errors of failing ones.
+
+Hostile scripts are in tests/attacks.
+"""
 
 from __future__ import annotations
 

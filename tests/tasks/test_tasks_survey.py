@@ -38,7 +38,7 @@ STREET = (
 
 
 def perfect(boxes):
-    """A chain whose detector sees all boxes exactly."""
+    """Return a pipeline whose detector sees all boxes exactly."""
     return PerceptionPipeline(
         lambda observation: tuple(box.label for box in boxes),
         lambda observation, tags: found_in(observation, boxes),
@@ -167,7 +167,7 @@ def test_frames_add_up_to_the_same_things():
 
 
 def half_and_half(observation, hit):
-    """The right half of the ground is sidewalk."""
+    """Label the right half of the ground as sidewalk."""
     y_m = observation.cloud_m[:, 1]  # of the robot at the origin
     return np.where(hit != GROUND, 0, np.where(y_m < -2.0, 2, 1)).astype(np.uint8)
 
@@ -226,7 +226,7 @@ def test_contours_are_the_masks_or_the_boxes():
 
 
 def forget(grid, inner_m, outer_m):
-    """What a map knows between two distances from the origin: as if nothing had looked there."""
+    """Set the cells between two distances from the origin to unknown."""
     n, res = round(outer_m / grid.resolution_m), grid.resolution_m
     for x, y in np.ndindex(2 * n, 2 * n):
         if inner_m < np.hypot(x - n + 0.5, y - n + 0.5) * res < outer_m:

@@ -24,8 +24,11 @@ HERE = SE2(0.0, 0.0, 0.0)
 
 
 def grid(rows, resolution_m=0.5):
-    """Of text, the first line farthest to the left of the robot (largest y): # occupied, . free,
-    ? unknown; the middle of the first row and column is (0, 0)."""
+    """Return a grid from text: # occupied, . free, ? unknown.
+
+    The first line is farthest to the left of the robot (largest y). The middle of the first row
+    and column is (0, 0).
+    """
     table = {"#": 100, ".": 0, "?": -1}
     cells = np.array([[table[c] for c in row] for row in reversed(rows)], np.int8)
     return Grid(cells, (-resolution_m / 2, -resolution_m / 2), resolution_m)
@@ -81,8 +84,11 @@ def test_no_map_has_no_blind_spot():
 
 
 def blind(*walls, free_m=(2.5, 6.0), wedge_rad=np.pi):
-    """A robot in the middle of 16 m by 16 m: 0.4 m of ground around it are free, and what lies
-    between two distances within an angle of ahead; walls (x0, x1, y0, y1)."""
+    """Return a robot in the middle of 16 m by 16 m with partly unknown ground.
+
+    0.4 m around it are free, and the ground between two distances within an angle of ahead. Walls
+    are (x0, x1, y0, y1).
+    """
     grid_ = Grid(np.full((80, 80), -1, np.int8), (-8.0, -8.0), 0.2)
     x, y = np.moveaxis(grid_.centres_m(*np.indices((80, 80))), -1, 0)
     away, angle = np.hypot(x, y), np.abs(np.arctan2(y, x))
@@ -101,7 +107,7 @@ def test_ground_up_to_where_it_is_first_seen_is_free():
 
 
 def test_where_nothing_was_seen_nothing_is_known():
-    """Of a depth camera: beside and behind it nobody looked."""
+    """A depth camera does not see to the side or behind."""
     occupancy, away, angle = blind(wedge_rad=0.5)
     got = with_blind_spot(occupancy, HERE).cells
     assert (got[(angle < 0.4) & (away < 2.5)] == 0).all()
@@ -231,7 +237,7 @@ def test_ground_agrees_with_its_twins(seed):
 
 
 def continues(low, ground, known, r, c, y, x):
-    """Whether cell (r, c) is ground beside the ground in (y, x)."""
+    """Return True if cell (r, c) is ground next to the ground in (y, x)."""
     if not known[y, x] or (y, x) == (r, c):
         return False
     away_m = CELL_M * np.hypot(y - r, x - c)

@@ -1,4 +1,4 @@
-"""What has to hold before anything moves."""
+"""Checks of a trajectory before the robot moves."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ JUNK = st.recursive(
 
 @given(JUNK, JUNK, JUNK)
 def test_junk_is_refused_or_safe(segments, regions, speed_mps):
-    """What passes is within every limit, whoever made it."""
+    """An accepted trajectory is within every limit, from any author."""
     try:
         coarse = coarse_of(segments, regions, speed_mps, LIMITS)
         check(coarse, GROUND, LIMITS)

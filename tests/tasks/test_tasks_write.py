@@ -110,8 +110,10 @@ RECORDED = json.loads((Path(__file__).parents[1] / "data" / "task_answers.json")
     ],
 )
 def test_recorded_answers_lead_where_they_should(instruction, rounds, end):
-    """The kinds of OpenNav IV-A: ambiguous, high-level, and a shape of the way; the first answers
-    to two of them have a fault that goes back."""
+    """Drive the task kinds of OpenNav IV-A: ambiguous, high-level, and a path's shape.
+
+    The first answers to two of them have an error that is sent back.
+    """
     with serving(recorded(RECORDED)) as server:
         written = write_trajectory(instruction, SCENE, by_model(server))
     assert len(written.rounds) == rounds

@@ -20,7 +20,7 @@ WORKSPACE = astar.Workspace()  # shared on purpose: every search has to leave it
 
 
 def dijkstra(weights: np.ndarray, start: tuple[int, int], goal: tuple[int, int]) -> float:
-    """The twin: least cost in cells, exact step lengths, no cut corners; inf = no path."""
+    """Return least costs in cells by exact step lengths, no cut corners; inf: no path."""
     rows, columns = weights.shape
 
     def is_open(r: int, c: int) -> bool:
@@ -59,7 +59,7 @@ def plan_cells(
 
 
 def check_path(weights: np.ndarray, plan: astar.GridPath) -> None:
-    """The path walks from neighbour to neighbour over open cells and cuts no corner."""
+    """Check that the path steps between open neighbours and cuts no corner."""
     cells = np.floor(plan.path_m).astype(int)
     assert (weights[cells[:, 1], cells[:, 0]] > 0).all()
     for (c0, r0), (c1, r1) in itertools.pairwise(cells):

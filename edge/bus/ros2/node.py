@@ -55,14 +55,18 @@ class Ros2Node:
             self._token = session.liveliness().declare_token(token)
 
     def look(self) -> None:
-        """Update the graph, and declare endpoints again whose type changed in it."""
-        if self.graph is None:
-            return
+        """Update the graph, and declare endpoints again whose type changed in it.
+
+        Without a graph, publish the last message of latched topics to new subscribers.
+        """
         now_s = time.monotonic()
         if now_s - self._polled_s < _POLL_S:
             return
         self._polled_s = now_s
-        if self.graph.look():
+        if self.graph is None:
+            for endpoint in self._endpoints:
+                endpoint.look()
+        elif self.graph.look():
             for endpoint in self._endpoints:
                 endpoint.settle()
 
@@ -139,6 +143,9 @@ class _Declared:
             self._token.undeclare()
         self._token = node.session.liveliness().declare_token(token)
 
+    def look(self) -> None:
+        """Notice new subscribers, in a dialect without tokens."""
+
     def wanted_type(self) -> str:
         return self.type
 
@@ -169,12 +176,12 @@ class Ros2Publisher(_Declared):
         topic: topic with a leading slash.
         type_name: ROS 2 name.
         latched: transient local: a late subscriber gets the last message. The bridge and the
-            adapter keep that message themselves, from the first one they receive.
+            adapter keep that message themselves; they get it when they subscribe.
     """
 
     def __init__(self, node: Ros2Node, topic: str, type_name: str, latched: bool) -> None:
         super().__init__(node, "MP", topic, type_name, names.LATCHED if latched else names.RELIABLE)
-        self._latched, self._last = latched, b""
+        self._latched, self._last, self._was_heard = latched, b"", False
         self._publisher: zenoh.Publisher | ext.AdvancedPublisher | None = None
 
     def put(self, payload: bytes) -> None:
@@ -183,6 +190,11 @@ class Ros2Publisher(_Declared):
             self._last = payload
         if self._publisher is not None:
             self._publisher.put(payload, attachment=self.attachment())
+
+    def look(self) -> None:
+        was_heard, self._was_heard = self._was_heard, self.heard()
+        if self._last and self._was_heard and not was_heard:
+            self.put(self._last)
 
     def heard(self) -> bool:
         """Return True if there is a subscriber; do not use it for latched topics."""

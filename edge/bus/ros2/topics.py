@@ -24,9 +24,12 @@ PUBLISHED: dict[str, str] = {
     "path": "nav_msgs/msg/Path",
     "trajectory": "nav_msgs/msg/Path",
     "markers": "visualization_msgs/msg/MarkerArray",
+    "keepout_mask": "nav_msgs/msg/OccupancyGrid",
+    "keepout_info": "nav2_msgs/msg/CostmapFilterInfo",
+    "answer": "std_msgs/msg/String",
 }
 """Type of each topic that this service publishes."""
-LATCHED = frozenset({"tf_static", "map", "trajectory"})
+LATCHED = frozenset({"tf_static", "map", "trajectory", "keepout_mask", "keepout_info"})
 """Transient local topics: a late subscriber gets the last message."""
 NAVIGATE_TO_POSE = "nav2_msgs/action/NavigateToPose"
 DOCK_ROBOT, UNDOCK_ROBOT = "nav2_msgs/action/DockRobot", "nav2_msgs/action/UndockRobot"

@@ -16,7 +16,7 @@ _POSE = struct.Struct("<7d")
 _SCALE = struct.Struct("<3d")
 _COLOUR = struct.Struct("<4f")
 
-ARROW, CUBE, SPHERE_LIST, TEXT = 0, 1, 7, 9
+ARROW, CUBE, LINE_STRIP, SPHERE_LIST, TEXT = 0, 1, 4, 7, 9
 _ADD, _DELETE_ALL = 0, 3
 
 ORIGIN = SE2(0.0, 0.0, 0.0)
@@ -30,10 +30,11 @@ class Marker:
 
     Attributes:
         group: its namespace; unique together with `id`.
-        kind: `ARROW`, `CUBE`, `SPHERE_LIST` or `TEXT`.
-        scale_m: size along x, y, z; for a text z is its height, for a list all are the diameter.
+        kind: `ARROW`, `CUBE`, `LINE_STRIP`, `SPHERE_LIST` or `TEXT`.
+        scale_m: size along x, y, z. z is the height of a text, all are the diameter of a list, x is
+            the width of a line.
         colour: red, green, blue, alpha, 0 to 1.
-        points_m: (n, 3) centres of a list.
+        points_m: (n, 3) centres of a list, or corners of a line.
     """
 
     group: str

@@ -1,4 +1,4 @@
-"""Codec of the actions NavigateToPose, DockRobot and UndockRobot of nav2_msgs.
+"""Codec of Nav2's messages: NavigateToPose, DockRobot, UndockRobot and CostmapFilterInfo.
 
 An action is three services and two topics: `send_goal`, `get_result` and `cancel_goal` are
 services, `feedback` and `status` are topics, all below `<action>/_action/`. The client chooses a
@@ -20,6 +20,7 @@ _I16 = struct.Struct("<h")
 _U16 = struct.Struct("<H")
 _F32 = struct.Struct("<f")
 _MOST_GOALS = 1024
+_KEEPOUT_FILTER = 0
 _STAGING_S, _UNDOCKING_S = 1000.0, 30.0  # defaults of DockRobot and UndockRobot
 
 # action_msgs/GoalStatus
@@ -139,6 +140,12 @@ def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
         reader.skip(STAMP.size, 4)
         goals.append((goal_id, reader.read(_I8, 1)[0] if status else 0))
     return goals
+
+
+def encode_keepout_info(stamp_ns: int, frame_id: str, mask_topic: str) -> bytes:
+    """Encode the nav2_msgs/CostmapFilterInfo that tells a KeepoutFilter the topic of its mask."""
+    writer = CdrWriter().header(stamp_ns, frame_id).write(U8, 1, _KEEPOUT_FILTER)
+    return writer.string(mask_topic).floats((0.0, 1.0), "f").bytes()
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,7 @@ def decode_transforms(payload: bytes) -> list[Transform]:
     reader = CdrReader(payload)
     (count,) = reader.read(U32, 4)
     if count > min(MOST_TRANSFORMS, len(payload) // _SMALLEST):
-        raise DecodeError(f"{count} transforms in {len(payload)} bytes")
+        raise DecodeError(f"{count} transforms do not fit in {len(payload)} bytes")
     return [_read_transform(reader) for _ in range(count)]
 
 

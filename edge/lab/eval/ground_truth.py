@@ -17,7 +17,8 @@ from edge.lab.eval.revisits import RevisitCounter
 from edge.lab.eval.zone_entries import ZoneEntryCounter
 from edge.lab.sim.base import World, WorldObject
 from edge.loop.result import TickResult
-from edge.mission.language.places import EXPLORED
+from edge.memory import Site
+from edge.mission.destinations import destination_of
 from edge.types import Goal, Instance, MissionStatus, Observation
 
 TRAIL_M = 0.25
@@ -171,7 +172,7 @@ class GroundTruthLogger:
 
     def _judge_steps(self, result: TickResult, truth: GroundTruth) -> None:
         steps = result.mission().steps
-        reached = [s.label for s in steps if s.kind == "reached" and s.label != EXPLORED]
+        reached = [s.label for s in steps if s.kind == "reached" and _is_thing(s.label)]
         for label in reached[len(self.stops) :]:
             self.stops.append((label, self.distance_to_target_m(label, truth.x_m, truth.y_m)))
 
@@ -250,6 +251,11 @@ class GroundTruthLogger:
         if out_of:
             return "budget"
         return "never seen" if pursued not in self.first_sights else "stuck"
+
+
+def _is_thing(label: str) -> bool:
+    """Return True if the label is a thing to search for, not a destination such as `explored`."""
+    return destination_of(label, Site()) is None
 
 
 def named(world: World, target: str) -> list[WorldObject]:

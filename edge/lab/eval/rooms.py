@@ -1,4 +1,4 @@
-"""Rooms against ground truth: are their kinds right, and does the robot reach a named one?
+"""Evaluation of rooms: are their kinds right, and does the robot reach a named one.
 
 `edge eval rooms` explores houses with known kinds of rooms, and drives to a room of each kind.
 """

@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorLlm, TranslatorModel
@@ -32,6 +32,13 @@ from edge.errors import UserError
 from edge.host.files import open_regular, save
 from edge.host.progress import with_progress
 from edge.lab.eval.equivalence import distinguishing_trace, satisfiable, with_weak_untils
+from edge.lab.eval.everyday import (
+    everyday_cases,
+    everyday_counts,
+    everyday_failures,
+    everyday_table,
+    score_everyday,
+)
 from edge.lab.eval.planning.templates import generate
 from edge.mission.logic.ltl import (
     FALSE,
@@ -96,6 +103,8 @@ class TranslationScore:
     got: str
     distinguishing_trace: tuple[str, ...] = ()
 
+
+Case = TypeVar("Case")
 
 OUTCOMES = ("right", "right if weak", "wrong", "asked", "refused")
 
@@ -311,6 +320,8 @@ def run(args: argparse.Namespace) -> int:
         UserError: an option is wrong; a file cannot be read or written; or the scoring was stopped,
             after its results so far were printed and written.
     """
+    if args.everyday is not None:
+        return _run_everyday(args)
     translators = {name: make_translator(_config(name, args)) for name in args.backend}
     sets = {VITL: (benchmark_cases(_TASKS, args.seed), Counter[str]())}
     if args.lang2ltl is None:
@@ -344,6 +355,26 @@ def run(args: argparse.Namespace) -> int:
         save(args.out, f"{json.dumps(result, indent=2)}\n".encode())
     if stopped_by is not None:
         raise stopped_by
+    return 0
+
+
+def _run_everyday(args: argparse.Namespace) -> int:
+    """Score everyday sentences with each translator; see `everyday`."""
+    cases = _sample(everyday_cases(args.everyday), args.limit)
+    failed: list[str] = []
+    result: dict[str, Any] = {}
+    for name in args.backend:
+        scores = [score_everyday(case, _config(name, args)) for case in with_progress(name, cases)]
+        lines = everyday_failures(scores, name)
+        failed += lines
+        result[name] = everyday_counts(scores)
+        print(
+            everyday_table(f"Everyday, {name}", result[name]), *_shown(lines), sep="\n", end="\n\n"
+        )
+    if args.failures is not None:
+        save(args.failures, "".join(f"{line}\n" for line in failed).encode())
+    if args.out is not None:
+        save(args.out, f"{json.dumps(result, indent=2)}\n".encode())
     return 0
 
 
@@ -423,7 +454,7 @@ def _shown(lines: Sequence[str]) -> Iterator[str]:
         yield f"  … and {len(lines) - _SHOWN_FAILURES} more (--failures FILE lists them all)"
 
 
-def _sample(cases: Sequence[TranslationCase], limit: int | None) -> Sequence[TranslationCase]:
+def _sample(cases: Sequence[Case], limit: int | None) -> Sequence[Case]:
     """Return `limit` evenly spaced cases, so that a small sample has every part."""
     if limit is None or limit >= len(cases):
         return cases

@@ -10,6 +10,7 @@ from edge.lab.report.marks import dart
 from edge.lab.report.record import RunRecord
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
 
@@ -46,13 +47,7 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
         mark("robot at the start", dart(math.pi / 2), "white", palette.START, 13),
         mark("robot at the end", dart(math.pi / 2), end, "white", 13),
     ]
-    if record.task is not None:
-        handles += [
-            Line2D([], [], color=tasks.REFINED, lw=6, alpha=0.45, label="refined trajectory"),
-            Line2D(
-                [], [], color=tasks.COARSE, lw=1.6, ls=(0, (1.2, 1.6)), label="coarse trajectory"
-            ),
-        ]
+    handles += more_lines(record)
     legend = figure.legend(
         handles=handles,
         loc="upper left",
@@ -63,3 +58,29 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
     )
     for text in legend.get_texts():
         text.set_color(palette.INK)
+
+
+def more_lines(record: RunRecord) -> list[Artist]:
+    """Return the lines of the legend that not every report has: a task's, places and zones."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    lines: list[Artist] = []
+    if record.task is not None:
+        dotted = (0, (1.2, 1.6))
+        lines += [
+            Line2D([], [], color=tasks.REFINED, lw=6, alpha=0.45, label="refined trajectory"),
+            Line2D([], [], color=tasks.COARSE, lw=1.6, ls=dotted, label="coarse trajectory"),
+        ]
+    if record.rooms:
+        lines.append(Line2D([], [], color=palette.ROOM, lw=1.2, ls=(0, (1, 2)), label="room"))
+    if record.site.places:
+        style = {"markerfacecolor": palette.PLACE, "markeredgecolor": "white", "markersize": 8}
+        lines.append(Line2D([], [], ls="", marker="o", label="place", **style))
+    for kind in sorted({zone.kind for zone in record.site.zones}):
+        colour, label = palette.ZONES[kind], f"{kind.replace('_', '-')} zone"
+        lines.append(Patch(facecolor=f"{colour}24", edgecolor=colour, ls="--", label=label))
+    if record.objects:
+        style = {"markerfacecolor": "white", "markeredgecolor": palette.INSTANCE, "markersize": 6}
+        lines.append(Line2D([], [], ls="", marker="s", label="remembered object", **style))
+    return lines

@@ -1,4 +1,4 @@
-"""Marks on the map: goals, instances with their labels, and the robot."""
+"""Marks on the map: goals, objects, places and zones with their labels, and the robot."""
 
 from __future__ import annotations
 
@@ -52,11 +52,67 @@ def goals(axes: Axes, record: RunRecord, scale: float) -> None:
             axes.text(x_m, y_m, str(number), color=palette.INK, zorder=6.5, **style)
 
 
-def instances(axes: Axes, record: RunRecord, scale: float) -> None:
-    """Draw the surface points of every instance, and labels if there is room."""
+def rooms(axes: Axes, record: RunRecord) -> None:
+    """Draw the outline of every room, with its name or kind in the middle."""
+    for room in record.rooms:
+        if not len(room.polygon_m):
+            continue
+        style = {"fill": False, "edgecolor": palette.ROOM, "lw": 1.2, "ls": (0, (1, 2))}
+        axes.fill(*room.polygon_m.T, zorder=2.5, **style)
+        style = {"ha": "center", "va": "center", "fontsize": 9, "clip_on": True, "zorder": 4}
+        axes.text(*room.xy_m, plain(shorten(room.title, MAX_LABEL)), color=palette.ROOM, **style)
+
+
+def zones(axes: Axes, record: RunRecord) -> None:
+    """Draw the outline of every zone, with its name at the upper left corner."""
+    for zone in record.site.zones:
+        xs, ys = zip(*zone.corners_m, strict=True)
+        colour = palette.ZONES[zone.kind]
+        if zone.kind == "keep_out":
+            axes.fill(xs, ys, facecolor=colour, alpha=0.14, zorder=1)
+        axes.fill(xs, ys, fill=False, edgecolor=colour, lw=1.6, ls=(0, (4, 2)), zorder=3)
+        x_m, y_m = max(zone.corners_m, key=lambda corner: (corner[1], -corner[0]))
+        style = {"textcoords": "offset points", "va": "top", "fontsize": 8.5, "zorder": 9}
+        name = plain(shorten(zone.name, MAX_LABEL))
+        axes.annotate(
+            name, (x_m, y_m), (4, -4), color=colour, fontweight="bold", clip_on=True, **style
+        )
+
+
+def places(axes: Axes, record: RunRecord, taken: list[raster.Box]) -> None:
+    """Draw every place as a disc with a tick along its heading, and labels if there is room."""
+    for place in record.site.places:
+        pose = place.pose
+        tip_m = pose.x_m + 0.3 * math.cos(pose.yaw_rad), pose.y_m + 0.3 * math.sin(pose.yaw_rad)
+        ends = zip((pose.x_m, pose.y_m), tip_m, strict=True)
+        axes.plot(*ends, color=palette.PLACE, lw=2.2, zorder=7)
+        style = {"s": 44, "color": palette.PLACE, "edgecolor": "white", "zorder": 7.5}
+        axes.scatter(pose.x_m, pose.y_m, **style)
+        name = shorten(place.name, MAX_LABEL)
+        _label(axes, name, (pose.x_m, pose.y_m), palette.PLACE, taken, False)
+
+
+def objects(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Box]) -> None:
+    """Draw remembered objects of other names than the instances, and labels if there is room."""
+    named = {instance.label for instance in record.instances}
+    for one in [each for each in record.objects if each.name not in named][:MAX_LABELS]:
+        xy_m = one.xyz_m[:2]
+        style = {"color": "white", "edgecolor": palette.INSTANCE, "linewidth": 1.2, "zorder": 4.5}
+        axes.scatter(*xy_m, s=24 * scale, marker="s", **style)
+        _label(axes, shorten(one.name, MAX_LABEL), xy_m, palette.MUTED, taken, False)
+
+
+def instances(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Box]) -> None:
+    """Draw the surface points of every instance, and labels if there is room.
+
+    Args:
+        axes: of the picture.
+        record: what is drawn.
+        scale: of the marks.
+        taken: space of labels, extended by those drawn.
+    """
     numbers = _order_reached(record)
     ranked = sorted(record.instances, key=lambda i: _rank(record, i))
-    taken: list[raster.Box] = []
     for rank, instance in enumerate(ranked):
         wanted = _rank(record, instance)[0] == 0
         colour = palette.target_colour(instance.label, record.targets)

@@ -17,6 +17,9 @@ INSTANCE = "#2b6cb0"
 FRONTIER = "#f08c00"
 START = "#2f9e44"
 WARNING = "#e8590c"
+PLACE = "#0b7285"
+ROOM = "#5f3dc4"
+ZONES = {"keep_out": "#c92a2a", "stay_inside": "#2b8a3e"}
 # One for each target of a mission, in order.
 TARGETS = (
     TARGET, "#1c7ed6", "#9c36b5", "#0b7285", "#8d5524", "#5c940d", "#6741d9", "#5c6b7f",

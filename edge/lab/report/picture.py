@@ -20,6 +20,8 @@ DPI = 110
 MAP_IN = (9.1, 8.3)
 LEFT_IN, TOP_IN, BOTTOM_IN, SIDE_IN, MIN_HEIGHT_IN = 0.4, 1.0, 0.45, 3.0, 6.8
 INCHES_PER_M = 0.55
+LINE_IN = 0.275
+"""Height of a line of the legend."""
 
 
 class MapLayout(NamedTuple):
@@ -51,19 +53,24 @@ def png(record: RunRecord) -> bytes:
     from matplotlib.figure import Figure
 
     box = _view(record)
-    layout = _layout(box)
+    n_more = len(key.more_lines(record))
+    layout = _layout(box, n_more)
     figure = Figure(figsize=(layout.width, layout.height), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.add_axes(layout.place(LEFT_IN, TOP_IN, layout.map_width, layout.map_height))
     _frame(axes, box)
     _map(axes, record)
     _frontiers(axes, record, layout.marks)
+    marks.rooms(axes, record)
+    marks.zones(axes, record)
     tasks.draw(axes, record)
-    right = LEFT_IN + layout.map_width
-    below_in = 3.3 if record.task is None else 3.85  # a task's legend has two more lines
+    right, below_in = LEFT_IN + layout.map_width, 3.3 + LINE_IN * n_more
     way.draw(figure, axes, record, layout.place(right + 0.3, TOP_IN + below_in, 0.17, 1.8))
     marks.goals(axes, record, layout.marks)
-    marks.instances(axes, record, layout.marks)
+    taken: list[raster.Box] = []
+    marks.instances(axes, record, layout.marks, taken)
+    marks.places(axes, record, taken)
+    marks.objects(axes, record, layout.marks, taken)
     marks.poses(axes, record)
     _scale_bar(axes, box)
     _title(figure, record, layout)
@@ -71,14 +78,15 @@ def png(record: RunRecord) -> bytes:
     return content(figure, "png")
 
 
-def _layout(box: raster.Box) -> MapLayout:
+def _layout(box: raster.Box, n_more: int) -> MapLayout:
+    """Return the sizes; `n_more` is the number of lines that are not in every legend."""
     shape = (box[3] - box[2]) / (box[1] - box[0])
     width, height = MAP_IN
     if shape * width > height:
         width = max(height / shape, 5.0)
     else:
         height = shape * width
-    whole = max(TOP_IN + height + BOTTOM_IN, MIN_HEIGHT_IN)
+    whole = max(TOP_IN + height + BOTTOM_IN, MIN_HEIGHT_IN + LINE_IN * n_more)
     per_m = min(width / (box[1] - box[0]), height / (box[3] - box[2]))
     scale = min(1.0, max(0.3, per_m / INCHES_PER_M))
     return MapLayout(LEFT_IN + width + SIDE_IN, whole, width, height, scale)

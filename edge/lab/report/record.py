@@ -12,6 +12,7 @@ from edge import names
 from edge.geometry import Grid
 from edge.loop.latency import LatencyReport
 from edge.loop.result import MissionFacts
+from edge.memory import KnownObject, MappedRoom, Site
 from edge.tasks.facts import TaskStatus
 from edge.types import Goal, Instance, MissionEvent, MissionStatus
 
@@ -88,6 +89,9 @@ class RunRecord:
         trajectory: (n, 3) float64: x_m, y_m, yaw_rad in `map`.
         trajectory_t_s: (n,) float64.
         frontiers_m: (n, 2) float32 cells or centroids in `map`, at the end of the run.
+        objects: remembered objects, the most confident first.
+        rooms: rooms of the map.
+        site: places and zones.
         values: value maps by name, uint8, 0 for no value.
         events: (t_s, text) in order of time.
         config: the whole configuration as JSON types, without the secrets of its URLs.
@@ -107,6 +111,9 @@ class RunRecord:
     frontiers_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
     goals: tuple[Goal, ...] = ()
     instances: tuple[Instance, ...] = ()
+    objects: tuple[KnownObject, ...] = ()
+    rooms: tuple[MappedRoom, ...] = ()
+    site: Site = field(default_factory=Site)
     frames: tuple[Keyframe, ...] = ()
     asked: tuple[ChoiceFrame, ...] = ()
     values: Mapping[str, Grid] = field(default_factory=dict)

@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from edge import names
 from edge.geometry import SE2
-from edge.lab.sim.base import WorldObject
+from edge.lab.sim.base import FloorPlan, WorldObject
 from edge.lab.sim.boxworld import BoxWorld
 
 _FLOOR_M = 0.1  # the bottom of what stands on the floor is lower than this
 _GAP_M = 0.05  # kept between a moved object and others
+_PASS_M = 0.1  # room on each side in a passage that must stay open
 _APART_M = 2.0  # an object moves by this at least
 _PLACES = 40
 
@@ -29,7 +31,7 @@ def rearrange(
     """Move a share of the objects to free places on the floor.
 
     An object can move if it stands on the floor and carries nothing. It moves by 2 m or more, not
-    onto the robot. No passage is closed, and each goal that was reachable stays so.
+    onto the robot. No passage with room for the robot is closed, and each goal stays reachable.
 
     Args:
         world: changed in place.
@@ -72,7 +74,7 @@ def _move(
     """Move an object to the first of some random places that does no harm."""
     plan, (x_m, y_m) = world.plan, item.center_m[:2]
     half_m = 0.5 * math.hypot(*item.size_m[:2])
-    before = plan.reachable(robot.x_m, robot.y_m, radius_m)
+    before = _floor(plan, radius_m)
     near = _goals_in_reach(world, goals, before)
     row, col = np.nonzero(before & (plan.clearance_m > half_m + _GAP_M))
     for k in rng.integers(0, len(row), _PLACES).tolist() if len(row) else ():
@@ -82,12 +84,20 @@ def _move(
         if robot.distance_to(x, y) < half_m + 3.0 * radius_m:
             continue
         world.move(item.id, x, y)
-        after = plan.reachable(robot.x_m, robot.y_m, radius_m)
-        lost = before & ~after & (plan.clearance_m > radius_m)
+        after = _floor(plan, radius_m)
+        lost = before & ~after & (plan.clearance_m > radius_m + _PASS_M)
         if not lost.any() and near <= _goals_in_reach(world, goals, after):
             return True
         world.move(item.id, x_m, y_m)
     return False
+
+
+def _floor(plan: FloorPlan, radius_m: float) -> np.ndarray:
+    """Return (rows, columns) bool: the largest area in which the robot can drive with room."""
+    free = (plan.clearance_m > radius_m + _PASS_M).astype(np.uint8)
+    _, component = cv2.connectedComponents(free, connectivity=4)
+    sizes = np.bincount(component[free > 0], minlength=1)
+    return (component == int(np.argmax(sizes))) & (free > 0)
 
 
 def _goals_in_reach(world: BoxWorld, goals: Sequence[str], reachable: np.ndarray) -> set[str]:

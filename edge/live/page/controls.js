@@ -8,13 +8,13 @@ const SURE_MS = 3000;
 let resumes = false; // the button resumes a paused mission, or ends a wait
 
 export function show({ controls, moment, service }) {
-  $("controls").hidden = $("swap").hidden = !controls;
+  $("controls").hidden = $("swap").hidden = $("ask").hidden = !controls;
   $("readonly").hidden = controls;
   const paused = moment?.paused ?? false;
   resumes = paused || moment?.phase === "waiting";
   say("pause", paused ? "Resume" : resumes ? "Go on" : "Pause");
   $("pause").disabled = $("cancel").disabled = isDone(moment);
-  $("new").disabled = service.state === "starting" || service.state === "stopping";
+  $("new").disabled = $("send").disabled = service.state === "starting" || service.state === "stopping";
 }
 
 let hide = 0;
@@ -107,7 +107,7 @@ async function begin(said) {
     const answer = await post("mission/request", { do: "new", ...said });
     $("words").value = "";
     dialog.close();
-    toast(`Started: ${answer.english ?? answer.instruction}`);
+    toast(textOf(answer));
   } catch (error) {
     if (error.readings?.length) offer(said, error.readings);
     else say("new-error", error.message);
@@ -116,6 +116,32 @@ async function begin(said) {
     $("new-ok").disabled = false;
     say("new-ok", "Start");
   }
+}
+
+// Returns the answer to a question, or the mission that was started.
+const textOf = (answer) => answer.text || `Started: ${answer.english ?? answer.instruction}`;
+
+$("ask").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const said = { instruction: $("sentence").value };
+  $("answer").className = "";
+  say("answer", "…");
+  try {
+    say("answer", textOf(await post("mission/request", { do: "new", ...said })));
+    $("sentence").value = "";
+  } catch (error) {
+    say("answer", error.message);
+    $("answer").className = "error";
+    if (error.readings?.length) choose(said, error.readings);
+  }
+});
+
+function choose(said, readings) {
+  $("words").value = said.instruction;
+  offer(said, readings);
+  $("new-error").hidden = false;
+  say("answer", "");
+  dialog.showModal();
 }
 
 // -- the token ----------------------------------------------------------------------------------

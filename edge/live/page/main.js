@@ -7,6 +7,7 @@ import * as controls from "./controls.js";
 import { $, make, once } from "./dom.js";
 import * as map from "./map.js";
 import * as panels from "./panels.js";
+import * as site from "./site.js";
 import * as task from "./task.js";
 
 const [NOW_MS, MAP_MS, STORY_MS, GONE_MS] = [200, 500, 1000, 1000];
@@ -55,6 +56,7 @@ async function now() {
   failed.delete(now);
   panels.tellState(told, [...failed.values()][0]);
   controls.show(told);
+  site.allow(told.controls);
   task.show(told.moment?.task ?? null);
   map.update({ now: told.moment, radius_m: told.radius_m });
 }
@@ -65,6 +67,18 @@ async function scripts() {
   if (number === undefined || number === task.number()) return;
   const script = await get("live/task");
   if (script) task.showScript(script);
+}
+
+// Places change seldom: get them only when they have changed.
+async function sites() {
+  if (!site.isOld(state.now?.moment?.site)) return;
+  const told = await get("live/site");
+  if (told) site.show(told);
+}
+
+async function memory() {
+  const told = await get("live/memory");
+  if (told) site.showMemory(told);
 }
 
 async function shots() {
@@ -139,5 +153,7 @@ new ResizeObserver(camera.draw).observe($("camera"));
 every(NOW_MS, now);
 every(NOW_MS, shots);
 every(NOW_MS, scripts);
+every(NOW_MS, sites);
+every(STORY_MS, memory);
 every(STORY_MS, story);
 every(MAP_MS, maps);

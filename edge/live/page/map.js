@@ -5,6 +5,8 @@ import { $, colour, colourOf, fitted, once, picture, say } from "./dom.js";
 
 const MARGIN_M = 0.6;
 const NEAR_PX = 16;
+const NAMED_PX = 45; // px per metre from which objects have names
+const SAME_PX = 6;
 const TOLD = 6; // number of best frontiers that are shown with scores
 const [LEAST, MOST] = [4, 400]; // px per metre
 // Viridis, from low to high.
@@ -12,7 +14,10 @@ const RAMP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 2
 
 const canvas = $("map");
 const view = { x: 0, y: 0, scale: 60, follow: false, fitted: true };
-const shown = { map: null, layer: null, now: null, trail: [], targets: [], radius_m: 0.2, script: null };
+const shown = {
+  map: null, layer: null, now: null, trail: [], targets: [], radius_m: 0.2, script: null,
+  site: [], objects: [], rooms: [], draft: [],
+};
 let due = false;
 
 export function draw() {
@@ -111,6 +116,13 @@ function pan(dx, dy) {
   draw();
 }
 
+export function centre([x, y]) {
+  follow(false);
+  pan(x - view.x, y - view.y);
+}
+
+export const isSame = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]) * view.scale < SAME_PX;
+
 export function follow(on) {
   view.follow = on;
   if (on) view.fitted = false;
@@ -126,9 +138,19 @@ function paint() {
   const { context, width, height } = fitted(canvas);
   sheet(context, shown.map, false);
   sheet(context, shown.layer, true);
+  for (const room of shown.rooms) outline(context, room);
+  for (const { properties, geometry } of shown.site) {
+    if (geometry.type === "Polygon") zone(context, properties, geometry.coordinates[0].map(toScreen));
+  }
   scaleBar(context, height);
   line(context, trail(now), colour("trail"), 2.5);
+  for (const { properties, geometry } of shown.site) {
+    if (properties.kind === "place") place(context, properties, toScreen(geometry.coordinates));
+  }
+  draft(context);
   if (!now) return;
+  for (const one of remembered()) known(context, one);
+  for (const room of shown.rooms) roomTitle(context, room);
   if (now.task && shown.script) trajectory(context, shown.script, now.task.index);
   line(context, now.way.map(toScreen), colour("way"), 2.5, [7, 5]);
   const open = now.candidates.filter((c) => c.kind !== "instance");
@@ -214,8 +236,77 @@ function instance(context, thing) {
   if (thing.state !== "seen") label(context, refuted ? `no ${thing.label}` : thing.label, x + half + 4, y, ink);
 }
 
-function label(context, text, x, y, ink) {
-  context.font = "600 12px system-ui, sans-serif";
+// Objects that are not drawn as objects of the mission.
+function remembered() {
+  const drawn = new Set(shown.now?.instances.map((one) => one.label));
+  return shown.objects.filter((one) => !drawn.has(one.name));
+}
+
+function known(context, { name, xyz }) {
+  const [x, y] = toScreen(xyz);
+  context.fillStyle = colour("card");
+  context.strokeStyle = colour("thing");
+  context.lineWidth = 1.5;
+  context.fillRect(x - 3.5, y - 3.5, 7, 7);
+  context.strokeRect(x - 3.5, y - 3.5, 7, 7);
+  if (view.scale >= NAMED_PX) label(context, name, x + 7, y, colour("thing"), 500);
+}
+
+function zone(context, { kind, name }, ring) {
+  const ink = colour(kind);
+  line(context, ring, ink, 2, [8, 4]);
+  context.globalAlpha = 0.14;
+  context.fillStyle = ink;
+  context.fill();
+  context.globalAlpha = 1;
+  const [x, y] = ring.reduce((best, at) => (at[1] < best[1] ? at : best)); // the highest corner
+  label(context, name, x + 5, y + 11, ink);
+}
+
+export const titleOf = ({ name, kinds, id }) => name || kinds.join(" and ") || `room ${id}`;
+
+function outline(context, room) {
+  if (!room.polygon.length) return;
+  const ring = [...room.polygon, room.polygon[0]].map(toScreen);
+  line(context, ring, colour("room"), 1.5, [2, 4]);
+}
+
+function roomTitle(context, room) {
+  const [x, y] = toScreen(room.xy);
+  const p = Math.max(...Object.values(room.chance));
+  const title = room.name || !room.kinds.length ? titleOf(room) : `${titleOf(room)} ${Math.round(100 * p)} %`;
+  context.textAlign = "center";
+  label(context, title, x, y, colour("room"));
+  context.textAlign = "start";
+}
+
+function place(context, { name, heading_deg }, [x, y]) {
+  const ink = colour("place");
+  const heading = (heading_deg * Math.PI) / 180;
+  line(context, [[x, y], [x + 15 * Math.cos(heading), y - 15 * Math.sin(heading)]], ink, 3);
+  context.beginPath();
+  context.arc(x, y, 5.5, 0, 2 * Math.PI);
+  context.fillStyle = ink;
+  context.fill();
+  context.lineWidth = 1.5;
+  context.strokeStyle = colour("card");
+  context.stroke();
+  label(context, name, x - 5, y + 15, ink);
+}
+
+function draft(context) {
+  const ring = shown.draft.map(toScreen);
+  line(context, ring, colour("accent"), 2.5);
+  for (const [x, y] of ring) {
+    context.beginPath();
+    context.arc(x, y, 4, 0, 2 * Math.PI);
+    context.fillStyle = colour("accent");
+    context.fill();
+  }
+}
+
+function label(context, text, x, y, ink, weight = 600) {
+  context.font = `${weight} 12px system-ui, sans-serif`;
   context.textBaseline = "middle";
   context.lineJoin = "round";
   context.lineWidth = 3.5;
@@ -272,10 +363,18 @@ function scaleBar(context, height) {
 // -- input --------------------------------------------------------------------------------------
 
 const fingers = new Map();
+let picking = null; // takes both ends of a drag, in metres, while a person draws on the map
+let pressed = null;
+
+export function pick(take) {
+  picking = take;
+  canvas.classList.toggle("picking", Boolean(take));
+}
 
 canvas.addEventListener("pointerdown", (event) => {
   canvas.setPointerCapture(event.pointerId);
   fingers.set(event.pointerId, [event.offsetX, event.offsetY]);
+  pressed = fingers.size === 1 ? toMap(event.offsetX, event.offsetY) : null;
 });
 canvas.addEventListener("pointermove", (event) => {
   const at = [event.offsetX, event.offsetY];
@@ -285,6 +384,8 @@ canvas.addEventListener("pointermove", (event) => {
   if (others.length) {
     const apart = (p) => Math.hypot(p[0] - others[0][0], p[1] - others[0][1]) || 1;
     zoom(apart(at) / apart(before), (at[0] + others[0][0]) / 2, (at[1] + others[0][1]) / 2);
+  } else if (picking && pressed) {
+    picking(pressed, toMap(...at), false);
   } else if (Math.hypot(at[0] - before[0], at[1] - before[1]) > 0) {
     follow(false);
     pan((before[0] - at[0]) / view.scale, (at[1] - before[1]) / view.scale);
@@ -294,6 +395,8 @@ canvas.addEventListener("pointermove", (event) => {
 for (const end of ["pointerup", "pointercancel", "pointerleave"]) {
   canvas.addEventListener(end, (event) => {
     fingers.delete(event.pointerId);
+    if (end === "pointerup" && picking && pressed) picking(pressed, toMap(event.offsetX, event.offsetY), true);
+    pressed = null;
     if (end === "pointerleave") $("tip").hidden = true;
   });
 }
@@ -301,7 +404,7 @@ canvas.addEventListener("wheel", (event) => {
   event.preventDefault();
   zoom(Math.exp(-0.0015 * event.deltaY), event.offsetX, event.offsetY);
 }, { passive: false });
-canvas.addEventListener("dblclick", fit);
+canvas.addEventListener("dblclick", () => picking || fit());
 canvas.addEventListener("keydown", (event) => {
   const step = 60 / view.scale;
   const keys = {
@@ -321,6 +424,7 @@ const tip = once((text) => say("tip", text));
 function tell(px, py) {
   const now = shown.now;
   const things = now ? [...now.instances, ...now.candidates.filter((c) => c.kind !== "instance")] : [];
+  things.push(...remembered().map((one) => ({ ...one, xy_m: one.xyz })));
   const away = (thing) => {
     const [x, y] = toScreen(thing.xy_m);
     return Math.hypot(x - px, y - py);
@@ -328,11 +432,12 @@ function tell(px, py) {
   const [nearest] = things.filter((t) => away(t) < NEAR_PX).sort((a, b) => away(a) - away(b));
   $("tip").hidden = !nearest;
   if (!nearest) return;
-  tip(nearest.label === undefined ? ofCandidate(nearest) : ofThing(nearest));
+  tip(nearest.name ? ofObject(nearest) : nearest.label === undefined ? ofCandidate(nearest) : ofThing(nearest));
   $("tip").style.left = `${Math.min(px + 14, canvas.clientWidth - 190)}px`;
   $("tip").style.top = `${Math.min(py + 14, canvas.clientHeight - 90)}px`;
 }
 
+const ofObject = (o) => `${o.name} #${o.id}\nconfidence ${o.confidence.toFixed(2)}, seen ${o.age_s.toFixed(0)} s ago`;
 const ofThing = (t) => `${t.label} #${t.id}: ${t.state}\nconfidence ${t.score?.toFixed(2)}, ${t.hits} hits`;
 
 function ofCandidate(c) {

@@ -91,7 +91,7 @@ class FollowBehaviour:
         self._side: Worker[ObjectMapUpdate | PlanRequest, PlanResult] = Worker(
             "task", run_request, inline=config.loop.lockstep, drop=release_frame
         )
-        self._worker: Any = journal.beside(TASK, self._side)
+        self._worker: Any = journal.wrap(TASK, self._side)
         self._objects = ObjectMap()  # only the worker uses it
         self._begin()
 

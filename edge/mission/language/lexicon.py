@@ -273,7 +273,8 @@ _ROWS: dict[str, str] = {
         any one; either one; or both; your pick; your choice; the choice is yours; you choose; you
         decide; either is fine; either one is fine; either will do; either one will do;
         (whichever|whichever one) (you like|you prefer|you want|you choose|suits you|is closer|is
-        closest|is nearer|is nearest|is easier|is quicker|is faster);
+        closest|is nearer|is nearest|is easier|is quicker|is faster|is first|comes first|you find
+        first|you see first);
         (the one|any one|either one) (you like|you prefer|you want|that you prefer|you choose);
         (it does not matter|i do not care|i do not mind) (which|which one)
     """,
@@ -412,7 +413,7 @@ AFTER_VERB = tuple(_PARTICLES.split())
 """Particles that belong to the preceding verb: "turn on", "look for", "stop at"."""
 
 
-def _spelled_out(phrases: str) -> list[str]:
+def spelled_out(phrases: str) -> list[str]:
     """Return all phrases of a row; "(a|b) c" becomes two phrases."""
     todo, done = [phrase for phrase in phrases.split(";") if phrase.strip()], []
     for phrase in todo:
@@ -425,7 +426,7 @@ def _spelled_out(phrases: str) -> list[str]:
 
 
 _CHOICE = re.compile(r"\(([^()]*)\)")
-PHRASES = {kind: tuple(_spelled_out(row)) for kind, row in _ROWS.items()}
+PHRASES = {kind: tuple(spelled_out(row)) for kind, row in _ROWS.items()}
 """Kind → its phrases."""
 AVOIDING = frozenset(PHRASES["avoid"])
 """Phrases that mean "avoid"."""

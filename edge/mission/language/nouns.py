@@ -52,6 +52,85 @@ _OBJECTS = """
     water|cooler whiteboard blackboard wheel wheelchair wine wire workbench zebra elephant bear
     charging|station charger dock docking|station
 """
+_EVERYDAY = """
+    alarm album ambulance anvil apron armrest axe backpack badge bagpipe balance|bike ball balloon
+    bandage barbell barcode|scanner barrier barrow bath bathrobe battery|pack beach|ball beach|towel
+    beaker beanbag bedpan bedsheet bedspread bed|rail bed|table beer beetle belt bib bicycle binder
+    binoculars birdcage bird|cage biscuit blazer bleach blocks blood|pressure|cuff
+    blood|pressure|monitor blouse bolt bonnet bookmark boot boots bouncy|ball bouquet bowtie box
+    boxes bracelet bread briefcase broccoli brooch bubble|wrap building|blocks bulb bulletin|board
+    bumper bunk|bed burger butter cabbage cable|drum cable|reel cactus calculator candy cape
+    cardboard cardigan card|box carpet cart|wheel casserole cassette catheter cat|bowl cat|tree
+    caution|sign cereal chain chainsaw chalk chalkboard charger|cable cheese cherry chess|board
+    chopper chopsticks cigarette clamp clarinet cleaning|cart cleaver clip clipboard cloth clothes
+    clothesline clothes|hanger coaster cockpit coffin coil colander coloring|book comb comforter
+    commode compass compressor console conveyor conveyor|belt cookbook cookie cookie|jar cooking|pot
+    copier cord cork corkscrew cork|board costume crackers cradle crane crash|cart crayon crayons
+    cream crowbar crown crutch crutches cube cucumber cufflink curler curtain|rail cutlery cutter
+    cutting|board darts deck|chair defibrillator dentures deodorant detergent diaper diaper|bag
+    dinosaur dispenser dog|bed dog|bowl dog|leash dollhouse dolly doll|house donut dough dragon
+    dressing|gown drip|stand dumpster dump|truck duster dustpan duvet earphone earphones earring
+    earrings easel ecg|machine egg egg|timer ekg|machine envelope epipen eraser espresso
+    examination|table exam|table extension|cord eyeglasses eyewash|station face|mask fanny feather
+    feeder filing|tray fire|alarm fire|engine fire|truck first|aid|kit fish fishbowl fishing|rod
+    flask flipper flippers flip|chart flour flowerpot flute foil folder food food|cart football
+    footrest forceps forklift|truck frisbee frog fryer funnel fuse|box gamepad gauge gauze generator
+    giftbox glove|box glue glue|stick goggles golf|ball golf|club gown grater gravy groceries
+    grocery|bag gurney hairbrush hairpin ham hammock hamster handcart handkerchief handrail
+    hand|cart hand|sanitiser hand|sanitizer hand|truck hard|hat harness harp headband headphones
+    headset hearing|aid hearing|aids heart|monitor hedgehog helicopter highchair hole|punch hoodie
+    hook hoover hospital|bed hot|water|bottle hula|hoop hydraulic|jack icepack ice|cream incubator
+    infusion infusion|pump inhaler ink insulin intercom iv|pole iv|stand jackhammer jam jeans
+    jerrycan jersey jewel jigsaw joystick juice jumper jumping|rope jump|rope kayak keg ketchup
+    keychain keyring kit kitten kitty|litter knapsack knitting knitting|basket knob label
+    label|printer label|roll lace lampshade lantern laser laundry|basket laundry|cart leash lego
+    legos lego|box lemon life|jacket lift|truck lightbulb light|bulb linen linen|bag linen|cart lint
+    lion|toy lipstick litter|box litter|tray loaf loudspeaker lunchbox lunch|bag lunch|box
+    magic|wand magnet magnifier magnifying|glass mallet mannequin map marker mask matches meal|cart
+    measuring|tape medication medication|cart medicine medicine|cabinet medicine|cart med|cart
+    megaphone menu microphone microscope milk mitten mittens mixer mobile mobility|scooter money
+    monkey moped mousepad mousetrap muffin multimeter napkin napkins nebulizer necklace needle net
+    newspaper|rack nightgown notepad nozzle nut nutcracker oar oil oil|can ointment onion
+    overbed|table oxygen oxygen|bottle oxygen|tank pacifier packet packing|station packing|tape pads
+    pail paintbrush pajamas pallet|jack pallet|rack pallet|truck palm pamphlet pancake pants
+    paperback paperclip papers paper|airplane paper|clip paper|plane paper|towel parasol parrot
+    passport pasta paste patient|lift peach peanut pear pedal peg pegboard pencil|case
+    pencil|sharpener pendant penguin pepper perfume pet|bed photo photocopier photo|album pickaxe
+    picnic|basket picture|book pie piggy|bank pill pillbox pillowcase pills pill|box pin pincushion
+    pineapple pirate|hat pirate|ship pitcher pitchfork placemat plaster plasters plate|rack playpen
+    pliers plug plum pocketknife poker police|car polish popcorn postcard poster potty powder
+    power|drill power|strip pram prescription present presents pressure|cooker princess|dress
+    printer|paper projector prop pulley pulse|oximeter pump puncher puppet puppy purifier pushchair
+    puzzle|box puzzle|piece pyjamas quilt race|car racquet radio|set raft raincoat rake ramp
+    raspberry rattle razor reach|truck reading|glasses reading|lamp receipt record|player
+    recycling|bin reel remote|control ribbon rifle robe rocket rocking|chair rocking|horse roller
+    roller|skates rolling|pin rubber|duck ruler sack saddle safety|cone safety|glasses safety|helmet
+    safety|vest safe|box salad sandal sandals sandbox sandpaper satchel sauce saucepan saucer
+    sausage saxophone scalpel scanner scarf schoolbag school|bag scoop scratching|post scrubber
+    seesaw sewing|machine shampoo shark|toy sharps|bin sharps|container shaver shawl shears shield
+    shin shipping|box shopping|bag shopping|basket shopping|cart shopping|trolley shorts shovel
+    shower|chair shower|curtain shower|head shrink|wrap sieve silverware skate skates skipping|rope
+    skirt sled sledge sleeping|bag slide sling slipper slippers smoke|alarm smoke|detector snack
+    snake snorkel snowman snow|globe soccer|ball socket socks soda soldering|iron spade sparkler
+    spatula spectacles sphygmomanometer spice|rack spider spill|kit spinner spool spray spray|bottle
+    spring sprinkler squeegee squirrel stack stamp stencil stepladder step|ladder step|stool stereo
+    stethoscope sticker stickers stickman stocking stockings stopwatch storage|box storybook
+    story|book strainer strap strapping|machine straw strawberry stretcher stretch|wrap string
+    stroller stuffed|animal suction|machine sugar sugar|bowl suit sunhat sunscreen sweater
+    sweatshirt swimsuit sword syringe syringes syrup t-shirt tablecloth tablet tablets tambourine
+    tape|dispenser tape|gun tape|measure tarp tea teabag teacup teapot tea|cup tea|kettle tea|towel
+    telescope tennis|ball tennis|racket thermometer thermos thermostat thimble tiara ticket tie|rack
+    tiger|toy tights timer tin tire tissues tissue|box toaster|oven toilet|brush toilet|paper tomato
+    tongs toolkit tool|box tool|kit toothpaste toothpick torch toys toy|box toy|car toy|kitchen
+    toy|robot toy|train toy|truck track|suit traffic|cone trampoline tray|table tripod trolley|cart
+    trophy trousers trowel trumpet tshirt tuba tube tumbler turntable turtle tuxedo tv|remote
+    tweezers type|writer ukulele ultrasound ultrasound|machine uniform urinal usb|stick ventilator
+    vest videotape vinegar vise vital|signs|monitor waffle wagon walkie|talkie walking|aid
+    walking|frame walking|stick washcloth washing|basket washing|line waste|paper watering|can
+    watering|pot watermelon water|bottle water|jug wax weight weights wellies wet|floor|sign
+    wheelbarrow whisk whistle wig windchime wind|chime wiper wok wool wreath wrench x-ray|machine
+    xylophone yarn yo-yo yoga|mat yogurt zipper
+"""
 _PEOPLE = """
     mom mum mother dad father baby boy girl guest guard nurse doctor patient worker customer visitor
     grandma grandpa kid neighbor neighbour sister brother
@@ -102,7 +181,7 @@ _FOREIGN = listed(
 )
 """Short words of other languages that never occur in English sentences."""
 PEOPLE = listed(_PEOPLE) | {"person"}
-NOUNS = listed(_PLACES) | listed(_OBJECTS) | listed(_PEOPLE)
+NOUNS = listed(_PLACES) | listed(_OBJECTS) | listed(_EVERYDAY) | listed(_PEOPLE)
 QUALITIES = listed(_QUALITIES) | listed(_MATERIALS)
 PLAIN_WORDS = listed(_PLAIN) - NOUNS
 """Words that name no object, so a refusal must not suggest them as one."""

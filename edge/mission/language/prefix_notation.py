@@ -129,4 +129,6 @@ def formula_of(tokens: Sequence[str], names: Sequence[str]) -> Formula:
     else:
         if len(done) == 1:
             return done[0]
-    raise ValueError(f"{' '.join(tokens)!r} writes no formula over {len(names)} names")
+    raise ValueError(
+        f"{' '.join(tokens)!r} is not a formula in prefix notation over {len(names)} names"
+    )

@@ -54,7 +54,7 @@ _HANDLED = (
 _CAUSES = ("make", "making", "get", "getting")
 _KEPT_BY = ("at", "by", "along", "with", "within", "to")
 _DENYING = ("not", "without", "avoid", "neither")
-_BEYOND_NAMES = nouns.listed(
+BEYOND_NAMES = nouns.listed(
     """taller tallest shorter shortest larger largest bigger biggest smaller smallest wider widest
     longer longest lower lowest higher highest narrower narrowest newest oldest brightest darkest
     nearest closest nearby nearer closer farthest furthest farther further leftmost rightmost
@@ -128,7 +128,7 @@ def _found(reader: TokenReader, denied: bool) -> str:
         return _LAST
     if _times(reader):
         return _TIME
-    if token.text in _BEYOND_NAMES and token.kind == "word":
+    if token.text in BEYOND_NAMES and token.kind == "word":
         return _WHICH
     if token.text in _SPOTS and _says_where(reader, 1):
         return _SPOT

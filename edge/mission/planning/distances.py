@@ -30,8 +30,7 @@ def distances(
     snap_m: float = 1.2,
     cell_m: float = 0.2,
 ) -> np.ndarray:
-    """Return `MissionKnowledge.distance_m`: driving distances from objects and the robot to
-    objects.
+    """Return `MissionKnowledge.distance_m`: driving distances from objects and robot to objects.
 
     Paths are the shortest 8-connected ones without cutting corners. A path to an object ends at the
     free cell nearest to it, within `snap_m`. It may also end at a cell around the object that is

@@ -75,7 +75,7 @@ _FIELDS: dict[str, dict[int, str]] = {
 _NUMBERS = {"ir", "version", "location", "dtype", "size"}
 
 
-class NotOnnx(ValueError):
+class NotOnnxError(ValueError):
     """The bytes are no ONNX model, for the reason in its text."""
 
 
@@ -159,7 +159,7 @@ def check_fixed(path: Path, key: str) -> None:
 def _read(path: Path) -> OnnxFile:
     try:
         return read_onnx(path)
-    except NotOnnx as error:
+    except NotOnnxError as error:
         raise ModelError(f"{path}: not an ONNX model: {error}; get or make it again") from None
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror})") from None
@@ -290,14 +290,14 @@ def read_onnx(path: Path) -> OnnxFile:
     """Read the declarations of the model in a file.
 
     Raises:
-        NotOnnx: it is not a whole model.
+        NotOnnxError: it is not a whole model.
         OSError: it cannot be read.
     """
     with open_regular(path) as file:
         try:
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except ValueError:
-            raise NotOnnx("it is empty") from None
+            raise NotOnnxError("it is empty") from None
         with content:
             return parse_onnx(content)
 
@@ -307,7 +307,7 @@ def parse_onnx(content: bytes | mmap.mmap) -> OnnxFile:
     model = _Reader(content).message("model", 0, len(content), 0)
     graphs, ir = model.get("graph", []), _last(model, "ir", 0)
     if len(graphs) != 1 or not ir:
-        raise NotOnnx("its header is not ONNX's" if graphs else "it has no graph")
+        raise NotOnnxError("its header is not ONNX's" if graphs else "it has no graph")
     graph = graphs[0]
     opsets = {_last(o, "domain", ""): _last(o, "version", 0) for o in model.get("opset", [])}
     brought = {_last(function, "domain", "") for function in model.get("function", [])}
@@ -368,9 +368,9 @@ class _Reader:
         """Parse one message and the messages in it that are in `_FIELDS`."""
         self._parts += 1
         if self._parts > MAX_PARTS:
-            raise NotOnnx(f"it has more than {MAX_PARTS} parts")
+            raise NotOnnxError(f"it has more than {MAX_PARTS} parts")
         if depth > MAX_DEPTH:
-            raise NotOnnx(f"its parts are nested more than {MAX_DEPTH} deep")
+            raise NotOnnxError(f"its parts are nested more than {MAX_DEPTH} deep")
         found: Tree = {}
         for number, wire, value, stop in self._in(begin, end):
             name = _FIELDS[kind].get(number, "")
@@ -389,7 +389,7 @@ class _Reader:
         while at < end:
             self._fields += 1
             if self._fields > MAX_FIELDS:
-                raise NotOnnx(f"it has more than {MAX_FIELDS} fields")
+                raise NotOnnxError(f"it has more than {MAX_FIELDS} fields")
             tag, at = self._varint(at, end)
             number, wire = tag >> 3, tag & 7
             if wire == _VARINT:
@@ -401,9 +401,9 @@ class _Reader:
             elif wire in (_FIXED64, _FIXED32):
                 size = 8 if wire == _FIXED64 else 4
             else:
-                raise NotOnnx(f"byte {at} is not protocol buffers")
+                raise NotOnnxError(f"byte {at} is not protocol buffers")
             if number == 0 or size > end - at:
-                raise NotOnnx(f"it ends within a field, at byte {at}: truncated or damaged")
+                raise NotOnnxError(f"it ends within a field, at byte {at}: truncated or damaged")
             yield number, wire, at, at + size
             at += size
 
@@ -417,4 +417,4 @@ class _Reader:
             value |= (byte & 0x7F) << shift
             if byte < 0x80:
                 return value & (1 << 64) - 1, at
-        raise NotOnnx(f"it ends within a number, at byte {at}: truncated or damaged")
+        raise NotOnnxError(f"it ends within a number, at byte {at}: truncated or damaged")

@@ -418,7 +418,7 @@ def back_project_boxes(
         floor_z: height in `map` below which points are floor.
         max_range: largest depth in metres.
         min_points: least number of samples of a valid box.
-        scratch: samples (SIDE*SIDE, 3), beside (4, SIDE*SIDE, 3), n_beside (4,) int32,
+        scratch: samples (SIDE*SIDE, 3), `beside` (4, SIDE*SIDE, 3), n_beside (4,) int32,
             histogram (BINS,) int32, found (BINS, 3), in_map (3, SIDE*SIDE); float32 by default.
         out: center (n, 3), points (n, k, 3) float32 in `map`; n_points, n_samples (n,) int32,
             valid (n,) bool.

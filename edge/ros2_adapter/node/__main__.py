@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import Any
 
 from action import Action
-from passing import Ends, FromRos, ToRos, Unusable, find_type, one_line
+from passing import AdapterEnds, FromRos, SetupError, ToRos, find_type, one_line
 
 log = logging.getLogger("edge.ros2_adapter")
 
@@ -36,7 +36,7 @@ def main() -> int:
     threading.Thread(target=_watch_input, args=(stop,), daemon=True).start()
     try:
         run(plan, stop)
-    except Unusable as error:
+    except SetupError as error:
         log.error("%s", error)
         return os.EX_UNAVAILABLE
     return os.EX_OK
@@ -56,7 +56,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
     """Pass messages until `stop` is set.
 
     Raises:
-        Unusable: a package, a message type or a Zenoh setting is missing.
+        SetupError: a package, a message type or a Zenoh setting is missing.
     """
     rclpy, zenoh = _imported("rclpy", plan), _imported("zenoh", plan)
     from rclpy.executors import SingleThreadedExecutor
@@ -70,7 +70,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
         node = rclpy.create_node(plan["node"], start_parameter_services=False)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        ends = Ends(node, session, zenoh, node.create_guard_condition(lambda: None).trigger)
+        ends = AdapterEnds(node, session, zenoh, node.create_guard_condition(lambda: None).trigger)
         heard = [FromRos(ends, one, find_type(one["type"])) for one in plan["heard"]]
         often = [ToRos(ends, one, plan["max_bytes"]).look for one in plan["said"]]
         seldom, action, due_s = [one.look for one in heard], None, 0.0
@@ -105,7 +105,7 @@ def _imported(name: str, plan: dict[str, Any]) -> Any:
             "rclpy": "source ROS 2's setup file first, or name it in ros2.adapter.setup",
             "zenoh": f"{sys.executable} -m pip install eclipse-zenoh=={plan['version']}",
         }[name]
-        raise Unusable(f"{sys.executable}: no {name} ({error}): {what}") from None
+        raise SetupError(f"{sys.executable}: no {name} ({error}): {what}") from None
 
 
 def _open(zenoh: Any, plan: dict[str, Any], stop: threading.Event) -> Any:
@@ -114,7 +114,9 @@ def _open(zenoh: Any, plan: dict[str, Any], stop: threading.Event) -> Any:
         config = zenoh.Config.from_json5(plan["zenoh"])
     except zenoh.ZError as error:
         versions = f"written by eclipse-zenoh {plan['version']}"
-        raise Unusable(f"zenoh: cannot read the session's settings ({versions}): {error}") from None
+        raise SetupError(
+            f"zenoh: cannot read the session's settings ({versions}): {error}"
+        ) from None
     logged = False
     while not stop.is_set():
         try:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from passing import Ends, FromRos, Inbox, cdr_of, find_type, one_line
+from passing import AdapterEnds, FromRos, Inbox, cdr_of, find_type, one_line
 
 log = logging.getLogger("edge.ros2_adapter")
 
@@ -28,7 +28,11 @@ class ServiceProxy:
     """
 
     def __init__(
-        self, ends: Ends, place: dict[str, str], kind: Any, answered: Callable[[Any, Any], None]
+        self,
+        ends: AdapterEnds,
+        place: dict[str, str],
+        kind: Any,
+        answered: Callable[[Any, Any], None],
     ) -> None:
         self._ends, self._key, self._kind, self._answered = ends, place["key"], kind, answered
         self._client = ends.node.create_client(kind, place["ros"])
@@ -97,7 +101,9 @@ class NavigateProxy:
         is_followed: returns True if the service receives the robot's sensors.
     """
 
-    def __init__(self, ends: Ends, plan: dict[str, str], is_followed: Callable[[], bool]) -> None:
+    def __init__(
+        self, ends: AdapterEnds, plan: dict[str, str], is_followed: Callable[[], bool]
+    ) -> None:
         impl = find_type(plan["type"]).Impl
 
         def place(name: str) -> dict[str, Any]:

@@ -63,7 +63,7 @@ def find_type(name: str) -> Any:
     """Return the class of `package/msg/Name` or `package/action/Name`.
 
     Raises:
-        Unusable: it is not installed.
+        SetupError: it is not installed.
     """
     package, kind, cls = name.split("/")
     try:

@@ -123,7 +123,7 @@ class Explorer:
         self.look(None)
 
     def survey(self) -> Grid:
-        """Return the walls as the robot's map would show them: see `regions.survey`."""
+        """Return the walls as the robot's map would show them: see `regions.coarse_grid`."""
         cells = np.where(self.plan.wall, regions.WALL, regions.OPEN).astype(np.uint8)
         cells[~self.known] = regions.UNKNOWN
         return Grid(cells, (0.0, 0.0), CELL_M)

@@ -40,20 +40,20 @@ def node(session):
 
 
 def dependencies(text: str) -> str:
-    """A definition with those of its parts behind it."""
+    """Return a definition, followed by the definitions of its parts."""
     parts = ("unique_identifier_msgs/msg/UUID", "builtin_interfaces/msg/Time")
     return text + "".join(f"{'=' * 80}\nMSG: {p}\n{definition(p)}\n" for p in parts)
 
 
 def listed(port: int) -> dict[str, list[str]]:
-    """What `ros2 topic list -t` would say."""
+    """Return the output of `ros2 topic list -t`."""
     from zenoh_ros2_sdk.discovery import get_topic_names_and_types
 
     return dict(get_topic_names_and_types(0, router_port=port))
 
 
 def looked(node: Ros2Node, what):
-    """What is asked, once the node has seen it."""
+    """Return the graph's answer once the node has been discovered."""
 
     def ask():
         node._looked_s = 0.0

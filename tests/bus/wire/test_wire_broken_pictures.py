@@ -1,5 +1,7 @@
-"""Broken pictures, opened by OpenCV: each is read, or is a DecodeError in one line, and none takes
-much memory. What else is decoded is broken in `tests/attacks/test_fuzzed_decoders.py`."""
+"""Broken images for OpenCV: each is read, or raises a one-line DecodeError.
+
+None takes much memory. `tests/attacks/test_fuzzed_decoders.py` covers other decoders.
+"""
 
 from __future__ import annotations
 

@@ -189,11 +189,11 @@ def ros_cloud(names: str, step: int, points: np.ndarray, big_endian=False, heigh
 
 
 STEPS = 0, 1, 8, 96, HUGE
-"""Those that drivers send, such as the number of points, or the size of all data."""
+"""Values that drivers send, such as the number of points, or the size of all data."""
 
 
 def with_steps(payload: bytes, point_step: int, row_step: int, size: int = 128) -> bytes:
-    """A cloud of 2 rows of 4 points of 16 bytes, whose header says something else."""
+    """Return a cloud of 2 rows of 4 points of 16 bytes, with other steps in its header."""
     said = struct.pack("<III", 16, 64, 128)
     assert payload.count(said) == 1
     return payload.replace(said, struct.pack("<III", point_step, row_step, size))
@@ -373,7 +373,7 @@ def test_sizes_are_checked_before_anything_is_allocated(payload):
 
 
 def projection(i: int, value: float) -> Callable[[object], None]:
-    """Sets one number of CameraInfo's projection matrix P."""
+    """Set one number of CameraInfo's projection matrix P."""
 
     def change(info) -> None:
         info.p = info.p.copy()

@@ -111,7 +111,7 @@ def test_boxes_against_those_of_another_model(reference, candidate, wanted_found
 
 @st.composite
 def pictures(draw):
-    """Some boxes of three prompts, best first."""
+    """Return some boxes of three prompts, best first."""
     corner, side = st.integers(0, 90), st.integers(1, 60)
     rows = draw(st.lists(st.tuples(corner, corner, side, side), max_size=8))
     scores = sorted((draw(st.floats(0.1, 1.0)) for _ in rows), reverse=True)

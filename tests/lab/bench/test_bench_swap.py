@@ -17,7 +17,7 @@ MS = 1_000_000
 
 @pytest.fixture
 def bench(monkeypatch):
-    """A bench of 2 s on a loop whose clock, counters and swap the test moves."""
+    """Return a bench of 2 s on a loop whose clock, counters and swap the test moves."""
     clock = SimpleNamespace(now_ns=10**9)
     monkeypatch.setattr(swap_bench, "time", SimpleNamespace(monotonic_ns=lambda: clock.now_ns))
     monkeypatch.setattr(

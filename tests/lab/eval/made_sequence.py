@@ -16,7 +16,7 @@ TR = "0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3"
 def write(
     folder: Path, *, label: int = 40, points: int = 200, poses: int = 2, tr: bool = True
 ) -> Path:
-    """A sequence of one frame: a flat road and a car of 30 points."""
+    """Write a sequence of one frame: a flat road and a car of 30 points."""
     for name in ("image_2", "velodyne", "labels"):
         (folder / name).mkdir(parents=True)
     calibration = "P2: 100 0 50 20 0 100 30 10 0 0 1 0\n" + (f"Tr: {TR}\n" if tr else "")

@@ -46,7 +46,7 @@ def test_where_rooms_are_unknown_none_is_known():
     ("target", "best"), [("bed", (4.0, 2.0)), ("sofa", (2.0, 2.0)), ("piano", (2.0, 2.0))]
 )
 def test_a_known_place_is_gone_to_the_shortest_way(world, target, best):
-    """What no world has leads nowhere: then the nearest frontier is as good as any."""
+    """For a class that no world contains, the nearest frontier is as good as any."""
     policy = KnownPlace(world, RADIUS_M)
     seen = [(FRONTIER, 0.5, 0.5, 1.6, 9.0), (FRONTIER, 4.0, 2.0, 3.0, 1.0),
             (FRONTIER, 2.0, 2.0, 1.0, 0.0)]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Which episodes are planned, and the file that holds them."""
+"""Plan of the episodes, and the file that holds them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_too_few_starts_are_told():
 
 
 def blocked(tmp_path, **sim):
-    """A house whose own start lies in a sofa."""
+    """Return a house whose own start lies in a sofa."""
     corners = [(0, 0), (8, 0), (8, 6), (0, 6)]
     walls = [
         {"start": a, "end": b} for a, b in zip(corners, corners[1:] + corners[:1], strict=True)

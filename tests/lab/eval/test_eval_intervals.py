@@ -64,7 +64,7 @@ def test_ratio_covers_the_truth_19_times_in_20():
 
 
 def means(values: np.ndarray, cluster: np.ndarray, **options):
-    """The intervals of the means of (k, n) values, of which none is missing."""
+    """Return the intervals of the means of (k, n) values without gaps."""
     return bootstrap(values, np.ones_like(values), cluster, **options)
 
 

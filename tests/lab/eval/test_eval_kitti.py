@@ -60,7 +60,7 @@ def test_a_frame_has_its_sensors_where_they_were(tmp_path):
 
 @pytest.mark.parametrize("rubbish", [np.nan, np.inf, -np.inf, 3e38, 1e8])
 def test_rubbish_in_a_scan_is_left_out(tmp_path, rubbish):
-    """Of the road and of the car every fifth return."""
+    """Every fifth return of the road and of the car is noise."""
     folder = write(tmp_path, points=20_000)
     path = folder / "velodyne/000000.bin"
     scan = np.fromfile(path, np.float32).reshape(-1, 4)
@@ -140,8 +140,10 @@ def sequence(shared_dir):
 
 
 def test_masks_have_the_points_that_the_labels_give_them(sequence):
-    """Eq. 2 on real scans, by boxes and masks of the labels: 0.99 and 0.96 at the median; by the
-    boxes alone 0.99 and 1.0."""
+    """Compare eq. 2 on real scans with the labels.
+
+    The medians are 0.99 and 0.96 with boxes and masks, 0.99 and 1.0 with boxes alone.
+    """
     frame = read_frame(sequence, 0)
     seen = frame.observation
     T_map_lidar = seen.T_map_base @ seen.T_base_lidar
@@ -185,7 +187,7 @@ def test_a_real_street_becomes_a_scene(sequence):
 
 
 def test_what_a_robot_would_run_into_is_told_by_points(tmp_path):
-    """Of things that stand, and no higher than a robot is."""
+    """Compare standing objects up to the robot's height with their points."""
     frame = read_frame(write(tmp_path), 0)
     solid = solid_m([frame])
     assert 20 < len(solid) <= 30

@@ -83,7 +83,7 @@ def test_floor_counts_as_seen_again_only_until_the_target_is_known():
 
 
 def looks(instruction: str, seed: int, start=None) -> list[tuple[int, bool, tuple]]:
-    """Of each tick of a mission: its turn, whether the target is known, and the true pose."""
+    """Return each tick of a mission: its turn, its knowledge of the target, its true pose."""
     found = []
     sim = {"world": {"kind": "generated", "seed": seed}, "start": start, "lockstep": True}
     mission = {"instruction": instruction}
@@ -111,8 +111,10 @@ def again_m2(seed: int, before: list[tuple], search: list[tuple]) -> float:
 
 
 def again_and_forgetful_m2(seed: int, first: str, second: str) -> tuple[float, float]:
-    """What a mission's second search saw again, and what a robot would that begins there, and does
-    not know what the other had seen."""
+    """Return the area that the second search observed again.
+
+    The second number is for a robot that starts there without memory of the first search.
+    """
     mission = looks(f"Reach a {first}, then a {second}.", seed)
     turn = mission[0][0]
     before = [pose for t, _, pose in mission if t == turn]

@@ -11,8 +11,10 @@ from edge.tasks.scene_builder import SceneBuilder, scene_of_map
 
 
 def test_a_robot_describes_where_it_is(tmp_path):
-    """By what it adds up itself, and by what its service knows: every thing lies where the world
-    has one of its name, and one can get to it."""
+    """Compare described and known objects with the world.
+
+    Each lies at an object of its class in the world, and a path leads to it.
+    """
     config = small_house(tmp_path, mission={"target": "bed"})
     loop = ClosedLoop(config)
     words = tuple(dict.fromkeys(loop.labels))

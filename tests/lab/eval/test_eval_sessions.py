@@ -26,7 +26,7 @@ def config(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def session(config):
-    """The robot passes the sofa on its way to the bed, and goes back to it."""
+    """Return a session: the robot passes the sofa on its way to the bed, and drives back to it."""
     world = config.sim.world.model_dump()
     sensing = sensing_settings(config)
     return make_episode(world, "small", (1.0, 2.0, 0.5), 0.0, sensing, goals=("bed", "sofa"))

@@ -46,7 +46,7 @@ def test_sweeping_agrees_with_dijkstra(seed, walls):
 
 
 def room() -> FloorPlan:
-    """A 4 m by 2 m corridor with walls around it."""
+    """Return a 4 m by 2 m corridor with walls around it."""
     occupied = np.ones((50, 90), np.uint8)
     occupied[5:45, 5:85] = 0
     return FloorPlan(Grid(occupied, (0.0, 0.0), 0.05))

@@ -73,7 +73,7 @@ def test_processes_give_the_same_outcomes(tasks, alone):
 
 
 def fallen(task: EpisodeJob) -> list[EpisodeOutcome]:
-    """What a worker runs instead: it falls over at the sofa."""
+    """Stand-in for the worker's run: it crashes at the sofa."""
     if task.episode.target == "sofa":
         os._exit(7)
     return [run_episode(task.column, task.episode, in_process)]
@@ -239,11 +239,24 @@ def test_a_plan_is_written_and_run_in_columns(yaml_path, tmp_path, capsys):
         (["--column", "a", "policy.kind=b"], "unknown 'b'"),
         (["--episodes", "nowhere.jsonl"], "nowhere.jsonl"),
         (["--worlds", "demo"], "--worlds demo: not understood"),
+        (["--goals", "2", "--targets", "bed"], "no world has 2 of the targets"),
     ],
 )
 def test_what_cannot_be_run_is_told_at_once(yaml_path, capsys, options, message):
     assert main([*COMMAND, yaml_path, *options]) != 0
     assert message in capsys.readouterr().err
+
+
+def test_the_tasks_of_episodes_exclude_each_other(yaml_path, capsys):
+    with pytest.raises(SystemExit):
+        main([*COMMAND, yaml_path, "--goals", "2", "--zones"])
+    assert "--zones: not allowed with argument --goals" in capsys.readouterr().err
+
+
+def test_a_session_needs_the_simulator_in_this_process(yaml_path, capsys):
+    asked = ["--goals", "2", "--targets", "bed,sofa", "--min-distance", "1", "--processes"]
+    assert main([*COMMAND, yaml_path, *asked]) != 0
+    assert "leave out --processes and --report" in capsys.readouterr().err
 
 
 def test_a_report_of_every_episode(yaml_path, tmp_path, config):

@@ -34,7 +34,7 @@ def seen():
 
 
 def trajectory(tmp_path, *args):
-    """The exit code of the command, and its folder."""
+    """Run the command; return its exit code and folder."""
     out = tmp_path / "out"
     return main(["trajectory", *args, "--out", str(out)]), out
 
@@ -200,8 +200,7 @@ def test_a_model_leaves_what_it_was_told_and_what_it_said(tmp_path, capsys):
 
 
 def test_a_recorded_street_with_its_frames(tmp_path, capsys, shared_dir):
-    """SemanticKITTI 05: to the van behind the pillar; the folder itself is told where a frame is
-    not there."""
+    """Drive SemanticKITTI 05 to the van behind the pillar; name the folder of a missing frame."""
     folder = str(shared_dir / "logs" / "semantic_kitti_05")
     code, _ = trajectory(tmp_path, folder, "go to the truck", "--frames", "3")
     assert code == os.EX_DATAERR

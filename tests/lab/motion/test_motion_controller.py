@@ -28,14 +28,14 @@ CONFIG = simulated()
 
 
 def room(width_m: float, height_m: float) -> np.ndarray:
-    """A free room with walls one cell thick."""
+    """Return a free room with walls one cell thick."""
     cells = np.zeros((round(height_m / RES_M), round(width_m / RES_M)), np.int8)
     cells[0], cells[-1], cells[:, 0], cells[:, -1] = 100, 100, 100, 100
     return cells
 
 
 def wall(cells: np.ndarray, x_m: float, gap_m: tuple[float, float] | None) -> np.ndarray:
-    """The same with a wall across at x, but for a gap from one y to another."""
+    """Return the same room with a wall across at x and a gap from one y to another."""
     cells = cells.copy()
     column = round(x_m / RES_M)
     kept = cells[:, column : column + 3].copy()
@@ -68,11 +68,11 @@ class Walk:
 
     @property
     def blocked(self) -> list[tuple[float, float]]:
-        """Where it said that it was held up."""
+        """Return the positions at which the controller reported that it was stuck."""
         return [a.blocked for a in self.answers if a.blocked is not None]
 
     def map(self, cells: np.ndarray) -> None:
-        """The service's, which closes where the robot was held up."""
+        """Return the service's map, which is closed where the robot was stuck."""
         cells = cells.copy()
         for x, y in self.blocked:
             cv2.circle(cells, (int(x / RES_M), int(y / RES_M)), round(0.25 / RES_M), 100, -1)

@@ -65,7 +65,7 @@ class Robot:
         self.put(topics.GOAL, messages.encode_pose_stamped(77, GOAL))
 
     def command(self, again: Callable[[], None], stamp_ns: int = 0) -> tuple:
-        """The next command (of a stamp or a later one); what may be lost is sent `again`."""
+        """Return the next command of a stamp or later; resend `again`, which may be lost."""
         deadline_s, next_s = time.monotonic() + PATIENCE_S, time.monotonic() + 0.5
         while time.monotonic() < deadline_s:
             while (sample := self.take_commands.try_recv()) is not None:
@@ -201,7 +201,7 @@ def wait_for(robot: Robot, moving: bool) -> None:
 
 
 def connect(robot: Robot) -> None:
-    """Waits for the controller, and gives it a goal."""
+    """Wait for the controller, and send it a goal."""
     robot.odometry()
     robot.command(robot.odometry)
     robot.map_and_goal()

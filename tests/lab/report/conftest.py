@@ -25,6 +25,6 @@ def run() -> RunRecord:
 
 @pytest.fixture(scope="session")
 def empty_run() -> RunRecord:
-    """A run that ended before anything arrived."""
+    """Return a run that ended before any message."""
     record = ReportRecorder(simulated()).record(result(), {})
     return replace(record, map=None, mission_facts=None)

@@ -187,7 +187,7 @@ def story_of(
     steps: Sequence[tuple[float, str, str, str]] = (),
     instruction: str = "go there",
 ) -> MissionFacts:
-    """A mission that was given as a formula; steps as (seconds, kind, label, text)."""
+    """Return the log of a mission given as a formula; steps are (seconds, kind, label, text)."""
     parsed = parse_ltl(formula)
     automaton = compile_formula(parsed)
     brief = replace(
@@ -204,7 +204,7 @@ def story_of(
 
 
 def mission_run() -> RunRecord:
-    """The same way through the flat, with a choice, a switch and a failure on it."""
+    """Return the same drive through the flat, with a choice, a switch and a failure."""
     found = flat_run()
     asked = "Go to the chair or the sofa, then to the tv."
     story = story_of(FORMULA, ("sofa", "tv"), STORY, asked)
@@ -220,7 +220,7 @@ def mission_run() -> RunRecord:
 
 
 def task_run(**fields: Any) -> RunRecord:
-    """The same way through the flat as a task, refined on the flat's map."""
+    """Return the same drive through the flat as a task, refined on the flat's map."""
     found, occupancy = flat_run(), flat()
     floor = Grid((occupancy.cells == 0).astype(np.uint8), occupancy.origin_xy_m, RESOLUTION_M)
     start = SE2(*WAY[0], math.pi / 2)

@@ -1,4 +1,4 @@
-"""What a run leaves behind: bounded, cheap, and the right frames kept."""
+"""Recorder of a run for the report: bounded, cheap, with the right frames."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def texts(svg: bytes) -> list[str]:
 
 
 def boxes(axes: Axes) -> list[Bbox]:
-    """Where labels and states lie, in px of the screen."""
+    """Return the boxes of labels and states, in px of the screen."""
     renderer = axes.figure.canvas.get_renderer()
     labels = [text.get_window_extent(renderer) for text in axes.texts if text.get_bbox_patch()]
     circles = [patch for patch in axes.patches if isinstance(patch, Circle)]

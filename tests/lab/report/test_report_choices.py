@@ -1,4 +1,4 @@
-"""What a report shows of the directions that a model chose."""
+"""Report of the directions that a model chose."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def frontiers(*xy_m: tuple[float, float]) -> ScoredCandidates:
 
 
 def answered(stamp_ns: int, *xy_m: tuple[float, float]):
-    """A tick with an answer about what lies ahead."""
+    """Return a tick with an answer about the view ahead."""
     p = np.full(len(xy_m), 0.8 / max(1, len(xy_m)), np.float32)
     choice = FrontierChoice(stamp_ns, "bed", tuple(range(len(xy_m))), p, 0.2, 0.75)
     seen = looking(stamp_ns)

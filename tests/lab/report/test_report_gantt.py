@@ -22,7 +22,7 @@ def words(page) -> list[str]:
 
 
 def chart(page):
-    """The axes inside the page."""
+    """Return the axes inside the page."""
     return page.figure.axes[1]
 
 

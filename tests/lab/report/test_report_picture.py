@@ -7,9 +7,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from rooms import KITCHEN
 
-from edge.geometry import Grid, downsample
+from edge.geometry import SE2, Grid, downsample
 from edge.lab.report import palette, picture, raster
+from edge.memory import KnownObject, Place, Site, Zone
 
 
 def pixels(png: bytes) -> np.ndarray:
@@ -60,3 +62,24 @@ def test_the_way_has_the_colours_of_its_targets_and_what_was_reached_a_number(lo
     simple = replace(long_run, mission_facts=None)
     assert drawn != picture.png(by_time)
     assert count(pixels(drawn), green) > count(pixels(picture.png(simple)), green)
+
+
+def test_places_zones_and_remembered_objects_are_drawn(run):
+    corners = ((3.0, 5.8), (3.8, 5.8), (3.8, 6.7), (3.0, 6.7))
+    items = (Place("$dock", SE2(0.6, 3.4, 1.57)), Zone("stairs", "keep_out", corners))
+    mug = KnownObject(1, "mug", (2.0, 3.9, 0.5), 0.6, 4, 3.0)
+    before = pixels(picture.png(run))
+    image = pixels(picture.png(replace(run, site=Site(items), objects=(mug,))))
+    for colour in (palette.PLACE, palette.ZONES["keep_out"], palette.MUTED):
+        assert count(image, colour) > count(before, colour) + 50
+
+
+def test_rooms_are_drawn_with_their_titles(run):
+    before = pixels(picture.png(run))
+    nameless = replace(KITCHEN, kinds=())
+    images = [pixels(picture.png(replace(run, rooms=(one,)))) for one in (KITCHEN, nameless)]
+    assert images[0].shape[1] == before.shape[1]
+    assert (images[0] != images[1]).any()  # "kitchen" and "room 3"
+    for image in images:
+        h = min(len(image), len(before))
+        assert (image[:h] != before[:h]).any(axis=2).sum() > 300

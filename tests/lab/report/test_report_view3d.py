@@ -122,7 +122,7 @@ def opened(tab: Tab, path: Path, html: str) -> None:
 
 
 def pixels(tab: Tab, colour: tuple[int, int, int]) -> int:
-    """How many of the picture have a colour."""
+    """Return the number of pixels of a colour."""
     return tab.run(
         f"""(() => {{
           draw();
@@ -160,7 +160,7 @@ ROBOT = (20, 24, 31)
 
 
 def test_without_a_trajectory_the_robot_and_all_things_are_in_view(tab, tmp_path):
-    """Of an instruction that was refused, one wants to see what there is."""
+    """A refused instruction still shows robot and objects."""
     scene = with_a_car()
     far = replace(scene.objects[1], id=2, position_m=np.array([45.0, 12.0, 0.7]))
     scene.objects[2] = far

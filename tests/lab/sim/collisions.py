@@ -1,4 +1,4 @@
-"""Where the simulated robot may not be."""
+"""Positions that the simulated robot cannot enter."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from edge.lab.sim.base import World
 
 
 def collides(world: World, x_m: float, y_m: float, radius_m: float) -> bool:
-    """Whether a disc at a place touches anything, or leaves the world."""
+    """Return True if a disc at a position touches an obstacle or leaves the world."""
     return world.plan.clearance_at(x_m, y_m) < radius_m

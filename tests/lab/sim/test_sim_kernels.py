@@ -139,7 +139,7 @@ def test_rasterise_agrees_with_a_test_of_every_cell(seed: int):
 
 
 def shade_one(shape: int, texture: int, color: tuple[float, float, float]):
-    """A big solid 2 m ahead fills part of the picture; returns rgb, prim."""
+    """Shade a big solid 2 m ahead that fills part of the image; return rgb, prim."""
     shapes = np.array([shape], np.uint8)
     pose = np.array([[2.5, 0.0, 0.0, 0.5, 0.8, 0.6, 1.0, 0.0]])
     T = to_optical(np.eye(4))

@@ -43,7 +43,7 @@ def look(world, pose: SE2, width: int = 160, height: int = 128, colour=True):
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    """A floor, and 2 m ahead a panel whose picture is red above, green below left, blue right."""
+    """Return a floor and a panel 2 m ahead: red above, green below left, blue right."""
     folder = tmp_path_factory.mktemp("mesh")
     pixels = np.zeros((64, 64, 3), np.uint8)
     pixels[:32], pixels[32:, :32], pixels[32:, 32:] = (250, 0, 0), (0, 250, 0), (0, 0, 250)

@@ -146,8 +146,7 @@ def nothing(only: Sequence[Topic] = topics.PLAYED) -> MessageFilter:
 
 
 def frozen(stamps_go_on: bool) -> MessageFilter:
-    """Return an `MessageFilter` that repeats the first image of each topic, like a driver that
-    hangs."""
+    """Return a `MessageFilter` that repeats each topic's first image, like a driver that hangs."""
     first: dict[Topic, bytes] = {}
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:

@@ -31,7 +31,7 @@ from edge.lab.eval.trajectories import outdoor
 from edge.lab.eval.trajectories.references import (
     KINDS,
     Landmark,
-    Place,
+    ReferenceScene,
     TrajectoryTask,
     box_outline_m,
     tasks,
@@ -128,7 +128,7 @@ def _of(spec: str, chain: PerceptionPipeline | None) -> Iterator[TrajectoryEpiso
 def _episode(
     source: str,
     world: str,
-    place: Place,
+    place: ReferenceScene,
     task: TrajectoryTask,
     scene: Scene,
     solid_m: np.ndarray | None = None,
@@ -143,7 +143,7 @@ def _episode(
 
 
 def _drawn(
-    place: Place, dice: PortableRng, wanted: Mapping[str, int] = WANTED
+    place: ReferenceScene, dice: PortableRng, wanted: Mapping[str, int] = WANTED
 ) -> list[TrajectoryTask]:
     """Draw at most the wanted number of tasks of each category; high-level kinds take turns."""
     found: dict[str, list[TrajectoryTask]] = {category: [] for category in wanted}
@@ -187,7 +187,7 @@ def _sequence(folder: Path) -> str:
     return f"{one_line(folder.resolve().name, 40)}-{poses}"
 
 
-def kitti_place(frame: kitti.KittiFrame, whole: Scene) -> Place:
+def kitti_place(frame: kitti.KittiFrame, whole: Scene) -> ReferenceScene:
     """Return the labelled objects in a frame's picture, with the ground and occupancy around them.
 
     Args:
@@ -204,7 +204,9 @@ def kitti_place(frame: kitti.KittiFrame, whole: Scene) -> Place:
             outline_m = np.unique(np.round(points_m[mine, :2].astype(float), 1), axis=0)
             things.append(Landmark(len(things) + 1, label, "", middle[:2], outline_m))
     drivable = whole.regions_grid.cells > 0
-    return Place(seen.pose, tuple(things), whole.occupancy, drivable, kitti.CAR_RADIUS_M, _KITTI_M)
+    return ReferenceScene(
+        seen.pose, tuple(things), whole.occupancy, drivable, kitti.CAR_RADIUS_M, _KITTI_M
+    )
 
 
 # -- a house ------------------------------------------------------------------------------------
@@ -221,7 +223,7 @@ def _house(config: Config) -> Iterator[TrajectoryEpisode]:
             for item in scene.objects.values()
         )
         drivable = scene.regions_grid.cells > 0
-        place = Place(pose, things, scene.occupancy, drivable, radius_m, _HOUSE_M)
+        place = ReferenceScene(pose, things, scene.occupancy, drivable, radius_m, _HOUSE_M)
         for task in _drawn(place, PortableRng(_KEY, number)):
             yield _episode("house", f"{world.name}-{number}", place, task, scene)
 

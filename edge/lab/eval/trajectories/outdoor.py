@@ -19,7 +19,13 @@ import cv2
 import numpy as np
 
 from edge.geometry import SE2, Grid, se3
-from edge.lab.eval.trajectories.references import KINDS, Place, TrajectoryTask, box_outline_m, tasks
+from edge.lab.eval.trajectories.references import (
+    KINDS,
+    ReferenceScene,
+    TrajectoryTask,
+    box_outline_m,
+    tasks,
+)
 from edge.lab.eval.trajectories.references import Landmark as Named
 from edge.lab.sim import kernels
 from edge.lab.sim.base import FLOOR_CLEARANCE_M, LidarRays
@@ -58,7 +64,7 @@ class OutdoorEpisode:
     name: str
     scene: Scene
     cloud_m: np.ndarray
-    place: Place
+    place: ReferenceScene
     task: TrajectoryTask
 
 
@@ -108,7 +114,7 @@ def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
     return scene, cloud_m
 
 
-def place_of(scene: Scene) -> Place:
+def place_of(scene: Scene) -> ReferenceScene:
     """Return the place from which a street's tasks are drawn."""
     things = tuple(
         Named(
@@ -119,7 +125,7 @@ def place_of(scene: Scene) -> Place:
         for item in scene.objects.values()
     )  # fmt: skip
     drivable = scene.regions_grid.cells > 0
-    return Place(scene.pose, things, scene.occupancy, drivable, ROBOT_M, TASK_M)
+    return ReferenceScene(scene.pose, things, scene.occupancy, drivable, ROBOT_M, TASK_M)
 
 
 def _gaps_m(

@@ -81,7 +81,7 @@ class Landmark:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class ReferenceScene:
     """A place with its objects, and the pose of a robot.
 
     Attributes:
@@ -163,7 +163,7 @@ class TrajectoryTask:
     reference_m: np.ndarray
 
 
-def tasks(place: Place, kind: str, dice: PortableRng) -> Iterator[TrajectoryTask]:
+def tasks(place: ReferenceScene, kind: str, dice: PortableRng) -> Iterator[TrajectoryTask]:
     """Yield every task of a kind in a place, in random order."""
     named = {}
     for thing in place.things:
@@ -189,7 +189,7 @@ def tasks(place: Place, kind: str, dice: PortableRng) -> Iterator[TrajectoryTask
                 break
 
 
-def referring_expression(place: Place, thing: Landmark) -> str | None:
+def referring_expression(place: ReferenceScene, thing: Landmark) -> str | None:
     """Return an unambiguous name of an object; None if too many are like it."""
     like = [other for other in place.things if names.is_kind_of(other.label, thing.label)]
     if len(like) == 1:
@@ -220,7 +220,7 @@ def box_outline_m(at_m: np.ndarray, size_m: np.ndarray, heading_rad: float) -> n
     return smoothing.resample(corners @ np.array([[c, s], [-s, c]]) + at_m[:2], 0.1)
 
 
-def _seen(place: Place, thing: Landmark) -> tuple[float, float]:
+def _seen(place: ReferenceScene, thing: Landmark) -> tuple[float, float]:
     """Return bearing [rad] and distance [m] from the robot."""
     return place.pose.bearing_to(*thing.at_m), place.pose.distance_to(*thing.at_m)
 
@@ -241,7 +241,7 @@ def _words(kind: str, side: str, first: str, last: str) -> str:
 
 
 def _segments(
-    place: Place, kind: str, first: Landmark, last: Landmark, side: str
+    place: ReferenceScene, kind: str, first: Landmark, last: Landmark, side: str
 ) -> tuple[np.ndarray, ...]:
     """Return the points of the rule; () if it cannot be followed."""
     here = np.array([place.pose.x_m, place.pose.y_m])
@@ -268,7 +268,7 @@ def _segments(
     return tuple(way)
 
 
-def _abeam(place: Place, thing: Landmark, side: str, angle_rad: float) -> np.ndarray:
+def _abeam(place: ReferenceScene, thing: Landmark, side: str, angle_rad: float) -> np.ndarray:
     """Return a point `ASIDE_M` off an object, in a direction relative to the robot.
 
     The angle is 0 on the robot's side of the object, a right angle on its `side`, and pi behind it.
@@ -279,18 +279,18 @@ def _abeam(place: Place, thing: Landmark, side: str, angle_rad: float) -> np.nda
     return thing.at_m + (reach_m + ASIDE_M + place.robot_m) * ray
 
 
-def _turn_rad(place: Place, thing: Landmark, side: str, at_m: np.ndarray) -> float:
+def _turn_rad(place: ReferenceScene, thing: Landmark, side: str, at_m: np.ndarray) -> float:
     """Return the angle, as in `_abeam`, of a point: in [0, 2 pi)."""
     toward = math.atan2(at_m[1] - thing.at_m[1], at_m[0] - thing.at_m[0])
     return (_TURN[side] * (toward - _back_rad(place, thing))) % math.tau
 
 
-def _back_rad(place: Place, thing: Landmark) -> float:
+def _back_rad(place: ReferenceScene, thing: Landmark) -> float:
     """Return the direction from an object to the robot's start."""
     return math.atan2(place.pose.y_m - thing.at_m[1], place.pose.x_m - thing.at_m[0])
 
 
-def _stop(place: Place, thing: Landmark, from_m: np.ndarray) -> np.ndarray | None:
+def _stop(place: ReferenceScene, thing: Landmark, from_m: np.ndarray) -> np.ndarray | None:
     """Return the (1, 2) stop at an object, for a robot that comes from a point; None: no stop."""
     if thing.id not in place.stops_m:
         place.stops_m[thing.id] = _stops(place, thing)
@@ -298,7 +298,7 @@ def _stop(place: Place, thing: Landmark, from_m: np.ndarray) -> np.ndarray | Non
     return near[np.argmin(np.hypot(*(near - from_m).T))][None] if len(near) else None
 
 
-def _stops(place: Place, thing: Landmark) -> np.ndarray:
+def _stops(place: ReferenceScene, thing: Landmark) -> np.ndarray:
     """Return the (n, 2) candidates for a stop at an object.
 
     They have a free line to it, and are about as near to it as the nearest such point.
@@ -320,7 +320,7 @@ def _stops(place: Place, thing: Landmark) -> np.ndarray:
     return centres[[k for k in near if has_clear_view_of(k)]]
 
 
-def _others(place: Place, thing: Landmark) -> CostMap:
+def _others(place: ReferenceScene, thing: Landmark) -> CostMap:
     """Return a cost map that is closed at obstacles other than the object."""
     grid = place.occupancy
     mine = np.ones(grid.cells.shape, np.uint8)
@@ -333,7 +333,7 @@ def _others(place: Place, thing: Landmark) -> CostMap:
     return from_weights(replace(grid, cells=(~standing).astype(np.uint8)))
 
 
-def _way(place: Place, segments: Sequence[np.ndarray]) -> np.ndarray | None:
+def _way(place: ReferenceScene, segments: Sequence[np.ndarray]) -> np.ndarray | None:
     """Return the cheapest path by all points, smoothed; None if one cannot be reached."""
     costmap, begin = place.costmap, place.begin_m
     if begin is None:

@@ -31,7 +31,7 @@ ON_GROUND_M = 0.05
 
 
 class SceneCaptureError(UserError):
-    """There is nothing to see, or no detector that could see it; one line."""
+    """No objects in the scene, or no detector for them; a message of one line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -182,7 +182,10 @@ def _qwen2_vl(
     per_token_px = (patch * merge) ** 2
     _check_limit(most_tokens, math.ceil(least / per_token_px))
     if max(least, per_token_px) > MAX_EDGE_PX**2 or most < per_token_px:
-        raise ValueError(f"min_pixels {least} or max_pixels {most}")
+        raise ValueError(
+            f"min_pixels {least} (at most {MAX_EDGE_PX**2}) or max_pixels {most} "
+            f"(at least {per_token_px}) is out of range"
+        )
     most = min(most, most_tokens * per_token_px, MAX_EDGE_PX**2)
     normalise = _Normalise(settings)
 

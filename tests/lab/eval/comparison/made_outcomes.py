@@ -11,7 +11,7 @@ FAILED = ("never seen", "seen, not confirmed", "wrong thing", "stuck", "budget",
 
 
 def record(episode: str = "house-0/bed/0", column: str = "hvl", **changes: Any) -> dict[str, Any]:
-    """A success in 10 m where 5 m were needed; `changes` take the place of its fields."""
+    """Return a success in 10 m with an optimum of 5 m; `changes` replace its fields."""
     fields: dict[str, Any] = {
         "episode": episode, "column": column, "column_id": "c0ffee", "world": "house-0",
         "kind": "procthor", "target": "bed", "instruction": None, "start": [1.0, 1.0, 0.0],
@@ -40,6 +40,9 @@ def many(
     """Outcomes of `columns` on `each` episodes a world.
 
     Args:
+        worlds: number of worlds.
+        seed: of the random numbers.
+        each: episodes in a world.
         columns: how many times the shortest way each needs, about.
         spread: of how much harder one world is than another.
     """

@@ -42,7 +42,7 @@ def luck(*rows: tuple[float, float]) -> np.ndarray:
 
 
 def say(*targets: int):
-    """A planner that says these, one after the other, and records what it was told."""
+    """Return a planner that gives these answers in turn and records its inputs."""
     todo, told = list(targets), []
 
     def choose(situation):

@@ -146,7 +146,7 @@ def test_same_question_is_asked_once():
 
 
 def perfect(tasks):
-    """A model that does what the optimal planner does, from the prompt's words alone."""
+    """Answer as the optimal planner does, from the prompt's text alone."""
     by_sentence = {task.sentence: task for task in tasks}
 
     def answer(question):
@@ -220,7 +220,7 @@ AUTOMATON = compiled(parse("F bed & F sofa"))
 
 @contextlib.contextmanager
 def planning(*rules: tuple[str, str]):
-    """A planner, and its server, which answers by what its question has in it."""
+    """Return a planner and its server, which answers by the text of the question."""
 
     def behave(handler):
         (question,) = (m["content"] for m in server.requests[-1][2]["messages"])

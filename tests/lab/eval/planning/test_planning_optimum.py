@@ -57,7 +57,7 @@ class Exploration:
         return 1.0, out
 
     def evaluate(self, policy):
-        """Expected cost by node of a proper policy; acceptance is free."""
+        """Return the expected cost by node of a proper policy; acceptance is free."""
         index = {node: i for i, node in enumerate(policy)}
         matrix, cost = np.eye(len(index)), np.zeros(len(index))
         for node, i in index.items():
@@ -90,7 +90,7 @@ class Exploration:
         return {}
 
     def cost(self, node, letter, value):
-        """Expected cost of one step and then of `value`; inf where that leads nowhere."""
+        """Return the expected cost of one step and then of `value`; inf for a dead end."""
         cost, outcomes = self.outcomes(node, letter)
         return cost + sum(
             p * (0.0 if self.a.accepting[after[0]] else value.get(after, math.inf))
@@ -99,7 +99,7 @@ class Exploration:
         )
 
     def _left(self, state):
-        """Steps to acceptance."""
+        """Return the steps to acceptance."""
         if not hasattr(self, "_steps"):
             graph = nx.DiGraph()
             graph.add_nodes_from(range(self.a.n_states))

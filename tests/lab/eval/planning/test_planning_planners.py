@@ -38,7 +38,7 @@ def problem_of(formula) -> PlanningProblem:
 
 
 def way(formula, planner: str, p_obs: float = 1.0) -> tuple[str, ...]:
-    """What a planner reaches, in order, when every exploration finds its target."""
+    """Return the planner's order of targets if every exploration finds its target."""
     problem, objects = problem_of(formula), world_of(propositions(formula))
     choose, reached = PLANNERS[planner].make(problem)(p_obs), []
 

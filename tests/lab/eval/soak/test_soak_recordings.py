@@ -1,4 +1,4 @@
-"""What a soak holds of recordings: read whole, read as far as they go, replayed, not too large."""
+"""Checks that a soak makes of recordings: complete, readable, replayable, not too large."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the relay makes of messages, and that it passes on what it should."""
+"""Message filters of the relay, and its pass-through."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def of(kind: str, record: list[dict]) -> list[dict]:
 
 
 def small(folder: Path, **sections: dict) -> Path:
-    """A robot that costs little to simulate."""
+    """Return a robot that is cheap to simulate."""
     camera = {"width_px": 64, "height_px": 48, "rate_hz": 5}
     return write_config(folder, sensors={"camera": camera, "odometry_hz": 20}, **sections)
 

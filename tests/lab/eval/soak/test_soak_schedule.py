@@ -26,7 +26,7 @@ def test_every_round_has_all_faults_and_each_seed_another_order():
 
 
 def run(faults: list[Fault]) -> tuple[list[str], str]:
-    """What was said of them, and what came of it."""
+    """Run the fault injectors; return their messages and results."""
     watch = SimpleNamespace(mutes=False)
     steps = make([ScheduledFault(fault, 0.0) for fault in faults], None, watch, None)
     while True:

@@ -8,7 +8,12 @@ from task_scenes import STREET, street
 from edge.geometry import SE2, Grid
 from edge.lab.eval.trajectories.episodes import TrajectoryEpisode
 from edge.lab.eval.trajectories.outcomes import EpisodeFacts, TrajectoryOutcome
-from edge.lab.eval.trajectories.references import Landmark, Place, TrajectoryTask, box_outline_m
+from edge.lab.eval.trajectories.references import (
+    Landmark,
+    ReferenceScene,
+    TrajectoryTask,
+    box_outline_m,
+)
 
 ROBOT_M = 0.4
 
@@ -18,7 +23,7 @@ def thing(number: int, label: str, x_m: float, y_m: float, look: str = "", side_
     return Landmark(number, label, look, at, box_outline_m(at, np.array(side_m), 0.0))
 
 
-def place(*things: Landmark, walls=()) -> Place:
+def place(*things: Landmark, walls=()) -> ReferenceScene:
     """Ground of 40 m by 40 m in cells of 0.2 m, with things and walls (x0, x1, y0, y1)."""
     grid = Grid(np.zeros((200, 200), np.int8), (-20.0, -20.0), 0.2)
     x, y = np.moveaxis(grid.centres_m(*np.indices((200, 200))), -1, 0)
@@ -27,7 +32,7 @@ def place(*things: Landmark, walls=()) -> Place:
     for x0, x1, y0, y1 in (*boxes, *walls):
         grid.cells[(x > x0) & (x < x1) & (y > y0) & (y < y1)] = 100
     drivable = np.ones(grid.cells.shape, bool)
-    return Place(SE2(0.0, 0.0, 0.0), things, grid, drivable, ROBOT_M, (3.0, 18.0))
+    return ReferenceScene(SE2(0.0, 0.0, 0.0), things, grid, drivable, ROBOT_M, (3.0, 18.0))
 
 
 def episode(

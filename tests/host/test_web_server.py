@@ -180,7 +180,7 @@ def test_a_port_that_is_taken_is_one_line_with_what_to_do():
 
 
 def say(port: int, request: bytes) -> bytes:
-    """What is answered to these bytes, until the connection ends."""
+    """Return the answer to these bytes, up to the end of the connection."""
     with socket.create_connection((HERE, port), PATIENCE_S) as sock:
         sock.sendall(request)
         answer = b""
@@ -202,7 +202,7 @@ def post(port: int, body: bytes = b"{}", path: str = "/form", **headers: str) ->
 
 @pytest.fixture
 def taken() -> Iterator[tuple[int, list[bytes]]]:
-    """A port where bodies are taken from who knows the token, and those that were."""
+    """Serve a port that accepts bodies from clients with the token; record them."""
     bodies: list[bytes] = []
 
     def take(body: bytes) -> HttpResponse:

@@ -1,4 +1,4 @@
-"""What watchers are told of the service, as its loop goes on, fails, or hangs."""
+"""Health of the service for its watchers while the loop runs, fails or hangs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Watched:
         self.running: RunningService = running_of(self.closed, [])
 
     def beat(self, after_s: float = 0.0) -> list[str]:
-        """What the manager is told in a beat of the loop."""
+        """Return the service manager's messages of one heartbeat."""
         self.now_s += after_s
         self.vitals.beat(self.running)
         return self.told()
@@ -54,7 +54,7 @@ class Watched:
                 return said
 
     def see(self) -> None:
-        """A frame comes."""
+        """Feed a frame."""
         (seen,) = blanks(self.closed, 1)
         self.running.service.tick(seen, seen.stamp_ns)
 

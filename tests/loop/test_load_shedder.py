@@ -102,7 +102,7 @@ class Bench:
         return self
 
     def see(self) -> None:
-        """The next image."""
+        """Feed the next image."""
         self.now_ns += TICK_NS
         seen = Observation(
             self.now_ns // TICK_NS, self.now_ns, np.eye(4), rgb=np.zeros((8, 8, 3), np.uint8),
@@ -152,18 +152,18 @@ def test_a_slow_detector_gives_way_rung_by_rung_and_comes_back(bench):
     b.until(lambda: b.governor.rung == 1)
     assert (b.running, b.scorers.resting) == ("small", frozenset())
     assert b.said == [
-        "governor: step down to rung 1 of 2: model small: detect takes 60 ms (median), above "
+        "governor: step down to level 1 of 2: model small: detect takes 60 ms (median), above "
         "perception.swap.budget_ms (33), for over 2 s"
     ]
     b.until(lambda: b.governor.rung == 2)
     assert b.scorers.resting == {"choice"}
-    assert b.said[1].startswith("governor: step down to rung 2 of 2: rest choice: detect takes 40")
+    assert b.said[1].startswith("governor: step down to level 2 of 2: rest choice: detect takes 40")
     assert b.governor.status()["resting"] == ["choice"]
     b.models["large"].ms, b.models["small"].ms = 12.0, 8.0
     b.until(lambda: b.governor.rung == 0)
     assert (b.running, b.scorers.resting) == ("large", frozenset())
     assert [line.split(":")[1].strip() for line in b.said[2:]] == [
-        "step up to rung 1 of 2", "step up to rung 0 of 2",
+        "step up to level 1 of 2", "step up to level 0 of 2",
     ]  # fmt: skip
     assert b.governor.steps == {"down": 2, "up": 2}
 
@@ -180,7 +180,7 @@ def test_a_model_that_is_not_to_be_had_is_passed_over(bench):
     b.models["large"].ms, b.models["small"] = 60.0, ModelError("small.onnx: damaged")
     b.until(lambda: b.governor.rung == 2)
     assert b.running == "large"
-    assert b.said[1] == "governor: rung 1 cannot be used: small.onnx: damaged; large goes on"
+    assert b.said[1] == "governor: level 1 cannot be used: small.onnx: damaged; large goes on"
     assert b.scorers.resting == {"choice"}
     b.models["large"].ms = 10.0
     b.until(lambda: b.governor.rung == 0)
@@ -193,7 +193,7 @@ def test_a_model_that_cannot_come_back_leaves_the_other_at_work(bench):
     b.until(lambda: b.running == "small")
     b.models["large"] = ModelError("large.onnx: damaged")
     b.until(lambda: len(b.said) == 3)
-    assert b.said[2] == "governor: rung 0 cannot be used: large.onnx: damaged; small goes on"
+    assert b.said[2] == "governor: level 0 cannot be used: large.onnx: damaged; small goes on"
     assert (b.governor.rung, b.running) == (1, "small")
 
 

@@ -20,7 +20,7 @@ MUCH = 3 * MOST_WAITING  # lines, many times what a pipe holds
 
 @pytest.fixture
 def patient(monkeypatch):
-    """What can be written before the end is, however slow the machine."""
+    """Return the output written before the end, for a machine of any speed."""
     monkeypatch.setattr(outlets, "_END_S", PATIENCE_S)
 
 

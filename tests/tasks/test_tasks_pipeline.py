@@ -84,8 +84,10 @@ def test_a_part_that_miscounts_is_told(part, answers, words):
 
 
 def looker(things, seen):
-    """A detector that finds what of some things (left to right, in pixels) a part shows, by the
-    picture's own columns, which hold their number."""
+    """Return a detector of partly visible objects, from left to right in pixels.
+
+    The image's columns contain the object's number.
+    """
 
     def boxes(observation, tags):
         columns = observation.rgb[0, :, 0].astype(int)

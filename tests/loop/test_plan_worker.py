@@ -1,4 +1,4 @@
-"""What is done for a task beside the loop."""
+"""Background work for a task."""
 
 from __future__ import annotations
 

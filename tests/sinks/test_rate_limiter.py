@@ -1,4 +1,4 @@
-"""How often a sink sends what."""
+"""Rates of a sink's messages."""
 
 from __future__ import annotations
 

@@ -1,0 +1,123 @@
+"""Server of requests to the running service over two ROS 2 topics, for nodes without Zenoh.
+
+A request is a std_msgs/String with JSON: `{"to": "site", "do": "list", "ref": 7}`. `to` names the
+requests (`mission`, `models`, `site`, `memory`), `ref` is optional. The answer is a std_msgs/String
+on the other topic: the JSON of the answer, with the `to` and `ref` of its request. Every node of
+the graph may send requests and hears all answers.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from functools import partial
+from typing import Any
+
+import zenoh
+
+from edge.bus import topics
+from edge.bus.request_queue import MAX_BYTES, RequestQueue
+from edge.bus.ros2.node import Ros2Node, open_node
+from edge.bus.verbs import error_of, shown
+from edge.bus.wire.cdr import CdrReader, CdrWriter, DecodeError
+from edge.config import Config
+from edge.host.periodic import run_periodically
+
+STRING = "std_msgs/msg/String"
+POLL_S = 0.05
+_KEPT = 16
+_MAX_REF_CHARS = 100
+_KEYS = {key.removesuffix("/request"): key for key in topics.REQUESTS}
+
+
+class Ros2RequestServer:
+    """Passes requests to the queues of the loop, and publishes the answers.
+
+    Args:
+        node: the node of the topics; this server closes it.
+        request_topic: topic of requests.
+        answer_topic: topic of answers.
+        queues: queue of each key of `edge.bus.topics.REQUESTS`.
+    """
+
+    def __init__(
+        self,
+        node: Ros2Node,
+        request_topic: str,
+        answer_topic: str,
+        queues: Mapping[str, RequestQueue],
+    ) -> None:
+        self._node, self._queues = node, queues
+        self._requests = node.subscription(request_topic, (STRING,), _KEPT)
+        self._answers = node.publisher(answer_topic, STRING)
+        self._pending: queue.SimpleQueue[tuple[dict[str, Any], bytes]] = queue.SimpleQueue()
+
+    def poll(self) -> None:
+        """Pass on what came; one thread must call this every `POLL_S`."""
+        self._node.look()
+        for _, payload in self._requests.take():
+            self._receive(payload)
+        while not self._pending.empty():
+            label, reply = self._pending.get()
+            text = json.dumps({**label, **json.loads(reply)})
+            self._answers.put(CdrWriter().string(text).bytes())
+
+    def close(self) -> None:
+        self._node.close()
+
+    def _receive(self, payload: zenoh.ZBytes) -> None:
+        label: dict[str, Any] = {}
+        reply = partial(self._reply, label)
+        try:
+            request = _request_of(payload)
+            label |= {name: request.pop(name) for name in ("to", "ref") if name in request}
+            queue_of = self._queue_of(label.get("to"))
+        except ValueError as error:
+            reply(error_of(str(error)), True)
+        else:
+            queue_of(json.dumps(request).encode(), reply)
+
+    def _queue_of(self, to: object) -> Callable[..., None]:
+        if not isinstance(to, str) or to not in _KEYS:
+            raise ValueError(f"to: unknown {shown(to)} (choices: {', '.join(_KEYS)})")
+        return self._queues[_KEYS[to]].take
+
+    def _reply(self, label: dict[str, Any], reply: bytes, is_error: bool) -> None:
+        self._pending.put((label, reply))
+
+
+@contextmanager
+def serve_ros2_requests(
+    config: Config, session: zenoh.Session, queues: Mapping[str, RequestQueue]
+) -> Iterator[None]:
+    """Take requests from the ROS 2 graph until the block ends; see `Ros2RequestServer`."""
+    node, settings = open_node(config, session, "requests"), config.ros2
+    server = Ros2RequestServer(
+        node, settings.topic("request"), settings.topic("answer"), queues
+    )  # fmt: skip
+    with closing(server), run_periodically("ros2-requests", POLL_S, server.poll):
+        yield
+
+
+def _request_of(payload: zenoh.ZBytes) -> dict[str, Any]:
+    """Return the request of a message.
+
+    Raises:
+        ValueError: it is too long, no JSON object, or its `ref` is no number or short text.
+    """
+    if len(payload) > MAX_BYTES:
+        raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are allowed")
+    try:
+        request = json.loads(CdrReader(payload.to_bytes()).string())
+    except DecodeError:
+        raise
+    except (ValueError, RecursionError):
+        raise ValueError("not JSON") from None
+    if not isinstance(request, dict):
+        raise ValueError("expected a JSON object")
+    ref = request.get("ref", "")
+    if not isinstance(ref, int | str) or len(str(ref)) > _MAX_REF_CHARS:
+        raise ValueError(f"ref: expected a number, or a text of {_MAX_REF_CHARS} characters")
+    return request

@@ -1,0 +1,208 @@
+"""`edge eval translate --everyday`: judge what is made of everyday sentences.
+
+A line of the file is a JSON object. `said` is the sentence, and `expect` is what it is: "mission",
+"question", "learn", "control", "ask" or "refuse". `also` lists other right outcomes. A mission has
+its `formula`, and `minutes` or `seconds` for waits and other times. A question or an order to learn
+is `about` a name. To ask and to refuse count alike, because both leave the robot where it is.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from edge import names
+from edge.config import MissionConfig
+from edge.config import Translator as TranslatorConfig
+from edge.errors import UserError
+from edge.geometry import SE2
+from edge.host.files import open_regular
+from edge.lab.eval.equivalence import distinguishing_trace
+from edge.memory import Place, Site
+from edge.mission.language.said import Control, MemoryQuestion, NoMissionError, SiteOrder
+from edge.mission.language.spans import SPAN, seconds_of
+from edge.mission.logic.automaton import compile_formula
+from edge.mission.logic.ltl import (
+    Formula,
+    ap,
+    conj,
+    neg,
+    parse,
+    postorder,
+    propositions,
+    renamed,
+    to_text,
+    weak_until,
+)
+from edge.mission.repetition import recurrence
+from edge.mission.spec import translate
+from edge.mission.translate import TranslationError
+from edge.text import format_table
+
+SITE = Site(tuple(Place(name, SE2(1.0, 1.0, 0.0)) for name in ("dock", "shelf", "reception")))
+"""The places that the sentences may name."""
+OUTCOMES = ("right", "asked or refused", "wrong")
+_ARTICLES = re.compile(r"\b(?:the|a|an|my|our|your) ")
+_LEARN = {
+    "place": "remember", "room": "name the|remember", "forget": "forget", "keep_out": "keep-out",
+    "stay_inside": "stay in|zone", "open": "lift|allow|may|remove",
+}  # fmt: skip
+_CONTROL = {"pause": "stop|wait|pause|halt|hold", "resume": "go on|continue|resume", "cancel": ""}
+
+
+@dataclass(frozen=True, slots=True)
+class EverydayScore:
+    """The result of one sentence.
+
+    Attributes:
+        case: the line of the file.
+        outcome: one of `OUTCOMES`.
+        got: what was made of it, in one line.
+    """
+
+    case: dict[str, Any]
+    outcome: str
+    got: str
+
+
+def everyday_cases(path: Path) -> list[dict[str, Any]]:
+    """Read the sentences.
+
+    Raises:
+        UserError: the file cannot be read or has another form.
+    """
+    try:
+        with open_regular(path) as file:
+            cases = [json.loads(line) for line in file.read().decode().splitlines() if line.strip()]
+        for case in cases:
+            if not isinstance(case["said"], str) or not isinstance(case["expect"], str):
+                raise ValueError("said and expect must be text")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path}: not readable as everyday sentences: {error!r}") from error
+    return cases
+
+
+def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> EverydayScore:
+    """Understand one sentence as the running service does, and judge it."""
+    accepted = {case["expect"], *case.get("also", ())}
+    unclear = "right" if accepted & {"ask", "refuse"} else "asked or refused"
+    try:
+        found = translate(MissionConfig(translator=translator), case["said"], SITE)
+        formula, patrol_s = found.formula, found.repeat.limit_s if found.repeat else 0.0
+        asks = not compile_formula(formula).accepting[0]
+    except NoMissionError as error:
+        said = error.said
+        right = _kind(said) in accepted and _is_right(case, said)
+        return EverydayScore(case, "right" if right else "wrong", str(said))
+    except TranslationError as error:
+        return EverydayScore(case, unclear, str(error))
+    if not asks:
+        return EverydayScore(case, unclear, f"asks for nothing: {to_text(formula)}")
+    right = "mission" in accepted and (
+        "formula" not in case or _same_mission(case, formula, patrol_s)
+    )
+    return EverydayScore(case, "right" if right else "wrong", to_text(formula))
+
+
+def _kind(said: MemoryQuestion | SiteOrder | Control) -> str:
+    return {MemoryQuestion: "question", SiteOrder: "learn", Control: "control"}[type(said)]
+
+
+def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) -> bool:
+    meaning, about = case.get("meaning", ""), _plain(case.get("about", ""))
+    if isinstance(said, Control):
+        return bool(re.search(_CONTROL[said.do], meaning)) and _seconds(case) == (said.seconds or 0)
+    if isinstance(said, SiteOrder):
+        fits = re.search(_LEARN[said.do], meaning) is not None
+        return fits and _plain(said.name or "this room") in (about, _plain(f"{about} room"))
+    named = f"{said.about} in {said.room}" if said.room and said.about else said.about or said.room
+    return _plain(named) == about if named else about not in ("",) and said.topic != "where"
+
+
+def _plain(name: str) -> str:
+    """Return a name without articles: "lamp next to sofa"."""
+    text = _ARTICLES.sub("", f"{name.lower()} ").strip()
+    for word, same in (("beside", "next to"), ("close to", "near"), ("inside", "in")):
+        text = re.sub(rf"\b{word}\b", same, text)
+    return (
+        " ".join(names.canonical(part) for part in re.split(r"(?<=next to) ", text)) if text else ""
+    )
+
+
+def _seconds(case: dict[str, Any]) -> float:
+    return float(60 * case.get("minutes", 0) + case.get("seconds", 0))
+
+
+def _same_mission(case: dict[str, Any], got: Formula, patrol_s: float | None) -> bool:
+    """Return True if formula and time agree; times are no part of the expected propositions.
+
+    A sequence counts, too, if it also forbids each stop before the one that comes first, as
+    "before you go to b, visit a" does.
+
+    Args:
+        case: the line of the file.
+        got: the formula, of one round of a patrol.
+        patrol_s: time of a patrol; 0.0 for none, None if it has no end.
+    """
+    expected = parse(case["formula"])
+    spans = [m[0] for name in propositions(got) for m in re.finditer(SPAN, name)]
+    if sum(map(seconds_of, spans)) + (patrol_s or 0.0) != _seconds(case):
+        return False
+    timeless = renamed(got, lambda name: _plain(re.sub(rf" (?:for )?{SPAN}$", "", name)))
+    plain = renamed(expected, _plain)
+    if "wait" in propositions(timeless) and "wait" not in propositions(plain):
+        timeless = _without_waits(timeless)
+    plain, _ = recurrence(plain, patrol_s != 0.0)
+    stops = propositions(plain)
+    strict = conj(plain, *(weak_until(neg(ap(b)), ap(a)) for a, b in pairwise(stops) if a != b))
+    return any(distinguishing_trace(timeless, each) is None for each in (plain, strict))
+
+
+def _without_waits(formula: Formula) -> Formula:
+    """Return the formula without the proposition "wait": F(a & F wait) is F a."""
+    done: dict[int, Formula | None] = {}
+    for node in postorder(formula):
+        if node.op == "ap":
+            done[id(node)] = None if node.name == "wait" else node
+            continue
+        kept = tuple(arg for arg in (done[id(arg)] for arg in node.args) if arg is not None)
+        if node.op in ("&", "|") and len(kept) == 1:
+            done[id(node)] = kept[0]
+        else:
+            done[id(node)] = Formula(node.op, kept, node.name) if kept or not node.args else None
+    found = done[id(formula)]
+    return formula if found is None else found
+
+
+def everyday_counts(scores: Sequence[EverydayScore]) -> dict[str, dict[str, int]]:
+    """Count outcomes by what a sentence should be, and of all."""
+    parts = [*dict.fromkeys(s.case["expect"] for s in scores), "all"]
+    found = {p: Counter(s.outcome for s in scores if p in ("all", s.case["expect"])) for p in parts}
+    return {
+        part: {outcome: counts[outcome] for outcome in OUTCOMES} for part, counts in found.items()
+    }
+
+
+def everyday_table(title: str, counts: Mapping[str, Mapping[str, int]]) -> str:
+    """Return the counts of `everyday_counts` as aligned text."""
+    rows: list[list[object]] = [[title, "cases", *OUTCOMES]]
+    rows += [[part, sum(of.values()), *of.values()] for part, of in counts.items()]
+    return format_table(rows, left=1)
+
+
+def everyday_failures(scores: Iterable[EverydayScore], translator: str) -> list[str]:
+    """Return each failure as a line of JSON."""
+    return [
+        json.dumps(
+            {"translator": translator, "outcome": s.outcome, "got": s.got, **s.case},
+            ensure_ascii=False,
+        )
+        for s in scores
+        if s.outcome != "right"
+    ]

@@ -1,0 +1,133 @@
+"""Answers to what a person says that is no mission: questions and orders to learn."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from edge import names
+from edge.bus.verbs import Request, Verb, read_request
+from edge.errors import UserError
+from edge.geometry import SE2
+from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
+from edge.loop.site_requests import SITE_VERBS, handle_site
+from edge.memory.site import is_same
+from edge.mission.language.said import MemoryQuestion, SiteOrder
+from edge.text import one_line
+
+if TYPE_CHECKING:
+    from edge.loop.service import Service
+
+_MOST_TOLD = 20
+
+
+def carry_out(service: Service, said: MemoryQuestion | SiteOrder, now_ns: int) -> str:
+    """Answer a question, or change the site as told; return the answer in one line.
+
+    Raises:
+        UserError: it cannot be done. Nothing has changed then.
+    """
+    if isinstance(said, MemoryQuestion):
+        return _answer(service, said, now_ns)
+    return _learn(service, said, now_ns)
+
+
+def _asked(
+    handle: Any, verbs: Mapping[str, Verb], service: Service, now_ns: int, **data: Any
+) -> dict:
+    """Return the answer to a request of the service's own."""
+    try:
+        do, fields = read_request(json.dumps(data).encode(), verbs)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    answer: dict = handle(service, Request(do, fields), now_ns)
+    return answer
+
+
+def _answer(service: Service, said: MemoryQuestion, now_ns: int) -> str:
+    if said.topic in ("where", "exists"):
+        name = names.head_phrase(said.about)
+        answer = _asked(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
+        there = _in_room(service, answer["objects"], said.room)
+        text = str(answer["text"])
+        if said.room and answer["objects"] and not there:
+            return f"none in the {one_line(said.room)}; {text}"
+        return f"yes, {text}" if said.topic == "exists" and there else text
+    if said.topic == "seen":
+        answer = _asked(handle_memory, MEMORY_VERBS, service, now_ns, do="list")
+        there = _in_room(service, answer["objects"], said.room)
+        return _listed("seen", [one["name"] for one in there])
+    if said.topic == "places":
+        return _listed("places", [place.name for place in service.site.known.places])
+    if said.topic == "rooms":
+        return _listed("rooms", [room.title for room in service.map.rooms.rooms])
+    pose = _pose(service)
+    room = service.map.rooms.where(pose.x_m, pose.y_m)
+    return f"{room}{', ' * bool(room)}at ({pose.x_m:.1f}, {pose.y_m:.1f})"
+
+
+def _pose(service: Service) -> SE2:
+    if service.pose is None:
+        raise UserError("the robot's pose is not known yet: wait for the first observation")
+    return service.pose
+
+
+def _in_room(service: Service, objects: list[dict], name: str) -> list[dict]:
+    """Return the objects in the rooms of a name; all if it is ""."""
+    if not name:
+        return objects
+    rooms = service.map.rooms
+    ids = {room.id for room in rooms.called(name)}
+    if not ids:
+        known = one_line(", ".join(room.title for room in rooms.rooms) or "none")
+        raise UserError(f"no room called {one_line(name)} is known (known: {known})")
+    at = [rooms.room_at(*one["xyz"][:2]) for one in objects]
+    return [one for one, room in zip(objects, at, strict=True) if room and room.id in ids]
+
+
+def _listed(what: str, found: list[str]) -> str:
+    """Return the names with their numbers, the most frequent first."""
+    counts = Counter(found).most_common(_MOST_TOLD)
+    shown = [f"{n} × {one_line(name)}" if n > 1 else one_line(name) for name, n in counts]
+    more = ", …" if len(set(found)) > _MOST_TOLD else ""
+    return f"{what}: {', '.join(shown) or 'none'}{more}"
+
+
+def _learn(service: Service, said: SiteOrder, now_ns: int) -> str:
+    data: dict[str, Any]
+    if said.do == "place":
+        data = {"do": "set", "name": said.name}
+    elif said.do == "room":
+        data = {"do": "set", "kind": "room", "name": said.name}
+    elif said.do in ("keep_out", "stay_inside"):
+        data = {"do": "set", "kind": said.do, "room": said.name or _room_here(service)}
+    elif said.do == "open":
+        data = {"do": "remove", "name": _zone_to_open(service, said.name)}
+    else:
+        data = {"do": "remove", "name": said.name}
+    return str(_asked(handle_site, SITE_VERBS, service, now_ns, **data)["text"])
+
+
+def _room_here(service: Service) -> str:
+    """Return the title of the room that the robot is in."""
+    pose = _pose(service)
+    room = service.map.rooms.room_at(pose.x_m, pose.y_m)
+    if room is None:
+        raise UserError("the room here is not known yet: explore it first, or draw a zone")
+    return room.title
+
+
+def _zone_to_open(service: Service, name: str) -> str:
+    """Return the name of the zone of a room; for "" that of the only room to stay inside."""
+    zones = service.site.site.zones
+    if name:
+        wanted = (name, f"{name} zone")
+        found = [zone.name for zone in zones if any(is_same(zone.name, one) for one in wanted)]
+    else:
+        found = [zone.name for zone in zones if zone.kind == "stay_inside"]
+    if len(found) != 1:
+        listed = one_line(", ".join(zone.name for zone in zones) or "none")
+        raise UserError(f"{one_line(name) or 'this room'}: no zone of this name (zones: {listed})")
+    return found[0]

@@ -1,0 +1,498 @@
+"""Everyday words for errands, as quoted propositions: checking, exploring, patrols, waiting.
+
+Each proposition is the canonical text of a destination, which LTL can name as well: "explored
+kitchen", "wait 30 s", "check stove", "mug in the kitchen". The translators read the rest.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+
+from edge import names
+from edge.mission.language import nouns
+from edge.mission.language.errand_parts import PARTS
+from edge.mission.language.everyday_words import (
+    AFTER_A_NAME,
+    ARTICLE,
+    MARK,
+    NAME,
+    any_of,
+    bare,
+    is_room,
+    is_vague,
+)
+from edge.mission.language.impossible import refuse_impossible
+from edge.mission.language.lexicon import TABLE
+from edge.mission.language.places import (
+    EXPLORED,
+    HERE,
+    START,
+    is_marked,
+    mark_places,
+    named_places,
+)  # fmt: skip
+from edge.mission.language.spans import number_of, seconds_of
+from edge.mission.language.templates import END, compiled
+from edge.mission.language.tokens import UnclearError
+from edge.mission.language.unsupported import BEYOND_NAMES
+
+WAIT, CHECK, CALLER = "wait", "check", "caller"
+"""Beginnings of propositions, and the pose of the person; see also `places`."""
+MAX_ROUNDS = 10
+
+_CHECKS = compiled(
+    """
+    {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
+    {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
+    {then} {goes} {check} {if} <thing> (is|are) {at}
+    {then} {goes} {check} {if} you [can] see <thing> {at} [there|around|here]
+    {then} {goes} {check} [if] (is|are) [there] <thing> {at} [there]
+    {then} {goes} check for <thing> {at}
+    {then} {goes} check [on] <thing> {at}
+    {then} {goes} {check} <room> for <thing>
+    """,
+    PARTS,
+)
+_SEARCHES = compiled(
+    """
+    (search|scan|look in|look through|look around) <room> for <thing>
+    look around in <room> for <thing>
+    """,
+    PARTS,
+)
+_EXPLORES = compiled(
+    """
+    {goes} ({look}|look|inspect) {whole} [{whole}] [and|then] [map|scan|look at|explore]
+            [everything] {time}
+    {goes} {look} <stops> {time}
+    {goes} {look} <room> {time}
+    give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
+            (once-over|look|scan|sweep|look over|check|going over|look-over|inspection) {time}
+    (have|take|make) a [good|proper|quick|close]* look (round|around|in|at|inside) (<room>|{whole})
+            {time}
+    """,
+    PARTS,
+)
+_EXPLORES_HERE = compiled(
+    """
+    {then} {goes} (explore|exploring|look around|look round|scan|survey|wander|wander around|
+            have a look around|take a look around|roam around|drive around|go exploring|map|
+            be [an|a|the] explorer|make [an] exploration) {time}
+    """,
+    PARTS,
+)
+_PATROLS = compiled(
+    """
+    {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
+    {patrol} <stops> , <often>
+    {patrol} <stops> , [for|during] <span> [long]
+    {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|
+            all (day|night|the time))
+    {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
+    (do|make|drive|go|run|walk) <count> {rounds} (of|between|around|through|from|in) <stops>
+    """,
+    PARTS,
+)
+_ERRAND_AND_BACK = compiled(
+    """
+    {drive} {over} to <thing> , {back} , <often>
+    {drive} {over} to <thing> , {back} , [for] <count> {rounds}
+    """,
+    PARTS,
+)
+_STARTS = compiled(
+    """
+    {then} (come|go|get|drive|head|run|return|move) [back|home]* to {home}
+    {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
+            (start|starting) (point|place|position|pose|spot))
+    """,
+    PARTS,
+)
+_BACK_TO = compiled(
+    "{then} (return|(come|go|get|drive|head|run|move|be) [straight|right] back|back) to <thing>",
+    PARTS,
+)
+_CALLS = compiled("(come|drive|get|move|roll) [over|right|up]* (here|to me|to us|over here)", PARTS)
+_BACKS = compiled("{then} {back}", PARTS)
+_WAITS = compiled(
+    """
+    {then} {hold} {there} [for] <span> [there|here]
+    {then} {hold} (at|in|by|near|inside|next to|in front of) <thing> [for] <span>
+    {then} wait [for (me|us)] (at|in|by|near|inside|next to|in front of) <thing>
+    {then} stay [for (me|us)] (at|by|near|next to|in front of) <thing>
+    {then} (wait|stay) (there|here|in there) [for me|until i (come|am there|get there|call|say) ...]
+    """,
+    PARTS,
+)
+_RELATED = re.compile(
+    rf" (?P<thing>{NAME})(?: {any_of('standing')})? (?P<relation>{any_of('relation')})"
+    rf" (?P<anchor>{NAME})(?: and (?P<other>(?:the|a) {NAME})"
+    rf"| or (?:(?P<again>{any_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
+    re.I,
+)
+_INTRODUCED = re.compile(
+    rf"^ (?:there (?:is|are)|(?:we|i) (?:need|want|lost|have lost|left|forgot|am looking for)) "
+    rf"(?P<thing>{NAME})(?: {any_of('standing')})?(?: (?P<relation>{any_of('relation')}) "
+    rf"(?P<anchor>{NAME}))?[,.;!]+ (?:so |please |and )*(?P<order>[^,.;!?]*?) (?:it|them)"
+    r"(?=[,.;!?]|$)",
+    re.I,
+)
+_ROOM_WITH = re.compile(
+    rf" (?P<thing>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
+)
+_SOME_ROOM = re.compile(rf"\b{ARTICLE} room(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)", re.I)
+_PERMITS = re.compile(
+    r"(?:so |and )?(?:you|the robot) (?:now )?(?:can|may|are (?:allowed|free|welcome) to) (?:now )?"
+    rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
+    re.I,
+)
+_LOOSE = re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I)
+_ONLY_THERE = (
+    "the robot can only check whether a thing is there; say for example 'check whether the stove "
+    "is in the kitchen'"
+)
+_NOWHERE = nouns.listed(
+    """way foot own order point least most floor floors last path road route place places spot area
+    position location side"""
+)
+"""Words that name no object in "at some point", "on the way", "a place near the door"."""
+_STOP = rf",? (?:and then|and|then|to|or) |, | (?={MARK}|the )"
+_RELATIONS = {
+    "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
+    "beside of": "beside", "behind of": "behind",
+}  # fmt: skip
+_LEADS_TO_NAME = re.compile(
+    r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I
+)
+_WHICH_ROOM = re.compile(r" (?:the )?(?P<which>next|largest|biggest|smallest) room(?! \d)\b", re.I)
+_AFTER_WAIT = re.compile(r'(?P<wait>"wait[^"]*")(?:,? and(?: then)?|,)(?= (?!then)\w)')
+_EXPLORED_TWICE = re.compile(r'( go to "explored")(?:,? and(?: then)? go to "explored")+')
+_IN_ROOM_AND = re.compile(
+    rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})),? and(?= (?:find|look for) )", re.I
+)
+_DANGLING = re.compile(
+    rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*"(?:,| and then| and| or| then)+ (?:{ARTICLE} |")'
+    rf'|"[^"]* [^"]*" (?:and|or) {any_of("relation")} '
+    rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) {ARTICLE} ',
+    re.I,
+)
+_GOES_TO = re.compile(
+    rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) ){any_of('go to')} (?P<name>\"[^\"]*\"|{NAME})",
+    re.I,
+)
+_FINDS = re.compile(
+    rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) ){any_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I
+)
+_COMPOUND = re.compile(rf" (?P<name>{NAME})(?= {AFTER_A_NAME}\b|[,.;!?]|$)", re.I)
+
+
+def spell_out(text: str, places: Iterable[str] = ()) -> str:
+    """Return an errand in plain words with its destinations as quoted propositions.
+
+    Args:
+        text: the errand; see `tidy`.
+        places: names of places, which come before those of things.
+
+    Raises:
+        UnclearError: it asks for what no wheels, camera and text can do.
+
+    Example:
+        >>> spell_out("go and check whether the kettle is in the kitchen, then come back")
+        'go to "check kettle in the kitchen", then go to "here"'
+    """
+    if permits := _PERMITS.match(text):
+        hint = "an order, or a permission? say 'go to …', or 'you may go to … again'"
+        raise UnclearError(f"instruction: {permits[0]!r}: {hint}", permits[0])
+    marked, known = mark_places(text, places)
+    text = f" {marked}"
+    rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
+        ([_INTRODUCED], _introduced),
+        (_SEARCHES, _searched),
+        (_PATROLS, _rounds),
+        (_ERRAND_AND_BACK, _errands_and_back),
+        (_CHECKS, _checked),
+        (_EXPLORES, _explored),
+        (_EXPLORES_HERE, _explored_here),
+        ([_ROOM_WITH, _RELATED], _related),
+        ([_WHICH_ROOM], _which_room),
+        ([_GOES_TO], lambda found: f"{found['lead']}go to {_the(found['name'])}"),
+        ([_FINDS], lambda found: f"{found['lead']}find {found['name']}"),
+        ([_IN_ROOM_AND], _in_room_and),
+        ([_COMPOUND], _compound),
+        (_STARTS, lambda found: _go_to(START, found)),
+        (_BACK_TO, _back_to),
+        (_BACKS, _back),
+        (_CALLS, lambda found: f' go to "{CALLER}"' if not found.start() else None),
+        (_WAITS, _waits),
+    )
+    for patterns, change in rules:
+        for pattern in patterns:
+            text = _outside_quotes(pattern, change, text)
+    text = _EXPLORED_TWICE.sub(r"\1", text)
+    text = named_places(text, known)
+    text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
+    if dangling := _DANGLING.search(text):
+        hint = "unclear what to do with the second one; say it in a sentence of its own"
+        raise UnclearError(f"instruction: {dangling[0].strip()}: {hint}", dangling[0].strip())
+    if room := _SOME_ROOM.search(text):
+        raise UnclearError(f"instruction: {room[0]!r}: unclear which room; name it", room[0])
+    if loose := _LOOSE.search(text):
+        raise UnclearError(f"instruction: {loose[0]!r}: {_ONLY_THERE}", loose[0])
+    refuse_impossible(text.strip())
+    return text.strip()
+
+
+def _outside_quotes(
+    pattern: re.Pattern[str], change: Callable[[re.Match[str]], str | None], text: str
+) -> str:
+    """Change what a pattern finds outside quotes; the function returns None to leave it."""
+
+    def changed(found: re.Match[str]) -> str:
+        if text.count('"', 0, found.start()) % 2 or found[0].count('"') % 2:
+            return found[0]
+        new = change(found)
+        return found[0] if new is None else new
+
+    return pattern.sub(changed, text)
+
+
+def _go_to(proposition: str, found: re.Match[str] | None = None) -> str:
+    """Return the order to go there; after a match that does not begin the text it comes next."""
+    later = found is not None and found.start() > 0
+    return f'{", then" if later else ""} go to "{proposition}"'
+
+
+def _introduced(found: re.Match[str]) -> str | None:
+    """Put the thing that the first clause names in place of the second clause's pronoun."""
+    where = _where(found["relation"], found["anchor"])
+    return None if where is None else f" {found['order']} the {bare(found['thing'])}{where}"
+
+
+def _searched(found: re.Match[str]) -> str | None:
+    if not is_room(bare(found["room"])) or is_vague(found["thing"]):
+        return None
+    where = _where("in", found["room"])
+    return None if where is None else f' find "{bare(found["thing"])}{where}"'
+
+
+def _checked(found: re.Match[str]) -> str | None:
+    slots = found.groupdict()
+    thing = bare(found["thing"])
+    if is_vague(thing) or thing in ("it", "them"):
+        return None
+    plain_look = not slots.get("relation") and found[0].rstrip().endswith(found["thing"])
+    if plain_look and (is_room(thing) or thing.startswith("rooms ")):
+        return None  # "check the kitchen" is no check of a thing
+    if slots.get("room"):
+        where = _where("in", slots["room"])
+    else:
+        where = _where(slots.get("relation"), slots.get("anchor"))
+    if re.match(r" (?!and |then |but |when |while |in order )\w", found.string[found.end() :]):
+        return None  # "check if the heater is on"
+    return None if where is None else _go_to(f"{CHECK} {thing}{where}", found)
+
+
+def _where(relation: str | None, anchor: str | None, other: str | None = None) -> str | None:
+    """Return " next to the desk"; "" without a relation, None if the anchor is no object."""
+    if not relation or not anchor:
+        return ""
+    name = bare(anchor)
+    words = name.split()
+    phrase = f"{relation} {anchor}".lower().split()
+    idiom = any(
+        tuple(phrase[:n]) in TABLE for n in range(len(relation.split()) + 1, len(phrase) + 1)
+    )
+    verb = name == anchor.lower() and TABLE.get((words[0],)) == "verb" and len(words) > 1
+    bare_by = relation == "by" and name == anchor.lower() and not is_marked(name)  # "by bus"
+    if idiom or verb or bare_by or is_vague(anchor) or words[-1] in _NOWHERE:
+        return None  # "at some point", "by passing the desk"
+    if names.number(words) is not None:
+        return None  # "between the two"
+    relation = _RELATIONS.get(relation.lower(), relation.lower())
+    the = "" if re.search(r" (?:\d+\w?|[a-z])$", name) else "the "
+    more = f" and the {bare(other)}" if other else ""
+    return f" {relation} {the}{name}{more}"
+
+
+def _explored(found: re.Match[str]) -> str | None:
+    slots = found.groupdict()
+    time = _for(slots.get("span"))
+    joints = re.findall(_JOINT, slots.get("stops") or "")
+    rooms = [bare(stop) for stop in re.split(_JOINT, slots.get("stops") or slots.get("room") or "")]
+    rooms = ["" if re.fullmatch(r"(?:every|each|all) rooms?", room) else room for room in rooms]
+    if not all(is_room(room) for room in rooms if room) or (time and len(rooms) > 1):
+        return None
+    if vague := [room for room in rooms if room and is_vague(room)]:
+        raise UnclearError(f"instruction: {vague[0]!r}: unclear which one; name it", vague[0])
+    orders = [_go_to(f"{EXPLORED}{f' {room}' * bool(room)}{time}") for room in rooms]
+    return orders[0] + "".join(
+        j.rstrip() + order for j, order in zip(joints, orders[1:], strict=True)
+    )
+
+
+def _explored_here(found: re.Match[str]) -> str | None:
+    """Return the order to explore; after going to a room, that room."""
+    room, before = "", found.string[: found.start()]
+    if before:
+        last = re.search(rf"(?:to|in|into) (?P<name>{NAME}),?$", before, re.I)
+        if last is None or not is_room(bare(last["name"])):
+            raise UnclearError(f"instruction: {found[0].strip()!r}: unclear where; name the room")
+        room = f" {bare(last['name'])}"
+    return _go_to(f"{EXPLORED}{room}{_for(found['span'])}", found)
+
+
+_JOINT = r",? (?:and then|and|then|or) |, "
+
+
+def _for(span: str | None) -> str:
+    return f" for {_length(seconds_of(span))}" if span else ""
+
+
+def _length(seconds: float) -> str:
+    """Return a time as propositions have it: `90 s`, `10 min`."""
+    minutes, rest = divmod(seconds, 60)
+    return f"{minutes:.0f} min" if minutes and not rest else f"{seconds:.0f} s"
+
+
+def _rounds(found: re.Match[str]) -> str | None:
+    """Return a patrol as the stops of all its rounds, or of one that repeats; None for no patrol.
+
+    Raises:
+        UnclearError: a patrol that repeats is not the whole instruction.
+    """
+    slots = found.groupdict()
+    stops = [bare(stop) for stop in re.split(_STOP, found["stops"])]
+    if re.search(r"\bor\b", found["stops"]) or any(is_vague(stop) for stop in stops):
+        return None
+    if len(stops) < 2:
+        return None
+    often = (slots.get("count") or slots.get("often") or "").lower()
+    rounds = number_of(often) if often else None
+    if often and rounds is None:
+        return None
+    if rounds is not None and 1 <= rounds <= MAX_ROUNDS:
+        return " " + ", then ".join(f"go to {_articled(stop)}" for stop in stops * rounds)
+    if found.start() or found.string[found.end() :].strip(" .!?"):
+        raise UnclearError(
+            "instruction: a patrol for some time, or with more than "
+            f"{MAX_ROUNDS} rounds, must be the whole instruction; send the rest afterwards"
+        )
+    end = f"{rounds} times" if rounds is not None else "until told"
+    end = f"for {_length(seconds_of(slots['span']))}" if slots.get("span") else end
+    return f" {', then '.join(f'go to {_articled(stop)}' for stop in stops)}; repeat {end}"
+
+
+def _errands_and_back(found: re.Match[str]) -> str | None:
+    slots = found.groupdict()
+    times = number_of((slots.get("count") or slots.get("often") or "").lower())
+    if times is None or not 1 <= times <= MAX_ROUNDS:
+        return None
+    stop = f'go to {_articled(bare(found["thing"]))}, then go to "{HERE}"'
+    return " " + ", then ".join([stop] * times)
+
+
+def _related(found: re.Match[str]) -> str | None:
+    slots = found.groupdict()
+    thing = found["thing"]
+    words = thing.split()
+    while words and TABLE.get((words[0].lower(),)) in ("verb", "avoid") and len(words) > 1:
+        words = words[1:]
+    before = thing[: len(thing) - len(" ".join(words))]
+    relation = (slots.get("relation") or "with").lower()
+    articled = bare(thing) != thing.lower()
+    led = before or _LEADS_TO_NAME.search(found.string[: found.start()])
+    if not articled and (nouns.unknown_in(words) is not None or not led):
+        return None  # "park at the dock": a verb, no thing
+    if (
+        words[-1] in _NOWHERE
+        or (is_vague(" ".join(words)) and relation != "with")
+        or (is_room(bare(thing)) and relation in ("by", "near", "at"))
+    ):
+        return None
+    if slots.get("relation") and TABLE.get((words[-1].lower(),)) in ("verb", "do"):
+        return None
+    other = slots.get("other") if relation == "between" else None
+    where = _where(relation, found["anchor"], other)
+    if where is None:
+        return None
+    rest = f" and {slots['other']}" if slots.get("other") and not other else ""
+    name = bare(" ".join(words))
+    if slots.get("else"):
+        rest = f" or {slots['else']}"
+        if slots["again"] or (is_room(bare(slots["else"])) and is_room(bare(found["anchor"]))):
+            rest = f' or "{name}{_where(slots["again"] or relation, slots["else"])}"'
+    return f' {before}"{name}{where}"{rest}'
+
+
+def _which_room(found: re.Match[str]) -> str:
+    which = {"biggest": "largest"}.get(found["which"].lower(), found["which"].lower())
+    return f' "{which} room"'
+
+
+def _in_room_and(found: re.Match[str]) -> str | None:
+    """Put "then" between going to a room and finding something, as people mean it."""
+    return f"{found['go']}, then" if is_room(bare(found["room"])) else None
+
+
+def _articled(name: str) -> str:
+    return name if is_marked(name) else f"the {name}"
+
+
+def _the(name: str) -> str:
+    """Return a name with an article; `to kitchen` is said by people who learn English."""
+    articled = name.startswith('"') or bare(name) != name.lower() or is_marked(name)
+    return name if articled or not is_room(name) or name[-1].isdigit() else f"the {name}"
+
+
+def _compound(found: re.Match[str]) -> str | None:
+    """Quote a compound of known words, or of words that are no slips: "the tape gun"."""
+    name = found["name"]
+    words = bare(name).split()
+    articled = bare(name) != name.lower()
+    if len(words) < 2 or nouns.unknown_in(words) is None:
+        return None
+    head = nouns.is_noun(words[-1]) and not nouns.is_plural(words[-1])
+    if not is_room(" ".join(words)) and not (articled and head):
+        return None
+    if not all(_modifies(word) for word in words[:-1]) or all(map(names.is_known, words[-2:])):
+        return None
+    return f' "{" ".join(words)}"'
+
+
+def _modifies(word: str) -> bool:
+    """Return True if a word may stand before a noun, and is no slip of a known word."""
+    if re.fullmatch(any_of("room of"), word):
+        return True
+    kind = TABLE.get((word,))
+    if word in BEYOND_NAMES or word in nouns.ORDINALS or word in ("whole", "entire"):
+        return False
+    if is_vague(word) or is_room(word) or kind not in (None, "word", "verb"):
+        return False
+    if kind == "verb" and not word.endswith("ing") and not nouns.is_noun(word):
+        return False
+    return word.strip("'").isalpha() and nouns.meant(word) is None
+
+
+def _back_to(found: re.Match[str]) -> str | None:
+    thing = found["thing"]
+    if not (is_marked(thing) or is_room(bare(thing))):
+        return None
+    return f"{', then' * bool(found.start())} go to {_the(thing)}"
+
+
+def _back(found: re.Match[str]) -> str | None:
+    after = found.string[found.end() :]
+    if re.match(r" ?(?:to|\"|into|and forth)", after) or re.match(
+        r" +(?!then|and|when|once)\w", after
+    ):
+        return None
+    return _go_to(HERE, found)
+
+
+def _waits(found: re.Match[str]) -> str | None:
+    slots = found.groupdict()
+    wait = f"{WAIT} {_length(seconds_of(slots['span']))}" if slots.get("span") else WAIT
+    if slots.get("thing"):
+        return f'{", then" * bool(found.start())} go to {slots["thing"]}, then go to "{wait}"'
+    return _go_to(wait, found) if found.start() or slots.get("span") else None

@@ -1,0 +1,226 @@
+"""Words of everyday speech to a robot, by kind: openings, room kinds, questions, orders to learn.
+
+The format is the lexicon's: phrases are separated by `;`, and "(a|b) c" is both "a c" and "b c".
+"""
+
+from __future__ import annotations
+
+import re
+
+from edge import names
+from edge.memory import kind_of_room
+from edge.mission.language import nouns
+from edge.mission.language.lexicon import spelled_out
+
+_ROWS: dict[str, str] = {
+    # Words around an order, which do not change it.
+    "hesitation": "uh; um; er; erm; hmm; hm; uhm; mm; eh",
+    "opening": """
+        hey; hi; hello; yo; ok; okay; so; well; now; please; robot; oh; right; alright; all right;
+        listen; dear; ah; and; then; good morning; good evening; attention; quick; quickly; yes;
+        yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you go;
+        buddy; sorry; just; kindly; from now; from now on; for now; first; today;
+        (my|) (dear|love|darling|friend|sweetheart|sweetie);
+        (could|can|would|will) you (just|maybe|perhaps|kindly|quickly|);
+        (could|can|would|will) you (be so kind|be so good) (as|) to; (would|do) you mind;
+        i (want|need|would like|expect) (that|) you to; i (want|need) that you;
+        (that is|this is) enough; that will do;
+        (we|i) (want|need|would like) (the|) robot to; i want to ask you to; you (must|should|shall)
+        to;
+        you (must|should|shall|have to|need to|are to); it would be (nice|great|lovely) if you
+        (could|would); be a (dear|pal|darling|sweetheart|good robot) and; do me a favour and;
+        do me a favor and; go ahead and; make sure (to|you|that you); be sure to; try to; let us;
+        i wonder if you could; time to; in your memory; hurry up and; hurry and;
+        be the guard and; be a guard and; come on; follow the plan and; please to
+    """,
+    "closing": """
+        please; thanks; thank you; thank you very much; dear; love; buddy; robot; okay; ok; mate;
+        pal; (would|will|could|can) you; for me; now; right now; right away; at once; immediately;
+        honey; darling; sweetie; my dear; my friend; my love; sweetheart;
+        as (fast|quickly|soon) as you can; quickly; quick; fast; hurry; hurry up; thanks a lot;
+        if you (please|do not mind); when you (have|get) (time|a moment|a minute|a chance);
+        in case you did not know; for now; today; (you have|try|please) to remember (that|it|);
+        remember (that|it|);
+        please remember (that|it|); do not forget (that|it|); got it; did you get that; you hear;
+        will you please; all right; alright; for us; sir; friend; be careful; and be careful;
+        carefully; come on; good robot; from now on; there is a good (boy|robot); to charge;
+        for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
+        (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
+        (about|around)
+    """,
+    # A self-correction: "the bedroom, no, I mean the office".
+    "correction": """
+        no sorry; sorry; sorry no; no wait; wait no; no i mean; i mean; i meant; no i meant; no no;
+        oh no; no not that; make that; scratch that; actually no; no actually; or rather; no rather;
+        sorry i mean; sorry i meant; no make that; or actually; wait i mean; wait sorry
+    """,
+    # Kinds of rooms: the last word of a room's name, before a number.
+    "room": """
+        room; kitchen; kitchenette; bedroom; bathroom; restroom; washroom; office; study; lounge;
+        hall; hallway; corridor; playroom; nursery; garage; basement; cellar; attic; pantry;
+        balcony; terrace; garden; lobby; foyer; ward; gym; library; lab; laboratory; workshop;
+        canteen; cafeteria; storeroom; stockroom; classroom; den; conservatory; patio; yard;
+        aisle; bay; warehouse; unit; theatre; clinic; pharmacy; mailroom; cloakroom;
+        ballroom; boardroom; darkroom; showroom; staffroom; lunchroom; guestroom; stairwell;
+        entrance hall; sunroom; studio
+    """,
+    # First words of rooms' names that are no names of things.
+    "room of": """
+        break; staff; lunch; tea; supply; copy; mail; print; printing; control; treatment; exam;
+        examination; operating; recovery; emergency; changing; dressing; shower; utility; boiler;
+        packing; shipping; receiving; loading; sorting; cold; isolation; therapy; music; games;
+        reading; sewing; hobby; day; quiet; prayer; spare; master; tool; supplies; equipment;
+        crash; wash; sleep; play; med; medication; drug; activity; common; rest; family
+    """,
+    "everything": """
+        everything; everywhere; house; home; flat; apartment; building; floor; area; place;
+        surroundings; environment; rooms; ward; warehouse; site; all; everything here;
+        place here; all here; what is here; all what is here; everything that is here; whole thing;
+        every room; all rooms; all the rooms; every corner; entire place; everything around here;
+        everything around you; the rest
+    """,
+    # Relations between objects, as `edge.memory` decides them.
+    "relation": """
+        next to; beside; besides; near; close to; by; under; underneath; below; behind; in front of;
+        on; on top of; in; inside; at; opposite; above; nearest to; nearest; closest to; against;
+        across from; between; near to; near of; next of; beside of; behind of; nearby
+    """,
+    "standing": """
+        (that|which|what|who) (is|are|stands|sits|lies|hangs|stand|sit|lie) (sitting|standing|lying|
+        hanging|placed|located|right|just|); standing; sitting; lying; hanging; right
+    """,
+    # Other words for "go to" and "find", at the beginning of a clause.
+    "go to": """
+(pop|nip|trundle|scoot|shoot|zoom|toddle|wander|roll|dash|sprint|motor|hop|whizz|come|head|run|drive|
+        go|move|walk|skip|ride|cruise|travel|hurry|race|be off|off|get)
+        (on|along|round|quickly|right|
+        straight|next door|again|now|)  (over|back|across|up|down|) (in|into|to|at|inside);
+        back (in|into|to); make your way (over|back|) (to|into); get yourself (over|back|)
+        (to|into);
+        bring yourself (over|back|) to; report (to|at); head (back|over|) (for|towards); make for;
+        set off (for|to); show up (at|in); be off to; drop (in|) (at|by|into);
+        i need you (over|) (in|at|to); you are needed (in|at); (park|sleep|rest|charge|recharge)
+        (yourself|) (at|in|on|by|near|next to); present yourself at; position yourself (at|in|by);
+        place yourself (at|in|by); put yourself (at|in|by); get (over|back|) to; go and stand
+        (in|at|by|near|next to); go (stand|sit|wait|be|sleep|park) (in|at|by|near|next to);
+        go visit; pay a visit to; take a trip to; go have a look at; take yourself to
+    """,
+    "find": """
+        track down; hunt (for|down|out); seek; seek out; spot; look out for; go find; go and find;
+        search; search for; go search for; go and search for; go look for; go and look for; locate;
+        go locate; try to find; try and find; help (me|us) find; help (me|us) look for; find me;
+        find us; see if you can find; see if you can spot; keep an eye out for; i am looking for;
+        we are looking for; i need you to find; i can not find; where could we find; look for
+    """,
+    # What a robot with wheels, a camera and text cannot do: the beginning of a clause.
+    "handle": """
+        bring; fetch; carry; grab; lift; hold; hand; give; pass (me|us|him|her|it|them); pick; take;
+        deliver; collect; load;
+        unload; throw; put; place; drop; move; push; pull; drag; open; close; shut; lock; unlock;
+        press; touch; wash; wipe; mop; vacuum; clean; dust; tidy; cook; pour; feed; iron; water;
+        empty; fill; (switch|turn) (on|off|up|down); plug; unplug; make (me|us); get
+        (me|us|the|my|a|an|some|that|it|them); serve;
+        tow; stack; sort; fold; knock; fix; repair; build; wake; shake; cut; charge my; hug; help me
+    """,
+    "talk": """
+        tell; call; ring; phone; say; sing; ask; speak; talk; shout; message; text; email; remind;
+        warn; greet; whisper; inform; alert; announce; read; play; dance; laugh; count;
+        translate; write; record; film; take (a|some) (picture|photo|pictures|photos)
+    """,
+    "follow": """
+        follow (me|us|him|her|them|my|that|the (man|woman|nurse|doctor|patient|dog|cat|boy|girl|
+        people|person|visitor|forklift|lady|guy|kids|children)); chase; accompany; escort; come
+        with;
+        (take|bring|guide|lead|show|walk|drive) (me|us|him|her|them|the (patient|visitor|guest|man|
+        lady|guests|visitors)) (to|around|back|home|there|into|the way|out|upstairs|through);
+        run after; walk with; come along; keep up with; stay with me; hide; catch
+    """,
+    # Elsewhere in an errand.
+    "climb": """
+        upstairs; downstairs; climb; (up|down) the (stairs|steps); take the (stairs|lift|elevator);
+        (next|other|upper|lower|first|second|third|top|ground) floor
+    """,
+    "clock": """
+        at (half|quarter|noon|midnight|night|dawn|lunch|dinner|breakfast|supper); tomorrow; tonight;
+        (every|each) (hour|day|night|morning|evening); in the (morning|evening|afternoon);
+        (after|before) (lunch|dinner|breakfast|supper); (half|quarter) (past|to); o'clock; oclock;
+        on (monday|tuesday|wednesday|thursday|friday|saturday|sunday); later today
+    """,
+}  # fmt: skip
+
+UNITS_S = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600}
+"""Unit of time → its seconds."""
+ARTICLE = r"(?:the|an?|my|our|your|his|her|their|this|that|those|these|some|any)"
+
+_ENDS_A_NAME = """
+    and or then but to for from in into on at by near with of under behind beside next inside while
+    until till before after unless if when because it them i we you he she they there here is are
+    was were has have had will not do does did please now again also too first afterwards anymore
+    any more anywhere once twice okay ok still never that which who what where without via through
+    so as than can could would should must may go come drive find return wait stop today since
+    during around over up out off away back just only below above underneath opposite against
+    between close nearest closest across top front look be me us him this how why standing
+    sitting lying hanging it's already same order everywhere somewhere thing right yet like
+    the a an my our your his her their those these some last lately recently earlier kept located
+    gone exactly been
+    """
+AFTER_A_NAME = f"(?:{'|'.join(_ENDS_A_NAME.split())})"
+"""Regular expression for a word that no name has."""
+
+
+def any_of(kind: str) -> str:
+    """Return a regular expression for one of the phrases of a kind, the longest first."""
+    phrases = sorted(spelled_out(_ROWS[kind]), key=len, reverse=True)
+    return f"(?:{'|'.join(map(re.escape, phrases))})".replace(r"\ ", " ")
+
+
+_WORD = (
+    r"(?:(?:trash|garbage|rubbish|watering|paint|soda|beer) can"
+    rf"|(?!{AFTER_A_NAME}\b)\w[\w'.-]*(?<![.]))"
+)
+MARK = "[\ue000-\uf8ff]"
+"""Regular expression for a private character, which stands for a whole name."""
+PLAIN_NAME = rf"(?:{MARK}|{_WORD}(?: {_WORD}){{0,4}})"
+"""One name without an article, up to five words."""
+NAME = rf"(?:(?:all )?(?:{ARTICLE} )?(?:(?:pair|kind|sort|bit|piece) of )?{PLAIN_NAME})"
+_ROOM_HEAD = re.compile(
+    rf"(?:.* )?{any_of('room')}"
+    rf"(?: (?:number )?(?:\d+\w?|[a-z]|{'|'.join(names.SMALL_NUMBERS)}))?"
+    "|toilet",
+    re.I,
+)
+_ARTICLED = re.compile(rf"^(?:all )?(?:{ARTICLE} )?(?:(?:pair|kind|sort|bit|piece) of )?", re.I)
+
+
+def is_room(name: str) -> bool:
+    """Return True if a name without an article is the name of a kind of room, or of one room.
+
+    >>> is_room("living room"), is_room("room 12"), is_room("kitchen table")
+    (True, True, False)
+    """
+    return _ROOM_HEAD.fullmatch(name) is not None or kind_of_room(name) is not None
+
+
+def bare(name: str) -> str:
+    """Return a name in lower case without its article.
+
+    >>> bare("The pair of glasses")
+    'glasses'
+    """
+    plain = _ARTICLED.sub("", name.strip()).lower()
+    return "person" if plain in ("somebody", "someone", "anybody", "anyone") else plain
+
+
+_STATES = nouns.listed(
+    """clear open closed locked unlocked free busy ready broken full empty clean dirty safe
+    dangerous warm cold hot dry wet missing awake asleep charged running working okay ok"""
+)
+_UNNAMED = {"other", "another", "same", "every", "each", "all", "both", "anything", "something"}
+
+
+def is_vague(name: str) -> bool:
+    """Return True if a name says too little: "the other side", or how something is."""
+    words = bare(name).split()
+    return (
+        words[-1] in nouns.PLAIN_WORDS | _STATES or words == ["room"] or bool(_UNNAMED & set(words))
+    )

@@ -1,0 +1,48 @@
+"""Refusal of errands that a robot with wheels, a camera and text cannot do."""
+
+from __future__ import annotations
+
+import re
+
+from edge.mission.language.everyday_words import PLAIN_NAME, any_of, bare, is_room
+from edge.mission.language.tokens import UnclearError
+
+_OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just |now )?"
+_DRIVES = (
+    r"(?! (?:to|by|over|into|toward|towards|around|along|back|through|past|near|in|left|right|"
+    r"on|out|off|aside|forward|forwards|closer|away|a (?:look|peek|glance|tour|break)|"
+    r"the (?:way|route|path))\b)"
+)
+"""Words after which a verb of handling is one of driving: "move to", "take a look"."""
+_CANNOT = (
+    (rf"{_OPENS_CLAUSE}{any_of('follow')}\b", "the robot cannot follow or lead; say where to go"),
+    (
+        rf"{_OPENS_CLAUSE}{any_of('handle')}\b{_DRIVES}",
+        "the robot has no arms; it can drive to things, so say for example 'find the mug'",
+    ),
+    (rf"{_OPENS_CLAUSE}{any_of('talk')}\b", "the robot answers here in text, and does no more"),
+    (rf"\b{any_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),
+    (
+        rf"\b{any_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
+        "the robot knows no times of day; say what to do now",
+    ),
+)
+_OWNED = re.compile(rf"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>{PLAIN_NAME})")
+
+
+def refuse_impossible(text: str) -> None:
+    """Refuse what no wheels, camera and text can do: carrying, calling, following.
+
+    Raises:
+        UnclearError: the text asks for such a thing.
+    """
+    text = re.sub(r'"[^"]*"', '"x"', text)
+    for pattern, hint in _CANNOT:
+        if found := re.search(pattern, text, re.I):
+            part = found[0].strip(" .,;!?")
+            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+    owned = _OWNED.search(text)
+    if owned and not is_room(bare(owned["thing"])):
+        thing = owned["thing"]
+        hint = f"the camera cannot see whose {thing} it is; say 'the {thing}'"
+        raise UnclearError(f"instruction: {owned[0]!r}: {hint}", owned[0])

@@ -1,0 +1,224 @@
+"""Removal of what speech adds to an order: hesitations, politeness, self-corrections, reasons."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+from edge import names
+from edge.mission.language.everyday_words import ARTICLE, NAME, any_of
+from edge.mission.language.lexicon import TABLE, WORD, expanded
+from edge.mission.language.spans import number_of
+from edge.mission.language.templates import compiled, first_match
+from edge.mission.language.tokens import STRAIGHT, not_understood
+from edge.mission.language.utterances import REASONS, STATES
+
+_QUOTED = re.compile(r'"[^"]*"')
+_FIRST_MARK = 0xE000  # private characters stand for quotations
+_MORE = {
+    "where's": "where is", "what's": "what is", "who's": "who is", "there's": "there is",
+    "where'd": "where did", "it's": "it is", "he's": "he is", "she's": "she is", "im": "i am",
+    "i'm": "i am", "youre": "you are", "its": "it is", "wanna": "want to", "gonna": "going to",
+    "whats": "what is", "wheres": "where is", "didnt": "did not", "that's": "that is",
+    "here's": "here is", "ive": "i have", "lemme": "let me", "theres": "there is", "till": "until",
+    "thats": "that is", "id": "i would", "'til": "until", "how's": "how is",
+    "whichever's": "whichever is",
+}  # fmt: skip
+_IS = re.compile(
+    rf"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone)\b|"
+    rf"{any_of('relation')} )",
+    re.I,
+)
+_HESITATION = re.compile(
+    rf"(?:(?P<comma>, )|(?<![\w'])){any_of('hesitation')}(?![\w'-]),?(?= |$)", re.I
+)
+_TWICE = re.compile(
+    r"\b((?:the|an?|to|and|in|into|of|i|you|go|please|for|then|with|on|my|it|is|stop|no|where|what|"
+    r"can|could|look)(?: the| to| a| for)?)(?: \1\b)+",
+    re.I,
+)
+_RESTART = re.compile(
+    r"\b((?:where|what|go|is|did|can|could|find|look)(?: [\w']+){1,3}),?(?: \1\b)+", re.I
+)
+_LIKE = re.compile(
+    rf"\b(?:like|(?<!do )you know),? (?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})", re.I
+)
+_MARK = rf"[ ,.]*\b{any_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
+_CORRECTS = re.compile(_MARK, re.I)
+_OPENING = re.compile(
+    rf"(?:(?:{any_of('opening')}\b(?! see\b)|"
+    r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
+    r"you (?!may|can|are|will|must|should|have|could|were)|"
+    r"do (?=(?:go|come|find|check|look|have|please|you mind)\b))[ ,.!]*)+",
+    re.I,
+)
+_CLOSING = re.compile(rf"(?:[ ,.!?]*\b{any_of('closing')})+[ .!?]*$", re.I)
+_ENDS = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
+_DIRECTS = re.compile(
+    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only|except|unless|if|until|"
+    r"before|after|instead|but|first|then|avoid|never|allowed|forbidden|prefer|mean|meant|hope|it|"
+    r"them|find|limits|bounds|closed|taboo|private|go|stay|keep)\b",
+    re.I,
+)
+"""Words that may change an order, so a clause with one of them is no mere reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class TidySpeech:
+    """An utterance without what speech adds to it.
+
+    Attributes:
+        text: what is left, in one line.
+        reasons: clauses that were left out because they only say why.
+        corrected: True if it corrected itself.
+        quoted: the quotations, which the text shows as private characters; see `restored`.
+    """
+
+    text: str
+    reasons: tuple[str, ...] = ()
+    corrected: bool = False
+    quoted: tuple[str, ...] = ()
+
+    def restored(self, text: str) -> str:
+        """Return a text with its quotations in place."""
+        for i, quotation in enumerate(self.quoted):
+            text = text.replace(chr(_FIRST_MARK + i), quotation)
+        return text
+
+
+def tidied(said: str) -> TidySpeech:
+    """Return the utterance in plain words.
+
+    Raises:
+        TranslationError: it corrects itself, and which words it replaces is not clear.
+
+    Example:
+        >>> tidied("Um, could you go to the kitchen, no sorry, the bathroom, please?").text
+        'go to the bathroom'
+    """
+    quoted: list[str] = []
+
+    def hide(found: re.Match[str]) -> str:
+        quoted.append(found[0])
+        return chr(_FIRST_MARK + len(quoted) - 1)
+
+    text = " ".join(_QUOTED.sub(hide, said.translate(STRAIGHT)).split())
+    text = _IS.sub(" is ", WORD.sub(_expanded, text))
+    text = " ".join(_HESITATION.sub(_unless_it_corrects, text).split())
+    text = re.sub(r"\bplease(?: to(?! the\b))?\b,? ?", "", text, flags=re.I).strip() or text
+    text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
+    text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
+    text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
+    text = _LIKE.sub("", _RESTART.sub(r"\1", _TWICE.sub(r"\1", text)))
+    said_first = stripped(text)
+    text = _corrected(said_first)
+    kept, reasons = without_reasons(text)
+    kept = re.sub(r"[ ,;:]+([.!?])", r"\1", stripped(kept))
+    return TidySpeech(kept, reasons, text != said_first, tuple(quoted))
+
+
+def _expanded(found: re.Match[str]) -> str:
+    word = found[0]
+    if plain := _MORE.get(word.lower()):
+        return plain
+    parts = expanded(word.lower())
+    return " ".join(parts) if len(parts) > 1 else word
+
+
+def _base_form(found: re.Match[str]) -> str:
+    """Return the verb of "would you mind going": `go`."""
+    stem = found[1]
+    forms = (stem, f"{stem}e", stem[:-1])
+    return next((form for form in forms if TABLE.get((form.lower(),)) == "verb"), found[0])
+
+
+def _unless_it_corrects(found: re.Match[str]) -> str:
+    """Keep the hesitation of "the bed, er, the sofa", which may replace the bed."""
+    rest, before = found.string[found.end() :], found.string[: found.start()]
+    again = found["comma"] and re.match(rf" {ARTICLE}\b", rest, re.I)
+    kept = again and not re.search(r"\b(?:and|or|then|to|the|with)$", before, re.I)
+    return found[0] if kept else (found["comma"] or " ")
+
+
+def stripped(text: str) -> str:
+    """Remove politeness and names of the robot at both ends."""
+    before = None
+    while before != text:
+        before = text
+        opened = _OPENING.match(text)
+        text = text[opened.end() :] if opened and opened.end() < len(text) else text
+        text = _CLOSING.sub("", text) or text
+    return text.strip(" ,")
+
+
+def _corrected(text: str) -> str:
+    """Return the text with each self-correction carried out: "the bed, sorry, the sofa"."""
+    while found := _CORRECTS.search(text):
+        before, after = text[: found.start()].rstrip(" ,"), text[found.end() :].lstrip(" ,")
+        if not before or not after:
+            return text
+        begin = _replaced_from(before, after)
+        if begin is None:
+            hint = "unclear what this corrects; say the whole sentence again"
+            raise not_understood(text[found.start() :].strip(), found.start() + 1, hint)
+        text = before[:begin] + after
+    return text
+
+
+def _replaced_from(before: str, after: str) -> int | None:
+    """Return where the words begin that `after` replaces: at its first word, or at a name."""
+    first = re.escape(after.split()[0].strip(",."))
+    same = [one.start() for one in re.finditer(rf"\b{first}(?![\w'-])", before, re.I)]
+    if same:
+        return same[-1]
+    if number_of(after.split()[0]) is not None:
+        numbers = [one for one in re.finditer(r"[\w-]+", before) if number_of(one[0]) is not None]
+        return numbers[-1].start() if numbers else None
+    name = re.match(rf"{NAME}$", _ENDS.split(after)[0].strip(), re.I)
+    articles = list(re.finditer(rf"\b{ARTICLE} ", before, re.I))
+    if name and articles and re.fullmatch(NAME, before[articles[-1].start() :], re.I):
+        return (
+            articles[-1].end()
+            if not re.match(rf"{ARTICLE} ", after, re.I)
+            else articles[-1].start()
+        )
+    return None
+
+
+def is_reason(clause: str, states: bool = False) -> bool:
+    """Return True for a clause that only says why: "I heard a noise".
+
+    Args:
+        clause: no other text.
+        states: True if "the isolation is over" is one, too.
+    """
+    fixed = clause.lower().startswith(("it ", "that ", "this ", "you "))
+    if not fixed and _DIRECTS.search(clause):
+        return False
+    return first_match(_templates(REASONS + STATES * states), clause) is not None
+
+
+@lru_cache(maxsize=2)
+def _templates(rows: str) -> list[re.Pattern[str]]:
+    return compiled(rows, {})
+
+
+def without_reasons(text: str) -> tuple[str, tuple[str, ...]]:
+    """Split off clauses that only say why: "I heard a noise", "the isolation is over".
+
+    Only a clause of its own counts, next to a comma or a stop, and at least one other must be left.
+    """
+    pieces = re.split(r"([.!?;,]+ )", text)
+    kept, reasons = [], []
+    for at in range(0, len(pieces), 2):
+        piece = stripped(pieces[at].strip(" .!?;"))
+        if is_reason(piece) and len(pieces) > 1:
+            reasons.append(piece)
+        else:
+            kept.append(at)
+    used = any(re.search(r"\b(?:it|them)\b", pieces[at], re.I) for at in kept)
+    if not reasons or not kept or used:
+        return text, ()
+    joined = "".join(pieces[at] + (pieces[at + 1] if at + 1 < len(pieces) else "") for at in kept)
+    return joined.strip(" ,;"), tuple(reasons)

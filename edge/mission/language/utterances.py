@@ -1,0 +1,245 @@
+"""Templates of what people say to a robot that is no errand; for the notation see `templates`."""
+
+from __future__ import annotations
+
+PARTS = {
+    # Questions.
+    "last": """
+        [last|before|lately|recently|anywhere|somewhere|around|about|here|earlier|today|right now|
+        at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
+        yet|by now|by any chance|again|on your (map|way|tour|rounds|trip)|in your memory|
+        this (morning|afternoon|evening)|(when|while|as) you (were|was|drove|went|looked) ...]*
+        [(did|have) you [seen|see] (it|them|her|him|one)]
+        """,
+    "seen": """
+        (see|seen|saw|spot|spotted|find|found|notice|noticed|come across|came across|remember|put|
+        leave|left|discover|discovered|pass|passed)
+        """,
+    "you": "[did|have|had|has|do] (you|the robot|anyone|anybody) "
+           "[have|had|did|ever|already|just|last|recently|by [any] chance|maybe|happen to]*",
+    "tell": """
+        [can you|could you] [please] (tell me|say|show me|do you (know|remember)|you know|
+        [i wonder|any idea|i want to know|remind me|you remember])
+        """,
+    "in": "[<relation> <anchor>]",
+    # Orders to learn.
+    "here": """
+        ((the|this) (spot|place|position|location|point|corner)|this|here|it|where (you|we) are|
+        your (position|location|place|spot))
+        [here|now|right here|where you are|you are at|you are in]*
+        """,
+    "this_room": "(this|the) room [here|you are in|where you are|we are in]",
+    "keep": "(remember|save|store|note|mark|call|name|learn|label|register|memorize|memorise|set|"
+            "keep in mind|know) [that|down]",
+    "go": """
+        [to|even|also] (go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
+        wander|get|getting|be|run|back|inside|into|in) [back] [in|into|inside|to|over|near|at|on|
+        through]*
+        """,
+    "may": """
+        [again|now|and|so|okay]* [you|robot|the robot] (may|can|could|are allowed [to]|
+        are free to|are welcome to|have permission to) [again|now|also|then|to]*
+        """,
+    "not": """
+        [you|robot|robots|the robot] (do not [you dare|you|ever|dare]|never [ever]|
+        (must|may|can|should|shall|will|are|have) not|not [may|can|should]|are (forbidden|banned)
+            [from]|no [more]|
+        it is (forbidden|prohibited|not allowed) [for you]|forbidden|(i|we) do not want you)
+        [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
+        """,
+    "while": """
+        [, [and|so] (for (now|today|me|us|good|ever)|from now on|anymore|any more|again|ever|at all|
+        now|always|today|at the moment|no matter what|any longer|okay|alone|under any circumstances|
+        until (further notice|tomorrow|tonight|later)|
+        [until|while|because|since|as|as long as] (i|we|he|she|they|it|there|people|someone|
+        somebody|my (mother|father|husband|wife|baby|son|daughter|friend)|(the|a) (baby|patient|kid|
+        kids|children|cleaner|doctor|floor|dog|cat)) [am|is|are|was|were|have|has|will|do|did|can|
+        say|tell|come|get|let|call|moved|tore|finish|finished|need|do not|just|no longer] ...)]*
+        """,
+    # Control.
+    "there": "[please|right|there|here|now|just|it|still|a bit|for me|for now|at once|immediately|"
+             "moving|driving|everything|where you are|what you are doing|the robot|robot|okay]*",
+    "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
+            "the errand|the job|your mission|your task|your search|your tour|your patrol|"
+            "your rounds|your round|your errand|your job|your work|your way|mission|what i said]",
+    "reason": """
+        [, [and] ((until|while|because|so) (i|we|he|she|they|it|someone|somebody|you hear) ...|
+        for (me|us|him|her|them)|until (further notice|then)|then (go on|continue)|
+        (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would) ...|
+        there (is|are) ...)]
+        """,
+}  # fmt: skip
+
+QUESTIONS = {
+    "self": """
+        where are (you|we) [now|right now|at|exactly]*
+        where (am i|you are|is the robot) [now]
+        {tell} where you are [now|right now|exactly]*
+        (what|which) (room|place) (are you|is this|are we|am i) [in|now|at]*
+        what is your (position|location)
+    """,
+    "rooms": """
+        (what|which) [other|kinds of] rooms ...
+        {tell} [me] (what|which|the|all the|your) rooms ...
+        (list|name) [me] [all|the|your|known]* rooms ...
+        how many rooms ...
+    """,
+    "places": """
+        (what|which) places ...
+        {tell} [me] (what|which|the|all the|your) places ...
+        (list|name) [me] [all|the|your|known]* places ...
+    """,
+    "seen": """
+        (what|which things|which objects|what things|what objects) [all|else] {you} [all|everything]
+            {seen} {in} [out there|in there|there|with your camera|all]* {last}
+        (what|which things|which objects) [all|else] [you have|you did|have you] {seen} {in} {last}
+        what (is|was|are) [there] (in|inside) <room> {last}
+        {tell} [me] (what|all|everything) [that|what] you [have|did|all]* {seen} {in} {last}
+        (list|name) [me] (what|all|everything) [that] you [have|did]* {seen} {in} {last}
+        what do you (know|remember) [about this place|so far]
+    """,
+    "where": """
+        {tell} (where|whereabouts) [exactly|on earth|in the world] (is|are|was|were|have|has|did|do|
+            stands|lies|sits)
+            [the (nearest|closest)] <thing> [is|are|was|were] {last}
+        {tell} where <thing> (is|are|was|were|has|have) {last}
+        {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
+        {tell} where (did|have|had) (i|we) (put|leave|left|lost|forget|drop|dropped) <thing> {last}
+        {tell} where (can|could|do|should|would|will|might) (i|we) (find|see|get|look for|go for)
+            <thing>
+        {tell} [in] (which|what) room (is|are|was|were) <thing> [in] {last}
+        {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
+        (i|we) [seem to] [have] (can not find|do not find|lost|mislaid|misplaced|am looking for|
+            are looking for|miss) <thing> , (where (is|are) (it|they)|
+            (have|did) you (seen|see|noticed|notice|spotted|found) (it|them)) {last}
+        {tell} the (place|location|position) of <thing>
+        do you know where [i|we] [can find|left|put] <thing> [is|are] {last}
+    """,
+    "exists": """
+        (can|could|do) you [still] see <thing> {in} {last}
+        {you} {seen} [any|of|already]* <thing>
+            {in} {last}
+        seen [any|of|already]* <thing> {in} {last}
+        [is|was|are|were] there <thing> {in} {last}
+        [do you know if|do you know whether|so] there (is|are) <thing> {in} {last}
+        (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
+            <thing> {in} {last}
+        do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
+        (exists|exist) [there] <thing> {in} {last}
+        have (we|you) got <thing> {in} {last}
+        (is|are) <thing> [still|already|really] <relation> <anchor> {last}
+        (is|are) <thing> [still|already|really|there|here|around]* {last}
+        do you (know|remember) if there (is|are) <thing> {in} {last}
+        how many <thing> {you} {seen} {in} {last}
+        how many <thing> are there {in} {last}
+    """,
+}
+"""Topic of `MemoryQuestion` → its templates."""
+
+ORDERS = {
+    "stay_inside": """
+        [you|must|should|have to|only|just|always]* (stay|remain|keep|drive|move|be)
+            [only|just|always] (inside|in|within) ({this_room}|<room>) [only] {while}
+        {not} (leave|leaving|go out of|going out of|go outside|go outside of|get out of|exit|
+            drive out of) ({this_room}|<room>) {while}
+    """,
+    "keep_out": """
+        [you|must|should|have to|need to|to|always|better]* (stay|staying|keep|keeping|remain|steer)
+            [well|far|always|right] (out|away|off|clear|outside) [of|from] <room> {while}
+        [you|must|should|have to]* avoid [going|to go] [to|into|in|through] <room> {while}
+        {not} {go} <room> {while}
+        <room> (is|are) [now] (off limits|forbidden|out of bounds|closed|taboo|prohibited|
+            not allowed|closed off|private|a no go zone|a no go area) [for you|to you|for robots]
+            {while}
+    """,
+    "open": """
+        it is (okay|ok|fine|alright|all right|allowed|safe) [for you] [now|again]* to {go} <room>
+            [again|now]*
+        {may} {go} again [in|into|to]* <room> [now]
+        {may} {go} <room> (again|freely|as before|as you like) [now|again]*
+        [from now on|now]* {may} again {go} <room> [now]
+        <room> (is|are) (open|free|allowed|accessible|okay|ok|available|fine|clear|permitted)
+            [for you|to enter] again [for you|now]*
+        <room> (is|are) (no longer|not) (off limits|forbidden|closed) [for you|anymore|any
+            more|now]*
+        {may} (leave|go out of|exit) ({this_room}|<room>) [again|now|anymore]*
+        you (do not have|do not need) to (stay|keep) (out of|away from|in|inside)
+            ({this_room}|<room>)
+            (anymore|any more|any longer|now)
+    """,
+    "forget": """
+        (forget|delete|remove|erase|unlearn) [about] [the (place|room|zone|spot|name)]
+            [called|named]
+            <site> [from your (map|memory|list)|from the map|from memory|as a place|from (your|the)
+            (places|list|memory|map)] {while}
+    """,
+    "room": """
+        ({this_room}|it|here|this|we|you) [here] (is|are|is called|are standing) [in|now|called]*
+            <room>
+        {keep} {this_room} [is|as] <name>
+        {keep} , (this|here|we|you) [room] (is|are) [in] <room>
+        {keep} {here} [is|as] [called|named] <room>
+        {this_room} (is|is called|is named) <name>
+        we call {here} <room>
+    """,
+    "place": """
+        {keep} {here} [is|as|to be|by the name] [called|named] <name>
+        {keep} , {here} (is|is called) <name>
+        {here} (is|is called|is named|will be|shall be) [now|called|from now on] <name>
+        make {here} <name>
+        (we|i) call {here} <name>
+    """,
+}
+"""`do` of `SiteOrder` → its templates."""
+
+CONTROL = {
+    "resume": """
+        [[it] is (ok|okay|fine|good) [now]] , [you|robot|the robot] [can|may|should|could]
+            [now|to|please]*
+            (go on|carry on|continue|resume|keep going|keep on|keep moving|keep driving|get
+            moving|get going|go ahead|
+            proceed|move on|drive on|start again|move again|go again|drive again|unpause)
+            [now|then|again|please|with|as before|what you were doing|where you left off|
+            where you stopped|from where you stopped|doing that|driving|searching|looking]* {task}
+    """,
+    "cancel": """
+        (cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} [about
+            (it|that)]
+        forget (it|that|about it|about that|everything|what i said|the mission|the task)
+        (stop|end) (searching|looking|exploring|patrolling|the|your)
+            [search|mission|task|patrol|tour|errand|rounds|job|for it]
+    """,
+    "pause": """
+        (stop|halt|freeze|hold it|hold on|hold still|hold|pause|stand still|whoa|enough|do not move|
+            stay (where you are|there|still|put|right there)|stop|hold your horses|not move|brake|
+            keep still|you can stop|be still|stand there|emergency stop|not so fast|
+            do not (go|drive) (on|any further|further|anywhere)|remain (there|where you are)|
+            stop it|stop that) {there} {reason}
+        (pause|interrupt|suspend) {task} {there}
+        (stop|halt|freeze|hold|pause) {there} (stop|halt|freeze|hold|pause)* {there} {reason}
+        (wait|stay|stop|stand|stand still|pause|remain|hold [on|up]|hang on|rest|park|sit
+            tight|stand
+            by|
+            hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
+            [right here|here|there|in here|in place|on the spot|where you are|for me|still|please|
+            just|in this (spot|place)|at this (spot|place)|exactly|a (bit|moment|second|sec|while)]*
+            [for] [<span>] [here|there|please|now|more|longer|then]* {reason}
+    """,
+}
+"""`do` of `Control` → its templates."""
+
+REASONS = """
+    [because|cause|since|as|so|and] (i|we|he|she|somebody|someone|people)
+            (am|is|are|was|were|have|has|had|will|got|just|heard|lost|saw|left|tore|think|feel|know|
+            do not|did not|can not|finished|moved|do|did|hear|see) ...
+    (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
+            (secret|cold|dark|late|urgent|important|
+            emergency|hot|wet|dangerous|there anymore|busy|there any more|loud|nap time|bedtime|fun)
+    (you|it) (are|will|is|would) [going to|not] (run into|bump into|hit|crash|squash|break|hurt|
+            scare|fall|knock|crush|wake|in the way|in my way|too (fast|loud|close)) ...
+"""
+"""Clauses that only say why; see `tidy.is_reason` for words that none of them has."""
+STATES = """
+    [because|cause|since|as|so|and|now] (there|<thing>) (am|is|are|was|were|has|have|just|will) ...
+"""
+"""Clauses that say how something is, which may not stand in an errand: "the bed is first"."""

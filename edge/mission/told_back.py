@@ -1,0 +1,92 @@
+"""Description of what a mission asks for as orders, such as "Go to the kitchen, then wait.".
+
+`edge.mission.language.english` describes any formula as what is reached; this says the common forms
+as a person would.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from edge import names
+from edge.mission.destinations import (
+    CALLER,
+    CheckTarget,
+    Destination,
+    ExploreTarget,
+    RoomTarget,
+    WaitTarget,
+    describe_destination,
+    shown_s,
+)
+from edge.mission.language.english import Chain, alternatives_of
+from edge.mission.language.places import HERE, START
+from edge.mission.logic.ltl import Formula, conj
+
+_NUMBERED = re.compile(rf".* (?:\w?\d+\w?|\w|{'|'.join(names.SMALL_NUMBERS)})")
+
+
+def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
+    """Return sequences and bans as orders; "" for any other formula.
+
+    Args:
+        formula: the mission.
+        destinations: propositions that are no things; see `edge.mission.destinations`.
+
+    Example:
+        >>> from edge.mission.logic.ltl import parse
+        >>> orders_of(parse('F (mug & F "wait 30 s") & G !dog'), {"wait 30 s": WaitTarget(30.0)})
+        'Look for the mug, then wait 30 s. Stay away from the dog.'
+    """
+    parts = formula.args if formula.op == "&" else (formula,)
+    bans = [part for part in parts if _banned(part)]
+    found = alternatives_of(conj(*(part for part in parts if not _banned(part))))
+    if found is None or len(found) != 1 or not all(map(_is_plain, found[0])):
+        return ""
+    chains = [
+        ", then ".join(_order(visit.options[0], destinations) for visit in chain)
+        for chain in found[0]
+    ]
+    text = "; and ".join(chains) + (", in any order" if len(chains) > 1 else "")
+    for ban in bans:
+        away = "out of" if isinstance(destinations.get(_banned(ban)), RoomTarget) else "away from"
+        text += f". Stay {away} {_the(_banned(ban))}"
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _banned(part: Formula) -> str:
+    """Return the proposition that `G !x` forbids; "" for other formulas."""
+    bans = part.op == "G" and part.args[0].op == "!" and part.args[0].args[0].op == "ap"
+    return part.args[0].args[0].name if bans else ""
+
+
+def _is_plain(chain: Chain) -> bool:
+    return all(visit.times == 1 and len(visit.options) == 1 for visit in chain)
+
+
+def _order(name: str, destinations: Mapping[str, Destination]) -> str:
+    """Return the order to reach one proposition."""
+    destination = destinations.get(name)
+    if destination is None:
+        return f"look for {_the(name)}"
+    if isinstance(destination, ExploreTarget):
+        time = "" if destination.limit_s is None else f" for {shown_s(destination.limit_s)}"
+        return f"explore {f'the {destination.room}' if destination.room else 'everything'}{time}"
+    if isinstance(destination, WaitTarget):
+        seconds = destination.seconds
+        return "wait until told to go on" if seconds is None else f"wait {shown_s(seconds)}"
+    if isinstance(destination, CheckTarget):
+        return f"check if there is a {destination.name}"
+    if name in (START, HERE):
+        return "go back to the start" if name == START else "come back to where this mission began"
+    if name == CALLER:
+        return "come to the caller"
+    if isinstance(destination, RoomTarget) and destination.which != "called":
+        return f"go to {describe_destination(name, destination)}"
+    return f"go to {_the(name)}"
+
+
+def _the(name: str) -> str:
+    """Return a name with an article, if it has no number: "the kitchen", "room 12"."""
+    return name if _NUMBERED.fullmatch(name) else f"the {name}"

@@ -1,0 +1,102 @@
+"""Requests from the ROS 2 graph: each has one answer, with its label."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from patience import eventually
+from ros_messages import STORE, from_ros, to_ros
+from ros_router import ours, router, zenoh_settings
+from simulated import simulated
+
+from edge.bus import topics
+from edge.bus.request_queue import MAX_BYTES, RequestQueue
+from edge.bus.ros2.names import dialect_of
+from edge.bus.ros2.node import Ros2Node
+from edge.bus.ros2.requests import STRING, serve_ros2_requests
+from edge.bus.verbs import Verb
+
+Ask = Callable[[bytes], dict[str, Any]]
+
+
+def string(text: str) -> bytes:
+    return to_ros(STORE.types[STRING](text))
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[int]:
+    with router() as port:
+        yield port
+
+
+@pytest.fixture(params=["rmw_zenoh", "bridge", "adapter"])
+def ask(request, port) -> Iterator[Ask]:
+    """Send a message until an answer comes; the loop only knows `list` and `remove`."""
+    config = simulated({"ros2": {"via": request.param, "requests": True}})
+    config = config.model_copy(update={"zenoh": zenoh_settings(port)})
+    verbs = {"list": Verb(reads=True), "remove": Verb(("name",), dict)}
+    queues = {
+        key: RequestQueue(key, verbs, lambda request, _: {"did": request.do, **request.fields})
+        for key in topics.REQUESTS
+    }
+    with (
+        ours(port) as theirs,
+        ours(port) as session,
+        serve_ros2_requests(config, session, queues),
+    ):
+        node = Ros2Node(theirs, 0, "operator", dialect_of(request.param, config.zenoh.prefix))
+        sent, heard = node.publisher("/edge/request", STRING), []
+        answers = node.subscription("/edge/answer", (STRING,), 8)
+
+        def ask(payload: bytes) -> dict[str, Any]:
+            node.look()
+            eventually(lambda: node.look() or sent.heard())
+            sent.put(payload)
+
+            def answer() -> list:
+                for queue in queues.values():
+                    queue.serve(0)
+                heard.extend(answers.take())
+                return heard
+
+            ((type_name, payload),) = eventually(answer)
+            heard.clear()
+            return json.loads(from_ros(payload.to_bytes(), type_name).data)
+
+        yield ask
+        node.close()
+    for queue in queues.values():
+        queue.close()
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        ("", {"error": "not JSON"}),
+        ("[]", {"error": "expected a JSON object"}),
+        ("{}", {"error": "to: unknown None (choices: mission, models, site, memory)"}),
+        ('{"to": "site"}', {"to": "site", "error": "do: unknown None (choices: list, remove)"}),
+        ('{"to": "memory", "do": "list", "ref": 7}', {"to": "memory", "ref": 7, "did": "list"}),
+        (
+            '{"to": "site", "do": "remove", "name": "dock"}',
+            {"to": "site", "did": "remove", "name": "dock"},
+        ),
+        (
+            '{"to": "site", "do": "list", "ref": [1]}',
+            {"error": "ref: expected a number, or a text of 100 characters"},
+        ),
+    ],
+)
+def test_each_request_is_answered_with_its_label(ask, text, answer):
+    assert ask(string(text)) == answer
+
+
+@pytest.mark.parametrize(
+    ("payload", "error"),
+    [(b"junk", "not little-endian CDR"), (string("x" * MAX_BYTES), "bytes, at most 65536")],
+)
+def test_what_is_no_request_is_answered_too(ask, payload, error):
+    assert error in ask(payload)["error"]

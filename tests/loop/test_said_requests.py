@@ -1,0 +1,105 @@
+"""What people say to a running service, besides missions: questions, orders to learn, control."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+
+import pytest
+from simulated import simulated
+
+from edge.bus.verbs import Request, read_request
+from edge.errors import UserError
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.loop.requests import handle_mission, mission_verbs
+from edge.mission.language.said import MemoryQuestion, NoMissionError
+from edge.tasks.mission_spec import prepare_mission
+
+
+@pytest.fixture(scope="module")
+def loop() -> ClosedLoop:
+    mission = {"instruction": "find the bed", "translator": {"kind": "grammar"}}
+    config = simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission})
+    return ClosedLoop(config, colour=False).run(6.0)
+
+
+def say(loop: ClosedLoop, said: str) -> dict:
+    """Send an instruction as `edge mission new` does."""
+    prepare = partial(prepare_mission, loop.config, site=loop.service.site.known)
+    verbs = mission_verbs(prepare, in_words=True)
+    do, fields = read_request(json.dumps({"do": "new", "instruction": said}).encode(), verbs)
+    prepared = verbs[do].prepare
+    request = Request(do, fields, prepared=prepared and prepared(fields))
+    return handle_mission(loop.service, request, 0)
+
+
+def test_a_question_is_answered_and_the_mission_stays(loop):
+    before = loop.service.mission
+    assert say(loop, "Where is the unicorn?")["text"].startswith("no unicorn has been seen")
+    assert say(loop, "What did you see?")["text"].startswith("seen: ")
+    assert say(loop, "Which places do you know?")["text"] == "places: start"
+    assert ", at (" in say(loop, "Where are you?")["text"]
+    assert say(loop, "Which rooms do you know?")["text"].startswith("rooms: ")
+    seen = say(loop, "What have you seen?")["text"].removeprefix("seen: ").split(", ")[0]
+    name = seen.rpartition(" × ")[2]
+    assert say(loop, f"Is there a {name}?")["text"].startswith(f"yes, {name}: ")
+    assert loop.service.mission is before
+
+
+def test_a_place_is_learned_and_forgotten(loop):
+    assert say(loop, "Remember this as the um dock.")["text"].startswith("place: dock is (")
+    assert say(loop, "Which places do you know?")["text"] == "places: dock, start"
+    assert say(loop, "Forget the dock, we moved it.")["text"] == "removed: dock"
+    with pytest.raises(UserError, match="no place or zone 'dock'"):
+        say(loop, "Forget the dock.")
+    with pytest.raises(UserError, match="kitchen: no zone of this name"):
+        say(loop, "You may go into the kitchen again.")
+
+
+def test_a_room_is_named_closed_and_opened(loop):
+    assert say(loop, "This is the ballroom.")["text"].startswith("room: ballroom is the one")
+    loop.step()
+    assert say(loop, "Where are you?")["text"].startswith("in the ballroom, at (")
+    assert say(loop, "Stay out of the ballroom, please.")["text"].startswith("zone: keep out of")
+    assert say(loop, "You may go into the ballroom again.")["text"] == "removed: ballroom zone"
+    assert "stay inside" in say(loop, "Stay in this room.")["text"]
+    assert say(loop, "You can leave this room again.")["text"].startswith("removed: ")
+    with pytest.raises(UserError, match="no room called garage is known"):
+        say(loop, "What did you see in the garage?")
+    say(loop, "Forget the ballroom.")
+
+
+def test_stop_is_as_urgent_as_the_verb_for_it():
+    verbs = mission_verbs(lambda **texts: texts, in_words=True)
+
+    def read(said: str) -> str:
+        return read_request(json.dumps({"do": "new", "instruction": said}).encode(), verbs)[0]
+
+    said = ("Stop, please!", "go on", "cancel that", "stop at the bed")
+    assert [read(one) for one in said] == ["pause", "resume", "cancel", "new"]
+    assert verbs["pause"].stops
+    plain = mission_verbs(lambda **texts: texts)
+    assert read_request(b'{"do": "new", "instruction": "stop"}', plain)[0] == "new"
+
+
+def test_what_is_no_mission_is_handed_to_the_loop():
+    def prepare(**texts: str) -> None:
+        raise NoMissionError(MemoryQuestion("self"))
+
+    assert mission_verbs(prepare)["new"].prepare(
+        {"instruction": "where are you"}
+    ) == MemoryQuestion("self")
+
+
+def test_a_wait_of_some_time_is_a_pause_that_ends_by_itself(loop):
+    service = loop.service
+    assert say(loop, "Wait here for two minutes, please.")["paused"]
+    service.end_pause(119 * 10**9)
+    assert service.mission.paused
+    service.end_pause(120 * 10**9)
+    assert not service.mission.paused
+    say(loop, "Wait ten seconds.")
+    say(loop, "Stop!")
+    service.end_pause(11 * 10**9)
+    assert service.mission.paused
+    assert not say(loop, "You can go on now.")["paused"]

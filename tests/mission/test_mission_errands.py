@@ -1,0 +1,147 @@
+"""Everyday words for errands: what they are spelled out as, and what a robot cannot do."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.mission.language.errands import spell_out
+from edge.mission.language.everyday_words import bare, is_room
+from edge.mission.language.spans import SPAN, seconds_of
+from edge.mission.language.tokens import TranslationError, UnclearError
+
+PLACES = ["dock", "loading bay 2"]
+
+
+@pytest.mark.parametrize(
+    ("said", "plain"),
+    [
+        ("", ""),
+        ("go to the bed", "go to the bed"),
+        ("go to the dock of the bay", 'go to "dock" of the bay'),
+        # Places and poses.
+        ("return to the dock", 'go to "dock"'),
+        ("back to the kitchen", "go to the kitchen"),
+        ("come back to where you started", 'go to "start"'),
+        ("go to the starting point", 'go to "start"'),
+        ("find the mug and come back", 'find the mug, then go to "here"'),
+        ("find the mug, then return.", 'find the mug, then go to "here".'),
+        ("go to the bed and return to the dock", 'go to the bed, then go to "dock"'),
+        ("come straight back to me", 'go to "here"'),
+        ("come here", 'go to "caller"'),
+        ("return the mug to the bed", "return the mug to the bed"),
+        ("go back to the bed", "go to the bed"),
+        ("park at the dock", 'go to "dock"'),
+        ("pop into the break room", 'go to "break room"'),
+        ("go in kitchen", "go to the kitchen"),
+        # Exploring.
+        ("explore", 'go to "explored"'),
+        ("scan the whole place and map everything", 'go to "explored"'),
+        ("look around the living room for five minutes", 'go to "explored living room for 5 min"'),
+        ("explore the hall, then the kitchen",
+         'go to "explored hall", then go to "explored kitchen"'),
+        ("give the office a quick once-over", 'go to "explored office"'),
+        ("explore the whole house, then come back", 'go to "explored", then go to "here"'),
+        # Patrols.
+        ("patrol the dock and the bed twice",
+         'go to "dock", then go to the bed, then go to "dock", then go to the bed'),
+        ("do two rounds of the dock and the bed",
+         'go to "dock", then go to the bed, then go to "dock", then go to the bed'),
+        ("patrol the dock and the bed 99 times",
+         'go to "dock", then go to the bed; repeat 99 times'),
+        ("patrol the dock, the bed and the sofa for half an hour",
+         'go to "dock", then go to the bed, then go to the sofa; repeat for 30 min'),
+        ("patrol the dock and the bed until I tell you",
+         'go to "dock", then go to the bed; repeat until told'),
+        ("patrol the bed for 20 minutes", "patrol the bed for 20 minutes"),
+        ("run to the bed and back, twice",
+         'go to the bed, then go to "here", then go to the bed, then go to "here"'),
+        # Checks and waits.
+        ("check whether the stove is there", 'go to "check stove"'),
+        ("go and see if the ladder is still next to the door",
+         'go to "check ladder next to the door"'),
+        ("go to the dock and wait there for a couple of minutes",
+         'go to "dock", then go to "wait 2 min"'),
+        ("wait 90 seconds, and go to the bed", 'go to "wait 90 s", then go to the bed'),
+        # Relations.
+        ("find the mug that is standing on the table", 'find "mug on the table"'),
+        ("go to the red chair beside the desk", 'go to "red chair beside the desk"'),
+        ("find the mug in the kitchen or the office",
+         'find "mug in the kitchen" or "mug in the office"'),
+        ("search room 4 for the wheelchair", 'find "wheelchair in room 4"'),
+        ("go to the lamp between the sofa and the bed",
+         'go to "lamp between the sofa and the bed"'),
+        ("go to the room with the piano", 'go to "room with the piano"'),
+        ("go to the biggest room", 'go to "largest room"'),
+        ("visit the bed at some point", "visit the bed at some point"),
+        ("there is a crate behind the door, drive to it", 'go to "crate behind the door"'),
+        ("find the tape gun", "find the tape gun"),
+        ("find the shower gel dispenser", 'find "shower gel dispenser"'),
+    ],
+)  # fmt: skip
+def test_an_errand_is_spelled_out(said, plain):
+    assert spell_out(said, PLACES) == plain
+
+
+@pytest.mark.parametrize(
+    ("said", "hint"),
+    [
+        ("bring me the mug", "no arms"),
+        ("go to the kitchen and open the window", "no arms"),
+        ("take this to the office", "no arms"),
+        ("call the nurse", "in text"),
+        ("follow me", "cannot follow"),
+        ("go upstairs", "change floors"),
+        ("go to the kitchen at 5 pm", "times of day"),
+        ("find Anna's mug", "whose mug"),
+        ("check if the stove is on", "check whether a thing is there"),
+        ("go to the bed and check if there is a cat under it", "check whether a thing is there"),
+        ("explore the other room", "unclear which one"),
+        ("explore the house, then the dock", "unclear what to do with the second"),
+        ("find the mug, then patrol the dock and the bed for 20 minutes", "whole instruction"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_in_one_line(said, hint):
+    with pytest.raises(UnclearError, match=hint) as error:
+        spell_out(said, PLACES)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "said",
+    ["move to the bed", "take a look at the sofa", "go to the doctor's office", "pass a bed"],
+)
+def test_driving_is_no_handling(said):
+    assert spell_out(said)
+
+
+WORDS = "go to check if the mug is in kitchen and or then back patrol explore wait 5 min , ."
+
+
+@given(st.text(max_size=60) | st.lists(st.sampled_from(WORDS.split()), max_size=14).map(" ".join))
+def test_any_text_is_spelled_out_or_refused(text):
+    with contextlib.suppress(TranslationError):
+        assert isinstance(spell_out(text, PLACES), str)
+
+
+@pytest.mark.parametrize(
+    ("span", "seconds"),
+    [("30 s", 30), ("ten minutes", 600), ("half an hour", 1800), ("a couple of minutes", 120),
+     ("twenty-five minutes", 1500), ("an hour and a half", 5400), ("about a minute", 60)],
+)  # fmt: skip
+def test_a_length_of_time(span, seconds):
+    assert re.fullmatch(SPAN, span)
+    assert seconds_of(span) == seconds
+
+
+@pytest.mark.parametrize(
+    ("name", "room"),
+    [("the living room", True), ("room 12", True), ("aisle five", True), ("kitchen table", False),
+     ("office chair", False), ("toilet", True), ("dock", False)],
+)  # fmt: skip
+def test_a_room_is_known_by_its_last_word(name, room):
+    assert is_room(bare(name)) is room

@@ -1,0 +1,139 @@
+"""Everyday sentences of six voices: understood, answered or refused, and never taken wrongly."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.config import MissionConfig, TranslatorAuto, TranslatorLtl
+from edge.lab.eval.everyday import SITE, everyday_cases, score_everyday
+from edge.mission.language.said import (
+    Control,
+    MemoryQuestion,
+    MissionOrder,
+    NoMissionError,
+    SiteOrder,
+    understand,
+)
+from edge.mission.language.tidy import tidied
+from edge.mission.language.tokens import TranslationError
+from edge.mission.spec import prepare, translate
+
+EVERYDAY = Path(__file__).with_name("everyday.jsonl")
+NAMES = [item.name for item in SITE.items]
+
+
+def test_everyday_sentences_are_mostly_right_and_never_wrong():
+    scores = [score_everyday(case, TranslatorAuto()) for case in everyday_cases(EVERYDAY)]
+    wrong = [f"{s.case['said']}: {s.got}" for s in scores if s.outcome == "wrong"]
+    assert not wrong
+    assert sum(s.outcome == "right" for s in scores) >= 0.95 * len(scores)
+
+
+@pytest.mark.parametrize(
+    ("said", "found"),
+    [
+        # Questions.
+        ("Where is the mug?", MemoryQuestion("where", "mug")),
+        ("where'd you last see my walking stick", MemoryQuestion("where", "walking stick")),
+        ("Can you tell me where the remote control is?", MemoryQuestion("where", "remote control")),
+        ("I can't find my keys, have you seen them?", MemoryQuestion("where", "keys")),
+        ("Is there a wheelchair in room 3?", MemoryQuestion("exists", "wheelchair", "room 3")),
+        ("Did you see a uh yellow suitcase anywhere?", MemoryQuestion("exists", "yellow suitcase")),
+        ("Which rooms do you know?", MemoryQuestion("rooms")),
+        ("What did you see in the office?", MemoryQuestion("seen", "", "office")),
+        ("Where are you?", MemoryQuestion("self")),
+        ("What places do you know?", MemoryQuestion("places")),
+        # Orders to learn.
+        ("Remember this as the dock.", SiteOrder("place", "dock")),
+        ("Call this place the reading corner.", SiteOrder("place", "reading corner")),
+        ("This is the office.", SiteOrder("room", "office")),
+        ("Forget the dock, we moved it.", SiteOrder("forget", "dock")),
+        ("Please stay out of the bathroom, I'm having a wash.", SiteOrder("keep_out", "bathroom")),
+        ("You're not allowed in the dock!", SiteOrder("keep_out", "dock")),
+        ("You may go into room 6 again, the isolation is over.", SiteOrder("open", "room 6")),
+        ("Stay in this room.", SiteOrder("stay_inside", "")),
+        # Control.
+        ("Stop!", Control("pause")),
+        ("Wait here a couple of minutes while I sit down.", Control("pause", 120.0)),
+        ("okay, you can continue now", Control("resume")),
+        ("Never mind, forget it.", Control("cancel")),
+    ],
+)
+def test_what_is_no_mission(said, found):
+    assert understand(said, NAMES) == found
+    with pytest.raises(NoMissionError) as error:
+        prepare(MissionConfig(), said, site=SITE)
+    assert error.value.said == found
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "", "go to the bed", "stop at the bed", "stay out of the chair",
+        "look for a blanket, but keep out of the kitchen", "stop, go to the dock",
+        "wait two minutes, then go to the dock", "you may go into the kitchen",
+        "stay out of the kitchen until you have found the mug", "do not go near the stove",
+    ],
+)  # fmt: skip
+def test_what_is_an_errand_or_not_clear_goes_to_the_translators(said):
+    assert isinstance(understand(said, NAMES), MissionOrder)
+
+
+@pytest.mark.parametrize(
+    "said", ["Where is the mug? Go there.", "Remember this as the dock, then go to the bed."]
+)
+def test_several_things_at_once_are_refused(said):
+    with pytest.raises(TranslationError, match="one thing at a time"):
+        understand(said, NAMES)
+
+
+@pytest.mark.parametrize(
+    ("said", "text", "reasons"),
+    [
+        ("", "", ()),
+        ("Um, could you please go to the bed, dear?", "go to the bed", ()),
+        ("go to the kitchen uh no sorry the bathroom", "go to the bathroom", ()),
+        ("find the red no the blue mug", "find the blue mug", ()),
+        ("go to room 3 I mean room 4", "go to room 4", ()),
+        ("Go in the kitchen, I heard a noise!", "Go in the kitchen", ("I heard a noise",)),
+        ("find the mug, it is the red one", "find the mug, it is the red one", ()),
+        ("landmark one is first, landmark two is second",
+         "landmark one is first, landmark two is second", ()),
+        ('go to "no sorry the bed"', 'go to "no sorry the bed"', ()),
+    ],
+)  # fmt: skip
+def test_speech_is_tidied(said, text, reasons):
+    speech = tidied(said)
+    assert (speech.restored(speech.text), speech.reasons) == (text, reasons)
+
+
+def test_a_correction_of_nothing_is_refused():
+    with pytest.raises(TranslationError, match="unclear what this corrects"):
+        tidied("explore, sorry, bathroom")
+
+
+def test_a_reason_that_is_left_out_is_told():
+    found = translate(MissionConfig(), "Go to the bed, I heard a noise!")
+    assert found.english == "Reach the bed. (Not part of the order: 'I heard a noise'.)"
+
+
+def test_a_formula_is_no_speech():
+    config = MissionConfig(translator=TranslatorLtl())
+    assert str(translate(config, "F stop").formula) == "F stop"
+
+
+WORDS = (
+    "the kitchen stay out of where is a mug remember this as dock no sorry I mean you may go again "
+    "stop wait , . and"
+)
+
+
+@given(st.text(max_size=80) | st.lists(st.sampled_from(WORDS.split()), max_size=14).map(" ".join))
+def test_any_text_is_understood_or_refused(text):
+    with contextlib.suppress(TranslationError):
+        assert understand(text, NAMES) == understand(f"{text} ", NAMES)
