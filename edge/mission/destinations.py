@@ -226,7 +226,9 @@ def describe_destination(name: str, destination: Destination) -> str:
         room = f" in the {destination.room}" if destination.room else ""
         return f"an answer about the {destination.name}{room}"
     if isinstance(destination, RoomTarget) and destination.which != "called":
-        return f"the {names.normalise(name)}".replace("room with ", "room with the ")
+        if destination.which == "with":
+            return f"the room with the {destination.name}"
+        return f"the {names.normalise(name)}"
     special = {
         START: "the start", HERE: "the place where this mission begins", CALLER: "the caller",
     }  # fmt: skip
