@@ -16,7 +16,7 @@ SIDE_PX = 64
 """Longest side of a picture."""
 MAX_CROPS = MAX_SIGHTINGS
 MAX_CROP_BYTES = 16 << 20
-"""Of all pictures. Over it the oldest ones go; 5,000 pictures of 2 kB are 10 MB."""
+"""Largest size of all pictures; beyond it the oldest are dropped. 5,000 pictures of 2 kB are 10 MB."""
 _QUALITY = 80
 _LARGE_PX = 48
 """A box with this shorter side is large enough."""
@@ -25,7 +25,7 @@ _BETTER = 1.25
 """A view replaces the last one if it is better by this factor, so that few are encoded."""
 _MOST_PER_IMAGE = 3
 _MARGIN = 0.1
-"""Of the box, on each side."""
+"""Margin on each side, as a share of the box."""
 
 Crop = tuple[int, float, np.ndarray]
 """Id of the object, quality of the view, and (h, w, 3) uint8 RGB."""
