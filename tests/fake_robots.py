@@ -46,7 +46,9 @@ class FakeService:
         self.blind_to = blind_to
         self.pose = SE2(0.0, 0.0, 0.0)
         self.goals = SimpleNamespace(client=SimpleNamespace(heard=True), phase="searching")
-        self.config = SimpleNamespace(perception=SimpleNamespace(min_hits=1))
+        self.config = SimpleNamespace(
+            mission=MissionConfig(), perception=SimpleNamespace(min_hits=1)
+        )
         things = [
             SimpleNamespace(label=label, center_m=(away_m, 0.0, 0.0), hits=9, state="seen")
             for label, away_m in known.items()

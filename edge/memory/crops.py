@@ -16,7 +16,7 @@ SIDE_PX = 64
 """Longest side of a picture."""
 MAX_CROPS = MAX_SIGHTINGS
 MAX_CROP_BYTES = 16 << 20
-"""Largest size of all pictures; beyond it the oldest are dropped. 5,000 pictures of 2 kB are 10 MB."""
+"""Largest size of all pictures; beyond it the oldest are dropped. 5,000 of 2 kB are 10 MB."""
 _QUALITY = 80
 _LARGE_PX = 48
 """A box with this shorter side is large enough."""

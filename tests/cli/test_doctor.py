@@ -206,7 +206,9 @@ def test_who_may_come_in(tmp_path):
     open_ = simulated({"zenoh": {"endpoint": "tcp/0.0.0.0:7447"}})
     (finding,) = doctor.check_access(open_)
     assert finding.level == "warn"
-    assert finding.what.startswith("tcp/0.0.0.0:7447 is open: whoever reaches it may command")
+    assert finding.what.startswith(
+        "tcp/0.0.0.0:7447 is open: every client that reaches it may command"
+    )
     users = tmp_path / "users.txt"
     users.write_text("operator:of the operator\n")
     users.chmod(0o644)

@@ -323,7 +323,9 @@ def watched(monkeypatch) -> Iterator[ClosedLoop]:
             sink.close()
 
 
-def test_the_steady_tick_allocates_no_large_arrays(watched):
+def test_the_steady_tick_allocates_no_large_arrays(watched, monkeypatch):
+    # The map is cut into rooms on a thread of its own, which is not to be measured here.
+    monkeypatch.setattr("edge.loop.room_surveyor.PERIOD_NS", 10**12)
     watched.run(5)
     assert not watched.service.status.done
     watched.drive.step(0.0, 0.0, 0.0)
@@ -335,8 +337,9 @@ def test_the_steady_tick_allocates_no_large_arrays(watched):
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     # A 320x256 depth image is 328 kB, a layer of the 1000x1000 grid a megabyte. What remains is
-    # the report's picture, 246 kB: once a second, or when the target is seen better than before.
-    large = [peak for peak in peaks if peak > 50_000]
+    # the report's picture, 246 kB: once a second, or when the target is seen better than before;
+    # and the kinds of rooms, 76 kB for three rooms, once a second.
+    large = [peak for peak in peaks if peak > 100_000]
     assert len(large) <= 3, peaks
     assert max(peaks) < 300_000, peaks
 

@@ -248,7 +248,7 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
         if ticks % 7 == 4 and thinks.thinks:
             thinks.told.release()
             eventually(lambda: not thinks.thinks)
-        workers = came.keys() >= {"detector", "surveyor", "prior", "choice"}
+        workers = came.keys() >= {"detector", "surveyor", "rooms", "choice"}
         return ticks >= 40 and workers and came["choice"] >= 2
 
     eventually(all_came, lambda: f"{ticks} ticks, of the workers came {dict(came)}")
