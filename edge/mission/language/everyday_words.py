@@ -131,14 +131,15 @@ _ROWS: dict[str, str] = {
         follow (me|us|him|her|them|my|that|the (man|woman|nurse|doctor|patient|dog|cat|boy|girl|
         people|person|visitor|forklift|lady|guy|kids|children)); chase; accompany; escort; come
         with;
-        (take|bring|guide|lead|show|walk|drive) (me|us|him|her|them|the (patient|visitor|guest|man|
+        (guide|lead|show|walk) (me|us) (to|around|back|home|there|into|the way|out|through);
+        (take|bring|guide|lead|show|walk|drive) (him|her|them|the (patient|visitor|guest|man|
         lady|guests|visitors)) (to|around|back|home|there|into|the way|out|upstairs|through);
         run after; walk with; come along; keep up with; stay with me; hide; catch
     """,
     # Elsewhere in an errand.
     "climb": """
         upstairs; downstairs; climb; (up|down) the (stairs|steps); take the (stairs|lift|elevator);
-        (next|other|upper|lower|first|second|third|top|ground) floor
+        (next|other|upper|lower) floor
     """,
     "clock": """
         at (half|quarter|noon|midnight|night|dawn|lunch|dinner|breakfast|supper); tomorrow; tonight;

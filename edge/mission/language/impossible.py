@@ -10,8 +10,10 @@ from edge.mission.language.tokens import UnclearError
 _OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just |now )?"
 _DRIVES = (
     r"(?! (?:to|by|over|into|toward|towards|around|along|back|through|past|near|in|left|right|"
-    r"on|out|off|aside|forward|forwards|closer|away|a (?:look|peek|glance|tour|break)|"
-    r"the (?:way|route|path))\b)"
+    r"on|out|off|aside|forward|forwards|closer|away|(?:me|us) to|"
+    r"a (?:look|peek|glance|tour|break)|"
+    r"(?:(?:the|a|any) )?(?:way|route|path|road|street|bridge|hall|hallway|corridor|aisle|tunnel|"
+    r"passage|alley))\b)"
 )
 """Words after which a verb of handling is one of driving: "move to", "take a look"."""
 _CANNOT = (
