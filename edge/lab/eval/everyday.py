@@ -49,11 +49,16 @@ SITE = Site(tuple(Place(name, SE2(1.0, 1.0, 0.0)) for name in ("dock", "shelf", 
 """The places that the sentences may name."""
 OUTCOMES = ("right", "asked or refused", "wrong")
 _ARTICLES = re.compile(r"\b(?:the|a|an|my|our|your) ")
-_LEARN = {
-    "place": "remember", "room": "name the|remember", "forget": "forget", "keep_out": "keep-out",
-    "stay_inside": "stay in|zone", "open": "lift|allow|may|remove",
+_LEARN = (
+    ("lift|allow|remove", ("open",)), ("stay in|zone", ("stay_inside",)),
+    (r"keep[- ]out|stay out", ("keep_out",)), ("forget", ("forget",)),
+    ("remember", ("place", "room")), ("name the", ("room",)),
+)  # fmt: skip
+"""Words of `meaning`, and the orders that mean it; the first row that fits counts."""
+_CONTROL = {
+    "pause": "stop|wait|pause|halt|hold", "resume": "go on|continue|resume",
+    "cancel": "cancel|abort|give up",
 }  # fmt: skip
-_CONTROL = {"pause": "stop|wait|pause|halt|hold", "resume": "go on|continue|resume", "cancel": ""}
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +124,8 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
     if isinstance(said, Control):
         return bool(re.search(_CONTROL[said.do], meaning)) and _seconds(case) == (said.seconds or 0)
     if isinstance(said, SiteOrder):
-        fits = re.search(_LEARN[said.do], meaning) is not None
-        return fits and _plain(said.name or "this room") in (about, _plain(f"{about} room"))
+        fits = next((orders for words, orders in _LEARN if re.search(words, meaning)), ())
+        return said.do in fits and _plain(said.name or "this room") in (about, _plain(f"{about} room"))
     named = f"{said.about} in {said.room}" if said.room and said.about else said.about or said.room
     return _plain(named) == about if named else about not in ("",) and said.topic != "where"
 

@@ -38,9 +38,14 @@ GO = {"said": "go to the dock", "expect": "mission", "formula": 'F("dock")'}
          "right"),
         ({"said": "forget the dock", "expect": "learn", "meaning": "remember", "about": "dock"},
          "wrong"),
+        ({"said": "do not go in the office", "expect": "learn", "about": "office",
+          "meaning": "standing rule: keep out of the office"}, "right"),
+        ({"said": "do not go in the office", "expect": "learn", "about": "office",
+          "meaning": "lift the keep-out rule for the office"}, "wrong"),
         ({"said": "wait ten seconds", "expect": "control", "meaning": "wait", "seconds": 10},
          "right"),
         ({"said": "stop", "expect": "control", "meaning": "go on"}, "wrong"),
+        ({"said": "never mind", "expect": "control", "meaning": "go on"}, "wrong"),
     ],
 )  # fmt: skip
 def test_a_sentence_is_judged(case, outcome):
