@@ -28,7 +28,7 @@ PARTS = {
         everything [around|in] [here|there])
         """,
     "look": """
-        (explore|exploring|scan|survey|map|map out|discover|sweep|investigate|get to know|
+        (explore|explore (me|us)|exploring|scout|scout out|scan|survey|map|map out|discover|sweep|investigate|get to know|
         [make|do] [an|the] exploration [of]|go exploring [in]|look through|search through|
         (look|drive|go|wander|roam|cruise|(have|take|make) a [good|quick] (look|wander|peek|tour)|
         do a (tour|scan)|make a map) [all] (around|round|about) [in|inside|of|at]|
@@ -37,10 +37,11 @@ PARTS = {
         (round|tour|lap|loop|sweep|scan|search) (of|through|around)|
         (look|search|(take|have|make) a look) [around] (in|inside))
         """,
-    "time": "[, [only|for|during] <span> [long]] [again|once more|one more time]*",
+    "time": "[, [only|for|during] <span> [long]] [again|once more|one more time|"
+            "before (we|i|they) (start|begin|leave|open|close)]*",
     "patrol": """
         [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|
-        [go|be] on patrol|[do|make] [your|the|some] rounds|go round|
+        [go|be] on patrol|[do|doing|make|making] [your|the|some] rounds|go round|
         [go|drive|run|keep going|move|walk] back and forth|
         (do|run|drive|make) (laps|loops|circles)|
         circle|loop|cycle|shuttle|alternate|

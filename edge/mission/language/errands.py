@@ -43,6 +43,8 @@ MAX_ROUNDS = 10
 
 _CHECKS = compiled(
     """
+    {then} {drive} {over} (in|into|to|inside) <into> and [then] {check}
+            ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
     {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
     {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
     {then} {goes} {check} {if} <thing> (is|are) {at}
@@ -66,7 +68,7 @@ _EXPLORES = compiled(
     {goes} ({look}|look|inspect) {whole} [{whole}] [and|then] [map|scan|look at|explore]
             [everything] {time}
     {goes} {look} <stops> {time}
-    {goes} {look} <room> {time}
+    {goes} {look} <room> [, (only|just) (this|that) (room|one)] {time}
     give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
             (once-over|look|scan|sweep|look over|check|going over|look-over|inspection) {time}
     (have|take|make) a [good|proper|quick|close]* look (round|around|in|at|inside) (<room>|{whole})
@@ -93,6 +95,9 @@ _PATROLS = compiled(
     (do|make|drive|go|run|walk) <count> {rounds} (of|between|around|through|from|in) <stops>
     """,
     PARTS,
+)
+_ROUNDS_FIRST = compiled(
+    "<count> {rounds} [of|between|around|through|from|in]* , <stops>", PARTS
 )
 _ERRAND_AND_BACK = compiled(
     """
@@ -168,6 +173,19 @@ _LEADS_TO_NAME = re.compile(
 _WHICH_ROOM = re.compile(r" (?:the )?(?P<which>next|largest|biggest|smallest) room(?! \d)\b", re.I)
 _AFTER_WAIT = re.compile(r'(?P<wait>"wait[^"]*")(?:,? and(?: then)?|,)(?= (?!then)\w)')
 _EXPLORED_TWICE = re.compile(r'( go to "explored")(?:,? and(?: then)? go to "explored")+')
+_NUMBERED = re.compile(
+    r"\b(?P<kind>room|aisle|bay|ward|unit)s (?P<numbers>\d+\w?(?:(?:,? (?:and|or|then) |, )"
+    r"\d+\w?)+)\b(?! (?:times|rounds|min|sec|hour))",
+    re.I,
+)
+_PLAINER = (
+    (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
+    (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
+     r"\1 you have visited"),
+    (re.compile(r"\bpass(ing)? (?:near|close)(?: to| by)?\b", re.I), r"pass\1 by"),
+    (re.compile(r",? (?:and|then|and then) stop (?:right )?there(?=[.!]*$)", re.I), ""),
+)  # fmt: skip
+"""Changes before all others: lists of numbered rooms, and other words for known ones."""
 _IN_ROOM_AND = re.compile(
     rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})),? and(?= (?:find|look for) )", re.I
 )
@@ -181,6 +199,10 @@ _GOES_TO = re.compile(
     rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) ){any_of('go to')} (?P<name>\"[^\"]*\"|{NAME})",
     re.I,
 )
+_GOES_ROOM = re.compile(
+    rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then)) )(?:go|drive|come) (?P<name>{NAME})", re.I
+)
+_IN_TURN = compiled("go to <stops>", {})
 _FINDS = re.compile(
     rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) ){any_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I
 )
@@ -206,17 +228,22 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         raise UnclearError(f"instruction: {permits[0]!r}: {hint}", permits[0])
     marked, known = mark_places(text, places)
     text = f" {marked}"
+    for pattern, plain in _PLAINER:
+        text = pattern.sub(plain, text)
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
         ([_INTRODUCED], _introduced),
         (_SEARCHES, _searched),
         (_PATROLS, _rounds),
+        (_ROUNDS_FIRST, lambda found: None if found.start() else _rounds(found)),
         (_ERRAND_AND_BACK, _errands_and_back),
         (_CHECKS, _checked),
         (_EXPLORES, _explored),
         (_EXPLORES_HERE, _explored_here),
         ([_ROOM_WITH, _RELATED], _related),
         ([_WHICH_ROOM], _which_room),
+        ([_GOES_ROOM], _goes_room),
         ([_GOES_TO], lambda found: f"{found['lead']}go to {_the(found['name'])}"),
+        (_IN_TURN, _in_turn),
         ([_FINDS], lambda found: f"{found['lead']}find {found['name']}"),
         ([_IN_ROOM_AND], _in_room_and),
         ([_COMPOUND], _compound),
@@ -282,10 +309,14 @@ def _checked(found: re.Match[str]) -> str | None:
     if is_vague(thing) or thing in ("it", "them"):
         return None
     plain_look = not slots.get("relation") and found[0].rstrip().endswith(found["thing"])
-    if plain_look and (is_room(thing) or thing.startswith("rooms ")):
+    if plain_look and (
+        is_room(thing) or thing.startswith("rooms ") or thing.split()[-1] in _NOWHERE
+    ):
         return None  # "check the kitchen" is no check of a thing
-    if slots.get("room"):
-        where = _where("in", slots["room"])
+    if slots.get("into") and not is_room(bare(slots["into"])):
+        return None
+    if slots.get("room") or slots.get("into"):
+        where = _where("in", slots.get("room") or slots["into"])
     else:
         where = _where(slots.get("relation"), slots.get("anchor"))
     if re.match(r" (?!and |then |but |when |while |in order )\w", found.string[found.end() :]):
@@ -433,6 +464,22 @@ def _which_room(found: re.Match[str]) -> str:
 def _in_room_and(found: re.Match[str]) -> str | None:
     """Put "then" between going to a room and finding something, as people mean it."""
     return f"{found['go']}, then" if is_room(bare(found["room"])) else None
+
+
+def _goes_room(found: re.Match[str]) -> str | None:
+    """Put in the "to" that children and learners of English leave out: "go kitchen"."""
+    name = bare(found["name"])
+    first = name.split()[:-1]
+    known = is_marked(name) or (is_room(name) and all(map(_modifies, first)))
+    return f"{found['lead']}go to {found['name']}" if known else None
+
+
+def _in_turn(found: re.Match[str]) -> str | None:
+    """Return a list of stops that comes back to one as a sequence: "kitchen, hall, kitchen"."""
+    stops = [bare(stop) for stop in re.split(_STOP, found["stops"])]
+    if len(set(stops)) == len(stops) or re.search(r"\bor\b", found["stops"]):
+        return None
+    return " " + ", then ".join(f"go to {_articled(stop)}" for stop in stops)
 
 
 def _articled(name: str) -> str:

@@ -46,7 +46,9 @@ _ROWS: dict[str, str] = {
         carefully; come on; good robot; from now on; there is a good (boy|robot); to charge;
         for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
         (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
-        (about|around)
+        (about|around); will (ya|you); would ya; off you go; with you; little (one|robot|friend);
+        do remember (that|it|); every (bit|part|inch|corner) of it;
+        like a (guard|policeman|robot|spy)
     """,
     # A self-correction: "the bedroom, no, I mean the office".
     "correction": """
@@ -217,7 +219,7 @@ _STATES = nouns.listed(
     dangerous far near close alone warm cold hot dry wet missing awake asleep charged running
     working okay ok"""
 )
-_UNNAMED = {"other", "another", "same", "every", "each", "all", "both", "anything", "something"}
+_UNNAMED = {"no", "other", "another", "same", "every", "each", "all", "both", "anything", "something"}
 
 
 def is_vague(name: str) -> bool:

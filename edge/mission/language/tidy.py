@@ -12,7 +12,7 @@ from edge.mission.language.lexicon import TABLE, WORD, expanded
 from edge.mission.language.spans import number_of
 from edge.mission.language.templates import compiled, first_match
 from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
-from edge.mission.language.utterances import REASONS, STATES
+from edge.mission.language.utterances import ASSENTS, REASONS, STATES
 
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
@@ -42,18 +42,19 @@ _RESTART = re.compile(
     r"\b((?:where|what|go|is|did|can|could|find|look)(?: [\w']+){1,3}),?(?: \1\b)+", re.I
 )
 _LIKE = re.compile(
-    rf"\b(?:like|(?<!do )you know),? (?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})", re.I
+    rf"\b(?:like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )you know),? (?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})", re.I
 )
 _MARK = rf"[ ,.]*\b{any_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 _CORRECTS = re.compile(_MARK, re.I)
 _OPENING = re.compile(
     rf"(?:(?:{any_of('opening')}\b(?! see\b)|"
     r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
-    r"you (?!may|can|are|will|must|should|have|could|were)|"
+    r"you (?!got|may|can|are|will|must|should|have|could|were)|"
     r"do (?=(?:go|come|find|check|look|have|please|you mind)\b))[ ,.!]*)+",
     re.I,
 )
 _CLOSING = re.compile(rf"(?:[ ,.!?]*\b{any_of('closing')})+[ .!?]*$", re.I)
+_NO_END = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
 _ENDS = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
 _DIRECTS = re.compile(
     r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only|except|unless|if|until|"
@@ -151,7 +152,8 @@ def stripped(text: str) -> str:
         before = text
         opened = _OPENING.match(text)
         text = text[opened.end() :] if opened and opened.end() < len(text) else text
-        text = _CLOSING.sub("", text) or text
+        closed = _CLOSING.sub("", text)
+        text = text if not closed or _NO_END.search(closed) else closed
     return text.strip(" ,")
 
 
@@ -189,20 +191,21 @@ def _replaced_from(before: str, after: str) -> int | None:
     return None
 
 
-def is_reason(clause: str, states: bool = False) -> bool:
+def is_reason(clause: str, states: bool = False, first: bool = False) -> bool:
     """Return True for a clause that only says why: "I heard a noise".
 
     Args:
         clause: no other text.
         states: True if "the isolation is over" is one, too.
+        first: True if the clause begins the text, where "all clear" is one, too.
     """
     fixed = clause.lower().startswith(("it ", "that ", "this ", "you "))
     if not fixed and _DIRECTS.search(clause):
         return False
-    return first_match(_templates(REASONS + STATES * states), clause) is not None
+    return first_match(_templates(REASONS + STATES * states + ASSENTS * first), clause) is not None
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def _templates(rows: str) -> list[re.Pattern[str]]:
     return compiled(rows, {})
 
@@ -215,8 +218,9 @@ def without_reasons(text: str) -> tuple[str, tuple[str, ...]]:
     pieces = re.split(r"([.!?;,]+ )", text)
     kept, reasons = [], []
     for at in range(0, len(pieces), 2):
-        piece = stripped(pieces[at].strip(" .!?;"))
-        if is_reason(piece) and len(pieces) > 1:
+        said = pieces[at].strip(" .!?;")
+        piece = said if is_reason(said, first=not at) else stripped(said)
+        if is_reason(piece, first=not at) and len(pieces) > 1:
             reasons.append(piece)
         else:
             kept.append(at)

@@ -8,7 +8,8 @@ PARTS = {
         [last|before|lately|recently|anywhere|somewhere|around|about|here|earlier|today|right now|
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
         yet|by now|by any chance|again|on your (map|way|tour|rounds|trip)|in your memory|
-        this (morning|afternoon|evening)|(when|while|as) you (were|was|drove|went|looked) ...]*
+        this (morning|afternoon|evening)|(when|while|as) you (were|was|drove|went|looked) ...|
+        [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)]*
         [(did|have) you [seen|see] (it|them|her|him|one)]
         """,
     "seen": """
@@ -21,7 +22,7 @@ PARTS = {
         [can you|could you] [please] (tell me|say|show me|do you (know|remember)|you know|
         [i wonder|any idea|i want to know|remind me|you remember])
         """,
-    "in": "[<relation> <anchor>]",
+    "in": "[anywhere|somewhere|still|left]* [on your map|in your memory|<relation> <anchor>]",
     # Orders to learn.
     "here": """
         ((the|this) (spot|place|position|location|point|corner)|this|here|it|where (you|we) are|
@@ -33,7 +34,7 @@ PARTS = {
             "keep in mind|know) [that|down]",
     "go": """
         [to|even|also] (go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
-        wander|get|getting|be|run|back|inside|into|in) [back] [in|into|inside|to|over|near|at|on|
+        wander|get|getting|be|run|back|inside|into|in) [never|ever|back] [in|into|inside|to|over|near|at|on|
         through]*
         """,
     "may": """
@@ -60,6 +61,7 @@ PARTS = {
     # Control.
     "there": "[please|right|there|here|now|just|it|still|a bit|for me|for now|at once|immediately|"
              "moving|driving|everything|where you are|what you are doing|the robot|robot|okay]*",
+    "halt": "(stop|halt|freeze|hold|pause|do not move [again|anymore|any more|a muscle])",
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
             "your rounds|your round|your errand|your job|your work|your way|mission|what i said]",
@@ -91,7 +93,7 @@ QUESTIONS = {
         (list|name) [me] [all|the|your|known]* places ...
     """,
     "seen": """
-        (what|which things|which objects|what things|what objects) [all|else] {you} [all|everything]
+        {tell} (what|which things|which objects|what things|what objects) [all|else] {you} [all|everything]
             {seen} {in} [out there|in there|there|with your camera|all]* {last}
         (what|which things|which objects) [all|else] [you have|you did|have you] {seen} {in} {last}
         what (is|was|are) [there] (in|inside) <room> {last}
@@ -121,15 +123,15 @@ QUESTIONS = {
         {you} {seen} [any|of|already]* <thing>
             {in} {last}
         seen [any|of|already]* <thing> {in} {last}
-        [is|was|are|were] there <thing> {in} {last}
+        {tell} [is|was|are|were] there <thing> {in} {last}
         [do you know if|do you know whether|so] there (is|are) <thing> {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
             <thing> {in} {last}
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
         (exists|exist) [there] <thing> {in} {last}
-        have (we|you) got <thing> {in} {last}
-        (is|are) <thing> [still|already|really] <relation> <anchor> {last}
-        (is|are) <thing> [still|already|really|there|here|around]* {last}
+        (have (we|you)|you) got <thing> {in} {last}
+        {tell} (is|are) <thing> [still|already|really] <relation> <anchor> {last}
+        {tell} (is|are) <thing> [still|already|really|there|here|around]* {last}
         do you (know|remember) if there (is|are) <thing> {in} {last}
         how many <thing> {you} {seen} {in} {last}
         how many <thing> are there {in} {last}
@@ -161,6 +163,8 @@ ORDERS = {
         [from now on|now]* {may} again {go} <room> [now]
         <room> (is|are) (open|free|allowed|accessible|okay|ok|available|fine|clear|permitted)
             [for you|to enter] again [for you|now]*
+        <room> (is|are) (open|free|okay|ok|fine|clear|clean|dry|empty) [again|now]* {may}
+            [go|drive|come|enter|get|be|back]* (there|in there|in it|in|it|inside) again
         <room> (is|are) (no longer|not) (off limits|forbidden|closed) [for you|anymore|any
             more|now]*
         {may} (leave|go out of|exit) ({this_room}|<room>) [again|now|anymore]*
@@ -169,7 +173,7 @@ ORDERS = {
             (anymore|any more|any longer|now)
     """,
     "forget": """
-        (forget|delete|remove|erase|unlearn) [about] [the (place|room|zone|spot|name)]
+        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn) [about] [the (place|room|zone|spot|name)]
             [called|named]
             <site> [from your (map|memory|list)|from the map|from memory|as a place|from (your|the)
             (places|list|memory|map)] {while}
@@ -186,6 +190,7 @@ ORDERS = {
     "place": """
         {keep} {here} [is|as|to be|by the name] [called|named] <name>
         {keep} , {here} (is|is called) <name>
+        {here} , {keep} it [as|like] <name>
         {here} (is|is called|is named|will be|shall be) [now|called|from now on] <name>
         make {here} <name>
         (we|i) call {here} <name>
@@ -200,13 +205,13 @@ CONTROL = {
             (go on|carry on|continue|resume|keep going|keep on|keep moving|keep driving|get
             moving|get going|go ahead|
             proceed|move on|drive on|start again|move again|go again|drive again|unpause)
-            [now|then|again|please|with|as before|what you were doing|where you left off|
+            [now|then|again|please|with|as before|what you (were|was) doing [before]|where you left off|
             where you stopped|from where you stopped|doing that|driving|searching|looking]* {task}
     """,
     "cancel": """
         (cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} [about
             (it|that)]
-        forget (it|that|about it|about that|everything|what i said|the mission|the task)
+        [you (can|may)] forget (it|that|about it|about that|everything|what i said|the mission|the task)
         (stop|end) (searching|looking|exploring|patrolling|the|your)
             [search|mission|task|patrol|tour|errand|rounds|job|for it]
     """,
@@ -217,12 +222,12 @@ CONTROL = {
             do not (go|drive) (on|any further|further|anywhere)|remain (there|where you are)|
             stop it|stop that) {there} {reason}
         (pause|interrupt|suspend) {task} {there}
-        (stop|halt|freeze|hold|pause) {there} (stop|halt|freeze|hold|pause)* {there} {reason}
+        {halt} {there} [{halt} {there}]* {reason}
         (wait|stay|stop|stand|stand still|pause|remain|hold [on|up]|hang on|rest|park|sit
             tight|stand
             by|
             hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
-            [right here|here|there|in here|in place|on the spot|where you are|for me|still|please|
+            [right here|right there|here|there|in here|in place|on the spot|where you are|for me|still|please|
             just|in this (spot|place)|at this (spot|place)|exactly|a (bit|moment|second|sec|while)]*
             [for] [<span>] [here|there|please|now|more|longer|then]* {reason}
     """,
@@ -233,6 +238,10 @@ REASONS = """
     [because|cause|since|as|so|and] (i|we|he|she|somebody|someone|people)
             (am|is|are|was|were|have|has|had|will|got|just|heard|lost|saw|left|tore|think|feel|know|
             do not|did not|can not|finished|moved|do|did|hear|see) ...
+    [it|that] [is|makes] (all|no)* [the] (same|one|difference) [for me|for us|to me|to us]
+    (no worries|no problem|no hurry|no rush|as you like|as you wish)
+    as far as (you|we) (know|remember|can tell)
+    you (pick|choose|decide)
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
             (secret|cold|dark|late|urgent|important|
             emergency|hot|wet|dangerous|there anymore|busy|there any more|loud|nap time|bedtime|fun)
@@ -240,6 +249,11 @@ REASONS = """
             scare|fall|knock|crush|wake|in the way|in my way|too (fast|loud|close)) ...
 """
 """Clauses that only say why; see `tidy.is_reason` for words that none of them has."""
+ASSENTS = """
+    (it|that|this) is (all right|alright|okay|ok|fine|safe) [now|again]*
+    (all|everything) [is] (clear|good|fine|safe|quiet|over) [now|again]*
+"""
+"""Clauses that say nothing at the beginning; after an order, they may take it back."""
 STATES = """
     [because|cause|since|as|so|and|now] (there|<thing>) (am|is|are|was|were|has|have|just|will) ...
 """
