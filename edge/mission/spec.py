@@ -27,6 +27,7 @@ from edge.mission.destinations import (
 from edge.mission.language.english import describe
 from edge.mission.language.errands import CHECK, spell_out
 from edge.mission.language.grammar import readings
+from edge.mission.language.impossible import asks_for_work
 from edge.mission.language.places import quote_places
 from edge.mission.language.said import MissionOrder, NoMissionError, understand
 from edge.mission.logic import ltl
@@ -181,9 +182,11 @@ def translate(
     chosen = given if not means_more and _is_read(given) else plain
     chosen, repeat = split_repetition(chosen)
     translation = translator.translate(chosen, reading, ask)
-    unused = "; ".join(f"'{one_line(reason)}'" for reason in said.speech.reasons)
-    english = f"{translation.english} (Not part of the order: {unused}.)" if unused else ""
-    english = english or translation.english
+    english = translation.english
+    if unused := "; ".join(f"'{one_line(reason)}'" for reason in said.speech.reasons):
+        english += f" (Not part of the order: {unused}.)"
+    if asks_for_work(said.speech.text):
+        english += " (The robot has no arms: it only drives there.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)
 
 

@@ -91,7 +91,7 @@ def test_an_errand_is_spelled_out(said, plain):
     ("said", "hint"),
     [
         ("bring me the mug", "no arms"),
-        ("go to the kitchen and open the window", "no arms"),
+        ("go to the kitchen and bring the mug", "no arms"),
         ("take this to the office", "no arms"),
         ("call the nurse", "in text"),
         ("follow me", "cannot follow"),
@@ -113,7 +113,16 @@ def test_what_cannot_be_done_is_refused_in_one_line(said, hint):
 
 @pytest.mark.parametrize(
     "said",
-    ["move to the bed", "take a look at the sofa", "go to the doctor's office", "pass a bed"],
+    [
+        "move to the bed",
+        "take a look at the sofa",
+        "go to the doctor's office",
+        "pass a bed",
+        "take the hallway to the bed",
+        "take me to the bed",
+        "clean the sofa",
+        "open the window",
+    ],
 )
 def test_driving_is_no_handling(said):
     assert spell_out(said)

@@ -34,6 +34,8 @@ def test_other_forms_are_no_orders(formula):
         ("patrol the dock and the shelf for ten minutes",
          "Go to the dock, then go to the shelf. Repeat this for 10 min."),
         ("check if the stove is in the kitchen", "Check if there is a stove in the kitchen."),
+        ("clean the sofa, then turn on the tv",
+         "Reach the sofa, then the television. (The robot has no arms: it only drives there.)"),
         ("go to the mug or to the dock", "Reach either the mug or the dock."),
         ("find the mug and the book", "Reach the mug and the book in any order."),
     ],

@@ -115,14 +115,17 @@ _ROWS: dict[str, str] = {
         we are looking for; i need you to find; i can not find; where could we find; look for
     """,
     # What a robot with wheels, a camera and text cannot do: the beginning of a clause.
-    "handle": """
+    # Verbs of carrying and handing, which are no order to drive to the thing.
+    "carry": """
         bring; fetch; carry; grab; lift; hold; hand; give; pass (me|us|him|her|it|them); pick; take;
-        deliver; collect; load;
-        unload; throw; put; place; drop; move; push; pull; drag; open; close; shut; lock; unlock;
-        press; touch; wash; wipe; mop; vacuum; clean; dust; tidy; cook; pour; feed; iron; water;
-        empty; fill; (switch|turn) (on|off|up|down); plug; unplug; make (me|us); get
-        (me|us|the|my|a|an|some|that|it|them); serve;
-        tow; stack; sort; fold; knock; fix; repair; build; wake; shake; cut; charge my; hug; help me
+        deliver; collect; load; unload; throw; put; place; drop; move; push; pull; drag; pour;
+        plug; unplug; make (me|us); get (me|us|the|my|a|an|some|that|it|them); serve; tow; stack;
+        fold; build; shake; cut; charge my; hug; help me; cook
+    """,
+    # Verbs of work at a thing: the robot drives there.
+    "work": """
+        open; close; shut; lock; unlock; press; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
+        feed; iron; water; empty; fill; (switch|turn) (on|off|up|down); knock; fix; repair; sort
     """,
     "talk": """
         tell; call; ring; phone; say; sing; ask; speak; talk; shout; message; text; email; remind;

@@ -19,7 +19,7 @@ _DRIVES = (
 _CANNOT = (
     (rf"{_OPENS_CLAUSE}{any_of('follow')}\b", "the robot cannot follow or lead; say where to go"),
     (
-        rf"{_OPENS_CLAUSE}{any_of('handle')}\b{_DRIVES}",
+        rf"{_OPENS_CLAUSE}{any_of('carry')}\b{_DRIVES}",
         "the robot has no arms; it can drive to things, so say for example 'find the mug'",
     ),
     (rf"{_OPENS_CLAUSE}{any_of('talk')}\b", "the robot answers here in text, and does no more"),
@@ -29,6 +29,7 @@ _CANNOT = (
         "the robot knows no times of day; say what to do now",
     ),
 )
+_WORK = re.compile(rf"{_OPENS_CLAUSE}{any_of('work')}\b", re.I)
 _OWNED = re.compile(rf"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>{PLAIN_NAME})")
 
 
@@ -48,3 +49,12 @@ def refuse_impossible(text: str) -> None:
         thing = owned["thing"]
         hint = f"the camera cannot see whose {thing} it is; say 'the {thing}'"
         raise UnclearError(f"instruction: {owned[0]!r}: {hint}", owned[0])
+
+
+def asks_for_work(text: str) -> bool:
+    """Return True if a text asks for work at a thing, to which the robot can only drive.
+
+    >>> asks_for_work("Wipe the table, then go home"), asks_for_work("Go to the clean table")
+    (True, False)
+    """
+    return _WORK.search(re.sub(r'"[^"]*"', '"x"', text)) is not None
