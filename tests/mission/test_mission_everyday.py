@@ -23,12 +23,13 @@ from edge.mission.language.tidy import tidied
 from edge.mission.language.tokens import TranslationError
 from edge.mission.spec import prepare, translate
 
-EVERYDAY = Path(__file__).with_name("everyday.jsonl")
+EVERYDAY = [Path(__file__).with_name(name) for name in ("everyday.jsonl", "everyday_b.jsonl")]
 NAMES = [item.name for item in SITE.items]
 
 
-def test_everyday_sentences_are_mostly_right_and_never_wrong():
-    scores = [score_everyday(case, TranslatorAuto()) for case in everyday_cases(EVERYDAY)]
+@pytest.mark.parametrize("path", EVERYDAY, ids=lambda path: path.stem)
+def test_everyday_sentences_are_mostly_right_and_never_wrong(path):
+    scores = [score_everyday(case, TranslatorAuto()) for case in everyday_cases(path)]
     wrong = [f"{s.case['said']}: {s.got}" for s in scores if s.outcome == "wrong"]
     assert not wrong
     assert sum(s.outcome == "right" for s in scores) >= 0.95 * len(scores)
@@ -47,6 +48,14 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong():
         ("Which rooms do you know?", MemoryQuestion("rooms")),
         ("What did you see in the office?", MemoryQuestion("seen", "", "office")),
         ("Where are you?", MemoryQuestion("self")),
+        (
+            "Tell me, is there a mug anywhere in the kitchen?",
+            MemoryQuestion("exists", "mug", "kitchen"),
+        ),
+        ("As far as you know, where is the mug?", MemoryQuestion("where", "mug")),
+        ("Where was the mug, last time you saw it?", MemoryQuestion("where", "mug")),
+        ("You got any mugs on your map?", MemoryQuestion("exists", "mugs")),
+        ("tell me what you did see", MemoryQuestion("seen")),
         ("What places do you know?", MemoryQuestion("places")),
         # Orders to learn.
         ("Remember this as the dock.", SiteOrder("place", "dock")),
@@ -56,11 +65,19 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong():
         ("Please stay out of the bathroom, I'm having a wash.", SiteOrder("keep_out", "bathroom")),
         ("You're not allowed in the dock!", SiteOrder("keep_out", "dock")),
         ("You may go into room 6 again, the isolation is over.", SiteOrder("open", "room 6")),
+        ("It's fine, you may go into room 6 again.", SiteOrder("open", "room 6")),
+        ("Room 6 is clean now, you can go in there again.", SiteOrder("open", "room 6")),
+        ("You never enter never the bathroom.", SiteOrder("keep_out", "bathroom")),
+        ("This spot, save it as the sewing corner.", SiteOrder("place", "sewing corner")),
+        ("You can forget the dock now.", SiteOrder("forget", "dock")),
         ("Stay in this room.", SiteOrder("stay_inside", "")),
         # Control.
         ("Stop!", Control("pause")),
         ("Wait here a couple of minutes while I sit down.", Control("pause", 120.0)),
         ("okay, you can continue now", Control("resume")),
+        ("Freeze, do not move!", Control("pause")),
+        ("Hang on right there for ten seconds.", Control("pause", 10.0)),
+        ("All clear, carry on with what you was doing.", Control("resume")),
         ("Never mind, forget it.", Control("cancel")),
     ],
 )
@@ -79,6 +96,8 @@ def test_what_is_no_mission(said, found):
         "wait two minutes, then go to the dock", "you may go into the kitchen",
         "stay out of the kitchen until you have found the mug", "do not go near the stove",
         "you are not in the kitchen", "is the sofa red?", "this is not the office",
+        "the kitchen is free now, you can go in there", "do not go to the kitchen before we leave",
+        "you got to go to the kitchen", "is there no mug?", "tell me about the kitchen",
     ],
 )  # fmt: skip
 def test_what_is_an_errand_or_not_clear_goes_to_the_translators(said):
@@ -102,6 +121,13 @@ def test_several_things_at_once_are_refused(said):
         ("find the red no the blue mug", "find the blue mug", ()),
         ("go to room 3 I mean room 4", "go to room 4", ()),
         ("Go in the kitchen, I heard a noise!", "Go in the kitchen", ("I heard a noise",)),
+        ("It's all right, go to the bed", "go to the bed", ("it is all right",)),
+        ("go to the bed, all clear", "go to the bed, all clear", ()),
+        ("Find the bag or the mug, you pick!", "Find the bag or the mug", ("you pick",)),
+        ("find the bag, is same for me", "find the bag", ("is same",)),
+        ("Track down a mug, will ya.", "Track down a mug", ()),
+        ("go to, like, the bed, like a guard", "go to, the bed", ()),
+        ("find a little robot", "find a little robot", ()),
         ("find the mug, it is the red one", "find the mug, it is the red one", ()),
         ("landmark one is first, landmark two is second",
          "landmark one is first, landmark two is second", ()),

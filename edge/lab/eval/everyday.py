@@ -125,7 +125,8 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
         return bool(re.search(_CONTROL[said.do], meaning)) and _seconds(case) == (said.seconds or 0)
     if isinstance(said, SiteOrder):
         fits = next((orders for words, orders in _LEARN if re.search(words, meaning)), ())
-        return said.do in fits and _plain(said.name or "this room") in (about, _plain(f"{about} room"))
+        name = _plain(said.name or "this room")
+        return said.do in fits and name in (about, _plain(f"{about} room"))
     named = f"{said.about} in {said.room}" if said.room and said.about else said.about or said.room
     return _plain(named) == about if named else about not in ("",) and said.topic != "where"
 

@@ -96,9 +96,7 @@ _PATROLS = compiled(
     """,
     PARTS,
 )
-_ROUNDS_FIRST = compiled(
-    "<count> {rounds} [of|between|around|through|from|in]* , <stops>", PARTS
-)
+_ROUNDS_FIRST = compiled("<count> {rounds} [of|between|around|through|from|in]* , <stops>", PARTS)
 _ERRAND_AND_BACK = compiled(
     """
     {drive} {over} to <thing> , {back} , <often>

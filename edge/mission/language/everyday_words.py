@@ -120,11 +120,12 @@ _ROWS: dict[str, str] = {
         bring; fetch; carry; grab; lift; hold; hand; give; pass (me|us|him|her|it|them); pick; take;
         deliver; collect; load; unload; throw; put; place; drop; move; push; pull; drag; pour;
         plug; unplug; make (me|us); get (me|us|the|my|a|an|some|that|it|them); serve; tow; stack;
-        fold; build; shake; cut; charge my; hug; help me; cook
+        fold; build; shake; cut; charge my; hug; help me; cook;
+        press
     """,
     # Verbs of work at a thing: the robot drives there.
     "work": """
-        open; close; shut; lock; unlock; press; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
+        open; close; shut; lock; unlock; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
         feed; iron; water; empty; fill; (switch|turn) (on|off|up|down); knock; fix; repair; sort
     """,
     "talk": """
@@ -222,7 +223,9 @@ _STATES = nouns.listed(
     dangerous far near close alone warm cold hot dry wet missing awake asleep charged running
     working okay ok"""
 )
-_UNNAMED = {"no", "other", "another", "same", "every", "each", "all", "both", "anything", "something"}
+_UNNAMED = {
+    "no", "other", "another", "same", "every", "each", "all", "both", "anything", "something",
+}  # fmt: skip
 
 
 def is_vague(name: str) -> bool:

@@ -42,7 +42,9 @@ _RESTART = re.compile(
     r"\b((?:where|what|go|is|did|can|could|find|look)(?: [\w']+){1,3}),?(?: \1\b)+", re.I
 )
 _LIKE = re.compile(
-    rf"\b(?:like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )you know),? (?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})", re.I
+    r"\b(?:like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )you know),? "
+    rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})",
+    re.I,
 )
 _MARK = rf"[ ,.]*\b{any_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 _CORRECTS = re.compile(_MARK, re.I)

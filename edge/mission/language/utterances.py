@@ -34,8 +34,8 @@ PARTS = {
             "keep in mind|know) [that|down]",
     "go": """
         [to|even|also] (go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
-        wander|get|getting|be|run|back|inside|into|in) [never|ever|back] [in|into|inside|to|over|near|at|on|
-        through]*
+        wander|get|getting|be|run|back|inside|into|in) [never|ever|back]
+        [in|into|inside|to|over|near|at|on|through]*
         """,
     "may": """
         [again|now|and|so|okay]* [you|robot|the robot] (may|can|could|are allowed [to]|
@@ -93,8 +93,8 @@ QUESTIONS = {
         (list|name) [me] [all|the|your|known]* places ...
     """,
     "seen": """
-        {tell} (what|which things|which objects|what things|what objects) [all|else] {you} [all|everything]
-            {seen} {in} [out there|in there|there|with your camera|all]* {last}
+        {tell} (what|which things|which objects|what things|what objects) [all|else] {you}
+            [all|everything] {seen} {in} [out there|in there|there|with your camera|all]* {last}
         (what|which things|which objects) [all|else] [you have|you did|have you] {seen} {in} {last}
         what (is|was|are) [there] (in|inside) <room> {last}
         {tell} [me] (what|all|everything) [that|what] you [have|did|all]* {seen} {in} {last}
@@ -173,8 +173,8 @@ ORDERS = {
             (anymore|any more|any longer|now)
     """,
     "forget": """
-        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn) [about] [the (place|room|zone|spot|name)]
-            [called|named]
+        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn) [about]
+            [the (place|room|zone|spot|name)] [called|named]
             <site> [from your (map|memory|list)|from the map|from memory|as a place|from (your|the)
             (places|list|memory|map)] {while}
     """,
@@ -205,13 +205,15 @@ CONTROL = {
             (go on|carry on|continue|resume|keep going|keep on|keep moving|keep driving|get
             moving|get going|go ahead|
             proceed|move on|drive on|start again|move again|go again|drive again|unpause)
-            [now|then|again|please|with|as before|what you (were|was) doing [before]|where you left off|
-            where you stopped|from where you stopped|doing that|driving|searching|looking]* {task}
+            [now|then|again|please|with|as before|what you (were|was) doing [before]|
+            where you left off|where you stopped|from where you stopped|doing that|driving|
+            searching|looking]* {task}
     """,
     "cancel": """
         (cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} [about
             (it|that)]
-        [you (can|may)] forget (it|that|about it|about that|everything|what i said|the mission|the task)
+        [you (can|may)] forget (it|that|about it|about that|everything|what i said|
+            the mission|the task)
         (stop|end) (searching|looking|exploring|patrolling|the|your)
             [search|mission|task|patrol|tour|errand|rounds|job|for it]
     """,
@@ -227,8 +229,9 @@ CONTROL = {
             tight|stand
             by|
             hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
-            [right here|right there|here|there|in here|in place|on the spot|where you are|for me|still|please|
-            just|in this (spot|place)|at this (spot|place)|exactly|a (bit|moment|second|sec|while)]*
+            [right here|right there|here|there|in here|in place|on the spot|where you are|for me|
+            still|please|just|in this (spot|place)|at this (spot|place)|exactly|a (bit|moment|
+            second|sec|while)]*
             [for] [<span>] [here|there|please|now|more|longer|then]* {reason}
     """,
 }
