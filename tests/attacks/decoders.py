@@ -12,7 +12,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from ros_messages import FAREWELLS, STORE, header, pose, to_ros
+from ros_messages import (
+    DOCK_FAREWELLS,
+    FAREWELLS,
+    STORE,
+    UNDOCK_FAREWELLS,
+    header,
+    pose,
+    to_ros,
+)
 from ros_robots import LOCALIZED
 
 import edge
@@ -191,6 +199,16 @@ DECODERS = {
         navigation.decode_result,
         tuple(encode(6, 103, "no way") for encode, _ in FAREWELLS.values()),
         ("decode_result",),
+    ),
+    "dock result": Decoder(
+        navigation.decode_dock_result,
+        tuple(encode(6, 903, "no way") for encode, _ in DOCK_FAREWELLS.values()),
+        ("decode_dock_result",),
+    ),
+    "undock result": Decoder(
+        navigation.decode_undock_result,
+        tuple(encode(6, 903, "no way") for encode, _ in UNDOCK_FAREWELLS.values()),
+        ("decode_undock_result",),
     ),
     "goal feedback": Decoder(navigation.decode_feedback, (_feedback(),), ("decode_feedback",)),
     "goal statuses": Decoder(
