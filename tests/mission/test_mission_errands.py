@@ -55,6 +55,7 @@ PLACES = ["dock", "loading bay 2"]
         ("scout the office before we start", 'go to "explored office"'),
         ("explore me the office, only this room", 'go to "explored office"'),
         ("go into the office and look if is there a mug", 'go to "check mug in the office"'),
+        ("go in the office and see if the mug is there", 'go to "check mug in the office"'),
         ("go to the bed and check if there is a mug", 'go to the bed, then go to "check mug"'),
         # Exploring.
         ("explore", 'go to "explored"'),

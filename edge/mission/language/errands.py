@@ -45,6 +45,8 @@ _CHECKS = compiled(
     """
     {then} {drive} {over} (in|into|to|inside) <into> and [then] {check}
             ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
+    {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <thing> (is|are)
+            {still} (there|in there)
     {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
     {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
     {then} {goes} {check} {if} <thing> (is|are) {at}

@@ -31,7 +31,8 @@ _ROWS: dict[str, str] = {
         (could|would); be a (dear|pal|darling|sweetheart|good robot) and; do me a favour and;
         do me a favor and; go ahead and; make sure (to|you|that you); be sure to; try to; let us;
         i wonder if you could; time to; in your memory; hurry up and; hurry and;
-        be the guard and; be a guard and; come on; follow the plan and; please to
+        as far as you (know|remember); be the guard and; be a guard and; come on;
+        follow the plan and; please to
     """,
     "closing": """
         please; thanks; thank you; thank you very much; dear; love; buddy; robot; okay; ok; mate;
@@ -47,7 +48,8 @@ _ROWS: dict[str, str] = {
         for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
         (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
         (about|around); will (ya|you); would ya; off you go; with you; little (one|robot|friend);
-        do remember (that|it|); every (bit|part|inch|corner) of it;
+        do remember (that|it); as far as you (know|remember);
+        every (bit|part|inch|corner) of it;
         like a (guard|policeman|robot|spy)
     """,
     # A self-correction: "the bedroom, no, I mean the office".

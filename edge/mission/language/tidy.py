@@ -23,7 +23,7 @@ _MORE = {
     "whats": "what is", "wheres": "where is", "didnt": "did not", "that's": "that is",
     "here's": "here is", "ive": "i have", "lemme": "let me", "theres": "there is", "till": "until",
     "thats": "that is", "id": "i would", "'til": "until", "how's": "how is",
-    "whichever's": "whichever is",
+    "whichever's": "whichever is", "everything's": "everything is",
 }  # fmt: skip
 _IS = re.compile(
     rf"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone)\b|"

@@ -120,7 +120,7 @@ QUESTIONS = {
     """,
     "exists": """
         (can|could|do) you [still] see <thing> {in} {last}
-        {you} {seen} [any|of|already]* <thing>
+        {tell} {you} {seen} [any|of|already]* <thing>
             {in} {last}
         seen [any|of|already]* <thing> {in} {last}
         {tell} [is|was|are|were] there <thing> {in} {last}
@@ -225,7 +225,8 @@ CONTROL = {
             stop it|stop that) {there} {reason}
         (pause|interrupt|suspend) {task} {there}
         {halt} {there} [{halt} {there}]* {reason}
-        (wait|stay|stop|stand|stand still|pause|remain|hold [on|up]|hang on|rest|park|sit
+        (wait|stay|stop|do not move|stand|
+            stand still|pause|remain|hold [on|up]|hang on|rest|park|sit
             tight|stand
             by|
             hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
@@ -243,7 +244,7 @@ REASONS = """
             do not|did not|can not|finished|moved|do|did|hear|see) ...
     [it|that] [is|makes] (all|no)* [the] (same|one|difference) [for me|for us|to me|to us]
     (no worries|no problem|no hurry|no rush|as you like|as you wish)
-    as far as (you|we) (know|remember|can tell)
+    [it] does not matter [to me|to us] [which|which one]
     you (pick|choose|decide)
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
             (secret|cold|dark|late|urgent|important|
