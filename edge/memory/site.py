@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
+import cv2
 import numpy as np
 from pydantic import (
     AfterValidator,
@@ -165,6 +166,19 @@ class Site:
     def polygons_m(self, kind: str) -> list[np.ndarray]:
         """Return the corners of all zones of a kind, each (n, 2) float64."""
         return [np.array(zone.corners_m) for zone in self.zones if zone.kind == kind]
+
+    def closed_by(self, x_m: float, y_m: float) -> str:
+        """Return the name of a zone that closes a point in `map`; "" if none does."""
+
+        def covers(zone: Zone) -> bool:
+            ring = np.array(zone.corners_m, np.float32)
+            return cv2.pointPolygonTest(ring, (x_m, y_m), measureDist=False) >= 0
+
+        for zone in self.zones:
+            if zone.kind == "keep_out" and covers(zone):
+                return zone.name
+        stay = [zone for zone in self.zones if zone.kind == "stay_inside"]
+        return "" if not stay or any(map(covers, stay)) else stay[0].name
 
     def with_item(self, item: Item) -> Site:
         """Return the site with an item added; it replaces the one of the same name.

@@ -18,6 +18,7 @@ from edge.mission.destinations import (
     CheckTarget,
     Destination,
     ExploreTarget,
+    PlaceTarget,
     RoomTarget,
     WaitTarget,
     describe_destination,
@@ -230,12 +231,14 @@ def located(translation: Translation, site: Site) -> Translation:
 
     Raises:
         DestinationError: see `destination_of`.
+        MissionError: a zone closes a place.
     """
     found: dict[str, Destination] = {}
     english = translation.english
     for letter in ltl.propositions(translation.formula):
         destination = destination_of(letter, site)
         if destination is not None:
+            _refuse_closed(letter, destination, site)
             found[letter] = destination
             plain = describe_destination(letter, destination)
             english = english.replace(f'"{letter}"', plain)
@@ -243,6 +246,17 @@ def located(translation: Translation, site: Site) -> Translation:
     if found and orders and translation.english.startswith(described):
         english = orders + translation.english[len(described) :]
     return replace(translation, destinations=found, english=english)
+
+
+def _refuse_closed(name: str, destination: Destination, site: Site) -> None:
+    """Refuse a place that a zone closes, to which no path can lead."""
+    if isinstance(destination, PlaceTarget) and (pose := destination.pose) is not None:
+        zone = site.closed_by(pose.x_m, pose.y_m)
+        if zone:
+            raise MissionError(
+                f"mission: {one_line(name)} is closed by the zone {one_line(zone)!r}; remove the "
+                "zone or name another place"
+            )
 
 
 def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:

@@ -7,7 +7,7 @@ import pytest
 from edge.config import MissionConfig, parse
 from edge.errors import UserError
 from edge.geometry import SE2
-from edge.memory import Place, Site
+from edge.memory import Place, Site, Zone
 from edge.mission.destinations import PlaceTarget
 from edge.mission.language.places import quote_places
 from edge.mission.spec import prepare
@@ -32,6 +32,26 @@ NAMES = [place.name for place in SITE.places]
 )
 def test_places_are_put_into_quotes(instruction, quoted):
     assert quote_places(instruction, NAMES) == quoted
+
+
+@pytest.mark.parametrize(
+    ("kind", "low_m", "high_m", "refused"),
+    [
+        ("keep_out", 0.5, 2.5, True),
+        ("keep_out", 2.5, 5.0, False),
+        ("stay_inside", 0.5, 2.5, False),
+        ("stay_inside", 2.5, 5.0, True),
+    ],
+)
+def test_a_place_that_a_zone_closes_is_refused(kind, low_m, high_m, refused):
+    corners_m = ((low_m, low_m), (high_m, low_m), (high_m, high_m), (low_m, high_m))
+    site = SITE.with_item(Zone("yard", kind, corners_m))
+    config = MissionConfig(translator={"kind": "grammar"})
+    if not refused:
+        assert prepare(config, "go to the dock", site=site).targets == ("dock",)
+        return
+    with pytest.raises(UserError, match=r"dock is closed by the zone 'yard'; remove the zone or"):
+        prepare(config, "go to the dock", site=site)
 
 
 def briefed(instruction: str):
