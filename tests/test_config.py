@@ -6,17 +6,27 @@ import math
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from simulated import simulated
 
 from edge import config
-from edge.config import Config, ConfigError, MappingConfig, RobotConfig, load, parse
+from edge.config import (
+    UNKNOWN_RADIUS_M,
+    Config,
+    ConfigError,
+    MappingConfig,
+    RobotConfig,
+    load,
+    parse,
+)
 from edge.config.explain import models_in
 from edge.config.removed import REMOVED
 from edge.config.yaml_text import parse_yaml
 from edge.geometry import MIN_FOCAL
 from edge.host import resources
+from edge.mapping.grid import RollingMap
 
 READY = sorted(resources.data_dir("config").glob("*.yaml"))
 
@@ -151,6 +161,11 @@ FAULTS = [
         "set extent_m to at most 204, or resolution_m to at least 0.123",
     ),
     (
+        {"mapping": {"resolution_m": 0.032}},
+        "f.yaml: mapping.resolution_m: 0.032: too fine for policy.kind hvl, which counts unknown "
+        "cells within 1 m: set mapping.resolution_m to at least 0.0323, or another policy.kind",
+    ),
+    (
         {"sensors": {"camera": {"width_px": 16, "height_px": 4096}}},
         "f.yaml: sensors.camera: hfov_deg 75 at width_px 16, height_px 4096: not a camera: ",
     ),
@@ -275,6 +290,19 @@ def test_a_fault_is_one_line_with_file_key_and_remedy(data, line):
     text = str(error.value)
     assert text.startswith(line)
     assert "\n" not in text
+
+
+def test_hvl_works_with_the_finest_cells_that_its_error_names():
+    config = simulated({"mapping": {"resolution_m": 0.0323, "extent_m": 12.0, "range_m": 3.0}})
+    share = np.zeros(1, np.float32)
+    grid = RollingMap(config.mapping, config.robot)
+    grid.unknown_ratio(np.zeros((1, 2), np.float32), 1, UNKNOWN_RADIUS_M, share)
+    assert share.tolist() == [1.0]
+
+
+def test_a_policy_that_counts_no_unknown_cells_may_have_finer_ones():
+    data = {"policy": {"kind": "nearest_frontier"}, "mapping": {"resolution_m": 0.02}}
+    assert simulated(data).mapping.resolution_m == 0.02
 
 
 def test_every_fault_has_its_line():

@@ -11,7 +11,7 @@ Example:
 """
 
 from edge.config.loop import HttpConfig, LoopConfig, ReportConfig, SourceConfig, ZenohConfig
-from edge.config.mapping import MappingConfig
+from edge.config.mapping import MAX_RADIUS_CELLS, MappingConfig
 from edge.config.mission import (
     MissionConfig,
     PlannerInOrder,
@@ -41,6 +41,7 @@ from edge.config.perception import (
     SwapConfig,
 )
 from edge.config.policy import (
+    UNKNOWN_RADIUS_M,
     PolicyAdaptive,
     PolicyDirectional,
     PolicyHvl,
@@ -71,6 +72,8 @@ from edge.config.tasks import (
 from edge.errors import ConfigError
 
 __all__ = [
+    "MAX_RADIUS_CELLS",
+    "UNKNOWN_RADIUS_M",
     "Camera",
     "ChoiceCooccurrence",
     "ChoiceNone",

@@ -9,6 +9,8 @@ from pydantic import Field, model_validator
 
 from edge.config.section import NonNegative, Positive, Section
 
+MAX_RADIUS_CELLS = 31
+"""Largest radius of the circle in which unknown cells are counted: a row must fit 64 bits."""
 MAX_CELLS = 4096
 """Most cells on a side. The map allocates about 10 bytes for each cell at the start."""
 

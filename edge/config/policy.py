@@ -16,6 +16,9 @@ from edge.config.section import (
     kind_of,
 )
 
+UNKNOWN_RADIUS_M = 1.0
+"""Radius of the circle around a frontier in which `hvl` counts unknown cells (VL-Nav eq. 6)."""
+
 
 class _Selection(Section):
     """Keys of all policies: the selection by score (VL-Nav algorithm 2).

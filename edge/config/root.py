@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping as Map
 from types import MappingProxyType
@@ -20,10 +21,16 @@ from edge.config.loop import (
     SourceConfig,
     ZenohConfig,
 )
-from edge.config.mapping import MappingConfig
+from edge.config.mapping import MAX_RADIUS_CELLS, MappingConfig
 from edge.config.mission import MissionConfig
 from edge.config.perception import PerceptionConfig
-from edge.config.policy import Policy, PolicyAdaptive, PolicyHvl, PolicyPlugin
+from edge.config.policy import (
+    UNKNOWN_RADIUS_M,
+    Policy,
+    PolicyAdaptive,
+    PolicyHvl,
+    PolicyPlugin,
+)
 from edge.config.removed import drop_removed_keys
 from edge.config.robot import MotionConfig, RobotConfig, SensorsConfig
 from edge.config.ros2 import Ros2Config
@@ -161,6 +168,16 @@ class Config(Section):
             return None if self.policy.by == "prior" else self.policy.by
         return _GOES_BY.get(self.policy.kind)
 
+    def _check_cells(self) -> None:
+        cell_m = self.mapping.resolution_m
+        if isinstance(self.policy, PolicyHvl) and MAX_RADIUS_CELLS * cell_m < UNKNOWN_RADIUS_M:
+            least_m = math.ceil(1e4 * UNKNOWN_RADIUS_M / MAX_RADIUS_CELLS) / 1e4
+            raise ConfigError(
+                f"{self.at('mapping.resolution_m', 'policy.kind')}: {cell_m:g}: too fine for "
+                f"policy.kind hvl, which counts unknown cells within {UNKNOWN_RADIUS_M:g} m: set "
+                f"mapping.resolution_m to at least {least_m:g}, or another policy.kind"
+            )
+
     def _scorers_there(self) -> list[ValueSource]:
         similar: list[ValueSource] = [] if self.perception.similarity is None else ["similarity"]
         return similar if self.perception.choice.kind == "none" else ["choice", *similar]
@@ -178,7 +195,12 @@ class Config(Section):
             )
 
     def check_policy(self) -> None:
-        """Raise ConfigError if the policy needs a scorer, or a scorer a prior, that is not set."""
+        """Refuse a policy that lacks a scorer or needs larger cells, or a scorer without a prior.
+
+        Raises:
+            ConfigError: one line: the key, and what to set.
+        """
+        self._check_cells()
         source, kind = self.value_source, self.policy.kind
         if source is not None and source not in self._scorers_there():
             raise ConfigError(

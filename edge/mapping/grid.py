@@ -274,9 +274,9 @@ class RollingMap:
             ValueError: the radius is over 31 cells.
         """
         if self._flood_disc[0] != radius_m:
-            if radius_m > unknown.MAX_RADIUS_CELLS * self.resolution_m:
+            if radius_m > config.MAX_RADIUS_CELLS * self.resolution_m:
                 raise ValueError(
-                    f"unknown-area radius {radius_m} m: the limit is {unknown.MAX_RADIUS_CELLS} "
+                    f"unknown-area radius {radius_m} m: the limit is {config.MAX_RADIUS_CELLS} "
                     f"cells of {self.resolution_m} m"
                 )
             self._flood_disc = (radius_m, ly.disc_half_widths(radius_m / self.resolution_m))

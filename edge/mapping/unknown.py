@@ -7,9 +7,6 @@ import math
 import numpy as np
 from numba import njit
 
-# A row of the disc must fit one 64-bit word.
-MAX_RADIUS_CELLS = 31
-
 
 @njit(nogil=True, cache=True, inline="always")
 def _popcount(x):
@@ -51,8 +48,8 @@ def unknown_ratios(
 
     The search starts at the point's cell, crosses unknown and free cells, and stays within the disc
     and the window. A point on a blocked cell or outside the window has ratio 0. `disc` has the half
-    widths of the disc's rows, at most MAX_RADIUS_CELLS. `passable` and `flooded` are (64,) uint64
-    scratch.
+    widths of the disc's rows, at most `edge.config.MAX_RADIUS_CELLS`. `passable` and
+    `flooded` are (64,) uint64 scratch.
     """
     n = known.shape[0]
     words = n >> 6

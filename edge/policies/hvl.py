@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from edge.config import PolicyHvl
+from edge.config import UNKNOWN_RADIUS_M, PolicyHvl
 from edge.geometry import optical_yaw_rad
 from edge.perception.prior import table
 from edge.policies.base import FRONTIER, PolicyInput, Why, distances_m
@@ -15,8 +15,8 @@ from edge.types import Detections
 
 SIGMA_RAD = 0.1
 """Standard deviation in eq. 3: angular width of a detection's evidence."""
-UNKNOWN_K, UNKNOWN_RADIUS_M = 2.0, 1.0
-"""Constant k of eq. 6, and radius of the circle in which the unknown ratio is measured."""
+UNKNOWN_K = 2.0
+"""Constant k of eq. 6."""
 
 
 class HvlPolicy:
