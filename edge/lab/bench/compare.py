@@ -116,7 +116,7 @@ class Bench:
         """Return the measurement, or one line of text that says why there is none."""
         if not variant.card.is_here():
             return f"not here: {install_hint(variant.card)}"
-        asked = {"model": variant.card.name, "providers": PROVIDERS[variant.on]}
+        asked = {"model": variant.card.name, "providers": PROVIDERS[variant.provider]}
         detector = self.job.detector.model_copy(update=asked)
         return run_isolated(MEASURE, replace(self.job, detector=detector), self.limit_s, _LIMIT)
 
@@ -179,7 +179,7 @@ def compare(
 def _run_all(bench: Bench, todo: Sequence[Variant]) -> Results:
     results = []
     for number, variant in enumerate(todo, 1):
-        log.info("%d of %d: %s on %s", number, len(todo), variant.card.name, variant.on)
+        log.info("%d of %d: %s on %s", number, len(todo), variant.card.name, variant.provider)
         results.append((variant, bench.run(variant)))
     return results
 
@@ -191,7 +191,7 @@ def _row(
     pictures: BenchFrames,
     prompts: tuple[str, ...],
 ) -> dict[str, Any]:
-    row = {"name": variant.card.name, "on": variant.on}
+    row = {"name": variant.card.name, "on": variant.provider}
     if isinstance(result, str):
         state = "failed" if variant.card.is_here() else "missing"
         return {**row, "state": state, "why": result}
@@ -263,7 +263,7 @@ def _again(bench: Bench, results: Results) -> dict[str, Any] | None:
     before, after = (latency_ms(r.stages_ns)["session"]["p50"] for r in (first, second))
     return {
         "name": variant.card.name,
-        "on": variant.on,
+        "on": variant.provider,
         "session_ms": after,
         "ratio": round(after / before, 3) if before else 1.0,
     }

@@ -1,4 +1,4 @@
-"""Measurement of one detector in its own process (see `alone`)."""
+"""Speed and memory of one detector, measured in its own process (`edge.lab.bench.isolated`)."""
 
 from __future__ import annotations
 

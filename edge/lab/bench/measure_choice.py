@@ -1,4 +1,7 @@
-"""Measurement of one direction-choice model in its own process (see `alone`)."""
+"""Speed and memory of one direction-choice model, measured in its own process.
+
+`edge.lab.bench.isolated` starts the process.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Variants to compare: the cards of a family, each on the providers that this machine has."""
+"""Variants that `edge bench --models` compares: each detector of a family on each runtime here.
+
+A runtime is a provider of `PROVIDERS` (CPU, CUDA, TensorRT).
+"""
 
 from __future__ import annotations
 
@@ -31,10 +34,15 @@ _CPU_ONLY = ("int8-cpu",)
 
 
 class Variant(NamedTuple):
-    """A card on a provider of `PROVIDERS`."""
+    """One detector (model card) on one provider.
+
+    Attributes:
+        card: the detector's model card.
+        provider: a name of `PROVIDERS`.
+    """
 
     card: DetectCard
-    on: str
+    provider: str
 
 
 def families() -> list[str]:
@@ -42,12 +50,12 @@ def families() -> list[str]:
     return sorted({card.family for card in all_cards() if isinstance(card, DetectCard)})
 
 
-def variants(family: str, ons: Sequence[str]) -> list[Variant]:
+def variants(family: str, providers: Sequence[str]) -> list[Variant]:
     """Return the variants of a family, sorted by provider, then input size, then precision.
 
     Args:
         family: the cards' family.
-        ons: names of `PROVIDERS` to use.
+        providers: names of `PROVIDERS` to use.
 
     Raises:
         UserError: the family has no detector; the message lists those that have one.
@@ -58,13 +66,17 @@ def variants(family: str, ons: Sequence[str]) -> list[Variant]:
         raise UserError(f"bench --models: no detector of family {family!r} (choices: {choices})")
     cards.sort(key=lambda c: (c.input.height * c.input.width, _PRECISIONS.index(c.precision)))
     return [
-        Variant(card, on) for on in PROVIDERS if on in ons for card in cards if runs_on(card, on)
+        Variant(card, name)
+        for name in PROVIDERS
+        if name in providers
+        for card in cards
+        if runs_on(card, name)
     ]
 
 
-def runs_on(card: DetectCard | DirectionsCard, on: str) -> bool:
+def runs_on(card: DetectCard | DirectionsCard, provider: str) -> bool:
     """Return True if a card can run on a provider of `PROVIDERS`."""
-    return on == "cpu" or card.precision not in _CPU_ONLY
+    return provider == "cpu" or card.precision not in _CPU_ONLY
 
 
 def providers_here(asked: str | None) -> list[str]:

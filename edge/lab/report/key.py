@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from edge.lab.report import palette, tasks, way
+from edge.lab.report import palette, path_plot, tasks
 from edge.lab.report.marks import dart
 from edge.lab.report.record import RunRecord
 
@@ -29,7 +29,7 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
         mark("target seen here", "o", palette.TARGET, "white", 8),
         mark("other instance", "o", palette.INSTANCE, "white", 7),
     ]
-    if way.by_target(record):
+    if path_plot.is_coloured_by_target(record):
         reached = palette.OUTCOME["reached"]
         seen = [mark("reached, numbered in order", "o", reached, "white", 12)]
     handles = [

@@ -1,4 +1,4 @@
-"""The robot's path on the map, coloured by the pursued target, or by time."""
+"""Drawing of the robot's path on the map of a report, coloured by pursued target or by time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Rect = tuple[float, float, float, float]
 
 
-def by_target(record: RunRecord) -> bool:
+def is_coloured_by_target(record: RunRecord) -> bool:
     """Return True if the path is coloured by target: several were pursued, each with a colour.
 
     A task's path is coloured by time: the objects that a task names are not its goals.
@@ -46,7 +46,7 @@ def draw(figure: Figure, axes: Axes, record: RunRecord, place: Rect) -> None:
     axes.plot(points[:, 0], points[:, 1], color="white", lw=5.0, zorder=3, solid_capstyle="round")
     segments = np.stack([points[:-1], points[1:]], axis=1)
     lines = LineCollection(list(segments), cmap="viridis", lw=2.6, zorder=4, capstyle="round")
-    if by_target(record):
+    if is_coloured_by_target(record):
         lines.set_color(_colours(record))
         _targets(figure, record, place)
     else:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from edge.geometry import downsample
-from edge.lab.report import key, marks, palette, raster, tasks, way
+from edge.lab.report import key, marks, palette, path_plot, raster, tasks
 from edge.lab.report.canvas import content
 from edge.lab.report.record import RunRecord
 
@@ -65,7 +65,7 @@ def png(record: RunRecord) -> bytes:
     marks.zones(axes, record)
     tasks.draw(axes, record)
     right, below_in = LEFT_IN + layout.map_width, 3.3 + LINE_IN * n_more
-    way.draw(figure, axes, record, layout.place(right + 0.3, TOP_IN + below_in, 0.17, 1.8))
+    path_plot.draw(figure, axes, record, layout.place(right + 0.3, TOP_IN + below_in, 0.17, 1.8))
     marks.goals(axes, record, layout.marks)
     taken: list[raster.Box] = []
     marks.instances(axes, record, layout.marks, taken)

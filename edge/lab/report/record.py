@@ -60,8 +60,8 @@ class ChoiceFrame:
     """A model's answer about directions, with its image.
 
     Attributes:
-        stamp_ns: of the image.
-        rgb: (h, w, 3) uint8, with letters.
+        stamp_ns: time at which the image was taken.
+        rgb: (h, w, 3) uint8, the image with letters drawn on it.
         target: object that the question was about.
         letters: (letter, P of ViTL eq. 4) of the marks that still exist.
         elsewhere: see `FrontierChoice`.
@@ -82,9 +82,10 @@ class RunRecord:
 
     Attributes:
         targets: boxes and instances with these names, or synonyms, are targets.
-        story: instruction, translation and outcome of the mission; None if unknown.
+        mission_facts: instruction, translation and outcome of the mission; None if unknown.
         task: the task at the end of the run; None if the mission was no task.
-        driven: the task at the start of each of its trajectories, in order of time.
+        task_at_trajectory_start: status of the task when each of its trajectories began, in order
+            of time.
         start_ns: stamp that `trajectory_t_s` and `events` count from.
         trajectory: (n, 3) float64: x_m, y_m, yaw_rad in `map`.
         trajectory_t_s: (n,) float64.
@@ -92,6 +93,7 @@ class RunRecord:
         objects: remembered objects, the most confident first.
         rooms: rooms of the map.
         site: places and zones.
+        asked: questions to the direction model with its answers, in order of time.
         values: value maps by name, uint8, 0 for no value.
         events: (t_s, text) in order of time.
         config: the whole configuration as JSON types, without the secrets of its URLs.
@@ -123,7 +125,7 @@ class RunRecord:
     machine: str = ""
     mission_facts: MissionFacts | None = None
     task: TaskStatus | None = None
-    driven: tuple[TaskStatus, ...] = ()
+    task_at_trajectory_start: tuple[TaskStatus, ...] = ()
 
     @property
     def has_single_target(self) -> bool:
@@ -143,8 +145,9 @@ class RunRecord:
         """The task at the start of each trajectory; at the end of the run for the last one."""
         last = self.task
         if last is None or last.refined is None:
-            return self.driven
-        return (*(one for one in self.driven if one.refined is not last.refined), last)
+            return self.task_at_trajectory_start
+        begun = self.task_at_trajectory_start
+        return (*(one for one in begun if one.refined is not last.refined), last)
 
     @property
     def reached(self) -> tuple[MissionEvent, ...]:

@@ -135,7 +135,7 @@ class ReportRecorder:
             machine=machine(),
             mission_facts=story,
             task=end.task(),
-            driven=self._driven.items(),
+            task_at_trajectory_start=self._driven.items(),
         )
 
 

@@ -43,7 +43,7 @@ def test_every_trajectory_is_told_and_drawn(done):
         understood="to gate 5", coarse_m=first.coarse_m + 1.0, refined=replace(first.refined)
     )
     last = replace(second, phase="reached", refined=replace(first.refined), refinements=3)
-    record = replace(done, task=last, driven=(first, second, last))
+    record = replace(done, task=last, task_at_trajectory_start=(first, second, last))
     html = tasks.section(record, linked=False)
     for words in (
         "<dt>trajectory 1</dt><dd>past the left of van 1: ", "<dt>trajectory 2</dt><dd>to gate 5: ",
@@ -64,7 +64,11 @@ def test_the_recorder_keeps_each_trajectory():
     recorder.tick(result(task=lambda: replace(first, index=50), events=(event,)))
     recorder.tick(result(task=looking, events=(event,)))
     kept = recorder.record(result(task=looking), {})
-    assert (kept.task.phase, kept.driven, kept.trajectories) == ("looking", (first,), (first,))
+    assert (kept.task.phase, kept.task_at_trajectory_start, kept.trajectories) == (
+        "looking",
+        (first,),
+        (first,),
+    )
 
 
 def test_a_task_that_was_never_written_says_what_was_missing(done):
