@@ -1,4 +1,4 @@
-"""Encoding of grids and camera images for the page."""
+"""Maps and camera images as JSON for the live page."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ _FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
 def grid_json(grid: Grid) -> dict[str, Any]:
-    """Return a grid of bytes: its pose, and its cells as a grey PNG with row 0 (lowest y) on top.
+    """Return a map as JSON: pose, cell size, and the cells as a grey PNG in base64.
 
-    Occupancy -1 becomes 255.
+    Row 0 of the picture is the lowest y. Occupancy -1 becomes 255. A grid with a side over
+    `MAX_SIDE` cells is made coarser.
     """
     grid = downsample(grid, MAX_SIDE)
     height, width = grid.cells.shape
@@ -32,7 +33,10 @@ def grid_json(grid: Grid) -> dict[str, Any]:
 
 
 def shot_json(shot: CameraShot) -> dict[str, Any]:
-    """Return a camera image as JPEG, with boxes and letters."""
+    """Return a camera image as JSON: a JPEG in base64, boxes, and the letters that mark directions.
+
+    Positions of boxes and letters are fractions of the image's width and height.
+    """
     height, width = shot.rgb.shape[:2]
     bgr = cv2.cvtColor(shot.rgb, cv2.COLOR_RGB2BGR)
     return {

@@ -1,4 +1,4 @@
-"""Exploration policy of this project: expected new area over path length, times the prior."""
+"""Exploration policy `search`: prefers candidates that show much new area after a short drive."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ START_M = 1.0
 
 
 class SearchPolicy:
-    """Policy that scores frontiers and looks by sqrt(gain) / (path length + `START_M`).
+    """Policy that scores frontiers and turns on the spot by new area over path length.
 
-    The square root gives diminishing returns: each additional square metre is worth less. A
-    frontier's score is multiplied by the prior's likelihood ratio. Without a prior, the policy
-    explores by geometry.
+    The score is sqrt(new area in m²) / (path length in m + `START_M`). The square root gives
+    diminishing returns: each additional square metre is worth less. If there is a prior (rooms and
+    objects near which the target is likely), a frontier's score is multiplied by its likelihood
+    ratio. A known object is scored by sqrt(confidence) / (path length + `START_M`).
     """
 
     def __init__(self, config: PolicySearch) -> None:

@@ -149,7 +149,7 @@ def drive_to(
 
 def worlds_of(config: Config, specs: list[str]) -> Iterator[tuple[Config, World]]:
     """Yield the configuration and the world of each house whose rooms have kinds."""
-    for section in world_list.sections(specs):
+    for section in world_list.world_sections(specs):
         data = data_of(config)
         data["sim"]["world"] = section
         here = parse(data, config.path)

@@ -151,7 +151,7 @@ def _columns(args: argparse.Namespace) -> dict[str, cols.Data]:
 def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     if args.episodes is not None:
         return eps.read(args.episodes)[: args.limit]
-    worlds = world_list.sections(args.worlds or ())
+    worlds = world_list.world_sections(args.worlds or ())
     asked = args.targets or ("common" if worlds else TARGETS)
     targets = eps.COMMON_TARGETS if asked == "common" else [t.strip() for t in asked.split(",")]
     targets = [target for target in targets if target]

@@ -15,8 +15,8 @@ from edge.lab.sim.base import World
 from edge.lab.sim.procthor import read_houses
 from edge.lab.sim.worlds import load_world
 
-Section = dict[str, Any]
-"""`sim.world` of a configuration."""
+WorldSection = dict[str, Any]
+"""Value of `sim.world` in a configuration."""
 
 WORLD_FORMS = "FILE.jsonl.gz[0:75], generated[1000:1050], house:NAME, MESH.glb,OBJECTS.json"
 _SPEC = re.compile(r"^(?P<name>.+?)(?:\[(?P<first>\d*)(?P<to>:(?P<end>\d*))?\])?$")
@@ -24,8 +24,8 @@ _MAX_SEEDS = 100_000
 _LOADED = 2
 
 
-def sections(specs: Sequence[str]) -> list[Section]:
-    """Return the worlds that `--worlds` names, in its order.
+def world_sections(specs: Sequence[str]) -> list[WorldSection]:
+    """Return a section `sim.world` for each world that `--worlds` lists, in the same order.
 
     Args:
         specs: each has a form of `WORLD_FORMS`: houses of a ProcTHOR file by position, generated
@@ -34,10 +34,10 @@ def sections(specs: Sequence[str]) -> list[Section]:
     Raises:
         UserError: a spec has another form, or its range is empty.
     """
-    return [section for spec in specs for section in _sections(spec)]
+    return [section for spec in specs for section in _sections_of(spec)]
 
 
-def _sections(spec: str) -> list[Section]:
+def _sections_of(spec: str) -> list[WorldSection]:
     matched = _SPEC.match(spec)
     name, ranged = matched["name"], matched["first"] is not None
     if name.endswith((".jsonl", ".jsonl.gz")):

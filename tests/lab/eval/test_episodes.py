@@ -178,13 +178,13 @@ def houses(tmp_path, count: int):
 )
 def test_houses_of_a_file_are_chosen_by_their_places(tmp_path, ranged, chosen):
     path = houses(tmp_path, 4)
-    found = world_list.sections([f"{path}{ranged}"])
+    found = world_list.world_sections([f"{path}{ranged}"])
     assert found == [{"kind": "procthor", "file": str(path), "name": f"house-{k}"} for k in chosen]
 
 
 def test_other_worlds_have_forms_of_their_own():
     named = ["generated[5:7]", "house:demo", "a.glb,b.json"]
-    assert world_list.sections(named) == [
+    assert world_list.world_sections(named) == [
         {"kind": "generated", "seed": 5},
         {"kind": "generated", "seed": 6},
         {"kind": "house", "house": "demo"},
@@ -197,9 +197,9 @@ def test_other_worlds_have_forms_of_their_own():
 )
 def test_what_names_no_worlds_is_refused(spec):
     with pytest.raises(UserError, match="--worlds"):
-        world_list.sections([spec])
+        world_list.world_sections([spec])
 
 
 def test_a_range_beyond_a_file_is_refused(tmp_path):
     with pytest.raises(UserError, match="has 2 houses"):
-        world_list.sections([f"{houses(tmp_path, 2)}[5:9]"])
+        world_list.world_sections([f"{houses(tmp_path, 2)}[5:9]"])
