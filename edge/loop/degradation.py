@@ -1,8 +1,8 @@
-"""Decision when to shed load and when to restore it.
+"""Load shedding: decides when to drop work under overload, and when to add it again.
 
 This module only computes: the caller passes the time, and there is no access to models. At level 0,
-all configured work runs. At level n, the first n entries of the
-list `perception.governor.ladder` are dropped.
+all configured work runs. At level n, the first n entries of the list `perception.governor.ladder`
+are dropped.
 """
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 OVER_S, DWELL_S, ROOM_S = 3.0, 15.0, 60.0
-"""Time of overload before a step down, shortest time between two steps, and time of low load before
-a step up."""
+"""Seconds of overload before more work is dropped, shortest time between two changes of the level,
+and seconds of low load before work is added again."""
 ROOM = 0.7
 """The load is low if the detector takes at most this share of its budget."""
 MOST_DOUBLINGS = 6
-"""Largest number of doublings of `ROOM_S` after failed steps up: about an hour."""
+"""Largest number of doublings of `ROOM_S` after work was added in vain: about an hour."""
 UNLIKELY = 4
-"""Doublings of `ROOM_S` before a step up that should not fit, by the earlier times of that level.
-The step is tried seldom, because the load may have changed."""
+"""Doublings of `ROOM_S` before work is added that should not fit, by earlier times of that level.
+It is tried seldom, because the load may have changed."""
 
 
 class LoadSample(NamedTuple):
@@ -27,109 +27,110 @@ class LoadSample(NamedTuple):
     Attributes:
         detect_ms: Median time of the detector; None if it finished no image.
         distress: Other reason to shed load, apart from `detect_ms`; "" if there is none.
-        cool: True if the board is far from its limits.
+        has_headroom: True if the board is far from its limits.
     """
 
     detect_ms: float | None
     distress: str = ""
-    cool: bool = True
+    has_headroom: bool = True
 
 
 class LevelChange(NamedTuple):
-    """A step to a neighbouring degradation level, with the reason."""
+    """A change to a neighbouring level, with the reason. A higher level drops more work."""
 
-    rung: int
+    level: int
     why: str
 
 
 class DegradationLevels:
-    """Choice of the degradation level: one higher under overload, one lower at low load.
+    """Chooses how much work to drop.
 
-    There are at least `DWELL_S` between two steps. A step up has failed if it does not last twice
-    as long as the wait before it. The next wait is then doubled.
+    Level 0 drops nothing. Each higher level drops one more entry of `perception.governor.ladder`.
+    There are at least `DWELL_S` between two changes. Work was added too early if it does not stay
+    for twice the wait before it. The next wait is then doubled.
 
     Args:
-        rungs: Number of levels, without level 0.
+        n_levels: Number of levels, without level 0.
         budget_ms: See `Attributes`.
 
     Attributes:
-        rung: Current level.
+        level: Current level.
         budget_ms: Time budget of the detector; may be set.
 
     Example:
-        >>> levels = DegradationLevels(rungs=2, budget_ms=33.0)
-        >>> moves = [levels.look(LoadSample(50.0), k * 1_000_000_000) for k in range(4)]
-        >>> moves[:3], moves[3].rung
+        >>> levels = DegradationLevels(n_levels=2, budget_ms=33.0)
+        >>> moves = [levels.update(LoadSample(50.0), k * 1_000_000_000) for k in range(4)]
+        >>> moves[:3], moves[3].level
         ([None, None, None], 1)
     """
 
-    def __init__(self, rungs: int, budget_ms: float) -> None:
-        self.rung, self.budget_ms = 0, budget_ms
-        self._rungs = rungs
+    def __init__(self, n_levels: int, budget_ms: float) -> None:
+        self.level, self.budget_ms = 0, budget_ms
+        self._n_levels = n_levels
         self._over_ns, self._dwell_ns, self._room_ns = map(_ns, (OVER_S, DWELL_S, ROOM_S))
         self._strained_ns: int | None = None  # since when, without a break
-        self._roomy_ns: int | None = None
+        self._low_ns: int | None = None
         self._moved_ns: int | None = None
-        self._rose: tuple[int, int] | None = (
-            None  # time of the last step up, and how long it must last
-        )
+        # When work was last added, and how long it must stay.
+        self._rose: tuple[int, int] | None = None
         self._doublings = 0
-        self._left_ms: float | None = None  # detector time on the previous rung, when it was left
-        self._ratio = [1.0] * self._rungs  # detector time on a rung, divided by that on the next
+        self._left_ms: float | None = None  # detector time on the previous level, when it was left
+        # Detector time on a level, divided by that on the next.
+        self._ratio = [1.0] * self._n_levels
 
-    def look(self, second: LoadSample, now_ns: int) -> LevelChange | None:
-        """Return the step that is due, or None.
+    def update(self, sample: LoadSample, now_ns: int) -> LevelChange | None:
+        """Return the change of the level that is due, or None.
 
-        The caller must call `arrived` or `refused` before the next call.
+        The caller must call `arrived` or `change_failed` before the next call.
         """
-        took_ms = second.detect_ms
+        took_ms = sample.detect_ms
         if took_ms is not None and self._left_ms is not None:
-            self._ratio[self.rung - 1] = max(1.0, self._left_ms / max(took_ms, 1e-3))
+            self._ratio[self.level - 1] = max(1.0, self._left_ms / max(took_ms, 1e-3))
             self._left_ms = None
-        why = self._strain(second)
-        roomy = not why and second.cool and self._fits(took_ms)
+        why = self._strain(sample)
+        low = not why and sample.has_headroom and self._fits(took_ms)
         self._strained_ns = _since(self._strained_ns, bool(why), now_ns)
-        self._roomy_ns = _since(self._roomy_ns, roomy, now_ns)
+        self._low_ns = _since(self._low_ns, low, now_ns)
         if self._moved_ns is not None and now_ns - self._moved_ns < self._dwell_ns:
             return None
-        if self._strained_ns is not None and self.rung < self._rungs:
+        if self._strained_ns is not None and self.level < self._n_levels:
             if now_ns - self._strained_ns < self._over_ns:
                 return None
             self._left_ms = took_ms
-            return LevelChange(self.rung + 1, f"{why}, for over {OVER_S:g} s")
-        if self._roomy_ns is not None and took_ms is not None and self.rung > 0:
-            waited_ns = now_ns - self._roomy_ns
+            return LevelChange(self.level + 1, f"{why}, for over {OVER_S:g} s")
+        if self._low_ns is not None and took_ms is not None and self.level > 0:
+            waited_ns = now_ns - self._low_ns
             if waited_ns >= self._wait_ns(took_ms):
-                return LevelChange(self.rung - 1, f"the load was low for {waited_ns * 1e-9:.0f} s")
+                return LevelChange(self.level - 1, f"the load was low for {waited_ns * 1e-9:.0f} s")
         return None
 
-    def arrived(self, rung: int, now_ns: int) -> None:
-        """Record that a step was taken."""
-        if rung < self.rung:
+    def arrived(self, level: int, now_ns: int) -> None:
+        """Record that a level was reached."""
+        if level < self.level:
             self._rose = now_ns, 2 * (self._room_ns << self._doublings)
         elif self._rose is not None:
             rose_ns, lasting_ns = self._rose
             self._count(failed=now_ns - rose_ns < lasting_ns)
             self._rose = None
-        self.rung = rung
+        self.level = level
         self._restart(now_ns)
 
-    def refused(self, now_ns: int) -> None:
-        """Record that a step cannot be taken."""
+    def change_failed(self, now_ns: int) -> None:
+        """Record that the change cannot be made."""
         self._left_ms = None
         self._count(failed=True)
         self._restart(now_ns)
 
     def forget(self) -> None:
         """Forget the measured times, since the computer has become faster or slower."""
-        self._ratio = [1.0] * self._rungs
+        self._ratio = [1.0] * self._n_levels
         self._doublings = 0
 
-    def _strain(self, second: LoadSample) -> str:
-        if second.distress or second.detect_ms is None or second.detect_ms <= self.budget_ms:
-            return second.distress
+    def _strain(self, sample: LoadSample) -> str:
+        if sample.distress or sample.detect_ms is None or sample.detect_ms <= self.budget_ms:
+            return sample.distress
         return (
-            f"detect takes {second.detect_ms:.0f} ms (median), above perception.swap.budget_ms "
+            f"detect takes {sample.detect_ms:.0f} ms (median), above perception.swap.budget_ms "
             f"({self.budget_ms:g})"
         )
 
@@ -137,15 +138,15 @@ class DegradationLevels:
         return detect_ms is not None and detect_ms <= ROOM * self.budget_ms
 
     def _wait_ns(self, took_ms: float) -> int:
-        """Return how long the load must be low before the next step up."""
-        fits = self._fits(took_ms * self._ratio[self.rung - 1])
+        """Return how long the load must be low before work is added again."""
+        fits = self._fits(took_ms * self._ratio[self.level - 1])
         return self._room_ns << (self._doublings if fits else max(self._doublings, UNLIKELY))
 
     def _count(self, failed: bool) -> None:
         self._doublings = min(self._doublings + 1, MOST_DOUBLINGS) if failed else 0
 
     def _restart(self, now_ns: int) -> None:
-        self._moved_ns, self._strained_ns, self._roomy_ns = now_ns, None, None
+        self._moved_ns, self._strained_ns, self._low_ns = now_ns, None, None
 
 
 def _since(before_ns: int | None, holds: bool, now_ns: int) -> int | None:

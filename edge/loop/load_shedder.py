@@ -86,7 +86,7 @@ class LoadShedder:
     @property
     def rung(self) -> int:
         """Current level; 0: nothing is dropped."""
-        return self._ladder.rung
+        return self._ladder.level
 
     def step(self, now_ns: int) -> None:
         """Measure the load and take the next step if it is due, between two ticks."""
@@ -99,7 +99,7 @@ class LoadShedder:
         elif now_ns - self._begun_ns >= SECOND_NS:
             second = self._second()
             self._begin_second(now_ns)
-            move = self._ladder.look(second, now_ns)
+            move = self._ladder.update(second, now_ns)
             if move is not None:
                 self._begin(move, now_ns)
 
@@ -167,13 +167,13 @@ class LoadShedder:
         self._times_ms.clear()
 
     def _begin(self, move: LevelChange, now_ns: int) -> None:
-        down = move.rung > self.rung
-        rested = self._rungs[max(move.rung, self.rung) - 1].rest
-        wanted = self._model_on(move.rung)
+        down = move.level > self.rung
+        rested = self._rungs[max(move.level, self.rung) - 1].rest
+        wanted = self._model_on(move.level)
         what = f"model {wanted}"
         if rested is not None:
             what = f"rest {rested}" if down else f"resume {rested}"
-        where = f"{'down' if down else 'up'} to level {move.rung} of {len(self._rungs)}"
+        where = f"{'down' if down else 'up'} to level {move.level} of {len(self._rungs)}"
         self._why = f"{where}: {what}: {move.why}"
         self._log(f"governor: step {self._why}", now_ns)
         if wanted in (None, self._swapper.running):
@@ -194,25 +194,25 @@ class LoadShedder:
         if swap["state"] == "kept":
             self._arrive(move, now_ns)
             return
-        if move.rung > self.rung:
+        if move.level > self.rung:
             self._unfit.add(str(swap["model"]))  # the next level is tried without it
         self._abort(move, str(swap["detail"]), now_ns)
 
     def _arrive(self, move: LevelChange, now_ns: int) -> None:
-        self.steps["down" if move.rung > self.rung else "up"] += 1
+        self.steps["down" if move.level > self.rung else "up"] += 1
         self._move = None
-        self._ladder.arrived(move.rung, now_ns)
-        self._rest(move.rung)
+        self._ladder.arrived(move.level, now_ns)
+        self._rest(move.level)
         self._begin_second(now_ns)
 
     def _abort(self, move: LevelChange, why: str, now_ns: int) -> None:
         self._move = None
-        self._why = f"level {move.rung} cannot be used: {why}"
+        self._why = f"level {move.level} cannot be used: {why}"
         self._log(f"governor: {self._why}", now_ns)
-        if self._model_on(move.rung) == self._swapper.running:  # the level is usable otherwise
+        if self._model_on(move.level) == self._swapper.running:  # the level is usable otherwise
             self._arrive(move, now_ns)
         else:
-            self._ladder.refused(now_ns)
+            self._ladder.change_failed(now_ns)
             self._begin_second(now_ns)
 
     def _model_on(self, rung: int) -> str | None:

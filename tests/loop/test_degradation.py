@@ -29,15 +29,15 @@ class Plant:
 
     @property
     def rung(self) -> int:
-        return self.ladder.rung
+        return self.ladder.level
 
     def run(self, seconds: int, load: float = 1.0, **second) -> Plant:
         for _ in range(seconds):
             self.now_s += 1
             told = LoadSample(self.costs_ms[self.rung] * load, **second)
-            if (move := self.ladder.look(told, self.now_s * S)) is not None:
-                self.ladder.arrived(move.rung, self.now_s * S)
-                self.moves.append((self.now_s, move.rung, move.why))
+            if (move := self.ladder.update(told, self.now_s * S)) is not None:
+                self.ladder.arrived(move.level, self.now_s * S)
+                self.moves.append((self.now_s, move.level, move.why))
         return self
 
 
@@ -51,11 +51,11 @@ def test_too_slow_for_seconds_is_a_step_down_and_says_why():
 def test_a_detector_that_finds_nothing_out_is_no_room():
     ladder = DegradationLevels(2, BUDGET_MS)
     ladder.arrived(1, 0)
-    assert all(ladder.look(LoadSample(None), s * S) is None for s in range(1, 1000))
+    assert all(ladder.update(LoadSample(None), s * S) is None for s in range(1, 1000))
 
 
 def test_a_board_that_is_not_cool_has_no_room():
-    plant = Plant().run(4, distress="hot").run(1000, cool=False)
+    plant = Plant().run(4, distress="hot").run(1000, has_headroom=False)
     assert plant.rung == 1
     assert plant.run(62).rung == 0
 
@@ -74,11 +74,11 @@ def test_steps_up_in_vain_come_ever_more_seldom():
 def test_a_step_that_is_refused_is_tried_again_but_not_at_once():
     ladder, asked = DegradationLevels(2, BUDGET_MS), []
     for s in range(1, 100):
-        if ladder.look(LoadSample(50.0), s * S) is not None:
+        if ladder.update(LoadSample(50.0), s * S) is not None:
             asked.append(s)
-            ladder.refused(s * S)
+            ladder.change_failed(s * S)
     assert asked[:3] == [4, 14, 24]
-    assert ladder.rung == 0
+    assert ladder.level == 0
 
 
 loads = st.lists(
@@ -90,7 +90,7 @@ loads = st.lists(
 def test_never_two_steps_within_the_dwell_and_never_more_than_one_rung(phases):
     plant = Plant()
     for seconds, load, hot, cool in phases:
-        plant.run(seconds, load, distress="hot" if hot else "", cool=cool)
+        plant.run(seconds, load, distress="hot" if hot else "", has_headroom=cool)
     assert all(b - a >= 10 for (a, *_), (b, *_) in pairwise(plant.moves))
     rungs = [0, *(rung for _, rung, _ in plant.moves)]
     assert all(abs(b - a) == 1 for a, b in pairwise(rungs))
@@ -101,7 +101,7 @@ def test_never_two_steps_within_the_dwell_and_never_more_than_one_rung(phases):
 def test_whatever_came_before_all_is_taken_back_once_there_is_room(phases, load):
     plant = Plant()
     for seconds, heavy, hot, cool in phases:
-        plant.run(seconds, heavy, distress="hot" if hot else "", cool=cool)
+        plant.run(seconds, heavy, distress="hot" if hot else "", has_headroom=cool)
     assert plant.run(2 * 3 * (60 << MOST_DOUBLINGS), load).rung == 0
 
 
