@@ -157,7 +157,7 @@ def _serve(
         live.open({key: server.queue for key, server in running.servers.items()})
         if reload is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.asked)
-        metrics.watch(running, running.sinks)
+        metrics.add_service(running, running.sinks)
         traced.spans = running.service.latency.spans
         mission = running.service.mission
         doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)

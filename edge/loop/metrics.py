@@ -56,12 +56,12 @@ class ScrapeSnapshot:
         self.scorers: dict[str, Any] = {} if service.scorers is None else service.scorers.status()
         self.checkpoint = None if service.checkpoint is None else service.checkpoint.status()
 
-    def stages(self, value: Callable[[Any], float]) -> dict[str, float]:
-        """Return a value of each stage's row in the latency report, by stage."""
+    def by_stage(self, value: Callable[[Any], float]) -> dict[str, float]:
+        """Apply `value` to each stage of the latency report. Return the results by stage name."""
         return {row.name: value(row) for row in self.rows.stages}
 
-    def held(self, value: Callable[[Any], float]) -> dict[str, float]:
-        """Return a value of the rows that have a budget, by stage."""
+    def by_budgeted_stage(self, value: Callable[[Any], float]) -> dict[str, float]:
+        """Do the same as `by_stage`, but only for stages with a time budget."""
         return {row.name: value(row) for row in self.rows.stages if row.budget_ms is not None}
 
     def of_sinks(self, name: str) -> dict[str, int]:
@@ -138,12 +138,12 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            lambda s: s.histograms.stages, ("stage",)),
     MetricSpec("edge_stage_budget_seconds", "gauge",
            "Budget of a stage for its 95th percentile; without a calibration only deadlines.",
-           lambda s: s.held(lambda row: _seconds(row.budget_ms)), ("stage",)),
+           lambda s: s.by_budgeted_stage(lambda row: _seconds(row.budget_ms)), ("stage",)),
     MetricSpec("edge_stage_over_budget_total", "counter", "Runs of a stage over its budget.",
-           lambda s: s.held(lambda row: row.overruns), ("stage",)),
+           lambda s: s.by_budgeted_stage(lambda row: row.overruns), ("stage",)),
     MetricSpec("edge_stage_dropped_total", "counter",
            "Inputs dropped by a stage: messages (ingest), images (detect), failed ticks.",
-           lambda s: s.stages(lambda row: row.drops), ("stage",)),
+           lambda s: s.by_stage(lambda row: row.drops), ("stage",)),
     # Inputs.
     MetricSpec("edge_source_received_total", "counter", "Messages received from sensors.",
            lambda s: s.source.get("received", 0)),
@@ -299,11 +299,12 @@ class Metrics:
         self._watched: tuple[RunningService, Sequence[Sink]] | None = None
         self._exposition = Exposition(self._families)
 
-    def watch(self, running: RunningService, sinks: Sequence[Sink]) -> None:
-        """Add the metrics of a service that is ready. They can be read even after its end."""
+    def add_service(self, running: RunningService, sinks: Sequence[Sink]) -> None:
+        """Add the metrics of a service that is ready. They stay readable after it ends."""
         self._watched = running, sinks
 
     def pages(self) -> GetRoutes:
+        """Return the HTTP handler of `/metrics`."""
         return {"/metrics": self._exposition.page}
 
     def _families(self) -> Iterator[Family]:

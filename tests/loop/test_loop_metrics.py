@@ -41,7 +41,7 @@ class Watched:
         self.running: RunningService = running_of(self.closed, [])
 
     def watch(self, *sinks: object) -> Watched:
-        self.metrics.watch(self.running, sinks)
+        self.metrics.add_service(self.running, sinks)
         return self
 
     def page(self) -> str:
