@@ -127,7 +127,7 @@ def open_service(
             named = next((text for text in (task, formula, asked) if text is not None), None)
             checkpoint = ServiceCheckpoint(config, resources.expand(mission.checkpoint), named)
             stack.callback(checkpoint.close)
-            brief = checkpoint.brief()
+            brief = checkpoint.saved_spec()
         idle = mission.on_request and brief is None and {asked, formula, task} == {None}
         if brief is None:
             progress("understanding the mission")

@@ -40,13 +40,13 @@ class ServiceCheckpoint:
         map: Checkpoint of the map.
     """
 
-    def __init__(self, config: Config, path: Path, asked: str | None) -> None:
+    def __init__(self, config: Config, path: Path, instruction: str | None) -> None:
         """Load the files and start their writers.
 
         Args:
             config: The configuration.
             path: Path of the mission's file.
-            asked: Instruction on the command line, or None. It replaces a saved mission with
+            instruction: Instruction on the command line, or None. It replaces a saved mission with
                 another instruction.
 
         Raises:
@@ -56,7 +56,7 @@ class ServiceCheckpoint:
         text = config.model_dump_json(exclude={"path"})
         self._fingerprint = hashlib.sha256(text.encode()).hexdigest()[:16]
         loaded, self.problem = load(path, MISSION)
-        self.saved = None if loaded is None else _unfinished(loaded.state, asked)
+        self.saved = None if loaded is None else _unfinished(loaded.state, instruction)
         self.map = MapCheckpoint(config, path.with_name(path.name + SUFFIX), self._fingerprint)
         crops = path.with_name(path.name + crop_checkpoint.SUFFIX)
         self.crops = crop_checkpoint.CropCheckpoint(crops)
@@ -65,8 +65,8 @@ class ServiceCheckpoint:
         self._resumed: MissionRun | None = None
         self._noted: tuple[MissionRun, int] | None = None
 
-    def brief(self) -> MissionSpec | None:
-        """Return the saved mission, or None.
+    def saved_spec(self) -> MissionSpec | None:
+        """Return the saved mission, ready to run, or None.
 
         It is made from its formula, without another translation. A task is read again and continues
         with the first step that was not driven.
@@ -106,27 +106,27 @@ class ServiceCheckpoint:
         """Return True for the saved mission, if the map was saved with the same targets."""
         return mission is self._resumed and tuple(targets) == mission.brief.prompts
 
-    def note(
+    def save_if_due(
         self,
         mission: MissionRun,
         status: MissionStatus,
         parts: MapParts,
-        sighted: StampedPose | None,
+        last_pose: StampedPose | None,
         now_ns: int,
     ) -> None:
-        """Pass the state to the writers if it is time. Never block.
+        """Queue the state for writing if it changed or a second has passed. Never block.
 
         Args:
             mission: The mission.
             status: Its status.
             parts: Parts of the map's checkpoint.
-            sighted: Pose and stamp of the newest observation; None before the first.
+            last_pose: Pose and stamp of the newest observation; None before the first.
             now_ns: Loop time.
         """
         noted, self._noted = self._noted, (mission, mission.changes)
         changed = noted is None or noted[0] is not mission or noted[1] != mission.changes
-        if sighted is not None:
-            self.map.note(parts, sighted, mission.brief.prompts, mission.target, changed)
+        if last_pose is not None:
+            self.map.note(parts, last_pose, mission.brief.prompts, mission.target, changed)
         if self.map.waiting is None:  # else the saved pictures are not restored yet
             self._noted_crops = parts.map.crops
             self.crops.note(parts.map.crops, now_ns)
@@ -156,10 +156,10 @@ class ServiceCheckpoint:
         self._writer.close()
 
 
-def _unfinished(saved: MissionState, asked: str | None) -> MissionState | None:
+def _unfinished(saved: MissionState, instruction: str | None) -> MissionState | None:
     if saved.phase in ("idle", "reached", "failed"):
         return None
-    if asked is not None and asked != saved.instruction:
+    if instruction is not None and instruction != saved.instruction:
         log.info("the saved mission (%s) is replaced by the new one",
                  one_line(saved.instruction))  # fmt: skip
         return None

@@ -389,7 +389,7 @@ class Service:
                 )
                 with self.faults.contain("checkpoint", now_ns):
                     parts = MapParts(self.map, self.goals, self.policy)
-                    self.checkpoint.note(self.mission, self.status, parts, sighted, now_ns)
+                    self.checkpoint.save_if_due(self.mission, self.status, parts, sighted, now_ns)
             self._publisher.publish(self.result(now_ns, observation), self.faults)
         finally:
             self._publisher.let_go()

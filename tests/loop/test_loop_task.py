@@ -262,7 +262,7 @@ def test_after_a_restart_a_task_goes_on_with_the_first_step_that_was_not_driven(
     loop.step()
     loop.service.checkpoint.close()
     again = ServiceCheckpoint(config, tmp_path / "c", None)
-    brief = again.brief()
+    brief = again.saved_spec()
     assert (brief.targets, brief.translation.instruction) == (("oven",), task)
     loop.service = Service(
         config, brief, loop.worker, make_policy(config.policy, config.path), [loop.notes], again

@@ -63,7 +63,7 @@ class Run(ClosedLoop):
         """Return a service that reads the checkpoint."""
         settings = settings or self.config
         checkpoint = ServiceCheckpoint(settings, self.path, None)
-        brief = checkpoint.brief() or self.service.mission.brief
+        brief = checkpoint.saved_spec() or self.service.mission.brief
         detector = make_detector(settings.perception, brief.prompts, truth=self.truth)
         worker = DetectorWorker(detector, inline=True)
         policy = make_policy(settings.policy)

@@ -279,8 +279,8 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     sink = McapSink(config, str(tmp_path / "run"))
     second = ClosedLoop(config)
     second.service = Service(
-        config, checkpoint.brief(), second.worker, make_policy(config.policy), [second.notes, sink],
-        checkpoint,
+        config, checkpoint.saved_spec(), second.worker, make_policy(config.policy),
+        [second.notes, sink], checkpoint,
     )  # fmt: skip
     for _ in range(10):
         second.step()
@@ -324,7 +324,7 @@ def test_a_run_that_takes_up_its_map(tmp_path, monkeypatch, localised, boot, els
         McapSink(config, str(tmp_path / "run")),
     )
     policy, sinks = make_policy(config.policy), [loop.notes, sink]
-    loop.service = Service(config, checkpoint.brief(), loop.worker, policy, sinks, checkpoint)
+    loop.service = Service(config, checkpoint.saved_spec(), loop.worker, policy, sinks, checkpoint)
     loop.step()
     assert (loop.service.map.grid.known_m2 > 0.8 * known_m2) == (not elsewhere[0])
     for _ in range(5):
