@@ -66,23 +66,24 @@ class _Driven:
 
 
 class NavigateToPoseClient:
-    """Sends goals as the module's docstring says; for one thread, which calls `beat` repeatedly.
+    """Sends goals to Nav2 and reports their progress.
 
-    A subclass is a client of another action that ends like this one.
+    Not thread-safe: one thread calls all methods, and calls `update` in every cycle. Subclasses use
+    other Nav2 actions with the same results.
 
     Args:
         node: the ROS 2 node.
         action: its ROS name.
         frame_id: frame of the goals.
-        tell: called with each new status of a goal.
+        on_status: called with each new status of a goal.
     """
 
     _kind, _name = NAVIGATE_TO_POSE, "navigate_to_pose"
 
     def __init__(
-        self, node: Ros2Node, action: str, frame_id: str, tell: Callable[[GoalStatus], None]
+        self, node: Ros2Node, action: str, frame_id: str, on_status: Callable[[GoalStatus], None]
     ) -> None:
-        self._action, self._frame_id, self._report = action, frame_id, tell
+        self._action, self._frame_id, self._report = action, frame_id, on_status
         below = f"{action}/_action"
         kind = self._kind
         self._send = node.client(f"{below}/send_goal", f"{kind}_SendGoal", _ACCEPT_S)
@@ -98,17 +99,13 @@ class NavigateToPoseClient:
         self._malformed = 0
         self._waiting_told = False
 
-    def served(self) -> bool:
-        """Return True if the action has a server."""
-        return self._send.served()
-
     def send(self, goal: Goal) -> None:
         """Drive to this goal, and no longer to the previous one."""
         if self._driven is not None and self._driven.stage != "waiting":
             self._replaced.append(self._driven.goal_id)
             self._cancel_replaced_s = math.inf
         self._driven = _Driven(goal)
-        self.beat()
+        self.update()
 
     def cancel(self) -> None:
         """Cancel the current goal."""
@@ -125,7 +122,7 @@ class NavigateToPoseClient:
         else:
             self._driven = None
 
-    def beat(self) -> None:
+    def update(self) -> None:
         """Process what arrived; request again if no reply is pending."""
         for _, payload in self._feedback.take():
             self._guarded(self._feed_back, payload.to_bytes())
@@ -277,7 +274,7 @@ class DockRobotClient(NavigateToPoseClient):
         action: its ROS name.
         docks: names of places and the ids of their docks.
         frame_id: frame of the goals.
-        tell: called with each new status of a goal.
+        on_status: called with each new status of a goal.
 
     Attributes:
         docked: True after docking has succeeded; the caller sets it to False after undocking.
@@ -291,13 +288,13 @@ class DockRobotClient(NavigateToPoseClient):
         action: str,
         docks: Mapping[str, str],
         frame_id: str,
-        tell: Callable[[GoalStatus], None],
+        on_status: Callable[[GoalStatus], None],
     ) -> None:
-        super().__init__(node, action, frame_id, tell)
+        super().__init__(node, action, frame_id, on_status)
         self.docked = False
         self._docks = {names.normalise(place): dock for place, dock in docks.items()}
 
-    def takes(self, goal: Goal) -> bool:
+    def is_dock_goal(self, goal: Goal) -> bool:
         """Return True if a goal is at a place with a dock."""
         return goal.kind == "place" and names.normalise(goal.target) in self._docks
 
@@ -328,7 +325,7 @@ class UndockRobotClient(NavigateToPoseClient):
         node: the ROS 2 node.
         action: its ROS name.
         frame_id: frame of the goals.
-        tell: called with each new status of a goal.
+        on_status: called with each new status of a goal.
         go_on: called with the goal to drive to, after undocking has succeeded.
     """
 
@@ -339,10 +336,10 @@ class UndockRobotClient(NavigateToPoseClient):
         node: Ros2Node,
         action: str,
         frame_id: str,
-        tell: Callable[[GoalStatus], None],
+        on_status: Callable[[GoalStatus], None],
         go_on: Callable[[Goal], None],
     ) -> None:
-        super().__init__(node, action, frame_id, tell)
+        super().__init__(node, action, frame_id, on_status)
         self._go_on = go_on
 
     def send(self, goal: Goal) -> None:

@@ -162,7 +162,7 @@ class Ros2Sink:
 
     def _client_for(self, goal: Goal) -> NavigateToPoseClient | None:
         """Return the client of the action that must come first for a goal."""
-        if self._docker is not None and self._docker.takes(goal):
+        if self._docker is not None and self._docker.is_dock_goal(goal):
             return self._docker
         is_docked = self._docker is not None and self._docker.docked
         return self._undocker if is_docked else self._navigator
@@ -178,9 +178,9 @@ class Ros2Sink:
         self._node.look()
         for docking in (self._docker, self._undocker):
             if docking is not None:
-                docking.beat()
+                docking.update()
         if self._navigator is not None:
-            self._navigator.beat()
+            self._navigator.update()
         # A planner treats each message as a new goal: send once, when there is a subscriber.
         elif self._pending_goal is not None and self._goal is not None and self._goal.heard():
             goal, self._pending_goal = self._pending_goal, None

@@ -86,7 +86,7 @@ class Service:
         """Return the statuses of a goal until it has this state."""
 
         def told():
-            self.navigator.beat()
+            self.navigator.update()
             answers = [(a.state, a.reason) for a in self.told if a.stamp_ns == stamp_ns]
             return answers if until in {state for state, _ in answers} else None
 
@@ -213,7 +213,7 @@ def test_a_replaced_goal_is_cancelled_by_a_server_that_would_drive_on(
     for stamp_ns in (20, 21):
         service.drive(stamp_ns, ENDLESS)
         assert service.answers(stamp_ns, until="accepted") != []
-    eventually(lambda: service.navigator.beat() or robot.count('"cancelled"') > before)
+    eventually(lambda: service.navigator.update() or robot.count('"cancelled"') > before)
     service.navigator.cancel()
     robot.says('"cancelled"', times=before + 2)
 
