@@ -1,8 +1,8 @@
-"""Prompt of a model: the task-agnostic prompt, the scene and the instruction.
+"""Text and picture that ask a language model to write a trajectory (OpenNav III-A1).
 
-The five parts of the prompt are those of OpenNav III-A1, in our own words, in `prompt.txt`. The
-scene is described and drawn as in III-B: caption, position, size, nearest reachable points;
-contours and numbers.
+They are fixed rules, the scene and the instruction. The five parts of the rules are those of the
+paper, in our own words, in `prompt.txt`. The scene is described and drawn as in III-B: caption,
+position, size, nearest reachable points; contours and numbers.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ JPEG_QUALITY = 85
 
 
 @cache
-def prompt() -> str:
-    """Return the task-agnostic prompt."""
+def system_prompt() -> str:
+    """Return the fixed rules for the model, the same for every task."""
     return resources.files("edge.tasks").joinpath("prompt.txt").read_text(encoding="utf-8")
 
 
 def version() -> str:
     """Return the version of the prompt, from its first line."""
-    return prompt().partition("\n")[0].removeprefix("Version ").strip()
+    return system_prompt().partition("\n")[0].removeprefix("Version ").strip()
 
 
-def prompt_text(instruction: str, scene: Scene, limits: TrajectoryLimits, why: str = "") -> str:
+def task_text(instruction: str, scene: Scene, limits: TrajectoryLimits, why: str = "") -> str:
     """Return the text part of a request: the scene and the instruction.
 
     `why` is the reason for another trajectory; "" for the first.
@@ -58,9 +58,9 @@ def messages(
 ) -> list[dict[str, Any]]:
     """Return the conversation that asks for a trajectory (OpenNav algorithm 1, line 2).
 
-    Without a picture the model gets the text alone (LLM-TG). See `prompt_text` for the rest.
+    Without a picture the model gets the text alone (LLM-TG). See `task_text` for the rest.
     """
-    text = prompt_text(instruction, scene, limits, why)
+    text = task_text(instruction, scene, limits, why)
     jpeg = annotated_jpeg(scene) if with_picture else None
     content: str | list[dict[str, Any]] = text
     if jpeg is not None:
@@ -69,7 +69,7 @@ def messages(
             {"type": "text", "text": text},
             {"type": "image_url", "image_url": {"url": url}},
         ]
-    return [{"role": "system", "content": prompt()}, {"role": "user", "content": content}]
+    return [{"role": "system", "content": system_prompt()}, {"role": "user", "content": content}]
 
 
 def describe(scene: Scene, limits: TrajectoryLimits) -> str:

@@ -13,7 +13,14 @@ from task_scenes import STREET, Thing, street
 
 from edge.config import TrajectoryLimits
 from edge.tasks.picture import draw_marks
-from edge.tasks.prompt import MOST_OBJECTS, annotated_jpeg, describe, messages, prompt, version
+from edge.tasks.prompt import (
+    MOST_OBJECTS,
+    annotated_jpeg,
+    describe,
+    messages,
+    system_prompt,
+    version,
+)
 
 LIMITS = TrajectoryLimits()
 
@@ -30,12 +37,12 @@ def test_the_prompt_has_a_version_and_five_parts_in_order():
     """OpenNav III-A1."""
     assert version().isdecimal()
     parts = ("1. Functions", "2. Surroundings", "3. Collisions", "4. Plan first", "5. Script")
-    places = [prompt().index(f"\n{part}") for part in parts]
+    places = [system_prompt().index(f"\n{part}") for part in parts]
     assert all(a < b for a, b in pairwise(places))
 
 
 def test_the_prompt_knows_no_task_and_no_scene():
-    assert not any(thing.label in prompt() for thing in STREET)
+    assert not any(thing.label in system_prompt() for thing in STREET)
 
 
 def test_things_are_told_as_lines_of_json_the_nearest_first():
@@ -73,7 +80,7 @@ def test_a_caption_and_an_instruction_stay_in_their_place():
 def test_the_picture_goes_with_the_words_where_there_is_one():
     scene = street(*STREET, picture=True)
     system, user = messages("go on", scene, LIMITS)
-    assert system == {"role": "system", "content": prompt()}
+    assert system == {"role": "system", "content": system_prompt()}
     text, image = user["content"]
     assert text["text"].endswith('Instruction: "go on"')
     head, _, data = image["image_url"]["url"].partition(",")

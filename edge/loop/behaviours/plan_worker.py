@@ -14,7 +14,7 @@ from edge.geometry import SE2
 from edge.mapping.view import MapView
 from edge.mission.language.tokens import TranslationError
 from edge.tasks.objects import ObjectMap
-from edge.tasks.prompt import prompt, prompt_text
+from edge.tasks.prompt import system_prompt, task_text
 from edge.tasks.reading import AmbiguousObjectError
 from edge.tasks.refine import RefinedTrajectory, refine, refine_again
 from edge.tasks.scene import Scene, SceneObject
@@ -172,7 +172,7 @@ def _written_up_to(upto: int, order: PlanRequest, scene: Scene) -> PlanResult:
     limits, instruction = _tasks(config).trajectory, order.instruction
     asked = ""
     if isinstance(config.tasks.planner, WriterModel):
-        asked = f"{prompt()}\n\n{prompt_text(instruction, scene, limits, order.why)}"
+        asked = f"{system_prompt()}\n\n{task_text(instruction, scene, limits, order.why)}"
     draft = PlanResult(prompt=asked, upto=upto)
     try:
         written = write_trajectory(

@@ -19,7 +19,7 @@ from edge.lab.report import camera_picture, trajectory_map
 from edge.lab.report.recorder import machine
 from edge.lab.report.view3d import Line, coarse_and_refined, scene_page
 from edge.tasks.picture import draw_marks
-from edge.tasks.prompt import annotated_jpeg, prompt, prompt_text
+from edge.tasks.prompt import annotated_jpeg, system_prompt, task_text
 from edge.text import one_line
 
 OBJECTS, CAMERA, MAP, PAGE = "objects.png", "camera.png", "map.png", "scene.html"
@@ -148,8 +148,8 @@ def _of_the_model(outcome: TaskRun) -> dict[str, bytes]:
     """Return the prompt and picture for the model, and each of its answers, by file name."""
     tasks, scene = outcome.config.tasks, outcome.view.scene
     assert isinstance(tasks.planner, WriterModel)
-    question = prompt_text(outcome.instruction, scene, tasks.trajectory)
-    files = {"prompt.txt": _bytes(f"{prompt()}\n\n{question}\n")}
+    question = task_text(outcome.instruction, scene, tasks.trajectory)
+    files = {"prompt.txt": _bytes(f"{system_prompt()}\n\n{question}\n")}
     jpeg = annotated_jpeg(scene) if tasks.planner.picture else None
     if jpeg is not None:
         files["picture.jpg"] = jpeg
