@@ -1,9 +1,16 @@
-"""`edge eval translate --everyday`: judge what is made of everyday sentences.
+"""`edge eval translate --everyday`: test how everyday sentences are understood.
 
-A line of the file is a JSON object. `said` is the sentence, and `expect` is what it is: "mission",
-"question", "learn", "control", "ask" or "refuse". `also` lists other right outcomes. A mission has
-its `formula`, and `minutes` or `seconds` for waits and other times. A question or an order to learn
-is `about` a name. To ask and to refuse count alike, because both leave the robot where it is.
+Each line of the file is a JSON object. `said` is the sentence, and `expect` is its correct kind:
+
+- "mission", with its `formula`, and `minutes` or `seconds` for waits and other times;
+- "question", `about` a name;
+- "learn": remember a place, a room or a zone, `about` a name;
+- "control": pause, resume or cancel;
+- "ask": the service should ask what is meant;
+- "refuse".
+
+`also` lists other correct kinds. "ask" and "refuse" count as equal, because the robot does not move
+in either case.
 """
 
 from __future__ import annotations

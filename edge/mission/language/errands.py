@@ -30,7 +30,7 @@ from edge.mission.language.places import (
     START,
     is_marked,
     mark_places,
-    named_places,
+    restore_places,
 )  # fmt: skip
 from edge.mission.language.spans import number_of, seconds_of
 from edge.mission.language.templates import END, compiled
@@ -257,7 +257,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         for pattern in patterns:
             text = _outside_quotes(pattern, change, text)
     text = _EXPLORED_TWICE.sub(r"\1", text)
-    text = named_places(text, known)
+    text = restore_places(text, known)
     text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
     if dangling := _DANGLING.search(text):
         hint = "unclear what to do with the second one; say it in a sentence of its own"

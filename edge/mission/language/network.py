@@ -1,8 +1,11 @@
-"""The translation network: words to formulas, and log probabilities of words given a formula.
+"""Neural network that translates an instruction into a mission formula (LTL), and back.
+
+It also gives the log probability of an instruction for a formula.
 
 The ONNX file has two halves. The encoder (`source` → `across`) runs once for a text. The decoder
-(`target`, `past`, `across_in` → `logits`, `present`) runs once for each written token. The unused
-half gets one padding token as input.
+(`target`, `past`, `across_in` → `logits`, `present`) runs once for each written token. `across` is
+the encoder's output for the decoder's cross-attention. The unused half gets one padding token as
+input.
 """
 
 from __future__ import annotations
@@ -84,12 +87,17 @@ class TranslationNetwork:
         return tuple(t for t in self.tokens if t not in OPERATORS and not t.startswith("<"))
 
     def formulas(
-        self, words: Sequence[str], names: int, beam: int = BEAM
+        self, words: Sequence[str], n_names: int, beam: int = BEAM
     ) -> list[FormulaHypothesis]:
-        """Return the most likely formulas over the first `names` placeholders, the best first.
+        """Return the most likely formulas, the best first.
 
         Beam search over the tokens that the prefix notation allows. Probabilities are normalised
         over the allowed tokens.
+
+        Args:
+            words: words of the instruction.
+            n_names: number of names in the instruction; each is a placeholder in the formula.
+            beam: most hypotheses to keep.
         """
         across = self._read(words)
         target = np.array([[self._ids[TO_FORMULA]]], np.int64)
@@ -99,7 +107,7 @@ class TranslationNetwork:
         while live and len(live[0][0]) < MOST_TOKENS:
             grown: list[tuple[float, int, str]] = []
             for row, (tokens, log_p) in enumerate(live):
-                options = list(allowed(tokens, names, MOST_TOKENS))
+                options = list(allowed(tokens, n_names, MOST_TOKENS))
                 each = _log_softmax(logits[row, -1, [self._ids[token] for token in options]])
                 grown += [
                     (log_p + p, row, token) for p, token in zip(each.tolist(), options, strict=True)
@@ -109,7 +117,7 @@ class TranslationNetwork:
             rows: list[int] = []
             for log_p, row, token in grown[:beam]:
                 tokens = [*live[row][0], token]
-                if token == REFUSED or not any(allowed(tokens, names, MOST_TOKENS)):
+                if token == REFUSED or not any(allowed(tokens, n_names, MOST_TOKENS)):
                     done.append(FormulaHypothesis(tuple(tokens), log_p))
                 else:
                     following.append((tokens, log_p))

@@ -1,4 +1,7 @@
-"""Names of places in an instruction, in quotes, so that every translator takes them as names."""
+"""Protection of place names in an instruction.
+
+Each known name is put in quotes, so that translators do not read its words as orders.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections.abc import Iterable
 
 START, HERE, EXPLORED = "start", "here", "explored"
 """The first pose of the service; the pose at which a mission begins; wherever exploring ends."""
-_FIRST_MARK = 0xF000  # private characters stand for places
+_FIRST_MARK = 0xF000  # placeholders are from Unicode's private-use area
 
 
 def quote_places(instruction: str, names: Iterable[str]) -> str:
@@ -21,14 +24,16 @@ def quote_places(instruction: str, names: Iterable[str]) -> str:
         >>> quote_places("Go to the charging dock.", ["charging dock"])
         'Go to "charging dock".'
     """
-    return named_places(*mark_places(instruction, names))
+    return restore_places(*mark_places(instruction, names))
 
 
 def mark_places(instruction: str, names: Iterable[str]) -> tuple[str, list[str]]:
-    """Put one private character in place of each name of a place, so that it is one word.
+    """Replace each place name by one placeholder, so that it is one word.
+
+    A placeholder is a character from Unicode's private-use area. Names in quotes stay.
 
     Returns:
-        The text, and the names in the order of their characters; see `named_places`.
+        The text, and the names in the order of their placeholders; see `restore_places`.
     """
     known = sorted(names, key=len, reverse=True)
     if not known:
@@ -44,8 +49,11 @@ def mark_places(instruction: str, names: Iterable[str]) -> tuple[str, list[str]]
     return "".join(pieces), known
 
 
-def named_places(text: str, names: list[str]) -> str:
-    """Return the text of `mark_places` with names again, in quotes unless they are in some."""
+def restore_places(text: str, names: list[str]) -> str:
+    """Replace the placeholders of `mark_places` by the names.
+
+    A name that is not inside quotes already is put in quotes.
+    """
     pieces = text.split('"')
     for i, piece in enumerate(pieces):
         quote = '"' if i % 2 == 0 else ""
@@ -56,5 +64,5 @@ def named_places(text: str, names: list[str]) -> str:
 
 
 def is_marked(name: str) -> bool:
-    """Return True for the private character of a place."""
+    """Return True for the placeholder of a place."""
     return len(name) == 1 and ord(name) >= _FIRST_MARK
