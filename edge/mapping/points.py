@@ -461,7 +461,11 @@ def fit_floor(lowest_m, polar, sensor_z, step_m, search_m, floor):
 
 @njit(nogil=True, cache=True)
 def sweep_ground(scan, polar, floor, sensor_z, slope, step_m, range_m, inv_res):
-    """Follow the ground outward in every sector; fill ground, pass slopes, reach and box.
+    """Follow the ground outward in every sector.
+
+    Writes into `scan`: the ground's height in each bin (`ground_m`), the lowest slope of a ray over
+    each bin (`pass_slope`), the range to which rays free cells (`reach_m`), and the rectangle
+    around all cells seen (`box`).
 
     It starts at the floor (see `fit_floor`). The ground may rise or fall by `slope` from the last
     ground seen. Over a gap, the limit is `step_m` where ground is first seen, so that a low box
@@ -566,7 +570,8 @@ def classify(n, scan, polar, obstacle_min_m, obstacle_max_m, coded_m):
     """Split points by height over the local ground; obstacles end the rays of their sectors.
 
     Points below `obstacle_min_m` are floor. Points above `obstacle_max_m` are an overhang with free
-    space below. `coded_m` is the height of the highest code.
+    space below. Each cell of `scan.seen` stores the height of its highest obstacle point as one
+    byte: a code from `LOWEST_OBSTACLE` (the ground's height) to 253 (`coded_m` above the ground).
     """
     per_m = np.float32(HEIGHT_CODES / coded_m)
     lowest, highest = np.float32(obstacle_min_m), np.float32(obstacle_max_m)

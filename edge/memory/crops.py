@@ -80,7 +80,11 @@ class CropStore:
             self._worker.queue((self._jpeg, crops))
 
     def rename(self, ids: Mapping[int, int]) -> None:
-        """Give the pictures of objects to the objects that they turned out to be (new id → old)."""
+        """Move pictures to another object, when a new object turned out to be a known one.
+
+        Args:
+            ids: id of the known object, by id of the new one.
+        """
         for new, old in ids.items():
             if (value := self._best.pop(new, None)) is not None:
                 self._best[old] = value

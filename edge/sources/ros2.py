@@ -1,7 +1,8 @@
-"""Observations from a robot's ROS 2 graph, without ROS, over any transport of `ros2.via`.
+"""Observations from a robot's ROS 2 graph, without a ROS installation here.
 
-With rmw_zenoh the key of a message has its type, so a topic may carry raw or compressed images, of
-any distribution. Subscriptions are announced, because drivers may send nothing without subscribers.
+The transport is that of `ros2.via`. With rmw_zenoh the key of a message has its type, so a topic
+may carry raw or compressed images, of any distribution. Subscriptions are announced, because
+drivers may send nothing without subscribers.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Furniture as assemblies (rows as in `edge.lab.sim.assemblies`)."""
+"""3-D shapes of furniture for the simulator.
+
+Each piece is a list of boxes (`B`), cylinders (`C`) and ellipsoids (`E`).
+`edge.lab.sim.assemblies` explains the columns.
+"""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ T = TypeVar("T")
 class ModelProcessClient:
     """A process that was started; it can be asked once `wait_ready` has returned.
 
-    The kernel ends the process with the thread that makes this object.
+    If the thread that made this object ends, the kernel kills the process.
 
     Args:
         request: for the program; the fields common to all programs are added.
