@@ -20,7 +20,7 @@ class MappingConfig(Section):
 
     Attributes:
         input: sensor that makes the map: `depth` images, or the LiDAR's `cloud`.
-        resolution_m: side of a cell.
+        resolution_m: side of a cell; at least 0.0323 for the policy `hvl`.
         extent_m: side of the square map around the robot.
         range_m: measurements up to this distance are used.
         min_range_m: nearer measurements are ignored.
