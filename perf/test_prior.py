@@ -2,33 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from test_mapping import explored_map
 
 from edge.config import DetectorSim
 from edge.loop.prior import LocationPrior
-from edge.mapping.points import HEIGHT_CODES
+from edge.mapping.points import TALL
+from edge.mapping.regions import survey_regions
 from edge.mapping.view import MapView
+from edge.memory import NO_SURVEY, RoomMemory, Site, survey_rooms
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.sightings import MAX_SIGHTINGS, TrackedObjects
 
 PLACES, THINGS = 100, 200
+
+
+def objects(n: int, words: Sequence[str]) -> TrackedObjects:
+    """Return n objects anywhere in a house of 10 m × 10 m."""
+    rng, sightings = np.random.default_rng(0), TrackedObjects(n)
+    sightings.words[:] = words
+    sightings.n, sightings.generation = n, 1
+    sightings.xyz_m[:n, :2] = rng.uniform(-5, 5, (n, 2))
+    sightings.word[:n] = rng.integers(0, len(words), n)
+    sightings.confidence[:n] = rng.uniform(0.1, 0.8, n)
+    return sightings
 
 
 @pytest.fixture(scope="module")
 def seen() -> tuple[LocationPrior, MapView, TrackedObjects, np.ndarray]:
     """As after a house of 10 m × 10 m was seen whole."""
     rng, table = np.random.default_rng(0), load()
-    sightings = TrackedObjects(512)
-    sightings.words[:] = table.things
-    sightings.n, sightings.generation = THINGS, 1
-    sightings.xyz_m[:THINGS, :2] = rng.uniform(-5, 5, (THINGS, 2))
-    sightings.word[:THINGS] = rng.integers(0, len(table.things), THINGS)
-    sightings.confidence[:THINGS] = rng.uniform(0.1, 0.8, THINGS)
+    sightings = objects(THINGS, table.things)
     words = make_words(table, DetectorSim())
-    prior = LocationPrior("both", table, words, int(0.85 * HEIGHT_CODES), inline=True)
+    prior = LocationPrior("both", table, words)
     view = MapView(explored_map(1000))
     places = rng.uniform(-5, 5, (PLACES, 2)).astype(np.float32)
     return prior, view, sightings, places
@@ -37,11 +47,12 @@ def seen() -> tuple[LocationPrior, MapView, TrackedObjects, np.ndarray]:
 def test_nothing_new(benchmark, seen):
     benchmark.extra_info["budget"] = "prior_lift_100"
     prior, view, sightings, places = seen
-    prior.step(view, sightings, 0)
+    prior.step(survey_regions(view.layers, view.window, TALL), sightings)
     out = np.empty(PLACES, np.float32)
+    regions = survey_regions(view.layers, view.window, TALL)
 
     def look() -> None:
-        prior.step(view, sightings, 1)
+        prior.step(regions, sightings)
         prior.lift("television", places, PLACES, out)
 
     benchmark(look)
@@ -51,7 +62,7 @@ def test_nothing_new(benchmark, seen):
 def test_all_new(benchmark, seen):
     benchmark.extra_info["budget"] = "prior_look_100"
     prior, view, sightings, places = seen
-    prior.step(view, sightings, 0)
+    prior.step(survey_regions(view.layers, view.window, TALL), sightings)
     out = np.empty(PLACES, np.float32)
 
     def look() -> None:
@@ -65,10 +76,22 @@ def test_all_new(benchmark, seen):
 def test_cut_rooms(benchmark, seen):
     """Beside the loop, once a second."""
     benchmark.extra_info["budget"] = "prior_rooms_1000"
-    prior, view, sightings, _ = seen
+    view = seen[1]
+    regions = benchmark(survey_regions, view.layers, view.window, TALL)
+    assert regions.n > 0
 
-    def cut() -> None:
-        prior.forget()
-        prior.step(view, sightings, 0)
 
-    benchmark(cut)
+def test_kinds_of_rooms(benchmark, seen):
+    """In the tick, at most once a second, with as many objects as the memory holds."""
+    benchmark.extra_info["budget"] = "room_kinds_5000"
+    view, table = seen[1], load()
+    sightings = objects(MAX_SIGHTINGS, table.things)
+    memory = RoomMemory(table, make_words(table, DetectorSim()))
+    memory.on_survey(survey_rooms(survey_regions(view.layers, view.window, TALL), NO_SURVEY))
+
+    def update() -> None:
+        memory.set_site(Site())
+        memory.update(sightings, 0)
+
+    benchmark(update)
+    assert memory.rooms

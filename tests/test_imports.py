@@ -158,3 +158,25 @@ def test_edge_run_loads_no_lab():
 @pytest.mark.parametrize("package", sorted(p.parent for p in ROOT.rglob("__init__.py")), ids=str)
 def test_every_package_says_what_lives_there(package):
     assert ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8")))
+
+
+def test_the_node_of_the_ros2_adapter_imports_names_that_exist():
+    """Without running it: it needs the Python of ROS 2."""
+    trees = {
+        path.stem: ast.parse(path.read_text()) for path in (ROOT / "ros2_adapter/node").glob("*.py")
+    }
+    imported = {
+        (node.module, alias.name)
+        for tree in trees.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module in trees
+        for alias in node.names
+    }
+    defined = {
+        (module, node.name)
+        for module, tree in trees.items()
+        for node in tree.body
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef))
+    }
+    assert imported
+    assert imported <= defined

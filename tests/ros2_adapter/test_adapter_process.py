@@ -102,7 +102,8 @@ def test_ready_configurations_have_a_plan(name):
 
 def test_the_section_of_the_page_has_a_plan_too():
     page = Path(__file__).parents[2] / "docs" / "ros2.md"
-    (block,) = re.findall(r"```yaml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    blocks = re.findall(r"```yaml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    (block,) = [block for block in blocks if block.startswith("ros2:") or "\nros2:" in block]
     plan = process.make_plan(simulated({"source": {"kind": "ros2"}, **parse_yaml(block)}))
     assert passed(plan, "/camera/color/image_raw")["reliable"]
 

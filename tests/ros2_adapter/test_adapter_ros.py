@@ -33,8 +33,9 @@ from edge.types import Goal, GoalStatus
 
 HERE = Path(__file__).parent
 PEER = HERE / "ros_peer.py"
-# All that can be said but "goal", which the action takes the place of.
-READY = f"passing up to {len(SUBSCRIBED)} topics in and {len(PUBLISHED) - 1} out"
+# All that can be sent but "goal", which the action replaces, and what is off by default.
+_OFF = {"goal", "keepout_mask", "keepout_info", "answer"}
+READY = f"passing up to {len(SUBSCRIBED)} topics in and {len(PUBLISHED.keys() - _OFF)} out"
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ import time
 from importlib import import_module
 from typing import Any
 
-from action import Action
+from action import NavigateProxy
 from passing import AdapterEnds, FromRos, SetupError, ToRos, find_type, one_line
 
 log = logging.getLogger("edge.ros2_adapter")
@@ -75,7 +75,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
         often = [ToRos(ends, one, plan["max_bytes"]).look for one in plan["said"]]
         seldom, action, due_s = [one.look for one in heard], None, 0.0
         if plan["action"] is not None:
-            action = Action(ends, plan["action"], lambda: any(one.wanted for one in heard))
+            action = NavigateProxy(ends, plan["action"], lambda: any(one.wanted for one in heard))
             often.append(action.pass_requests)
             seldom.append(action.look)
         log.info("passing up to %d topics in and %d out", len(heard), len(plan["said"]))
