@@ -55,9 +55,9 @@ def load_world(path: Path) -> TexturedWorld:
     parts = scene.dump()
     uv = [_corner_uv(part) for part in parts]
     texture_index = np.repeat(
-        np.arange(len(parts), dtype=np.int32), [len(p.has_clear_view_of) for p in parts]
+        np.arange(len(parts), dtype=np.int32), [len(p.faces) for p in parts]
     )
-    bare = [trimesh.Trimesh(part.vertices, part.has_clear_view_of, process=False) for part in parts]
+    bare = [trimesh.Trimesh(part.vertices, part.faces, process=False) for part in parts]
     mesh = trimesh.util.concatenate(bare)
     return TexturedWorld(mesh, np.concatenate(uv), texture_index, [_texture(p) for p in parts])
 
@@ -66,8 +66,8 @@ def _corner_uv(part: object) -> np.ndarray:
     """Return (faces, 3, 2) float32; zeros if the part has no texture coordinates."""
     uv = getattr(part.visual, "uv", None)
     if uv is None:
-        return np.zeros((len(part.has_clear_view_of), 3, 2), np.float32)
-    return np.asarray(uv, np.float32)[part.has_clear_view_of]
+        return np.zeros((len(part.faces), 3, 2), np.float32)
+    return np.asarray(uv, np.float32)[part.faces]
 
 
 def _texture(part: object) -> np.ndarray:

@@ -151,11 +151,11 @@ def read_faces(scene: Any) -> Faces:
 
 def _faces_of(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.ndarray, ...]:
     """Return the columns of `Faces` up to `node`, for one placed geometry."""
-    count = len(mesh.has_clear_view_of)
+    count = len(mesh.faces)
     corners = mesh.vertices @ T[:3, :3].T + T[:3, 3]
-    triangles = corners[mesh.has_clear_view_of]
-    normals = _vertex_normals(triangles, mesh.has_clear_view_of, len(corners))[
-        mesh.has_clear_view_of
+    triangles = corners[mesh.faces]
+    normals = _vertex_normals(triangles, mesh.faces, len(corners))[
+        mesh.faces
     ]
     material = getattr(mesh.visual, "material", None)
     image, uv = getattr(material, "baseColorTexture", None), getattr(mesh.visual, "uv", None)
@@ -163,7 +163,7 @@ def _faces_of(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.nd
         image, uv = None, np.zeros((len(mesh.vertices), 2))
     first, levels = atlas.add(image)
     # trimesh flips glTF's t, so that it counts upwards.
-    uvs = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)[mesh.has_clear_view_of]
+    uvs = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)[mesh.faces]
     factor = getattr(material, "baseColorFactor", None)
     tint = np.ones(3) if factor is None else np.asarray(factor[:3]) / 255.0
     _, height, width = atlas.levels[first]
