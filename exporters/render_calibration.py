@@ -54,9 +54,7 @@ def load_world(path: Path) -> TexturedWorld:
         raise ExportError(f"{path}: not a readable mesh ({error}); give a .glb file") from None
     parts = scene.dump()
     uv = [_corner_uv(part) for part in parts]
-    texture_index = np.repeat(
-        np.arange(len(parts), dtype=np.int32), [len(p.faces) for p in parts]
-    )
+    texture_index = np.repeat(np.arange(len(parts), dtype=np.int32), [len(p.faces) for p in parts])
     bare = [trimesh.Trimesh(part.vertices, part.faces, process=False) for part in parts]
     mesh = trimesh.util.concatenate(bare)
     return TexturedWorld(mesh, np.concatenate(uv), texture_index, [_texture(p) for p in parts])

@@ -154,9 +154,7 @@ def _faces_of(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.nd
     count = len(mesh.faces)
     corners = mesh.vertices @ T[:3, :3].T + T[:3, 3]
     triangles = corners[mesh.faces]
-    normals = _vertex_normals(triangles, mesh.faces, len(corners))[
-        mesh.faces
-    ]
+    normals = _vertex_normals(triangles, mesh.faces, len(corners))[mesh.faces]
     material = getattr(mesh.visual, "material", None)
     image, uv = getattr(material, "baseColorTexture", None), getattr(mesh.visual, "uv", None)
     if image is None or uv is None:
