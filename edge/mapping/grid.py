@@ -276,8 +276,9 @@ class RollingMap:
         if self._flood_disc[0] != radius_m:
             if radius_m > unknown.MAX_RADIUS_CELLS * self.resolution_m:
                 raise ValueError(
-                    f"unknown-area radius {radius_m} m: the limit is {unknown.MAX_RADIUS_CELLS} "
-                    f"cells of {self.resolution_m} m"
+                    f"unknown-area radius {radius_m} m: with cells of {self.resolution_m} m at "
+                    f"most {unknown.MAX_RADIUS_CELLS * self.resolution_m:g} m are possible; set "
+                    f"mapping.resolution_m to at least {radius_m / unknown.MAX_RADIUS_CELLS:.2g}"
                 )
             self._flood_disc = (radius_m, ly.disc_half_widths(radius_m / self.resolution_m))
         if not self.window.placed:

@@ -178,7 +178,10 @@ def over_zenoh(
     from edge.loop.runner import loop
 
     if episode.site or episode.asks:
-        raise UserError("zones and questions: leave out --processes")
+        raise UserError(
+            "--processes: episodes with zones or questions cannot run in separate processes; "
+            "leave out --processes"
+        )
     config = with_free_port(config)
     witness = GroundTruthLogger(config, world, lambda stamp_ns: truth.at(stamp_ns))
     recorder = ReportRecorder(config)
