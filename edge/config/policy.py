@@ -16,6 +16,9 @@ from edge.config.section import (
     kind_of,
 )
 
+FINEST_HVL_CELL_M = 0.033
+"""Smallest map cell for policy `hvl`: it looks 1 m around a point, and at most 31 cells far."""
+
 
 class _Selection(Section):
     """Keys of all policies: the selection by score (VL-Nav algorithm 2).

@@ -23,7 +23,13 @@ from edge.config.loop import (
 from edge.config.mapping import MappingConfig
 from edge.config.mission import MissionConfig
 from edge.config.perception import PerceptionConfig
-from edge.config.policy import Policy, PolicyAdaptive, PolicyHvl, PolicyPlugin
+from edge.config.policy import (
+    FINEST_HVL_CELL_M,
+    Policy,
+    PolicyAdaptive,
+    PolicyHvl,
+    PolicyPlugin,
+)
 from edge.config.removed import drop_removed_keys
 from edge.config.robot import MotionConfig, RobotConfig, SensorsConfig
 from edge.config.ros2 import Ros2Config
@@ -178,8 +184,14 @@ class Config(Section):
             )
 
     def check_policy(self) -> None:
-        """Raise ConfigError if the policy needs a scorer, or a scorer a prior, that is not set."""
+        """Raise ConfigError if the policy does not fit the map, or lacks a scorer or a prior."""
         source, kind = self.value_source, self.policy.kind
+        if isinstance(self.policy, PolicyHvl) and self.mapping.resolution_m < FINEST_HVL_CELL_M:
+            raise ConfigError(
+                f"{self.at('mapping.resolution_m', 'policy.kind')}: {self.mapping.resolution_m:g} "
+                f"is too fine for policy.kind {kind}: set it to at least {FINEST_HVL_CELL_M:g}, or "
+                "choose another policy"
+            )
         if source is not None and source not in self._scorers_there():
             raise ConfigError(
                 f"{self.at('policy.kind', f'perception.{source}')}: {kind} needs the {source} "

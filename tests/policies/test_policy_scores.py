@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.config import PolicyHvl, PolicyNearest, PolicySearch
+from edge.config.policy import FINEST_HVL_CELL_M
 from edge.geometry import SE2, CameraModel, wrap_angle
+from edge.mapping.unknown import MAX_RADIUS_CELLS
 from edge.policies import make_policy
 from edge.policies.base import (
     FRONTIER,
@@ -21,7 +23,7 @@ from edge.policies.base import (
     ScorerOutputs,
     scores_of,
 )
-from edge.policies.hvl import hvl_scores, relatedness, vl_scores
+from edge.policies.hvl import UNKNOWN_RADIUS_M, hvl_scores, relatedness, vl_scores
 from edge.policies.select import ranked
 from edge.types import ContextBoxes, Detections, Observation
 
@@ -312,3 +314,8 @@ def test_nearness_is_along_the_path_or_straight(kind):
     assert np.argsort(-path).tolist() == [1, 0, 2]
     assert path[2] == 0.0
     assert np.argsort(-straight).tolist() == [0, 2, 1]
+
+
+def test_the_unknown_area_of_hvl_fits_a_map_with_the_finest_cells_that_it_may_have():
+    assert UNKNOWN_RADIUS_M <= MAX_RADIUS_CELLS * FINEST_HVL_CELL_M
+    assert UNKNOWN_RADIUS_M > MAX_RADIUS_CELLS * (FINEST_HVL_CELL_M - 0.001)
