@@ -23,8 +23,15 @@ _seen: dict[Hashable, object] = {}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options `--log-level` and `--log-json`."""
-    parser.add_argument("--log-level", choices=LEVELS, default="info", help="default: info")
-    parser.add_argument("--log-json", action="store_true", help="log JSON lines")
+    parser.add_argument(
+        "--log-level",
+        choices=LEVELS,
+        default="info",
+        help="least severe messages to log (default: info)",
+    )
+    parser.add_argument(
+        "--log-json", action="store_true", help="write the log as JSON, one object a line"
+    )
 
 
 def setup(level: str = "info", as_json: bool = False, stream: TextIO | None = None) -> None:

@@ -170,6 +170,11 @@ FAULTS = [
         "f.yaml: sensors.camera: hfov_deg 75 at width_px 16, height_px 4096: not a camera: ",
     ),
     (
+        {"mapping": {"resolution_m": 0.0329}},
+        "f.yaml: mapping.resolution_m: 0.0329 is too fine for policy.kind hvl: set it to at least "
+        "0.033, or choose another policy",
+    ),
+    (
         {"policy": {"kind": "vlfm"}},
         "f.yaml: policy.kind: vlfm needs the similarity scorer, and none is configured: set "
         "perception.similarity to a card, such as cooccurrence-similarity",
@@ -321,7 +326,7 @@ def test_every_fault_has_its_line():
         ("robot: {", "not YAML"),
         (b"\x00\x01\xff\xfe\x80binary", "not YAML"),
         ("loop: {hz: 2024-13-45}", "not YAML: month must be in 1..12"),
-        ("[" * 1000, "not YAML: nested too deeply"),
+        ("[" * 1000, "nested too deeply (more than 64 levels)"),
         ("loop: {hz: !!timestamp soon}", "not YAML: a value does not fit its tag"),
         ("loop: {hz: !!int ''}", "not YAML"),
     ],
@@ -482,9 +487,15 @@ def test_environment_overrides(write, environ, read, value):
     ("environ", "says"),
     [
         ({"EDGE__ROBOT__RADIUS": "0.3"}, "robot.radius: unknown key"),
-        ({"EDGE__ROBOT__RADIUS_M": "{"}, "environment EDGE__ROBOT__RADIUS_M: not a YAML value"),
-        ({"EDGE__LOOP__HZ": "2024-13-45"}, "environment EDGE__LOOP__HZ: not a YAML value: '2024"),
-        ({"EDGE__LOOP__HZ": "[" * 1000}, "environment EDGE__LOOP__HZ: not a YAML value"),
+        (
+            {"EDGE__ROBOT__RADIUS_M": "{"},
+            "environment EDGE__ROBOT__RADIUS_M: cannot be read as YAML",
+        ),
+        (
+            {"EDGE__LOOP__HZ": "2024-13-45"},
+            "environment EDGE__LOOP__HZ: cannot be read as YAML: '2024",
+        ),
+        ({"EDGE__LOOP__HZ": "[" * 1000}, "environment EDGE__LOOP__HZ: nested too deeply"),
     ],
 )
 def test_a_wrong_override_is_an_error(write, environ, says):

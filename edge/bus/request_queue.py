@@ -242,7 +242,7 @@ class RequestQueue:
         except UserError as error:
             self._drop(request, error)
         except Exception as error:
-            log.exception("a request could not be prepared")
+            log.exception("request %s failed; please report it with this traceback", request.do)
             self._drop(request, UserError(f"internal error: {type(error).__name__}: {error}"))
         else:
             with self._lock:

@@ -70,8 +70,13 @@ def _outcome(args: argparse.Namespace) -> int:
         if not isinstance(error, Stopped):
             print(printable_lines(error), file=sys.stderr)
         return error.exit_code
-    except OSError:
-        log.exception("a file or disk cannot be read or written")
+    except OSError as error:
+        where = error.filename or "unnamed file, device or connection"
+        reason = error.strerror or error
+        log.exception(
+            "input or output failed: %s: %s; check that it exists, its permissions and the free "
+            "disk space", where, reason,
+        )  # fmt: skip
         return os.EX_IOERR
     except Exception:
         log.exception("internal error of edge: please report it with this traceback")

@@ -61,8 +61,8 @@ def _export(action: argparse.ArgumentParser) -> None:
         help="quantize the FP32 file on this machine (extra `quantize`)",
     )  # fmt: skip
     option(
-        "--precision", nargs="+", metavar="P", help="of CLIP or SigLIP (default: fp32), or with "
-        "--quantize of a vision-language model (default: q4)",
+        "--precision", nargs="+", metavar="P", help="precision of CLIP or SigLIP (default: fp32), "
+        "or with --quantize of a vision-language model (default: q4)",
     )  # fmt: skip
     option("--family", help="with a folder: family of the new cards (default: NAME)")
     option("--license", help="with a folder: license of the model; default: that of its README.md")

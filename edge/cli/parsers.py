@@ -281,14 +281,19 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
     instead = replay.add_argument_group("write a file instead")
     kind = instead.add_mutually_exclusive_group()
     kind.add_argument(
-        "--trace", action="store_true", help="times of all stages of all ticks, for ui.perfetto.dev"
+        "--trace",
+        action="store_true",
+        help="write the times of all stages of all ticks, for ui.perfetto.dev",
     )
     kind.add_argument(
-        "--recover", action="store_true", help="a complete recording from one that was cut off"
+        "--recover",
+        action="store_true",
+        help="write a complete recording from one that was cut off",
     )
     instead.add_argument(
         "--out", type=Path, metavar="FILE",
-        help="file to write; default: trace.json, or the recording's name without `.partial`",
+        help="file to write (default with --trace: trace.json; with --recover: the recording's "
+        "name without .partial)",
     )  # fmt: skip
     mine = ("--config", "--detect", "--trust")
     of = {
@@ -322,8 +327,8 @@ def _trajectory(commands) -> None:  # type: ignore[no-untyped-def]
         "place", metavar="PLACE", help="folder of a SemanticKITTI sequence, or street:N, the "
         "built-in street number N"
     )  # fmt: skip
-    option("instruction", metavar="WORDS", help="such as 'go past the left of the van, then stop "
-           "at the bench'")  # fmt: skip
+    option("instruction", metavar="WORDS", help="the task in words, such as 'go past the left of "
+           "the van, then stop at the bench'")  # fmt: skip
     option(
         "--frames", type=int, nargs="+", default=[], metavar="N",
         help="frames of the sequence; the robot is at the last one (default: the first frame)",

@@ -27,7 +27,7 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
         action = actions.add_parser(do, help=text)
         action.add_argument("config", help=CONFIG)
         if do != "list":
-            action.add_argument("name", help="of the room")
+            action.add_argument("name", help="name of the room")
         action.add_argument("--json", action="store_true", help="print JSON")
         action.set_defaults(handler=lazy_handler("edge.cli.room", "run"))
 

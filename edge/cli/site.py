@@ -31,14 +31,14 @@ def add_places(commands) -> None:  # type: ignore[no-untyped-def]
 
 def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge zone`."""
-    zone = commands.add_parser("zone", help="where the robot must not go, or must stay")
+    zone = commands.add_parser("zone", help="close areas to the robot, or close all but an area")
     actions = zone.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
     for kind, text in (
         ("keep-out", "close the inside of a polygon"),
         ("stay-inside", "close all but the inside of a polygon"),
     ):
         add = _action(actions, kind, text)
-        add.add_argument("name", help="of the zone")
+        add.add_argument("name", help="name of the zone; an existing zone of this name is replaced")
         add.add_argument(
             "corners", nargs="+", type=_corner, metavar="X,Y",
             help="three corners at least, metres in map; write -- before a negative X",
@@ -56,11 +56,12 @@ def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
 
 def _common(actions, all_of_it: str) -> None:  # type: ignore[no-untyped-def]
     _action(actions, "list", f"list {all_of_it}")
-    _action(actions, "remove", "remove one").add_argument("name")
-    _action(actions, "export", f"write {all_of_it} as GeoJSON").add_argument("file")
+    _action(actions, "remove", "remove one").add_argument("name", help="name from `list`")
+    export = _action(actions, "export", f"write {all_of_it} as GeoJSON")
+    export.add_argument("file", help="GeoJSON file to write")
     load = _action(actions, "import", f"read {all_of_it} from GeoJSON")
-    load.add_argument("file")
-    load.add_argument("--replace", action="store_true", help="remove all others first")
+    load.add_argument("file", help="GeoJSON file to read")
+    load.add_argument("--replace", action="store_true", help="first remove all that exist")
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...]:

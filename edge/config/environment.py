@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from edge.config.explain import models_in
-from edge.config.yaml_text import parse_yaml
+from edge.config.yaml_text import YamlTooLargeError, parse_yaml
 from edge.errors import ConfigError
 from edge.logs import first_time
 from edge.text import bounded_repr, one_line, redact
@@ -71,7 +71,7 @@ def apply_overrides(
         The variable or option that set each overridden key.
 
     Raises:
-        ConfigError: a value is not YAML; one line.
+        ConfigError: a value cannot be read as YAML; one line.
     """
     origins = KeyOrigins()
     for name in sorted(name for name in environ if name.startswith(PREFIX)):
@@ -87,9 +87,14 @@ def apply_overrides(
             node = child
         try:
             node[leaf] = parse_yaml(environ[name])
-        except ValueError:
+        except YamlTooLargeError as error:
+            raise ConfigError(f"{origin}: {error}; give a shorter value") from None
+        except ValueError:  # its message may quote a secret
             shown = bounded_repr(redact(environ[name]))
-            raise ConfigError(f"{origin}: not a YAML value: {shown}") from None
+            raise ConfigError(
+                f"{origin}: cannot be read as YAML: {shown}; put text with any of : # [ ] {{ }} in "
+                "quotes"
+            ) from None
         origins[key] = origin
     return origins
 

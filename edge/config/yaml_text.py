@@ -17,7 +17,7 @@ MAX_NODES = 20_000
 MAX_DEPTH = 64
 _CHARS_PER_NODE = 64  # a long text counts as several nodes
 _MAX_PLAIN_CHARS = 100  # of a number, a date or another value that is not text
-_TOO_DEEP = "not YAML: nested too deeply"
+_TOO_DEEP = f"nested too deeply (more than {MAX_DEPTH} levels)"
 _TEXT = "tag:yaml.org,2002:str"
 _MERGE = "tag:yaml.org,2002:merge"
 
@@ -40,12 +40,12 @@ def parse_yaml(text: str | bytes) -> Any:
     """Return the data of a YAML text.
 
     Raises:
+        YamlTooLargeError: the text is longer or more deeply nested than a person writes. One line.
         ValueError: the text is not YAML or not UTF-8, has a Python tag, a value that does not fit
-            its type (2024-13-45), a key twice, or is larger than any text that a person writes.
-            One line.
+            its type (2024-13-45), a key twice, or too many keys and values. One line.
     """
     if len(text) > MAX_YAML_BYTES:
-        raise ValueError(f"longer than {MAX_YAML_BYTES} bytes")
+        raise YamlTooLargeError(f"longer than {MAX_YAML_BYTES} bytes")
     try:
         loader = _Loader(text)
         try:
@@ -57,13 +57,17 @@ def parse_yaml(text: str | bytes) -> Any:
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"not YAML: {one_line(error, 400)}") from None
     except RecursionError:
-        raise ValueError(_TOO_DEEP) from None
+        raise YamlTooLargeError(_TOO_DEEP) from None
     except (AttributeError, IndexError, KeyError):  # PyYAML raises them at `!!timestamp x`
         raise ValueError("not YAML: a value does not fit its tag") from None
 
 
 class _RefusedError(ValueError):
     """Refused YAML; the message is one line."""
+
+
+class YamlTooLargeError(_RefusedError):
+    """YAML that is too long or too deeply nested; the message quotes nothing of the text."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -88,7 +92,7 @@ class _Loader(yaml.SafeLoader):
             self._path.append(index.value if isinstance(index, yaml.ScalarNode) else index)
         before, outer, self._height = self._nodes, self._height, 0
         if len(self._path) > MAX_DEPTH:
-            raise _RefusedError(_TOO_DEEP)
+            raise YamlTooLargeError(_TOO_DEEP)
         node = super().compose_node(parent, index)
         if is_alias:
             if id(node) not in self._known:  # the alias is inside its own anchor
@@ -102,10 +106,11 @@ class _Loader(yaml.SafeLoader):
         self._nodes += nodes
         if self._nodes > MAX_NODES:
             raise _RefusedError(
-                f"line {line}: more than {MAX_NODES} keys and values (aliases count in full)"
+                f"line {line}: more than {MAX_NODES} keys and values up to here; an alias (*name) "
+                "counts as all that it stands for: shorten the text, or use fewer aliases"
             )
         if len(self._path) + height > MAX_DEPTH:
-            raise _RefusedError(_TOO_DEEP)
+            raise YamlTooLargeError(_TOO_DEEP)
         self._known[id(node)] = self._nodes - before, height
         self._height = max(outer, height + 1)
         if index is not None:

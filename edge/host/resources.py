@@ -25,7 +25,7 @@ def find_config(name_or_path: str) -> Path:
     if ready.exists():
         return ready
     names = ", ".join(sorted(p.stem for p in data_dir("config").glob("*.yaml")))
-    raise ConfigError(f"{name_or_path}: no such file (ready configurations: {names})")
+    raise ConfigError(f"{name_or_path}: no such file (configurations that come with edge: {names})")
 
 
 def expand(path: str | Path) -> Path:

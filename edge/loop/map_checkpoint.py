@@ -290,7 +290,7 @@ class MapCheckpoint:
         if grid is None or loaded is None:
             return None
         if elsewhere:
-            log.info("%s: map and objects of the checkpoint are dropped", elsewhere)
+            log.info("%s: the map and objects of the checkpoint are not used", elsewhere)
             return None
         if loaded.arrays["map/cells"] != grid.window.n:
             log.info("mapping.extent_m has changed since the checkpoint: the map is cut to it")

@@ -262,7 +262,7 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
     if name and any(name == outcome["id"] for outcome in service.past):
         raise UserError(f"mission {name} is already over on this robot: give it another id")
     if request.fields.get("if_free") and not mission.done:
-        raise UserError(f"not free: {_last(service)}")
+        raise UserError(f"not free: {_last(service)}; wait for its end, or cancel it")
     service.begin(request.prepared, now_ns, name)
 
 

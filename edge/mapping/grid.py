@@ -275,9 +275,11 @@ class RollingMap:
         """
         if self._flood_disc[0] != radius_m:
             if radius_m > config.MAX_RADIUS_CELLS * self.resolution_m:
+                finest_m = math.ceil(1000 * radius_m / config.MAX_RADIUS_CELLS) / 1000
                 raise ValueError(
-                    f"unknown-area radius {radius_m} m: the limit is {config.MAX_RADIUS_CELLS} "
-                    f"cells of {self.resolution_m} m"
+                    f"unknown-area radius {radius_m} m: with cells of {self.resolution_m} m at "
+                    f"most {config.MAX_RADIUS_CELLS * self.resolution_m:g} m are possible; set "
+                    f"mapping.resolution_m to at least {finest_m:.3g}"
                 )
             self._flood_disc = (radius_m, ly.disc_half_widths(radius_m / self.resolution_m))
         if not self.window.placed:

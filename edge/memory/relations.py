@@ -106,7 +106,9 @@ def described(text: str) -> DescribedThing | None:
         if _SPLIT.match(anchor):
             raise _undecidable(text, "a second relation")
         if relation == "in" and not names.is_known(anchor):
-            raise _undecidable(text, f"'in the {anchor}', since it knows no such room or thing")
+            raise _undecidable(
+                text, f"'in the {anchor}', since it knows no word {anchor!r} for a room or thing"
+            )
     nth, noun = _ordinal(noun)
     if not (relation or room or nth):
         return None
@@ -134,8 +136,8 @@ def _ordinal(noun: str) -> tuple[int, str]:
 def _undecidable(text: str, what: str) -> RelationError:
     can = ", ".join(dict.fromkeys(_WORDS.values()))
     return RelationError(
-        f"{one_line(text, 80)}: the object map cannot decide {what}; say the name, a room, or "
-        f"one of: {can}"
+        f"{one_line(text, 80)}: edge cannot check {what}; leave it out, name a room, or use one "
+        f"of: {can}"
     )
 
 

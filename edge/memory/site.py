@@ -327,7 +327,7 @@ class _ZoneFeature(_Model):
         if ring[0] == ring[-1]:
             del ring[-1]
         if len(set(ring)) < 3:
-            raise SiteError(f"zone {self.properties.name}: three different corners at least")
+            raise SiteError(f"zone {self.properties.name}: give three different corners at least")
         return Zone(self.properties.name, self.properties.kind, tuple(ring))
 
 

@@ -125,9 +125,12 @@ def _fetch(url: str, part: PartialFile, limits: DownloadLimits) -> None:
         ):
             total = _agree_on_start(response, part)
             if total is not None and total > MAX_BYTES:
-                raise FetchError(f"offers {total} bytes, more than the limit of {MAX_BYTES}")
+                raise FetchError(f"the file there has {total} bytes, over the limit of {MAX_BYTES}")
             if None not in (total, part.size) and total != part.size:
-                raise FetchError(f"offers {total} bytes, the card says {part.size}")
+                raise FetchError(
+                    f"the file there has {total} bytes, but the model card says {part.size}: it is "
+                    "another file or version; choose another place with --from"
+                )
             size = part.size if total is None else total
             with ProgressBar(part.target.name, size, part.have, unit="B", unit_scale=True) as bar:
                 for block in response.iter_raw():

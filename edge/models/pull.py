@@ -307,7 +307,10 @@ def _take_part(place: str, file: FolderFile, part: PartialFile, where: PullOptio
         copy_from(found[0], part, ())
     if file.mb is not None and abs(part.have / 1e6 - file.mb) > 0.1 * file.mb + 0.1:
         part.target.unlink()
-        raise FetchError(f"{file.file}: {part.have / 1e6:.1f} MB, but its card says {file.mb:g} MB")
+        raise FetchError(
+            f"{file.file} from {printable_url(place)}: {part.have / 1e6:.1f} MB, but the model "
+            f"card says {file.mb:g} MB; deleted: choose another place with --from"
+        )
 
 
 def _write_sidecar(path: Path, data: dict[str, Any]) -> None:

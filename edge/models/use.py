@@ -77,10 +77,11 @@ def follow_swap(
         if swap["state"] in ("kept", "rolled back", "refused"):
             return
         if not patient():
-            progress = f" ({swap['progress']})" if swap["progress"] else ""
+            progress = f", {swap['progress']}" if swap["progress"] else ""
             raise RequestError(
-                f"{_WHAT}: still {swap['state']}{progress} after --timeout; "
-                "the service continues, see the result in its log"
+                f"{_WHAT}: the change to {name} is not finished within --timeout (state: "
+                f"{swap['state']}{progress}); the service goes on with it: see its log for the "
+                "result"
             )
         time.sleep(pause_s)
         swap = ask({"do": "status"})

@@ -276,7 +276,7 @@ def _unpacked(path: Path, stack: ExitStack) -> Path:
         out = _decompressed(path, folder / path.name.removesuffix(".zstd"))
         first = _first_bytes(out, len(_SQLITE))
     if not first:
-        raise RecordingError(f"{path}: empty")
+        raise RecordingError(f"{path}: empty: name another file")
     if first.startswith(_ROS1):
         raise RecordingError(
             f"{path}: a ROS 1 bag: convert it first, for example with "

@@ -152,7 +152,9 @@ def spans_of(path: Path) -> list[Span]:
             print(f"{path}: only its first {MAX_SPANS} spans; name a later file for more")
             return spans[:MAX_SPANS]
     if not spans:
-        raise RecordingError(f"{session.cut or path}: no tick in it")
+        raise RecordingError(
+            f"{session.cut or path}: no tick in it: name a recording of a service that ran"
+        )
     return spans
 
 

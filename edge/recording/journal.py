@@ -102,11 +102,11 @@ def _said(said: dict[str, Any] | None) -> dict[str, Any] | None:
     """Check decisions of `decisions_of`, which will be compared and printed."""
     if said is None:
         return None
-    if not {"target", "phase", "goal", "sent"} <= said.keys():
-        raise ValueError(f"decisions with only {list(said)}")
+    if missing := sorted({"target", "phase", "goal", "sent"} - said.keys()):
+        raise ValueError(f"the recorded decisions lack {', '.join(missing)}")
     for goal in (said["goal"] or dict(_NOWHERE), *said["sent"]):
         if not _NOWHERE.keys() <= goal.keys() or len(goal["pose"]) != 3:
-            raise ValueError("not a goal")
+            raise ValueError("a recorded goal lacks a field, or its pose is not x, y, yaw")
         goal["pose"] = [float(v) for v in goal["pose"]]
         goal["score"] = float(goal["score"])
     return said

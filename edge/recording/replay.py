@@ -226,7 +226,7 @@ class _Run:
         checkpoint = ServiceCheckpoint(self.config, path, None)
         self._stack.callback(checkpoint.close)
         for problem in filter(None, (checkpoint.problem, checkpoint.map.problem)):
-            raise ReplayError(f"the checkpoint in the recording: {problem}")
+            raise ReplayError(f"the checkpoint in the recording cannot be used: {problem}")
         return checkpoint
 
     def _count_images(self, entries: Sequence[LoopInput]) -> None:

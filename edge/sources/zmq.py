@@ -265,7 +265,10 @@ class ZmqTap:
             except (ValueError, TypeError) as error:
                 if not self._warned:
                     self._warned = True
-                    log.warning("not recorded: %s; further ones are not logged", one_line(error))
+                    log.warning(
+                        "a camera message was not recorded: %s; further ones are not logged",
+                        one_line(error),
+                    )
 
     def close(self) -> None:
         self._context.destroy(linger=0)

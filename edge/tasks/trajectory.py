@@ -135,8 +135,8 @@ def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryL
             )
     if (length_m := float(steps_m.sum())) > limits.max_length_m:
         raise TrajectoryError(
-            f"the trajectory is {length_m:.0f} m long, at most {limits.max_length_m:g} m are "
-            "allowed"
+            f"the trajectory is {math.ceil(10 * length_m) / 10:g} m long, at most "
+            f"{limits.max_length_m:g} m are allowed; give a shorter one"
         )
 
 

@@ -205,7 +205,7 @@ def test_redirects_end(tmp_path, talk, message):
 @pytest.mark.parametrize(
     ("told", "message"),
     [
-        (1 << 62, "offers 4611686018427387904 bytes, more than the limit of"),
+        (1 << 62, "the file there has 4611686018427387904 bytes, over the limit of"),
         (len(CONTENT) + 1, "closed the connection before its answer was complete"),
         (len(CONTENT) - 1, "sha256 is"),
         (-1, r"does not speak HTTP \(bad Content-Length\)"),

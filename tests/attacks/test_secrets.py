@@ -148,7 +148,7 @@ def test_no_secret_is_told(edge, config, tmp_path, environ, say):
         "doctor --json": '"findings"',
         "config": '"password": "***"',
         "fault": "zenoh.prefix",
-        "another fault": "not a YAML value",
+        "another fault": "cannot be read as YAML",
         "key in endpoint": "put it into zenoh.file",
         "service": "zenoh",
     }.items():

@@ -51,10 +51,10 @@ def test_a_description_has_noun_relation_anchor_room_and_number(text, thing):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("chair behind the sofa", "cannot decide 'behind'"),
-        ("chair to the left of the sofa", "cannot decide 'left of'"),
+        ("chair behind the sofa", "cannot check 'behind'"),
+        ("chair to the left of the sofa", "cannot check 'left of'"),
         ("chair next to the desk near the bed", "a second relation"),
-        ("mug in the crypt", "no such room or thing"),
+        ("mug in the crypt", "knows no word 'crypt' for a room or thing; leave it out"),
     ],
 )
 def test_what_the_map_cannot_decide_is_refused(text, why):

@@ -102,7 +102,7 @@ def test_an_item_replaces_the_one_of_its_name():
         (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0]]])),
          AT + ".coordinates.0:"),
         (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0], [0, 0]]])),
-         "zone dock: three different corners at least"),
+         "zone dock: give three different corners at least"),
         (collection(feature(), feature(name="The dock")), "here: the name 'dock' is there twice"),
     ],
 )  # fmt: skip

@@ -106,7 +106,7 @@ def test_from_a_server(published, capsys, server, monkeypatch, at):
 def test_a_page_in_the_place_of_a_file_is_refused(published, capsys):
     change_card(decoder={"file": DECODER, "mb": 87.0})
     said = says(capsys, "pull", "tiny", "--from", str(published), code=69)
-    assert "0.0 MB, but its card says 87" in said
+    assert "0.0 MB, but the model card says 87" in said
     assert not (load_card("tiny").path / DECODER).exists()
 
 

@@ -94,9 +94,9 @@ def test_a_part_that_is_whole_needs_no_server(server, tmp_path):
     ("how", "expected", "message"),
     [
         ({"content": CONTENT[::-1]}, {}, "sha256 is"),
-        ({"content": CONTENT * 2}, {"size": len(CONTENT)}, "offers 204800 bytes, the card says 10"),
-        ({"content": CONTENT[1:]}, {"size": len(CONTENT)}, "offers 102399 bytes, the card says 10"),
-        ({"content": CONTENT, "told": 1 << 40}, {}, "offers 1099511627776 bytes, more than"),
+        ({"content": CONTENT * 2}, {"size": len(CONTENT)}, "has 204800 bytes, but the model card"),
+        ({"content": CONTENT[1:]}, {"size": len(CONTENT)}, "has 102399 bytes, but the model card"),
+        ({"content": CONTENT, "told": 1 << 40}, {}, "has 1099511627776 bytes, over the limit"),
         ({"content": b"", "status": 404}, {}, "HTTP 404 Not Found"),
         ({"status": 302, "location": "file:///etc/passwd"}, {}, "is not a valid address"),
         ({"status": 302, "location": "/w.pt"}, {}, "more than 10 redirects"),

@@ -125,7 +125,7 @@ def test_when_no_source_gives_it_one_line_says_so_and_nothing_is_left(put_card, 
     put_card(card(url(server.url("/w.pt"), bytes=5)))
     assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
     (line,) = capsys.readouterr().err.splitlines()
-    assert "offers 100 bytes, the card says 5" in line
+    assert "the file there has 100 bytes, but the model card says 5: " in line
     assert "--from FILE_OR_FOLDER" in line
     assert pulled() == {}
 

@@ -61,7 +61,10 @@ def test_the_end_of_another_swap_is_not_told_as_the_end_of_this_one():
 
 def test_patience_has_an_end():
     service = Service(swap("checking", progress="0 of 4 images collected"))
-    line = r"^models: still checking \(0 of 4 images collected\) after --timeout; "
+    line = (
+        r"^models: the change to new is not finished within --timeout \(state: checking, 0 of 4 "
+        r"images collected\); the service goes on with it: "
+    )
     with pytest.raises(RequestError, match=line):
         followed(service, patience=3)
     assert len(service.requests) == 4

@@ -148,7 +148,7 @@ def test_limits_that_no_robot_has_are_refused(key, value):
 
 def test_the_length_and_the_regions_are_bounded():
     there_and_back = np.array(line(*[(0.0, 0.0), (-10.0, 0.0)] * 30))
-    with pytest.raises(TrajectoryError, match="the trajectory is 590 m long, at most 500 m"):
+    with pytest.raises(TrajectoryError, match="the trajectory is 590 m long, at most 500 m are"):
         check(CoarseTrajectory((there_and_back,)), GROUND, LIMITS)
     with pytest.raises(TrajectoryError, match=r"there is no region 3 \(there: 1, 2\)"):
         check(CoarseTrajectory((np.zeros((1, 2)),), (1, 3)), GROUND, LIMITS)

@@ -45,7 +45,7 @@ def _xyz_offsets(reader: CdrReader) -> tuple[int, int, int]:
     """Return the offsets of x, y and z in a point, from the message's list of fields."""
     (count,) = reader.read(U32, 4)
     if count > _MAX_FIELDS:
-        raise DecodeError(f"cloud with {count} fields")
+        raise DecodeError(f"cloud has {count} fields, at most {_MAX_FIELDS} are read")
     offsets = {}
     for _ in range(count):
         name = reader.string()
@@ -55,7 +55,7 @@ def _xyz_offsets(reader: CdrReader) -> tuple[int, int, int]:
         if datatype == _FLOAT32:
             offsets[name] = offset
     if not offsets.keys() >= {"x", "y", "z"}:
-        raise DecodeError("cloud without float32 fields x, y, z")
+        raise DecodeError("cloud lacks the float32 fields x, y, z")
     return offsets["x"], offsets["y"], offsets["z"]
 
 

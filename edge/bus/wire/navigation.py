@@ -133,7 +133,7 @@ def decode_goal_statuses(payload: bytes) -> list[tuple[bytes, int]]:
 def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
     (count,) = reader.read(U32, 4)
     if count > _MOST_GOALS:
-        raise DecodeError(f"{count} goals")
+        raise DecodeError(f"message of {count} goals, at most {_MOST_GOALS} are read")
     goals = []
     for _ in range(count):
         (goal_id,) = reader.read(_UUID, 1)

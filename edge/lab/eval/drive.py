@@ -178,7 +178,10 @@ def over_zenoh(
     from edge.loop.runner import loop
 
     if episode.site or episode.asks:
-        raise UserError("zones and questions: leave out --processes")
+        raise UserError(
+            "--processes: episodes with zones or questions cannot run in separate processes; "
+            "leave out --processes"
+        )
     config = with_free_port(config)
     witness = GroundTruthLogger(config, world, lambda stamp_ns: truth.at(stamp_ns))
     recorder = ReportRecorder(config)
@@ -228,7 +231,8 @@ class GroundTruthReader:
                 break
             if time.monotonic() > until_s:
                 raise UserError(
-                    f"no ground truth from the simulator for t = {stamp_ns * 1e-9:.2f} s"
+                    f"the simulator sent no ground truth for t = {stamp_ns * 1e-9:.2f} s: see its "
+                    "output above"
                 )
             time.sleep(_POLL_S)
         data = self._heard[stamp_ns]
@@ -258,7 +262,7 @@ def outcome_of(
         raise witness.fault
     status, now = witness.status, witness.now
     if status is None or now is None:
-        raise UserError("the service got no observation")
+        raise UserError("the service got no image and pose from the simulator: see the log above")
     failure, sight = witness.failure(status.target), witness.first_sight()
     away_m = left_m = None
     if episode.target is not None:

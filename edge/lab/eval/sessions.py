@@ -223,7 +223,7 @@ class _Session:
         """
         left_m = remaining_m(self._config, self._world, goal, x_m, y_m)
         if left_m is None:
-            raise UserError(f"no path to a {goal} from ({x_m:.2f}, {y_m:.2f})")
+            raise UserError(f"{self._world.name}: no path to a {goal} from ({x_m:.2f}, {y_m:.2f})")
         return round(left_m, 4)
 
 

@@ -81,11 +81,13 @@ def read_objects(path: Path) -> list[dict[str, Any]]:
         for k, item in enumerate(items):
             for key in ("name", "category", "yaw", "aabb_min", "aabb_max"):
                 if key not in item:
-                    raise WorldError(f"{path}: object {k}: no {key!r}")
+                    raise WorldError(
+                        f"{path}: [{k}] (counted from 0): the field {key!r} is missing: add it"
+                    )
             try:
                 names.normalise(item["category"])
             except names.NotANameError as error:
-                raise WorldError(f"{path}: object {k}: category: {error}") from None
+                raise WorldError(f"{path}: [{k}] (counted from 0): category: {error}") from None
     except OSError as error:
         raise WorldError(f"{path}: {error.strerror}") from None
     except (ValueError, TypeError) as error:

@@ -147,7 +147,7 @@ def run_request(order: ObjectMapUpdate | PlanRequest) -> PlanResult | None:
     except UserError as error:
         return PlanResult(error=str(error), hopeless=isinstance(error, TranslationError))
     except Exception as error:
-        log.exception("writing a trajectory")
+        log.exception("writing a trajectory failed; please report it with this traceback")
         return PlanResult(error=f"a bug in edge: {type(error).__name__}: {error}")
 
 

@@ -90,7 +90,7 @@ def ap(name: str) -> Formula:
         ValueError: the name is blank.
     """
     if not name.strip():
-        raise ValueError("a proposition needs a name")
+        raise ValueError('a name in the formula is empty: write a place or object, such as "chair"')
     return Formula("ap", (), name)
 
 

@@ -44,7 +44,7 @@ def main(argv: list[str] | None) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, help="folder of views and weights")
     parser.add_argument("--models", type=Path, default=Path("models"), help="for file and card")
-    parser.add_argument("--seed", type=int, default=SEED, help="of the training; default: 0")
+    parser.add_argument("--seed", type=int, default=SEED, help="seed of the training; default: 0")
     parser.add_argument(
         "--houses", default=HOUSES,
         help="seeds of houses to train on, as half-open ranges (default: %(default)s)",

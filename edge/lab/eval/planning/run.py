@@ -69,7 +69,10 @@ def _report(
         write_atomically(out / JSON_NAME, content)
         paths = [out / JSON_NAME, *write_plots(rows, out)]
     except OSError as error:
-        raise FileError(f"--out {out}: {error.strerror}; choose another directory") from None
+        raise FileError(
+            f"--out {out}: {error.strerror}; the table above is complete, but the files are not: "
+            "run again with another directory"
+        ) from None
     print("\n".join(map(str, paths)))
     print(f"{seconds:.0f} s")
 

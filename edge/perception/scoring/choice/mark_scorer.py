@@ -188,8 +188,12 @@ class MarkScorer:
         """
         rgb = view.observation.rgb
         if rgb is None or view.ways is None:
-            lacks = "image" if rgb is None else "map with paths to the marks"
-            raise ModelError(f"observation {view.observation.seq}: no {lacks} for {self.name}")
+            why = (
+                f"observation {view.observation.seq} has no camera image"
+                if rgb is None
+                else "there is no map yet, so no paths to the directions to choose from"
+            )
+            raise ModelError(f"model {self.name}: cannot choose a direction: {why}")
         hw = (self._card.input.height, self._card.input.width)
         image, scale, top, left = letterboxed(rgb, hw, self._card.preprocess.letterbox_pad)
         if image is rgb:

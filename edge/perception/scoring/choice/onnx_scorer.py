@@ -75,7 +75,10 @@ class OnnxFrontierScorer:
             return ModelPrompt(view, describe(view), view.marks)
         rgb = view.observation.rgb
         if rgb is None:
-            raise ModelError(f"observation {view.observation.seq}: no image for {self.name}")
+            raise ModelError(
+                f"model {self.name}: cannot choose a direction: observation "
+                f"{view.observation.seq} has no camera image"
+            )
         return ModelPrompt(view, *draw(rgb, view.marks, self._max_px))
 
     def answer(self, shown: ModelPrompt) -> FrontierChoice | None:
