@@ -21,6 +21,7 @@ def test_metrics_scrape(benchmark):
     worker = closed.service._worker
     source = SimpleNamespace(counters={})
     metrics = Metrics(ServiceHealth(SystemdNotifier({})))
-    metrics.watch(RunningService(closed.config, closed.service, worker, source, {}), closed.sinks)
+    running = RunningService(closed.config, closed.service, worker, source, {})
+    metrics.add_service(running, closed.sinks)
     page = benchmark(metrics.pages()["/metrics"])
     assert b"edge_map_known_square_meters" in page.body

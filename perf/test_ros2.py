@@ -28,6 +28,7 @@ from results import result  # noqa: E402
 
 from edge.bus import topics  # noqa: E402
 from edge.bus.ros2.node import open_node  # noqa: E402
+from edge.bus.ros2.topics import NAVIGATE_TO_POSE  # noqa: E402
 from edge.bus.session import zenoh_session  # noqa: E402
 from edge.bus.wire import messages  # noqa: E402
 from edge.config import Config, parse  # noqa: E402
@@ -180,9 +181,11 @@ def test_odometry_to_goal_through_the_adapter(benchmark, tmp_path):
     ):
         assert robot.stdout.readline() == "ready\n"
         source = Ros2Source(config, session)
-        navigator = NavigateToPoseClient(open_node(config, session, "sink"), "/navigate_to_pose",
-        "odom",
-                              told.append)  # fmt: skip
+        node = open_node(config, session, "sink")
+        navigator = NavigateToPoseClient(node, "/navigate_to_pose", "odom", told.append)
+        send_goal = node.client(
+            "/navigate_to_pose/_action/send_goal", f"{NAVIGATE_TO_POSE}_SendGoal", timeout_s=1.0
+        )
 
         def say(name: str, stamp_ns: int) -> None:
             robot.stdin.write(f"{name} {stamp_ns}\n")
@@ -195,7 +198,7 @@ def test_odometry_to_goal_through_the_adapter(benchmark, tmp_path):
                 say(name, ns)
 
         def see():
-            navigator.beat()
+            navigator.update()
             return (until_received(source, 1, lambda stamp_ns: say("scan", stamp_ns), stamps),), {}
 
         def trip(stamp_ns: int) -> None:
@@ -205,7 +208,7 @@ def test_odometry_to_goal_through_the_adapter(benchmark, tmp_path):
             while robot.stdout.readline() != f"goal {stamp_ns}\n":
                 pass
 
-        eventually(navigator.served)
+        eventually(send_goal.served)
         until_found(source, bring)
         measure(benchmark, "odometry_to_goal_adapter", see, trip)
         source.close()

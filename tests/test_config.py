@@ -170,11 +170,6 @@ FAULTS = [
         "f.yaml: sensors.camera: hfov_deg 75 at width_px 16, height_px 4096: not a camera: ",
     ),
     (
-        {"mapping": {"resolution_m": 0.0329}},
-        "f.yaml: mapping.resolution_m: 0.0329 is too fine for policy.kind hvl: set it to at least "
-        "0.033, or choose another policy",
-    ),
-    (
         {"policy": {"kind": "vlfm"}},
         "f.yaml: policy.kind: vlfm needs the similarity scorer, and none is configured: set "
         "perception.similarity to a card, such as cooccurrence-similarity",

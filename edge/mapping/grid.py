@@ -75,7 +75,7 @@ class RollingMap:
         layers: arrays that updates write, read-only, by storage cell (see `edge.mapping.layers`).
 
     Example:
-        >>> grid = RollingMap(config.Mapping(extent_m=6.0, range_m=2.0))
+        >>> grid = RollingMap(config.MappingConfig(extent_m=6.0, range_m=2.0))
         >>> camera, T_base_camera = CameraModel.from_hfov(48, 40, 1.6), np.eye(4)
         >>> T_base_camera[:3, :3] = (0, 0, 1), (-1, 0, 0), (0, -1, 0)
         >>> T_base_camera[2, 3] = 0.5
