@@ -71,7 +71,7 @@ def test_score_by_values_30(benchmark, kind):
     pool.measure(m)
     policy = make_policy({"vlfm": config.PolicyVlfm, "adaptive": config.PolicyAdaptive}[kind]())
     context = PolicyInput(
-        detections(stamp_ns=1).observation, POSE, MapView(m), (0, 0, 0, 0), pool.shown, None,
+        detections(stamp_ns=1).observation, POSE, MapView(m), (0, 0, 0, 0), pool.read_only, None,
         ScorerOutputs(), ("chair",), "chair", 2,
     )  # fmt: skip
     score = benchmark.pedantic(policy.score, args=(context,), rounds=500, warmup_rounds=20)
@@ -97,7 +97,7 @@ def test_score_and_select_200(benchmark):
         POSE,
         MapView(m),
         (0, 0, 0, 0),
-        pool.shown,
+        pool.read_only,
         seen,
         ScorerOutputs(),
         ("chair",),
@@ -107,7 +107,7 @@ def test_score_and_select_200(benchmark):
 
     def fresh() -> None:
         policy.reset("mission")
-        goals.drop()
+        goals.abandon()
 
     def score_and_select():
         return goals.choose(context, m, scores_of(policy, context), 0)

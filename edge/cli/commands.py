@@ -160,7 +160,7 @@ def _serve(
         metrics.add_service(running, running.sinks)
         traced.spans = running.service.latency.spans
         mission = running.service.mission
-        doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)
+        doing = mission.reason if mission.idle else one_line(mission.spec.translation.instruction)
         log.info("ready: %s, on %s", doing, config.zenoh.address)
         vitals.ready()
         ended: RunResult | None = None

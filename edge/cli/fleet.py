@@ -176,18 +176,18 @@ def new(args: argparse.Namespace) -> int:
     """
     zenoh, limits = fleet_settings(args.config)
     text = {"formula" if args.formula else "instruction": args.text}
-    brief = prepare(limits, **text)
-    if brief.translation.repeat is not None:
+    spec = prepare(limits, **text)
+    if spec.translation.repeat is not None:
         raise UserError("fleet: a mission that repeats cannot be shared; send it to one service")
     named = [] if args.to in (None, [ANY]) else list(dict.fromkeys(args.to))
     if ANY in named:
         raise UserError(f"fleet: --to: give either {ANY} or names of robots")
     with open_roster(zenoh) as roster:
         _check_names(named, roster.names())
-        mission = plan(brief, limits, roster.look(), named, args.share, args.anew)
-        _say(f"mission {mission.id}: {brief.translation.understood}")
-        if mission.why_whole:
-            _say(f"not split: {mission.why_whole}; one robot gets all of it")
+        mission = plan(spec, limits, roster.look(), named, args.share, args.anew)
+        _say(f"mission {mission.id}: {spec.translation.understood}")
+        if mission.unsplit_reason:
+            _say(f"not split: {mission.unsplit_reason}; one robot gets all of it")
         dispatcher = Dispatcher(roster, mission, _say, args.patience or PATIENCE_S)
         try:
             outcomes = dispatcher.run()

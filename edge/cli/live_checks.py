@@ -75,7 +75,7 @@ class _Heard:
         if seen is None:
             return
         try:
-            self._checks.judge(seen, time.monotonic_ns())
+            self._checks.permitted_use(seen, time.monotonic_ns())
             for found in self._checks.failed:
                 self._failed.setdefault(found.name, found)
             self._age_s.append((time.time_ns() - seen.stamp_ns) * 1e-9)

@@ -91,10 +91,10 @@ def check_mission(config: Config) -> None:
     by_server = translator.kind == "llm" or getattr(translator, "llm", None) is not None
     if mission.checkpoint is not None or (mission.instruction is not None and by_server):
         return
-    brief, detector = prepare_mission(config), config.perception.detector
+    spec, detector = prepare_mission(config), config.perception.detector
     if isinstance(detector, DetectorOnnx):
         card = load_card_of(DetectCard, detector.model)
-        make_text_encoder(card, detector.vocabulary).embed(brief.prompts)
+        make_text_encoder(card, detector.vocabulary).embed(spec.prompts)
 
 
 def _policy(config: Config) -> None:

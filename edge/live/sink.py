@@ -190,7 +190,7 @@ class LiveSink:
             site=self._site,
             n_sites=self._n_sites,
             candidates=result.candidates(),
-            way=result.way(),
+            way=result.path(),
             layers=result.layers(),
             health=result.health(),
             letters={} if choice is None else _letters(choice),

@@ -225,7 +225,7 @@ class LoadShedder:
 
     def _rest(self, rung: int) -> None:
         if self._scorers is not None:
-            self._scorers.resting = self._resting(rung)
+            self._scorers.shed = self._resting(rung)
 
 
 def _check_here(name: str) -> None:

@@ -71,7 +71,7 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
     name, room = request.fields.get("name", ""), request.fields.get("room", "")
     if room and not rooms.matching(room):
         raise UserError(f"room: no room is known as {one_line(room)}")
-    sightings, pose = service.map.sightings.shown, service.pose
+    sightings, pose = service.map.objects.read_only, service.pose
     known = partial(
         known_objects, sightings, service.stamp_ns, service.config.perception.min_hits,
         since_s=request.fields.get("since_s"), room_of=rooms.title_at,
@@ -79,7 +79,7 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
     )  # fmt: skip
     found = known(name=name)
     if name:
-        asked = (*service.mission.brief.prompts, *sightings.words)
+        asked = (*service.mission.spec.prompts, *sightings.words)
         is_looked_for = any(names.is_kind_of(word, name) for word in asked)
         text = where_is(name, found, pose, is_looked_for, rooms.where)
         if not found:

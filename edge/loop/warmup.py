@@ -139,7 +139,7 @@ def warm_policy(config: Config) -> None:
         observation.pose,
         MapView(grid),
         nowhere,
-        pool.shown,
+        pool.read_only,
         seen,
         ScorerOutputs(),
         seen.prompts,

@@ -182,7 +182,7 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
 
 
 class Question(Protocol):
-    """The input of a scorer; its observation is held until `Scorer.look` returns."""
+    """The input of a scorer; its observation is held until `Scorer.prepare` returns."""
 
     @property
     def observation(self) -> Observation: ...
@@ -201,7 +201,7 @@ class Scorer(Protocol[Q, A]):
 
     name: str
 
-    def look(self, question: Q) -> Any:
+    def prepare(self, question: Q) -> Any:
         """Read everything that needs the observation's arrays; may raise anything."""
         ...
 
@@ -269,7 +269,7 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
         outcome: A | Exception | None = None
         try:
             try:
-                looked = scorer.look(question)
+                looked = scorer.prepare(question)
             finally:
                 question.observation.release()
             outcome = scorer.answer(looked)

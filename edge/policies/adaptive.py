@@ -67,7 +67,7 @@ class AdaptivePolicy:
         elif context.prior is None:
             value[:n] = np.nan
         else:
-            context.prior.lift(context.target, context.candidates.xy_m, n, value)
+            context.prior.likelihood_ratio(context.target, context.candidates.xy_m, n, value)
             value[:n] /= 1.0 + value[:n]
 
     def _promising(self, scored: np.ndarray) -> np.ndarray:

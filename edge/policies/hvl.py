@@ -132,7 +132,9 @@ def relatedness(words: tuple[str, ...], targets: tuple[str, ...]) -> np.ndarray:
         (words, targets) float64 in [0, 1); 0 for words outside the co-occurrence table.
     """
     known = table.load()
-    lift = np.array([[known.lift((word, target))[0, 1] for target in targets] for word in words])
+    lift = np.array(
+        [[known.likelihood_ratio((word, target))[0, 1] for target in targets] for word in words]
+    )
     return 1.0 - 1.0 / np.maximum(lift.reshape(len(words), len(targets)), 1.0)
 
 

@@ -185,7 +185,7 @@ class _Run:
         task: Any = None,
     ) -> None:
         config = self.config
-        brief = restore_spec(config.mission, translation, task)
+        spec = restore_spec(config.mission, translation, task)
         checkpoint = self._checkpoint(saved, places)
         detector: Detector = NullModel("replay")
         anew: Callable[[Observation], Detections] | None = None
@@ -196,11 +196,11 @@ class _Run:
                     "model with --config, or EDGE__PERCEPTION__DETECTOR__KIND=onnx"
                 )
             masker = make_masker(config.perception, timed=False)
-            detector = make_detector(config.perception, brief.prompts)
+            detector = make_detector(config.perception, spec.prompts)
             anew = detector.detect if masker is None else lambda o: masker.add(detector.detect(o))
         self._worker = worker = DetectorWorker(detector, inline=True)
         self._stack.callback(worker.close)
-        scorers = self._scorers(brief.prompts)
+        scorers = self._scorers(spec.prompts)
         own = ()
         if self._other:
             by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
@@ -209,8 +209,8 @@ class _Run:
         self._journal = ReplaySource(self._now, anew, own)
         policy = make_policy(config.policy, config.path)
         self.service = Service(
-            config, brief, worker, policy, [self.sink], checkpoint, scorers,
-            idle=idle, journal=self._journal, site=SiteFile(site=site),
+            config, spec, worker, policy, [self.sink], checkpoint, scorers,
+            idle=idle, input_log=self._journal, site=SiteFile(site=site),
         )  # fmt: skip
         self._stack.callback(self.service.close)
 
@@ -258,7 +258,7 @@ class _Run:
         except Exception as error:
             self._failed = observation
             service.latency.abandon_tick(service.stage)
-            service.faults.on_error(TICK, error, now_ns, where=STAGES[service.stage].name)
+            service.error_boundary.on_error(TICK, error, now_ns, where=STAGES[service.stage].name)
         else:
             self._failed = observation if service.refused else None
             service.latency.end_tick(perf_counter_ns())

@@ -34,7 +34,7 @@ class NullModel:
     def detect(self, observation: Observation) -> Detections:
         raise AssertionError("a model is not called in a replay")
 
-    look = answer = score = detect
+    prepare = answer = score = detect
 
     def health(self) -> Health:
         return Health()
@@ -152,7 +152,9 @@ class ReplaySource(InputLog):
             "task": lambda said, asked: journal.draft_of(said),
         }
 
-    def decided(self, what: str, decide: Callable[[], str], usual: str | None = None) -> str:
+    def record_decision(
+        self, what: str, decide: Callable[[], str], usual: str | None = None
+    ) -> str:
         """Return the recorded decision; if there is none, the usual one.
 
         Without a usual one, decide now: other settings may need a decision that was not recorded.

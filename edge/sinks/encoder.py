@@ -179,7 +179,7 @@ class ResultEncoder:
         for goal in result.goals:
             encode = partial(messages.encode_pose_stamped, goal.stamp_ns, goal.pose)
             yield _Later(channels.GOAL, goal.stamp_ns, encode)
-        for answer in result.answers:
+        for answer in result.goal_statuses:
             said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
             yield _Later(channels.GOAL_STATUS, now_ns, partial(json_bytes, said))
         for event in result.events:

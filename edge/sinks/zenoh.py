@@ -85,7 +85,7 @@ class ZenohSink:
 
     def tick(self, result: TickResult) -> None:
         """Queue what changed; see `edge.loop.result.Sink`."""
-        for answer in result.answers:
+        for answer in result.goal_statuses:
             self._worker.queue(("answered", (answer.stamp_ns, answer.state != "accepted")))
         for goal in result.goals:
             self._put("goal", goal)

@@ -81,10 +81,10 @@ class Sharing:
         self._thread.start()
 
     def _run(self, port, words, patience_s, how):
-        brief = prepare(LIMITS, instruction=words)
+        spec = prepare(LIMITS, instruction=words)
         with open_roster(settings_of(port, "any")) as seen:
             how = {"share": True, **how}
-            self.mission = plan(brief, LIMITS, seen.look(), **how)
+            self.mission = plan(spec, LIMITS, seen.look(), **how)
             dispatcher = Dispatcher(seen, self.mission, self.told.append, patience_s)
             while not self._stop.is_set():
                 orders = dispatcher.step()
@@ -169,7 +169,7 @@ def test_a_mission_in_three_parts_is_done_by_three(port, robots):
     ended = Sharing(port).ended()
     assert {phase for phase, _ in ended.values()} == {"reached"}
     assert {by for _, by in ended.values()} == {"anna", "bob", "carl"}
-    assert all(robot.mission.brief.automaton.letters[-1] == "toilet" for robot in three)
+    assert all(robot.mission.spec.automaton.propositions[-1] == "toilet" for robot in three)
 
 
 def test_what_everybody_fails_at_is_told_with_their_reasons(port, robots):
@@ -225,7 +225,7 @@ def test_two_dispatchers_of_different_missions_take_no_robot_from_each_other(por
     one, other = Sharing(port), Sharing(port, "go to the chair, the lamp and the sink")
     assert [phase for phase, _ in one.ended().values()] == ["reached"] * 3
     assert [phase for phase, _ in other.ended().values()] == ["reached"] * 3
-    past = [entry["phase"] for robot in both for entry in robot.service.past]
+    past = [entry["phase"] for robot in both for entry in robot.service.past_missions]
     assert past == ["reached"] * 4  # and two that are their last: none was replaced
     assert sum(robot.service.begun for robot in both) == 6
 

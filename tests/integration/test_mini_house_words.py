@@ -86,5 +86,5 @@ def test_it_is_found_where_it_stands_in_plain_view(house, word):
         sightings.look(lifted, around)
         tracker.update(lifted, observation.stamp_ns)
         tracker.expire(observation, found.prompts)
-    sure = tracker.of(word, sure=True, doubted=False)
+    sure = tracker.of(word, only_confirmed=True, doubted=False)
     assert min(thing.distance_m(*i.center_m[:2].tolist()) for i in sure) < 0.5, tracker.all

@@ -69,7 +69,7 @@ class Bench:
         self.config, self.board, self.said = config, board, []
         self.models = {"large": Fake("large", 20.0), "small": Fake("small", 10.0)}
         self.worker = DetectorWorker(self.models["large"], inline=True)
-        self.scorers = SimpleNamespace(resting=frozenset())
+        self.scorers = SimpleNamespace(shed=frozenset())
         self.swapper = DetectorSwap(config.perception, self.worker, lambda *_: None, self._make)
         self.governor = LoadShedder(
             config.perception, self.worker, self.swapper, self.scorers,
@@ -150,18 +150,18 @@ def test_a_slow_detector_gives_way_rung_by_rung_and_comes_back(bench):
     b = bench()
     b.models["large"].ms, b.models["small"].ms = 60.0, 40.0
     b.until(lambda: b.governor.rung == 1)
-    assert (b.running, b.scorers.resting) == ("small", frozenset())
+    assert (b.running, b.scorers.shed) == ("small", frozenset())
     assert b.said == [
         "governor: step down to level 1 of 2: model small: detect takes 60 ms (median), above "
         "perception.swap.budget_ms (33), for over 2 s"
     ]
     b.until(lambda: b.governor.rung == 2)
-    assert b.scorers.resting == {"choice"}
+    assert b.scorers.shed == {"choice"}
     assert b.said[1].startswith("governor: step down to level 2 of 2: rest choice: detect takes 40")
     assert b.governor.status()["resting"] == ["choice"]
     b.models["large"].ms, b.models["small"].ms = 12.0, 8.0
     b.until(lambda: b.governor.rung == 0)
-    assert (b.running, b.scorers.resting) == ("large", frozenset())
+    assert (b.running, b.scorers.shed) == ("large", frozenset())
     assert [line.split(":")[1].strip() for line in b.said[2:]] == [
         "step up to level 1 of 2", "step up to level 0 of 2",
     ]  # fmt: skip
@@ -181,7 +181,7 @@ def test_a_model_that_is_not_to_be_had_is_passed_over(bench):
     b.until(lambda: b.governor.rung == 2)
     assert b.running == "large"
     assert b.said[1] == "governor: level 1 cannot be used: small.onnx: damaged; large goes on"
-    assert b.scorers.resting == {"choice"}
+    assert b.scorers.shed == {"choice"}
     b.models["large"].ms = 10.0
     b.until(lambda: b.governor.rung == 0)
 
@@ -262,7 +262,7 @@ def test_a_service_tells_of_each_step_in_its_status_and_to_its_sinks():
         eventually(lambda: governor.step(next(s) * 10**9) or governor.rung == 1)
         closed.step()
         status = status_message(closed.service.result())
-        assert closed.service.scorers.resting == {"choice"}
+        assert closed.service.scorers.shed == {"choice"}
     finally:
         closed.close()
     assert (status["governor"]["rung"], status["governor"]["steps"]["down"]) == (1, 1)

@@ -56,7 +56,7 @@ def test_a_view_stands_until_it_was_looked_at_often_enough():
     assert case.choose() is A
     for images in (100, 101, 102):
         case.images = images
-        case.survey.came(images)
+        case.survey.on_arrived(images)
         assert case.choose() is A
     case.images = 103
     assert case.choose() is None

@@ -280,7 +280,7 @@ def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
     assert tracker.of("desk", doubted=False) == []
     for _ in range(60):  # it was a mistake, and as the looks go on it is seen to be one
         s.look(("desk", 2, 0, 0.6), around=[("sofa", 2, 3, 0.7)])
-    assert tracker.of("desk", sure=True, doubted=False) == [desk]
+    assert tracker.of("desk", only_confirmed=True, doubted=False) == [desk]
 
 
 @pytest.mark.parametrize(
@@ -298,7 +298,7 @@ def test_what_was_confirmed_takes_more_to_doubt(memory, first, desk_score, sofa_
         s.look(("desk", 2, 0, 0.6), around=[("lamp", 2, 3, 0.7), ("sofa", 2, 3, 0.7)])
     for _ in range(80):
         tracker = s.look(("desk", 2, 0, desk_score), around=[("sofa", 2, 0, sofa_score)])
-    assert bool(tracker.of("desk", sure=True, doubted=False)) == sure
+    assert bool(tracker.of("desk", only_confirmed=True, doubted=False)) == sure
 
 
 @pytest.mark.parametrize(

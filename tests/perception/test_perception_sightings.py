@@ -25,7 +25,7 @@ class Scene:
             config.PerceptionConfig(detector=config.DetectorSim(), **settings)
         )
         self.make, self.seq = make_observation, 0
-        self.seen = self.tracker.shown
+        self.seen = self.tracker.read_only
 
     def see(self, *things, targets=("bed",), words=("chair", "sofa"), depth_m=6.0):
         """One frame with (word, x, y, score) each; targets and context are looked for."""

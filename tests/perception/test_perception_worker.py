@@ -165,7 +165,7 @@ class Steered:
             raise RuntimeError("as told")
         return found_in(observation)
 
-    def look(self, question):
+    def prepare(self, question):
         return self.detect(question.observation)
 
     def answer(self, looked):
@@ -237,7 +237,7 @@ class FakeScorer:
         self.closed = threading.Event()
         self.outcomes = list(outcomes)
 
-    def look(self, question):
+    def prepare(self, question):
         assert question.observation.slot.holds == 1
         return question.observation.seq
 

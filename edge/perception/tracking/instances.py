@@ -160,21 +160,21 @@ class InstanceTracker:
         track = self._tracks.get(instance_id)
         return track.instance if track else None
 
-    def of(self, label: str, sure: bool = False, doubted: bool = True) -> list[Instance]:
+    def of(self, label: str, only_confirmed: bool = False, doubted: bool = True) -> list[Instance]:
         """Return the instances of a label (or a synonym) that are worth driving to, best first.
 
         They were detected in at least `min_hits` images and are not refuted.
 
         Args:
             label: a prompt.
-            sure: True: only confirmed ones.
+            only_confirmed: True: only confirmed ones.
             doubted: True: also those that another object explains better.
         """
         if self.resolver is not None:
-            plain = partial(self._named, sure=sure, doubted=doubted)
+            plain = partial(self._named, sure=only_confirmed, doubted=doubted)
             if (found := self.resolver.resolve(label, plain, last=doubted)) is not None:
                 return found
-        return self._named(label, sure, doubted)
+        return self._named(label, only_confirmed, doubted)
 
     def why(self, label: str, instance: Instance) -> str:
         """Return why an instance is the one that a label describes; "" for a plain name."""

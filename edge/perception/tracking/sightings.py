@@ -153,7 +153,7 @@ class ObjectTracker:
         perception: the configuration.
 
     Attributes:
-        shown: read-only view, for policies.
+        read_only: read-only view, for policies.
         observed: objects that the newest image showed with a strong box.
         vanished: certain objects that were not found at their place, nor elsewhere, oldest first.
         renamed: new id → old id of the objects that the newest image showed to have moved.
@@ -183,7 +183,7 @@ class ObjectTracker:
         self.observed: list[ObservedObject] = []
         self.vanished: list[VanishedObject] = []
         self.renamed: dict[int, int] = {}
-        self.shown = self._all.read_only()
+        self.read_only = self._all.read_only()
 
     def look(self, targets: BackProjectedBoxes, around: BackProjectedBoxes | None) -> None:
         """Update the objects with all detections of one image, and with what it did not show.
@@ -536,7 +536,7 @@ class ObjectTracker:
         self._show()
 
     def _show(self) -> None:
-        self.shown.n, self.shown.generation = self._all.n, self._all.generation
+        self.read_only.n, self.read_only.generation = self._all.n, self._all.generation
 
 
 _VANISHED = tuple(

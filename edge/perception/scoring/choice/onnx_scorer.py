@@ -65,7 +65,7 @@ class OnnxFrontierScorer:
         self.name = model.name
         self._model, self._max_px, self._limit_s = model, max_image_px, time_limit_s
 
-    def look(self, view: MarkedView) -> ModelPrompt:
+    def prepare(self, view: MarkedView) -> ModelPrompt:
         """Prepare the model's input; the observation is not needed afterwards.
 
         Raises:
