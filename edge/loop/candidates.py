@@ -125,7 +125,7 @@ class CandidatePool:
     def measure(self, grid: RollingMap) -> None:
         """Compute the path lengths of the candidates and the gains of frontiers."""
         c = self.candidates
-        grid.reach.path_lengths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)
+        grid.travel_cost.path_lengths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)
         n = int(np.count_nonzero(c.kind[: c.n] == FRONTIER))
         if c.stamp_ns != self._measured_ns:  # the rotation advances once per observation
             self._measured_ns = c.stamp_ns
@@ -140,7 +140,7 @@ class CandidatePool:
         if c.n == len(c.id):
             return
         yaw = grid.coverage.camera_yaw_rad
-        grid.gain.look(pose, yaw, fov_rad)
+        grid.gain.on_view(pose, yaw, fov_rad)
         heading, turn_rad, area_m2 = grid.gain.best_spin(pose, yaw, fov_rad)
         if area_m2 < SPIN_MIN_M2:
             self._spin = None

@@ -205,7 +205,7 @@ class GoalTracker:
             target: the place's name.
             images: number of images that the detector has searched so far.
         """
-        cell = grid.reach.nearest(place.x_m, place.y_m, _AT_PLACE_M)
+        cell = grid.travel_cost.nearest(place.x_m, place.y_m, _AT_PLACE_M)
         if cell is None:
             return self.explore_towards(context, grid, (place.x_m, place.y_m), images)
         self._next_view.abandon()
@@ -252,15 +252,15 @@ class GoalTracker:
             and goal is not None
             and (goal.kind, goal.target) == ("place", target)
             and not grid.state_at(goal.pose.x_m, goal.pose.y_m)
-            and math.isfinite(grid.reach.distance_m(goal.pose.x_m, goal.pose.y_m))
+            and math.isfinite(grid.travel_cost.distance_m(goal.pose.x_m, goal.pose.y_m))
             and np.hypot(*(points_m - goal.candidate_xy_m).T).min() <= _SAME_POINT_M
         ):
             return goal
         path_m = np.empty(n, np.float32)
-        grid.reach.path_lengths_m(points_m, np.zeros(n, np.int8), _POINT_SNAP_M, n, path_m)
+        grid.travel_cost.path_lengths_m(points_m, np.zeros(n, np.int8), _POINT_SNAP_M, n, path_m)
         best = int(path_m.argmin())
         at = points_m[best].tolist()
-        cell = grid.reach.nearest(at[0], at[1], float(_POINT_SNAP_M[0]))
+        cell = grid.travel_cost.nearest(at[0], at[1], float(_POINT_SNAP_M[0]))
         if cell is None or not math.isfinite(path_m[best]):
             return None
         self._next_view.abandon()
@@ -397,7 +397,7 @@ class GoalTracker:
         instance = self._tracker.get(goal.candidate_id) if goal.kind == "instance" else None
         if instance is None or self._explained == (mission.target, instance.id):
             return
-        if why := self._tracker.why(mission.target, instance):
+        if why := self._tracker.reason_for(mission.target, instance):
             self._explained = mission.target, instance.id
             self._event(f"{mission.target}: {instance.label} {instance.id} taken: {why}", now_ns)
 

@@ -152,7 +152,7 @@ class LoadShedder:
         self._distress = throttling_reason(board, before, MARGIN_C)
         self._cool = not throttling_reason(board, before, MARGIN_C + COOL_C)
         if before is not None and board.power_mode != before.power_mode:
-            self._ladder.forget()
+            self._ladder.reset_times()
             self._log(f"governor: power mode {board.power_mode}, was {before.power_mode}", now_ns)
 
     def _second(self) -> LoadSample:

@@ -81,11 +81,11 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
     if name:
         asked = (*service.mission.spec.prompts, *sightings.words)
         is_looked_for = any(names.is_kind_of(word, name) for word in asked)
-        text = where_is(name, found, pose, is_looked_for, rooms.where)
+        text = where_is(name, found, pose, is_looked_for, rooms.room_phrase)
         if not found:
             words = similar_words(name, sightings.words, service.map.prior)
             similar = {word: seen for word in words if (seen := known(name=word))}
-            text = similar_is(name, similar, pose, is_looked_for, rooms.where)
+            text = similar_is(name, similar, pose, is_looked_for, rooms.room_phrase)
             found = [one for seen in similar.values() for one in seen]
     else:
         text = f"{len(found)} objects"

@@ -168,7 +168,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            ("input",)),
     MetricSpec("edge_input_lacking", "gauge",
            "1 if a needed input is missing, silent, or always dropped, else 0.",
-           lambda s: {row.name: row.lacks for row in s.inputs}, ("input",)),
+           lambda s: {row.name: row.is_lacking for row in s.inputs}, ("input",)),
     MetricSpec("edge_check_failed", "gauge", "1 if a check of the sensor data fails now, else 0.",
            lambda s: {row.name: row.name in s.failed for row in s.service.plausibility.checks},
            ("check",)),

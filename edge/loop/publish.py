@@ -179,4 +179,4 @@ def _path_m(grid: RollingMap, goal: Goal | None) -> np.ndarray:
     """Return the shortest path to the goal; see `TickResult.path`."""
     if goal is None:
         return np.zeros((0, 2), np.float32)
-    return grid.reach.path_m(goal.pose.x_m, goal.pose.y_m)
+    return grid.travel_cost.path_m(goal.pose.x_m, goal.pose.y_m)

@@ -54,7 +54,7 @@ class RoomSurveyor:
 
     def discard_pending(self) -> None:
         """Drop surveys of a map that is gone."""
-        self._worker.forget()
+        self._worker.discard_all()
         self._requested_ns = None
 
     def close(self) -> None:

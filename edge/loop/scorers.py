@@ -204,14 +204,14 @@ class Scorers:
         similarity = None if "similarity" in self.shed else self._similarity
         choice = None if "choice" in self.shed else self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
-            sight = values.sight(observation) if self.value_source == "similarity" else None
+            sight = values.range_profile(observation) if self.value_source == "similarity" else None
             similarity.submit(_Question(observation, targets, sight))
         if choice is not None and choice.idle:
             c = candidates
             open_ = np.flatnonzero((c.kind[: c.n] == FRONTIER) & ~c.blocked[: c.n])
             marks = visible_marks(observation, c.xy_m[open_], c.id[open_])
             if marks:
-                sight = values.sight(observation) if self.value_source == "choice" else None
+                sight = values.range_profile(observation) if self.value_source == "choice" else None
                 about = self._next_target(targets, target)
                 xy_m, lift = _places_m(observation.pose, marks), None
                 if self._by_prior and prior is not None:
@@ -229,7 +229,7 @@ class Scorers:
             self._detector = detections.model
             score = self._score_of(detections)
             answer = ImageSimilarity(seen.stamp_ns, seen.pose, detections.prompts, score)
-            sight = values.sight(seen) if self.value_source == "similarity" else None
+            sight = values.range_profile(seen) if self.value_source == "similarity" else None
             self._take_similarity(answer, sight, values)
 
     def collect_answers(self, values: ValueMap, idle: bool = False) -> None:
@@ -281,7 +281,7 @@ class Scorers:
     def discard_pending(self) -> None:
         """Drop all answers and open questions, for another map or mission."""
         for worker in self._workers:
-            worker.forget()
+            worker.discard_all()
         self.answers = ScorerOutputs()
 
     def names(self) -> list[str]:

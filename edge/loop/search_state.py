@@ -134,7 +134,7 @@ class SearchState:
             tracker.forget_rejected(context.target)
         if self._retry is not None:
             generation, until_ns = self._retry
-            if grid.reach.generation < generation or context.now_ns < until_ns:
+            if grid.travel_cost.generation < generation or context.now_ns < until_ns:
                 return True
             self._retry = None
         if self._retries == _RETRIES or not grid.bumps.closed_m:
@@ -146,7 +146,7 @@ class SearchState:
             self._next_retry_ns = context.now_ns + _PAUSE_NS
             # The travel-cost field that is growing now may have started before the opening. The
             # next one includes the place.
-            self._retry = (grid.reach.generation + 2, context.now_ns + _RETRY_NS)
+            self._retry = (grid.travel_cost.generation + 2, context.now_ns + _RETRY_NS)
         return True
 
 
@@ -180,7 +180,7 @@ class NextBestView:
             images: Number of images that the detector has processed so far.
         """
         if self._view is not None and (
-            self._is_finished(images) or not grid.coverage.worth(self._view)
+            self._is_finished(images) or not grid.coverage.is_worth_it(self._view)
         ):
             grid.coverage.write_off(self._view)
             self.views += not self._unreachable
@@ -218,14 +218,14 @@ class NextBestView:
     def _search(self, grid: RollingMap) -> None:
         coverage = grid.coverage
         if not self._searching:
-            coverage.start_over()
+            coverage.restart_search()
         self._searching = True
-        if not coverage.search(grid.reach):
+        if not coverage.search(grid.travel_cost):
             return
         view, self._searching = coverage.view, False
         if view is None:
             self.done = True
-        elif coverage.worth(view):
+        elif coverage.is_worth_it(view):
             self._view = view
         else:  # its rays just missed the corner of a cell
             coverage.write_off(view)

@@ -83,7 +83,7 @@ class SemanticMap:
     def _reset_values(self) -> None:
         """Make a value map for each target, if a scorer writes them."""
         if self.config.value_source is not None:
-            self.grid.values.begin(self._targets)
+            self.grid.values.set_targets(self._targets)
 
     # -- in each tick -----------------------------------------------------------------------
 
@@ -98,20 +98,20 @@ class SemanticMap:
             update = grid.update_depth(
                 seen.depth_m, seen.camera, seen.T_map_base, seen.T_base_camera
             )
-        grid.reach.step(seen.pose)
+        grid.travel_cost.step(seen.pose)
         return update
 
     def on_detections(self, detections: Detections) -> None:
         """Turn boxes into sightings and instances, with the depth and pose of their image."""
         perception, seen = self.config.perception, detections.observation
-        lifted, around = self._back_projector.lift(detections, self.grid.floor_over_base_m)
-        self.objects.look(lifted, around)
+        lifted, around = self._back_projector.back_project(detections, self.grid.floor_over_base_m)
+        self.objects.update(lifted, around)
         self.crops.rename(self.objects.renamed)
         if seen.rgb is not None:
             self.crops.observe(self.objects.observed, seen.rgb)
         self.tracker.update(lifted, seen.stamp_ns)
         self.tracker.expire(seen, detections.prompts)
-        self.grid.coverage.look(seen, perception.confirm_range_m, perception.confirm_hits)
+        self.grid.coverage.on_image(seen, perception.confirm_range_m, perception.confirm_hits)
 
     def infer(self, pose: SE2, now_ns: int) -> None:
         """Update rooms and prior with the objects seen."""
@@ -137,8 +137,8 @@ class SemanticMap:
         self._reset_values()
         self.close_rooms(())
         self.tracker.forget_verdicts()
-        self.tracker.recall(targets)
-        self.grid.coverage.forget()
+        self.tracker.promote_context(targets)
+        self.grid.coverage.reset()
 
     def set_site(self, site: Site) -> None:
         """Close the cells that the site's zones close, and name the rooms that it names."""
@@ -169,7 +169,7 @@ class SemanticMap:
     def reconfigure(self, config: Config) -> None:
         """Use another configuration; see `edge.loop.reload.LIVE` for the keys that may differ."""
         if config.value_source != self.config.value_source:
-            self.grid.values.begin(())  # values of another scorer are not comparable
+            self.grid.values.set_targets(())  # values of another scorer are not comparable
         self.config = config
         self.tracker.config = self.objects.config = self._back_projector.config = config.perception
         self.pool.r_assoc_m = config.policy.r_assoc_m
@@ -185,7 +185,7 @@ class SemanticMap:
         self.crops.clear()
         self.pool.clear()
         self.room_surveyor.discard_pending()
-        self.rooms.forget()
+        self.rooms.on_pose_jump()
 
     def state_dict(self) -> dict[str, Arrays]:
         """Return the arrays to save by part, without the tiles of the grid."""

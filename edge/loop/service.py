@@ -368,7 +368,7 @@ class Service:
     def _leave_zone(self, context: PolicyInput) -> Goal | None:
         """Return a goal outside the zone that the robot is in, or None if it is in none."""
         grid, pose = self.map.grid, context.pose
-        inside = grid.zones.any and grid.zones.holds(pose.x_m, pose.y_m)
+        inside = grid.zones.any and grid.zones.contains(pose.x_m, pose.y_m)
         if inside != self._in_zone:
             self._in_zone = inside
             text = "inside a zone: leaving it by the shortest way" if inside else "left the zone"
@@ -376,7 +376,7 @@ class Service:
         if not inside:
             return None
         for radius_m in _EXIT_M:
-            if (cell := grid.reach.nearest(pose.x_m, pose.y_m, radius_m)) is not None:
+            if (cell := grid.travel_cost.nearest(pose.x_m, pose.y_m, radius_m)) is not None:
                 x_m, y_m, _ = cell
                 yaw_rad = math.atan2(y_m - pose.y_m, x_m - pose.x_m)
                 exit_pose = SE2(x_m, y_m, yaw_rad)

@@ -88,7 +88,7 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
 
 def _zone_of(service: Service, fields: dict) -> Zone:
     """Return a zone with the outline of a known room."""
-    found = service.map.rooms.called(fields["room"])
+    found = service.map.rooms.find(fields["room"])
     if len(found) != 1:
         known = one_line(", ".join(room.title for room in service.map.rooms.rooms) or "none")
         number = "no room" if not found else f"{len(found)} rooms"

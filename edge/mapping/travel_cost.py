@@ -93,7 +93,7 @@ class TravelCostField:
             window = self._window
             self._origins[nxt] = window.origin
             x, y = window.cell_of(pose.x_m, pose.y_m)
-            if not window.holds(x, y):
+            if not window.contains(x, y):
                 return
             start_wave(self._layers, wave, x % window.n, y % window.n, self._escape_cells)
             self._growing = True
@@ -139,7 +139,7 @@ class TravelCostField:
         )
         return _place_m(x, y, steps, res)
 
-    def approach(
+    def stopping_point(
         self, surface_m: np.ndarray, within_m: float, points: int = 1
     ) -> tuple[float, float, float] | None:
         """Return the stopping point for an object: the nearest free cell in sight of its surface.

@@ -222,7 +222,7 @@ def small_model_backend(model: NeuralTranslator) -> Backend:
         refuse_unsupported(TokenReader(instruction))
         found = model.read(instruction)
         return with_bans(
-            instruction, ParsedInstruction(found.formulas, "model", found.sure, found.doubts)
+            instruction, ParsedInstruction(found.formulas, "model", found.confident, found.doubts)
         )
 
     return read

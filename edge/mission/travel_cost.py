@@ -92,7 +92,7 @@ class TravelCostEstimator:
 
     def discard_pending(self) -> None:
         """Discard the running survey because its targets have changed."""
-        self._worker.forget()
+        self._worker.discard_all()
         self._requested_ns = None
 
     def close(self) -> None:

@@ -178,7 +178,7 @@ def _cell(context: PolicyInput, index: int, instance_of: InstanceOf) -> Cell | N
         enough = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
         for points in (enough, 1):
             for within_m in STOP_M:
-                found = context.map.approach(instance.points_m, within_m, points)
+                found = context.map.stopping_point(instance.points_m, within_m, points)
                 if found is not None:
                     return found[0], found[1]
         surface_m = instance.points_m[:, :2]

@@ -124,7 +124,7 @@ class _ReplayedWorker:
         said = self._now.found.get(self._name)
         return None if said is None else self._decode(said, self._asked)
 
-    def forget(self) -> None:
+    def discard_all(self) -> None:
         self._asked.clear()
 
 

@@ -88,7 +88,7 @@ class FoxgloveSink:
         """Copy the subscribed data; see `edge.loop.result.Sink`."""
         moment = self._encoder.take(result)
         if moment.messages:
-            self._worker.queue(moment)
+            self._worker.enqueue(moment)
 
     def status(self) -> dict[str, Any]:
         """Return port and worker statistics; see `edge.loop.result.Sink`."""

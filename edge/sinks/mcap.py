@@ -140,7 +140,7 @@ class McapSink:
 
     def _flush(self) -> None:
         batch, self._batch = self._batch, []
-        self._worker.queue(batch)
+        self._worker.enqueue(batch)
 
     def status(self) -> dict[str, Any]:
         """Return file and counters; see `edge.loop.result.Sink`.

@@ -35,7 +35,7 @@ class Map:
         self.closed: list[tuple[float, float]] = []
         self.generation, self.closed_m = 7, []
         self.camera_yaw_rad, self.view, self.here = 0.0, None, HERE
-        self.reach = self.coverage = self.bumps = self
+        self.travel_cost = self.coverage = self.bumps = self
         self.asked: list[tuple[float, int]] = []
         self.least_m, self.most_points = 0.0, 64
 
@@ -44,7 +44,7 @@ class Map:
             return None
         return x, y, math.hypot(x, y)
 
-    def approach(
+    def stopping_point(
         self, surface_m: np.ndarray, within_m: float, points: int
     ) -> tuple[float, float, float] | None:
         self.asked.append((within_m, points))
@@ -60,13 +60,13 @@ class Map:
         closed, self.closed_m = self.closed_m, []
         return bool(closed)
 
-    def start_over(self) -> None:
+    def restart_search(self) -> None:
         """Nothing was seen badly, but for `view`."""
 
     def search(self, reach) -> bool:
         return True
 
-    def worth(self, view: Viewpoint) -> bool:
+    def is_worth_it(self, view: Viewpoint) -> bool:
         return True
 
     def write_off(self, view: Viewpoint) -> None:
@@ -81,7 +81,7 @@ class Things(dict):
     def confirmed(self, instance: Instance) -> bool:
         return instance.id in self.sure
 
-    def why(self, label: str, instance: Instance) -> str:
+    def reason_for(self, label: str, instance: Instance) -> str:
         return ""
 
     def mark_reached(self, instance_id: int) -> None:
@@ -97,7 +97,7 @@ class Things(dict):
 class Mission:
     """Stays at its target, as one that asks for two chairs."""
 
-    target, turns, forbidden, done = "chair", 1, (), False
+    target, retargets, forbidden, done = "chair", 1, (), False
     spec = SimpleNamespace(steps=None)
 
     def __init__(self) -> None:

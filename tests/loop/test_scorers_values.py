@@ -53,7 +53,7 @@ class Case:
         self.grid, self.tracker = RollingMap(config.mapping), InstanceTracker(config.perception)
         start = seen_from(SE2(0.0, 0.0, 0.0))
         self.grid.update_depth(start.depth_m, CAMERA, start.T_map_base, MOUNT)
-        self.grid.values.begin(targets)
+        self.grid.values.set_targets(targets)
 
     def ask(self, pose: SE2, candidates: Candidates, seq: int = 1, prior=None) -> None:
         seen, values = seen_from(pose, seq), self.grid.values

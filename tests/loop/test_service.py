@@ -71,7 +71,9 @@ def test_every_goal_is_a_free_reachable_cell():
         for goal in loop.notes.goals[before:]:
             if goal.kind != "look":
                 assert loop.service.map.grid.state_at(goal.pose.x_m, goal.pose.y_m) == 0
-                assert loop.service.map.grid.reach.distance_m(goal.pose.x_m, goal.pose.y_m) < 1e6
+                assert (
+                    loop.service.map.grid.travel_cost.distance_m(goal.pose.x_m, goal.pose.y_m) < 1e6
+                )
     assert loop.notes.goals
 
 

@@ -107,12 +107,12 @@ def test_a_mission_with_a_name_is_known_by_it_now_and_later():
 
 def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():
     loop = ClosedLoop(config("F television"), colour=False).run(10)
-    generation = loop.service.map.grid.reach.generation
+    generation = loop.service.map.grid.travel_cost.generation
     spec = prepare(loop.config.mission, formula="F bed")
     answer = ask(loop, "new", spec)
     assert (answer["formula"], answer["target"]) == ("F bed", "bed")
     loop.step()
-    assert loop.service.map.grid.reach.generation >= generation
+    assert loop.service.map.grid.travel_cost.generation >= generation
     loop.run(200)
     assert loop.service.status.phase == "reached", loop.notes.events
     assert loop.distance_m("bed") <= 1.0

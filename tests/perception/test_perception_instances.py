@@ -245,7 +245,7 @@ class Memory(Scene):
         """One frame with targets, and with context words likewise."""
         seen = self.frame()
         lifted = self.lifted(seen, things)
-        self.sightings.look(lifted, self.lifted(seen, around))
+        self.sightings.update(lifted, self.lifted(seen, around))
         self.tracker.update(lifted, seen.stamp_ns)
         self.expire(seen)
         return self.tracker
@@ -316,9 +316,9 @@ def test_what_was_seen_as_context_is_recalled_as_a_target(memory, word, looks, s
     for _ in range(looks):
         s.look(around=[(word, 2, 0, 0.6)])
     assert s.tracker.all == []
-    s.tracker.recall(["desk", "chair"])
+    s.tracker.promote_context(["desk", "chair"])
     assert [instance.state for instance in s.tracker.of("desk")] == states
-    s.tracker.recall(["desk", "chair"])  # once is enough
+    s.tracker.promote_context(["desk", "chair"])  # once is enough
     assert len(s.tracker.all) == len(states)
     for instance in s.tracker.all:
         assert instance.distance_m(2, 0) < 0.2
@@ -327,5 +327,5 @@ def test_what_was_seen_as_context_is_recalled_as_a_target(memory, word, looks, s
 
 def test_without_a_memory_nothing_is_recalled(scene):
     s = scene()
-    s.tracker.recall(["desk"])
+    s.tracker.promote_context(["desk"])
     assert s.tracker.all == []

@@ -47,7 +47,7 @@ def opened(card) -> LanguageModel:
 
 
 def a_view(model, seed=0):
-    if not model.sees:
+    if not model.takes_images:
         return f"The robot sees:\n- bed, left, {seed}.1 m\nIt can go on in these directions:"
     return np.random.default_rng(seed).integers(0, 255, (48, 64, 3), np.uint8)
 

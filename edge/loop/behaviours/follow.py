@@ -228,13 +228,13 @@ class FollowBehaviour:
 
     def on_pose_jump(self) -> None:
         """Begin again after a pose jump. The trajectory is invalid in the new frame."""
-        self._worker.forget()
+        self._worker.discard_all()
         self._objects = ObjectMap()
         self._begin()
 
     def close(self) -> None:
         """Drop the running request and stop the worker."""
-        self._worker.forget()
+        self._worker.discard_all()
         self._worker.stop()
 
     def facts(self) -> TaskStatus:

@@ -68,14 +68,14 @@ class Pursuit(Generic[Kind]):
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
 
     @property
-    def _thing(self) -> str:
+    def _target_label(self) -> str:
         """The thing to go to: a name, or a description by a relation."""
         return self._mission.target
 
     def gather(self) -> Sequence[Instance]:
         """Return the objects that are candidates for this target."""
         sure, doubted = not self._map.config.policy.instances, self._goals.candidates_exhausted
-        return self._map.tracker.of(self._thing, sure, doubted=doubted)
+        return self._map.tracker.of(self._target_label, sure, doubted=doubted)
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         """Check the goal, then the end of the target; see `Behaviour.plan`."""
@@ -174,52 +174,52 @@ class CheckAnswer:
     """
 
     def __init__(self, check: CheckTarget, mission: MissionRun, here: SemanticMap) -> None:
-        self.thing = check.name
+        self.label = check.name
         self._room = f"in the {check.room}" if check.room else ""
         self._mission, self._map = mission, here
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
         self._before = ""  # what was known before
 
-    def seen(self, context: PolicyInput) -> list[Instance]:
+    def new_detections(self, context: PolicyInput) -> list[Instance]:
         """Return the confirmed objects that were detected since the first call."""
         if self._since_ns is None:
             self._since_ns = context.observation.stamp_ns
             self._before = self._remembered(context)
-        confirmed = self._map.tracker.of(self.thing, only_confirmed=True)
+        confirmed = self._map.tracker.of(self.label, only_confirmed=True)
         return [one for one in confirmed if one.last_seen_ns >= self._since_ns]
 
-    def yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
+    def answer_yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
         """Answer that these objects are there."""
         pose = context.pose
         at = min(seen, key=lambda one: one.distance_m(pose.x_m, pose.y_m))
         x_m, y_m, _ = at.center_m.tolist()
         others = f"; {len(seen)} in all" if len(seen) > 1 else ""
         where = f"at ({x_m:.1f}, {y_m:.1f}), {at.distance_m(pose.x_m, pose.y_m):.1f} m away{others}"
-        room = self._map.rooms.where(x_m, y_m) or self._room
-        answer = " ".join(filter(None, ("yes, there is a", self.thing, room, where)))
+        room = self._map.rooms.room_phrase(x_m, y_m) or self._room
+        answer = " ".join(filter(None, ("yes, there is a", self.label, room, where)))
         self._mission.on_reached(answer, context.now_ns, answer)
 
-    def no(self, reason: str, now_ns: int) -> None:
+    def answer_no(self, reason: str, now_ns: int) -> None:
         """Answer that there is none."""
         before = f"; seen before: {self._before}" if self._before else ""
-        none = " ".join(filter(None, ("no, there is no", self.thing, self._room)))
+        none = " ".join(filter(None, ("no, there is no", self.label, self._room)))
         answer = f"{none}: {reason}{before}"
         self._mission.on_reached(answer, now_ns, answer)
 
     def _remembered(self, context: PolicyInput) -> str:
         """Return where and when the thing was seen before, for people; "" if never."""
         shown, least = self._map.objects.read_only, self._map.config.perception.min_hits
-        found = known_objects(shown, context.observation.stamp_ns, least, self.thing)[:1]
+        found = known_objects(shown, context.observation.stamp_ns, least, self.label)[:1]
         if not found:
             return ""
-        return where_is(self.thing, found, context.pose, True, self._map.rooms.where)
+        return where_is(self.label, found, context.pose, True, self._map.rooms.room_phrase)
 
     def time_is_over(self, now_ns: int) -> bool:
         """Answer no and return True if the search limit is over."""
         limit_s = self._mission.config.search_limit_s
         if limit_s is None or self._mission.pursued_now_s <= limit_s:
             return False
-        self.no(f"not found within {shown_s(limit_s)}", now_ns)
+        self.answer_no(f"not found within {shown_s(limit_s)}", now_ns)
         return True
 
 
@@ -236,19 +236,19 @@ class CheckPursuit(Pursuit[CheckTarget]):
         self._answer = CheckAnswer(destination, mission, here)
 
     @property
-    def _thing(self) -> str:
-        return self._answer.thing
+    def _target_label(self) -> str:
+        return self._answer.label
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         answer = self._answer
-        self._mission.activity = f"checking for the {answer.thing}"
-        if seen := answer.seen(context):
-            answer.yes(seen, context)
+        self._mission.activity = f"checking for the {answer.label}"
+        if seen := answer.new_detections(context):
+            answer.answer_yes(seen, context)
         elif not answer.time_is_over(context.now_ns):
             super().check_progress(context, images)
 
     def finish(self, now_ns: int) -> None:
-        self._answer.no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
+        self._answer.answer_no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
         """Return False: only a new detection counts, and `check_progress` handles those."""
@@ -382,7 +382,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         """Return the driving distance to a room; inf if no path is known."""
         n, path_m = len(room.points_m), np.empty(len(room.points_m), np.float32)
         kind = np.zeros(n, np.int8)
-        self._map.grid.reach.path_lengths_m(room.points_m, kind, _ROOM_SNAP_M, n, path_m)
+        self._map.grid.travel_cost.path_lengths_m(room.points_m, kind, _ROOM_SNAP_M, n, path_m)
         return float(path_m.min(initial=np.inf))
 
 
@@ -466,22 +466,22 @@ class CheckRoomPursuit(ExploreRoomPursuit):
         self._answer = CheckAnswer(destination, mission, here)
 
     @property
-    def _thing(self) -> str:
-        return self._answer.thing
+    def _target_label(self) -> str:
+        return self._answer.label
 
     def gather(self) -> Sequence[Instance]:
         return () if self._inside is None else self._in_room(Pursuit.gather(self), self._inside)
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
-        seen = self._answer.seen(context)
+        seen = self._answer.new_detections(context)
         found = [] if self._inside is None else self._in_room(seen, self._inside)
         if found:
-            self._answer.yes(found, context)
+            self._answer.answer_yes(found, context)
         elif not self._answer.time_is_over(context.now_ns):
             super().check_progress(context, images)
 
     def end(self, now_ns: int) -> None:
-        self._answer.no("the room is explored", now_ns)
+        self._answer.answer_no("the room is explored", now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
         """Return False: only a new detection counts, and `check_progress` handles those."""

@@ -26,7 +26,7 @@ def rooms_of(target: RoomTarget, here: SemanticMap) -> list[MappedRoom]:
     """Return the known rooms that a target may mean, without the largest one."""
     rooms = here.rooms
     if target.which == "called":
-        return rooms.called(target.name)
+        return rooms.find(target.name)
     if target.which == "next":
         return [room for room in rooms.rooms if not room.is_visited]
     if target.which == "with":

@@ -41,7 +41,9 @@ class SearchBehaviour:
     ) -> None:
         self._mission, self._config = mission, config
         self._map, self._goals, self._travel_costs = here, goals, travel_costs
-        self._things = tuple(t for t in mission.spec.targets if t not in mission.destinations)
+        self._object_targets = tuple(
+            t for t in mission.spec.targets if t not in mission.destinations
+        )
         self._pursued: tuple[int, Pursuit] | None = None  # first the turns of the mission
 
     @property
@@ -64,7 +66,7 @@ class SearchBehaviour:
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
         sure = not self._config.policy.instances
-        seen = newest_ids(self._map.tracker, self._things, sure)
+        seen = newest_ids(self._map.tracker, self._object_targets, sure)
         mission.on_detections(seen | known_targets(mission, self._map), now_ns)
         close_forbidden(mission, self._map)
         if self._travel_costs is not None:

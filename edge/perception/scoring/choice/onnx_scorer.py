@@ -32,7 +32,7 @@ class ChoiceModel(Protocol):
     """Interface of the model; see `LanguageModel`."""
 
     name: str
-    sees: bool
+    takes_images: bool
 
     def ask(
         self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice], limit_s: float
@@ -71,7 +71,7 @@ class OnnxFrontierScorer:
         Raises:
             ModelError: the model takes images, and the observation has none.
         """
-        if not self._model.sees:
+        if not self._model.takes_images:
             return ModelPrompt(view, describe(view), view.marks)
         rgb = view.observation.rgb
         if rgb is None:
