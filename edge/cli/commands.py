@@ -72,11 +72,11 @@ class ReloadRequest:
 
     Attributes:
         reread: reads the configuration again.
-        asked: set when a reload is requested.
+        requested: set when a reload is requested.
     """
 
     reread: Callable[[], Config]
-    asked: threading.Event
+    requested: threading.Event
 
 
 def run_service(
@@ -156,7 +156,7 @@ def _serve(
     ):
         live.open({key: server.queue for key, server in running.servers.items()})
         if reload is not None:
-            running.reloader = Reloader(running.service, reload.reread, reload.asked)
+            running.reloader = Reloader(running.service, reload.reread, reload.requested)
         metrics.add_service(running, running.sinks)
         traced.spans = running.service.latency.spans
         mission = running.service.mission
@@ -168,7 +168,7 @@ def _serve(
             running.clock = playback.clock
 
         def over() -> bool:
-            return running.service.status.done if playback is None else playback.over
+            return running.service.status.done if playback is None else playback.is_over
 
         def end() -> RunResult:
             result = running.service.result()

@@ -103,7 +103,7 @@ def _policy(config: Config) -> None:
 
 def _planner(config: Config) -> None:
     if isinstance(config.mission.planner, PlannerPlugin):
-        find_own_planner(config.mission.planner, config.at("mission.planner"))
+        find_own_planner(config.mission.planner, config.locate("mission.planner"))
 
 
 def _bus(config: Config) -> None:
@@ -225,4 +225,4 @@ def _about(config: Config, key: str) -> Iterator[None]:
     try:
         yield
     except (ModelError, PromptError, ChatError) as error:
-        raise type(error)(f"{config.at(key)}: {error}") from None
+        raise type(error)(f"{config.locate(key)}: {error}") from None

@@ -41,7 +41,7 @@ def drop_removed_keys(
             is_section = isinstance(value, dict)
             kept[name] = drop_removed_keys(value, path, origins, key) if is_section else value
         elif first_time((path, key)):
-            where = origins.of(path, key)
+            where = origins.describe(path, key)
             log.warning(
                 "%s: %s: this key was removed, its value is ignored: delete it",
                 where,

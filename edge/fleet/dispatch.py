@@ -166,7 +166,7 @@ class Dispatcher:
 
     def step(self) -> Orders | None:
         """Poll the robots once and carry out the orders; return None if the router is gone."""
-        robots = self._roster.seen()
+        robots = self._roster.complete_list()
         if robots is None:
             self._once("router", "the router is gone: robots continue and try to reconnect")
             self._offline_since.clear()
@@ -280,7 +280,7 @@ class Dispatcher:
     def _give(self, give: Assignment) -> None:
         request = {"do": "new", "formula": give.part.formula, "id": give.id, "if_free": True}
         try:
-            self._roster.tell(give.robot, request, GIVE_S)
+            self._roster.send(give.robot, request, GIVE_S)
         except RequestError as error:
             # A late robot may still have begun; the next poll shows that.
             self._refused[give.part.id, give.robot] += 1
@@ -295,7 +295,7 @@ class Dispatcher:
     def _cancel(self, cancel: Cancellation) -> None:
         request = {"do": "cancel", "id": cancel.id, "why": DUPLICATE_REASON}
         try:
-            self._roster.tell(cancel.robot, request, GIVE_S)
+            self._roster.send(cancel.robot, request, GIVE_S)
         except RequestError as error:
             self._print(one_line(error))
         else:

@@ -45,7 +45,7 @@ def snapshot_json(moment: LiveSnapshot) -> dict[str, Any]:
         "controlled": result.has_controller,
         "site": moment.n_sites,
         "goal": None if result.goal is None else _goal(result.goal, result.goal_status),
-        "way": points(moment.way),
+        "way": points(moment.path),
         "candidates": _candidates(moment),
         "instances": [
             {
@@ -139,7 +139,7 @@ def _goal(goal: Goal, answer: GoalStatus | None) -> dict[str, Any]:
 def _candidates(moment: LiveSnapshot) -> list[dict[str, Any]]:
     rows = []
     for kind, i, xy_m, score, path_m, blocked in zip(*moment.candidates, strict=True):
-        letter, p = moment.letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
+        letter, p = moment.mark_letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
         rows.append(
             {
                 "kind": _KINDS.get(int(kind), "look"),

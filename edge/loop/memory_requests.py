@@ -46,10 +46,10 @@ def _crop(fields: dict) -> dict:
 _MOST_SIMILAR = 3
 _FILTERS = ("room", "since_s")
 MEMORY_VERBS = {
-    "find": Verb(("name", *_FILTERS), _find, reads=True),
-    "list": Verb(_FILTERS, _list, reads=True),
-    "crop": Verb(("id",), _crop, reads=True),
-    "rooms": Verb(reads=True),
+    "find": Verb(("name", *_FILTERS), _find, read_only=True),
+    "list": Verb(_FILTERS, _list, read_only=True),
+    "crop": Verb(("id",), _crop, read_only=True),
+    "rooms": Verb(read_only=True),
 }
 """`{"do": "find", "name": "mug"}` or `{"do": "list"}`; both answer with `text` and `objects`, and
 take the filters `room` and `since_s`. `{"do": "crop", "id": 3}` answers with `jpeg_base64`,

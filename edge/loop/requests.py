@@ -114,10 +114,10 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
             prepared,
             instead=_control if in_words else lambda fields: None,
         ),
-        "pause": Verb(("for_s",), _pause, stops=True),
+        "pause": Verb(("for_s",), _pause, stops_robot=True),
         "resume": Verb(),
-        "cancel": Verb(("id", "why"), _cancel, stops=True),
-        "status": Verb(reads=True),
+        "cancel": Verb(("id", "why"), _cancel, stops_robot=True),
+        "status": Verb(read_only=True),
     }
 
 
@@ -307,7 +307,7 @@ MODEL_VERBS = {
     "use": Verb(("model", "force"), _model, _card_to_use),
     "pause": Verb(),
     "resume": Verb(),
-    "status": Verb(reads=True),
+    "status": Verb(read_only=True),
 }
 """Verbs of model requests: `{"do": "use", "model": NAME, "force": true | false}`,
 `{"do": "status"}`, and `{"do": "pause" | "resume"}` for the scorers. The card of a model is checked

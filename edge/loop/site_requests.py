@@ -48,7 +48,7 @@ SITE_VERBS = {
     "set": Verb(("name", "feature", "kind", "room"), _set),
     "remove": Verb(("name",), lambda fields: {"name": check_text("name", fields.get("name"))}),
     "import": Verb(("site", "replace"), _import),
-    "list": Verb(reads=True),
+    "list": Verb(read_only=True),
 }
 """`{"do": "set", "name": NAME}` names the robot's pose, with `"kind": "room"` the room around it;
 `{"do": "set", "kind": "keep_out" | "stay_inside", "room": ROOM}` makes a zone of a known room;

@@ -49,12 +49,12 @@ class JournalPage:
     Attributes:
         entries: inputs in order. The field `what` of `found` stays as JSON.
         observation: the observation without its arrays, as JSON; None: there was none.
-        said: decisions, which a replay compares; None: there were none.
+        decisions: decisions, which a replay compares; None: there were none.
     """
 
     entries: list[LoopInput]
     observation: dict[str, Any] | None
-    said: dict[str, Any] | None
+    decisions: dict[str, Any] | None
 
 
 def encode_page(

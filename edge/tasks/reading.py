@@ -341,12 +341,12 @@ def _passing(
     except TranslationError:
         named_objects = []  # no such object on that side: the words can only mean the passing side
     reader.at = end
-    side = OTHER[aside.side] if aside.of_robot else aside.side
+    side = OTHER[aside.direction] if aside.of_robot else aside.direction
     differs = isinstance(scene, Scene) and bool(named_objects) and named_objects[0] is not found[0]
     if len(found) > 1 or differs:
         reader.refuse(
             f"it may say which one is meant, or on which side to pass it; say '{kind} the {side} "
-            f"of …', or '… that is on the {aside.side}'", said,
+            f"of …', or '… that is on the {aside.direction}'", said,
         )  # fmt: skip
     return InstructionStep(kind, (found[0],), side)
 
@@ -360,14 +360,14 @@ def _leaving(
     aside = _aside(reader)
     if aside is None:
         reader.refuse("say on which side, as 'on your left'", start)
-    return InstructionStep("past", (thing,), OTHER[aside.side])
+    return InstructionStep("past", (thing,), OTHER[aside.direction])
 
 
 @dataclass(frozen=True, slots=True)
 class _Aside:
     """A side after an object: `on the left`, or with `of_robot` `on your left`."""
 
-    side: str
+    direction: str
     of_robot: bool
 
 

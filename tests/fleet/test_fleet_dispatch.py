@@ -44,14 +44,14 @@ class Fleet:
             self, FleetPlan("m", parts), self.told.append, PATIENCE_S, clock
         )
 
-    def seen(self):
+    def complete_list(self):
         return self.robots
 
     def each(self, calls):
         for call in calls if self.accepts else ():
             call()
 
-    def tell(self, name, request, timeout_s):
+    def send(self, name, request, timeout_s):
         return {}
 
     def look(self, at_s: float, *robots: Robot):

@@ -333,7 +333,7 @@ def test_without_sensors_it_says_what_to_look_at(page, house):
 def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
     inputs = TimeSynchronizer(house.closed.config, lambda: 0).inputs
     for name in ("camera/rgb", "camera/info", "odom"):
-        inputs.came(name)
+        inputs.on_message(name)
     inputs.dropped("odom", "malformed", "<b>no odometry</b>")
     house.service.inputs = house.service._health._inputs = inputs.rows
     house.robot.blind = True

@@ -46,17 +46,17 @@ def seen(rgb: np.ndarray, **fields: Any) -> Observation:
 
 
 def test_before_the_first_tick_there_is_nothing(sink):
-    assert (sink.moment, sink.shot, sink.ticked_s) == (None, None, None)
+    assert (sink.snapshot, sink.shot, sink.ticked_s) == (None, None, None)
     sink.look()
     sink.close()
-    assert sink.moment is None
+    assert sink.snapshot is None
 
 
 def test_while_nobody_looks_nothing_dear_is_asked_for(sink, clock):
     dear = {name: lambda: pytest.fail("gathered for nobody") for name in DEAR}
     rgb = np.zeros((30, 40, 3), np.uint8)
     sink.tick(result(observation=seen(rgb), **dear))
-    assert (sink.moment, sink.shot) == (None, None)
+    assert (sink.snapshot, sink.shot) == (None, None)
     assert sink.ticked_s == clock.now_s
     sink.look()
     clock.now_s += WATCHED_S + 0.1
@@ -70,7 +70,7 @@ def test_for_who_looks_it_gathers_once_a_period(sink, clock):
         sink.tick(result(health=lambda: gathered.append(clock.now_s) or {}))
         clock.now_s += PERIOD_S / 5
     assert len(gathered) == 3
-    assert sink.moment.at_s == gathered[-1]
+    assert sink.snapshot.at_s == gathered[-1]
 
 
 def test_remembered_objects_are_gathered_once_a_second_and_the_site_has_a_version(sink, clock):
@@ -81,7 +81,7 @@ def test_remembered_objects_are_gathered_once_a_second_and_the_site_has_a_versio
             sink.look()
             sink.tick(result(objects=lambda: gathered.append(clock.now_s) or [], site=site))
             clock.now_s += PERIOD_S
-        sites.append(sink.moment.n_sites)
+        sites.append(sink.snapshot.n_sites)
     assert len(gathered) == 4
     assert sites == [1, 2, 2, 3]
 
@@ -117,10 +117,10 @@ def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
     )
     rgb = np.zeros((30, 40, 3), np.uint8)
     sink.tick(result(observation=seen(rgb), choice=choice, candidates=lambda: there))
-    ((letter, u, v),) = sink.shot.letters
+    ((letter, u, v),) = sink.shot.marks
     assert (letter, u) == ("B", pytest.approx(0.5, abs=0.02))
     assert 0.5 < v < 1.0
-    assert sink.moment.letters[6] == ("C", pytest.approx(0.3))
+    assert sink.snapshot.mark_letters[6] == ("C", pytest.approx(0.3))
 
 
 def test_what_is_told_of_tasks_is_numbered_and_driving_on_is_nothing_new(sink, clock):
@@ -129,5 +129,5 @@ def test_what_is_told_of_tasks_is_numbered_and_driving_on_is_nothing_new(sink, c
     for task in (None, looking(), driving(0), driving(50), driving(50, phase="reached"), None):
         clock.now_s += PERIOD_S
         sink.tick(result(task=lambda task=task: task))
-        numbers.append(sink.moment.n_tasks)
+        numbers.append(sink.snapshot.n_tasks)
     assert numbers == [0, 1, 2, 2, 3, 4]

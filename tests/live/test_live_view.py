@@ -40,7 +40,7 @@ def view() -> LiveView:
 
 def told(view: LiveView, path: str):
     page = view.pages()[path]()
-    assert page.kind == "application/json"
+    assert page.media_type == "application/json"
     return json.loads(page.body)
 
 
@@ -151,7 +151,7 @@ class Served:
         self._queue = queue
 
     def take(self, payload, reply) -> None:
-        self._queue.take(payload, reply)
+        self._queue.accept(payload, reply)
         RequestQueue.serve(self._queue, 0)
 
 

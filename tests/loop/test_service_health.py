@@ -96,7 +96,7 @@ def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
         watched.beat(1.0)
     assert caplog.messages == [why]
     for name in ("odom", "camera/info"):
-        inputs.came(name)
+        inputs.on_message(name)
     for _ in range(20):
         watched.beat(1.0)
     assert caplog.messages[1:] == [why.replace(", camera/info, odom", "")]

@@ -47,7 +47,7 @@ def same(path: Path, ticks: int) -> None:
     outcome = replay(session)
     assert (outcome.first, outcome.differing, outcome.ticks) == (None, 0, ticks)
     assert outcome.goals_then == outcome.goals_now
-    assert (session.gap, session.cut) == ("", "")
+    assert (session.gap, session.truncation) == ("", "")
 
 
 @pytest.fixture(scope="module")
@@ -569,9 +569,9 @@ def test_detecting_anew(drive, tmp_path):
     onnx = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "threads": 1}
     other = small(perception={"detector": onnx})
     outcome = replay(RecordedRun(drive), other, detect=True)
-    assert (outcome.ticks, outcome.unseen) == (30, 0)
+    assert (outcome.ticks, outcome.n_unrecorded) == (30, 0)
     without = Recording(tmp_path, rgb_hz=0.0).steps(3).close()
-    assert replay(RecordedRun(without), other, detect=True).unseen == 3
+    assert replay(RecordedRun(without), other, detect=True).n_unrecorded == 3
 
 
 def test_a_recording_holds_no_secret(tmp_path):
