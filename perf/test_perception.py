@@ -141,7 +141,9 @@ def test_lift(benchmark, way):
     """Twenty boxes of a 640 × 480 image."""
     benchmark.extra_info["budget"] = f"lift_20_boxes_{way}"
     seen = observe()
-    lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), lift=way))
+    lifter = BackProjector(
+        config.PerceptionConfig(detector=config.DetectorSim(), back_projection=way)
+    )
     out, _ = benchmark(lifter.lift, boxes_in(seen, 20))
     assert out.valid.any()
 

@@ -172,7 +172,7 @@ def test_similarity_is_for_every_target(monkeypatch):
     assert set(status["scores"]) == {"bed", "chair"}
     assert status["model"] == "fake"
     scorers.ask(replace(seen, rgb=None), ("bed",), "bed", *known)
-    scorers.resting = frozenset({"similarity"})
+    scorers.shed = frozenset({"similarity"})
     scorers.ask(seen, ("bed",), "bed", *known)
     assert scorers.status()["similarity"]["asked"] == 1
     scorers.close()

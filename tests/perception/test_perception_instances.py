@@ -156,7 +156,7 @@ def test_mistakes_in_partial_views_do_not_confirm(scene, places):
 
 
 def test_a_refuted_thing_is_never_chased_again(scene):
-    s = scene(refute_radius_m=0.6, min_hits=1)
+    s = scene(reject_radius_m=0.6, min_hits=1)
     (chair,) = s.see(("chair", 2, 0, 0.6))
     s.tracker.reject(chair.id)
     for _ in range(5):
@@ -171,7 +171,7 @@ def test_a_refuted_thing_is_never_chased_again(scene):
 
 
 def test_refuting_takes_its_doubles_along(scene):
-    s = scene(merge_m=0.3, refute_radius_m=0.7)
+    s = scene(merge_m=0.3, reject_radius_m=0.7)
     s.see(("chair", 2, 0, 0.6), ("chair", 2.6, 0, 0.6), ("sofa", 2.3, 0, 0.6))
     s.tracker.reject(1)
     assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "refuted"), ("sofa", "seen")]
@@ -183,7 +183,7 @@ def test_refuting_takes_its_doubles_along(scene):
     ids=["too far", "beside", "under the nose", "hidden", "behind"],
 )
 def test_what_was_not_looked_at_stays(scene, x_m, y_m, depth_m):
-    s = scene(lift_max_range_m=8.0)
+    s = scene(back_projection_max_range_m=8.0)
     (chair,) = s.see(("chair", x_m, y_m, 0.6))
     for _ in range(50):
         s.expire(s.frame(depth_m=depth_m))

@@ -307,7 +307,8 @@ class FollowBehaviour:
         if len(found) and ranged and seen.camera is not None:
             seen.hold()
             self._side.submit(
-                ObjectMapUpdate(found, self._objects, perception.lift_max_range_m), ObjectMapUpdate
+                ObjectMapUpdate(found, self._objects, perception.back_projection_max_range_m),
+                ObjectMapUpdate,
             )
 
     def _ask(

@@ -252,7 +252,7 @@ class InstanceTracker:
         T = invert(observation.T_map_base @ observation.T_base_camera)
         view = view_of(camera)
         depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
-        far_m = min(1.5 * self.config.confirm_range_m, self.config.lift_max_range_m)
+        far_m = min(1.5 * self.config.confirm_range_m, self.config.back_projection_max_range_m)
         pose, near_m = observation.pose, self.config.confirm_range_m
         asked = {names.canonical(prompt) for prompt in prompts}
         gone = []
@@ -290,7 +290,7 @@ class InstanceTracker:
     def reject(self, instance_id: int) -> None:
         """Refute an instance: it is not the target and is never chased again.
 
-        Instances of the same name within `refute_radius_m` are removed, and no new one starts
+        Instances of the same name within `reject_radius_m` are removed, and no new one starts
         there.
         """
         track = self._tracks.get(instance_id)
@@ -302,7 +302,7 @@ class InstanceTracker:
                 other is not track
                 and other.instance.state != "reached"
                 and other.name == track.name
-                and other.distance_m(track.x_m, track.y_m) <= self.config.refute_radius_m
+                and other.distance_m(track.x_m, track.y_m) <= self.config.reject_radius_m
             ):
                 del self._tracks[other.instance.id]
 
@@ -433,7 +433,7 @@ class InstanceTracker:
                 continue
             apart_m = track.distance_m(x_m, y_m)
             if track.instance.state == "refuted":
-                if apart_m <= self.config.refute_radius_m:
+                if apart_m <= self.config.reject_radius_m:
                     return track
                 continue
             if apart_m - track.radius_m >= best_m:

@@ -491,7 +491,7 @@ class ObjectTracker:
 
     def _fuse(self, observation: Observation) -> None:
         s, c, camera = self._all, self.config, observation.camera
-        far_m = min(2.0 * c.confirm_range_m, c.lift_max_range_m)
+        far_m = min(2.0 * c.confirm_range_m, c.back_projection_max_range_m)
         depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
         kernels.fuse(
             s.xyz_m, s.points_m, s.n_points, s.word, s.n, self._now, self._asked,
