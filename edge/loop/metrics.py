@@ -109,7 +109,7 @@ HEALTH_METRICS: tuple[MetricSpec[ServiceHealth], ...] = (
            lambda v: v.state, states=STATES),
     MetricSpec("edge_service_ready", "gauge",
     "1 if the service is ready, as /readyz reports, else 0.",
-           lambda v: not v.amiss()),
+           lambda v: not v.problems()),
     MetricSpec("edge_loop_beat_age_seconds", "gauge", "Time since the newest loop cycle.",
            lambda v: v.silent_s),
     MetricSpec("edge_observation_age_seconds", "gauge",

@@ -356,7 +356,7 @@ def sightings(
     found = [
         (instance.label, instance.center_m)
         for instance in tracker.all
-        if instance.state != "refuted"
+        if instance.state != "rejected"
         and instance.hits >= least
         and observation.stamp_ns - instance.last_seen_ns <= SIGHTED_NS
     ]

@@ -162,7 +162,7 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
         "readings": [one_line(english, _PRINTED_CHARS) for english in translation.readings],
         "state": mission.state,
         "states": mission.brief.automaton.n_states,
-        "word": list(mission.word),
+        "trace": list(mission.trace),
         "plan": list(plan.steps),
         "cost": plan.cost if plan.feasible else None,
         "why": plan.reason,

@@ -290,7 +290,7 @@ SHELF, CABINET = (39, 5, 61, 57), (9, 21, 61, 57)
         (None, 1.5),
         ((), 1.5),
         ((CABINET,), 3.0),
-        # A rival for the same box hides nothing of it.
+        # A competing class at the same box hides nothing of it.
         ((SHELF,), 1.5),
         (((200, 200, 210, 210),), 1.5),
         ((CABINET, (np.nan, 0, 1, 1)), 3.0),
