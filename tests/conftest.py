@@ -59,7 +59,8 @@ def pytest_xdist_auto_num_workers() -> int:
 
 # Kernels that this checkout has not compiled yet: each worker would compile all of them, for a
 # minute and a half. It is done once, while they collect; numba compiles on one core at a time, so a
-# second process does those of perception before the first has come to them.
+# second process does those of perception before the first has come to them, and then those of tasks
+# and value maps, which the first does not need.
 EPISODE = """
 import tempfile
 from pathlib import Path
@@ -79,7 +80,15 @@ with tempfile.TemporaryDirectory() as folder:
 a_m = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 3.0]])
 trajectory_scores(a_m, a_m[::2] + 0.1, Grid(np.zeros((9, 9), np.int8), (0.0, 0.0), 0.5))
 """
-PERCEPTION = "from edge.perception.warmup import warmup; warmup()"
+PERCEPTION = """
+from edge.config import MappingConfig
+from edge.mapping.warmup import warm_values
+from edge.perception.warmup import warmup
+from edge.tasks.warmup import warm_up
+warmup()
+warm_values(MappingConfig())
+warm_up()
+"""
 _compiling: list[subprocess.Popen] = []
 # In a new checkout the asserts of all tests have to be rewritten as well, which takes twice as long
 # as all else of collecting. The first worker does it; the others wait for this, and find it done.
