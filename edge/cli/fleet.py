@@ -14,7 +14,8 @@ from typing import Any
 from edge.bus.client import RequestError
 from edge.bus.session import zenoh_session
 from edge.bus.zenoh_file import protocol
-from edge.cli.mission import ANSWER_S, PATIENCE_S, as_text
+from edge.cli.mission import PATIENCE_S, as_text
+from edge.cli.service_request import ANSWER_S
 from edge.config import MissionConfig, ZenohConfig, load
 from edge.errors import FAILED, UserError
 from edge.fleet.dispatch import LOOK_S, Dispatcher, FleetPlan, plan
