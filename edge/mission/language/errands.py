@@ -405,9 +405,10 @@ def _rounds(found: re.Match[str]) -> str | None:
     if rounds is not None and 1 <= rounds <= MAX_ROUNDS:
         return " " + ", then ".join(f"go to {_articled(stop)}" for stop in stops * rounds)
     if found.start() or found.string[found.end() :].strip(" .!?"):
+        order = "send what comes before it first" if found.start() else "send the rest afterwards"
         raise UnclearError(
             "instruction: a patrol for some time, or with more than "
-            f"{MAX_ROUNDS} rounds, must be the whole instruction; send the rest afterwards"
+            f"{MAX_ROUNDS} rounds, must be the whole instruction; {order}"
         )
     end = f"{rounds} times" if rounds is not None else "until told"
     end = f"for {_length(seconds_of(slots['span']))}" if slots.get("span") else end
