@@ -29,7 +29,7 @@ from edge.mission.language.english import describe
 from edge.mission.language.errands import CHECK, spell_out
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
-from edge.mission.language.places import quote_places
+from edge.mission.language.places import EXPLORED, quote_places
 from edge.mission.language.said import MissionOrder, NoMissionError, understand
 from edge.mission.language.tokens import UnclearError
 from edge.mission.logic import ltl
@@ -44,7 +44,7 @@ from edge.mission.translate import Translation, TranslationError, make_translato
 from edge.text import one_line
 
 _NO_SITE = Site()
-_MEANS_MORE = re.compile(rf'"{CHECK} |, then (?:find|look for) ')
+_MEANS_MORE = re.compile(rf'"(?:{CHECK}|{EXPLORED})\b|, then ')
 _MOST_SHOWN = 600  # of the parts of a contradiction
 
 

@@ -60,14 +60,16 @@ _CHECKS = compiled(
 )
 _SEARCHES = compiled(
     """
-    (search|scan|look in|look through|look around) <room> for <thing>
-    look around in <room> for <thing>
+    (search|scan|look in|look through|look around|look around in|
+            (have|take) a [good|quick|little|proper|close]* look [around|round]
+            (in|at|inside|through)) <room> for <thing>
+    (search|look) {whole} for <thing>
     """,
     PARTS,
 )
 _EXPLORES = compiled(
     """
-    {goes} ({look}|look|inspect) {whole} [{whole}] [and|then] [map|scan|look at|explore]
+    {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
             [everything] {time}
     {goes} {look} <stops> {time}
     {goes} {look} <room> [, (only|just) (this|that) (room|one)] {time}
@@ -122,9 +124,10 @@ _CALLS = compiled("(come|drive|get|move|roll) [over|right|up]* (here|to me|to us
 _BACKS = compiled("{then} {back}", PARTS)
 _WAITS = compiled(
     """
+    {then} {hold} [for] <span> {where} <thing>
     {then} {hold} {there} [for] <span> [there|here]
-    {then} {hold} (at|in|by|near|inside|next to|in front of) <thing> [for] <span>
-    {then} wait [for (me|us)] (at|in|by|near|inside|next to|in front of) <thing>
+    {then} {hold} {where} <thing> [for] <span>
+    {then} wait [for (me|us)] {where} <thing>
     {then} stay [for (me|us)] (at|by|near|next to|in front of) <thing>
     {then} (wait|stay) (there|here|in there) [for me|until i (come|am there|get there|call|say) ...]
     """,
@@ -139,7 +142,8 @@ _RELATED = re.compile(
 _INTRODUCED = re.compile(
     rf"^ (?:there (?:is|are)|(?:we|i) (?:need|want|lost|have lost|left|forgot|am looking for)) "
     rf"(?P<thing>{NAME})(?: {any_of('standing')})?(?: (?P<relation>{any_of('relation')}) "
-    rf"(?P<anchor>{NAME}))?[,.;!]+ (?:so |please |and )*(?P<order>[^,.;!?]*?) (?:it|them)"
+    rf"(?P<anchor>{NAME}))?(?:[,.;!]+|(?= (?:find|look|go|search)\b)) (?:so |please |and )*"
+    r"(?P<order>[^,.;!?]*?) (?:it|them)"
     r"(?=[,.;!?]|$)",
     re.I,
 )
@@ -152,6 +156,7 @@ _PERMITS = re.compile(
     rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
     re.I,
 )
+_ON_THE_WAY = re.compile(r'\bon (?:the|your) way,? (?:there,? )?(?:then )?go to "', re.I)
 _LOOSE = re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I)
 _ONLY_THERE = (
     "the robot can only check whether a thing is there; say for example 'check whether the stove "
@@ -179,6 +184,8 @@ _NUMBERED = re.compile(
     re.I,
 )
 _PLAINER = (
+    (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
+    (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
      r"\1 you have visited"),
@@ -187,12 +194,14 @@ _PLAINER = (
 )  # fmt: skip
 """Changes before all others: lists of numbered rooms, and other words for known ones."""
 _IN_ROOM_AND = re.compile(
-    rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})),? and(?= (?:find|look for) )", re.I
+    rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})),? and"
+    rf"(?= (?:find|look (?:for|at)|inspect|examine|{any_of('work')}) )",
+    re.I,
 )
 _DANGLING = re.compile(
     rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*"(?:,| and then| and| or| then)+ (?:{ARTICLE} |")'
     rf'|"[^"]* [^"]*" (?:and|or) {any_of("relation")} '
-    rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) {ARTICLE} ',
+    rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) (?:{ARTICLE}|{any_of("room")}) ',
     re.I,
 )
 _GOES_TO = re.compile(
@@ -262,6 +271,8 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     if dangling := _DANGLING.search(text):
         hint = "unclear what to do with the second one; say it in a sentence of its own"
         raise UnclearError(f"instruction: {dangling[0].strip()}: {hint}", dangling[0].strip())
+    if _ON_THE_WAY.search(text):
+        raise UnclearError("instruction: 'on the way': name what comes first, first")
     if room := _SOME_ROOM.search(text):
         raise UnclearError(f"instruction: {room[0]!r}: unclear which room; name it", room[0])
     if loose := _LOOSE.search(text):
@@ -297,9 +308,10 @@ def _introduced(found: re.Match[str]) -> str | None:
 
 
 def _searched(found: re.Match[str]) -> str | None:
-    if not is_room(bare(found["room"])) or is_vague(found["thing"]):
+    room = found.groupdict().get("room") or ""
+    if (room and not is_room(bare(room))) or is_vague(found["thing"]):
         return None
-    where = _where("in", found["room"])
+    where = _where("in", room)
     return None if where is None else f' find "{bare(found["thing"])}{where}"'
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from edge.mission.language.everyday_words import PLAIN_NAME, any_of, bare, is_room
+from edge.mission.language.everyday_words import ARTICLE, PLAIN_NAME, any_of, bare, is_room
 from edge.mission.language.tokens import UnclearError
 
 _OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just |now )?"
@@ -19,7 +19,8 @@ _DRIVES = (
 _CANNOT = (
     (rf"{_OPENS_CLAUSE}{any_of('follow')}\b", "the robot cannot follow or lead; say where to go"),
     (
-        rf"{_OPENS_CLAUSE}{any_of('carry')}\b{_DRIVES}",
+        rf"{_OPENS_CLAUSE}(?:{any_of('carry')}\b{_DRIVES}"
+        rf"|(?:bring|fetch|carry|hand) (?:over|up|in|out|down|back) {ARTICLE}\b)",
         "the robot has no arms; it can drive to things, so say for example 'find the mug'",
     ),
     (rf"{_OPENS_CLAUSE}{any_of('talk')}\b", "the robot answers here in text, and does no more"),

@@ -69,7 +69,10 @@ def _words(reader: TokenReader, article: bool) -> list[Token]:
     """Take the words of a name; after an article it may begin with a verb."""
     words: list[Token] = []
     while reader.sees("word", "group") and not is_letter(reader.peek()):
-        if reader.peek().text in AFTER_VERB or _says_number(reader):
+        particle = reader.peek().text in AFTER_VERB and not (
+            article and not words and nouns.is_noun(reader.peek(1).text)
+        )  # "the back door"
+        if particle or _says_number(reader):
             break
         words.append(reader.tokens[_advance(reader)])
     if words:
@@ -132,6 +135,8 @@ def _hardly_a_name(reader: TokenReader) -> bool:
     if reader.peek(-1).text == "be":  # "be a dear"
         return True
     if not reader.sees("verb", "times", "immediately", "filler", "addressed", ahead=1):
+        return False
+    if reader.peek(1).text.startswith("at "):  # "avoid a at all costs"
         return False
     return not any(is_letter(token) and token.text != "a" for token in reader.tokens)
 

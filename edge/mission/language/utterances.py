@@ -9,18 +9,20 @@ PARTS = {
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
         yet|by now|by any chance|again|on your (map|way|tour|rounds|trip)|in your memory|
         this (morning|afternoon|evening)|(when|while|as) you (were|was|drove|went|looked) ...|
-        [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)]*
+        [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
+        (got|gone|run off) to|ended up|[do] you (know|remember)]*
         [(did|have) you [seen|see] (it|them|her|him|one)]
         """,
     "seen": """
         (see|seen|saw|spot|spotted|find|found|notice|noticed|come across|came across|remember|put|
-        leave|left|discover|discovered|pass|passed)
+        leave|left|discover|discovered|pass|passed|meet|met|clock|clocked)
         """,
     "you": "[did|have|had|has|do] (you|the robot|anyone|anybody) "
            "[have|had|did|ever|already|just|last|recently|by [any] chance|maybe|happen to]*",
     "tell": """
         [can you|could you] [please] (tell me|say|show me|do you (know|remember)|you know|
-        [i wonder|any idea|i want to know|remind me|you remember])
+        [i wonder|any idea|i want to know|remind me|you remember|do you happen to know|
+        have you any idea])
         """,
     "in": "[anywhere|somewhere|still|left]* [on your map|in your memory|<relation> <anchor>]",
     # Orders to learn.
@@ -37,6 +39,10 @@ PARTS = {
         wander|get|getting|be|run|back|inside|into|in) [never|ever|back]
         [in|into|inside|to|over|near|at|on|through]*
         """,
+    "away": """
+        (stay|staying|keep|keeping|remain|steer) [well|far|always|right] (out|away|off|clear|
+        outside)
+        """,
     "may": """
         [again|now|and|so|okay]* [you|robot|the robot] (may|can|could|are allowed [to]|
         are free to|are welcome to|have permission to) [again|now|also|then|to]*
@@ -46,7 +52,8 @@ PARTS = {
         (must|may|can|should|shall|will) not|not [may|can|should]|
         (are|have) not (allowed|supposed|permitted|welcome)|are (forbidden|banned)
             [from]|no [more]|
-        it is (forbidden|prohibited|not allowed) [for you]|forbidden|(i|we) do not want you)
+        it is (forbidden|prohibited|not allowed) [for you]|forbidden|(i|we) do not want you|
+        (i|we) would (rather|prefer) [that] you (did not|do not|not))
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
         """,
     "while": """
@@ -61,14 +68,18 @@ PARTS = {
     # Control.
     "there": "[please|right|there|here|now|just|it|still|a bit|for me|for now|at once|immediately|"
              "moving|driving|everything|where you are|what you are doing|the robot|robot|okay]*",
-    "halt": "(stop|halt|freeze|hold|pause|do not move [again|anymore|any more|a muscle])",
+    "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
+            "[again|anymore|any more|a muscle])",
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
-            "your rounds|your round|your errand|your job|your work|your way|mission|what i said]",
+            "your rounds|your round|your errand|your job|your work|your way|mission|"
+            "what i [just] said|(that|the|my) [last] (order|command|instruction)]",
+    "quit": "(cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} "
+            "[about (it|that)]",
     "reason": """
         [, [and] ((until|while|because|so) (i|we|he|she|they|it|someone|somebody|you hear) ...|
         for (me|us|him|her|them)|until (further notice|then)|then (go on|continue)|
-        (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would) ...|
+        (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would|come|go) ...|
         there (is|are) ...)]
         """,
 }  # fmt: skip
@@ -107,10 +118,11 @@ QUESTIONS = {
             [the (nearest|closest)] <thing> [is|are|was|were] {last}
         {tell} where <thing> (is|are|was|were|has|have) {last}
         {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
-        {tell} where (did|have|had) (i|we) (put|leave|left|lost|forget|drop|dropped) <thing> {last}
+        {tell} where [did|have|had] (i|we) [have|had|did] (put|leave|left|lost|forget|drop|dropped)
+            <thing> {last}
         {tell} where (can|could|do|should|would|will|might) (i|we) (find|see|get|look for|go for)
             <thing>
-        {tell} [in] (which|what) room (is|are|was|were) <thing> [in] {last}
+        {tell} [in] (which|what) room [there] (is|are|was|were) <thing> [in] {last}
         {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
         (i|we) [seem to] [have] (can not find|do not find|lost|mislaid|misplaced|am looking for|
             are looking for|miss) <thing> , (where (is|are) (it|they)|
@@ -124,17 +136,18 @@ QUESTIONS = {
             {in} {last}
         seen [any|of|already]* <thing> {in} {last}
         {tell} [is|was|are|were] there <thing> {in} {last}
-        [do you know if|do you know whether|so] there (is|are) <thing> {in} {last}
+        (do you know if|do you know whether) there (is|are) <thing> {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
             <thing> {in} {last}
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
-        (exists|exist) [there] <thing> {in} {last}
+        [it] (exists|exist) [there] <thing> {in} {last}
         (have (we|you)|you) got <thing> {in} {last}
         {tell} (is|are) <thing> [still|already|really] <relation> <anchor> {last}
         {tell} (is|are) <thing> [still|already|really|there|here|around]* {last}
         do you (know|remember) if there (is|are) <thing> {in} {last}
         how many <thing> {you} {seen} {in} {last}
         how many <thing> are there {in} {last}
+        how many <thing> (do|have) (we|you) (have|got|know) {in} {last}
     """,
 }
 """Topic of `MemoryQuestion` → its templates."""
@@ -147,10 +160,12 @@ ORDERS = {
             drive out of) ({this_room}|<room>) {while}
     """,
     "keep_out": """
-        [you|must|should|have to|need to|to|always|better]* (stay|staying|keep|keeping|remain|steer)
-            [well|far|always|right] (out|away|off|clear|outside) [of|from] <room> {while}
+        [you|must|should|have to|need to|to|always|better]* {away} [of|from] <room> {while}
         [you|must|should|have to]* avoid [going|to go] [to|into|in|through] <room> {while}
         {not} {go} <room> {while}
+        (in|into|to|inside) <room> {not} (go|enter|drive|be|come) {while}
+        <room> (is|are|has|have|was|were) ... ({away} [out] [of it|from it|there]|
+            {not} {go} [there|it|in there|in it|down there|inside]) {while}
         <room> (is|are) [now] (off limits|forbidden|out of bounds|closed|taboo|prohibited|
             not allowed|closed off|private|a no go zone|a no go area) [for you|to you|for robots]
             {while}
@@ -167,6 +182,7 @@ ORDERS = {
             [go|drive|come|enter|get|be|back]* (there|in there|in it|in|it|inside) again
         <room> (is|are) (no longer|not) (off limits|forbidden|closed) [for you|anymore|any
             more|now]*
+        ... in <room> {may} [go|drive|come|enter|get|be|back]* (there|in there|in|inside) again
         {may} (leave|go out of|exit) ({this_room}|<room>) [again|now|anymore]*
         you (do not have|do not need) to (stay|keep) (out of|away from|in|inside)
             ({this_room}|<room>)
@@ -177,6 +193,8 @@ ORDERS = {
             [the (place|room|zone|spot|name)] [called|named]
             <site> [from your (map|memory|list)|from the map|from memory|as a place|from (your|the)
             (places|list|memory|map)] {while}
+        [you] (need not|do not have to|do not need to) (remember|know) [the (place|room)] <site>
+            {while}
     """,
     "room": """
         ({this_room}|it|here|this|we|you) [here] (is|are|is called|are standing) [in|now|called]*
@@ -202,16 +220,17 @@ CONTROL = {
     "resume": """
         [[it] is (ok|okay|fine|good) [now]] , [you|robot|the robot] [can|may|should|could]
             [now|to|please]*
-            (go on|carry on|continue|resume|keep going|keep on|keep moving|keep driving|get
-            moving|get going|go ahead|
+            (go on|carry on|crack on|press on|continue|resume|keep going|keep on|keep moving|
+            keep driving|get moving|get going|go ahead|
             proceed|move on|drive on|start again|move again|go again|drive again|unpause)
             [now|then|again|please|with|as before|what you (were|was) doing [before]|
             where you left off|where you stopped|from where you stopped|doing that|driving|
             searching|looking]* {task}
+        [you|robot|the robot] (can|may) [now] (move|drive) [now|again]
     """,
     "cancel": """
-        (cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} [about
-            (it|that)]
+        {quit} [{quit}]* [, (i|we) (need|want) you (elsewhere|here|somewhere else)]
+        do nothing (more|else|further)
         [you (can|may)] forget (it|that|about it|about that|everything|what i said|
             the mission|the task)
         (stop|end) (searching|looking|exploring|patrolling|the|your)
@@ -244,6 +263,9 @@ REASONS = """
             do not|did not|can not|finished|moved|do|did|hear|see) ...
     [it|that] [is|makes] (all|no)* [the] (same|one|difference) [for me|for us|to me|to us]
     (no worries|no problem|no hurry|no rush|as you like|as you wish)
+    do not (mind|worry about|bother about) (me|us|him|her|it|them)
+    (i|we) [have] changed (my|our) mind
+    <thing> (coming|passing|going) (through|past|by)
     [it] does not matter [to me|to us] [which|which one]
     you (pick|choose|decide)
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
