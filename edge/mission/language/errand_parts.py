@@ -29,7 +29,7 @@ PARTS = {
         """,
     "look": """
         (explore|explore (me|us)|exploring|inspect|scout|scout out|scan|survey|map|map out|discover|
-        sweep|investigate|get to know|
+        investigate|get to know|
         [make|do] [an|the] exploration [of]|go exploring [in]|look through|search through|
         (look|drive|go|wander|roam|cruise|(have|take|make) a [good|quick] (look|wander|peek|tour)|
         do a (tour|scan)|make a map) [all] (around|round|about) [in|inside|of|at]|

@@ -43,13 +43,14 @@ MAX_ROUNDS = 10
 
 _CHECKS = compiled(
     """
-    {then} {drive} {over} (in|into|to|inside) <into> and [then] {check}
+    {then} {drive} {over} (in|into|to|inside|down|along|through) <into> and [then] {check}
             ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
     {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <thing> (is|are)
             {still} (there|in there)
     {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
     {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
     {then} {goes} {check} {if} <thing> (is|are) {at}
+    {then} {goes} {check} {if} (i|we) [have] (left|put|forgot|forgotten|dropped) <thing> {at}
     {then} {goes} {check} {if} you [can] see <thing> {at} [there|around|here]
     {then} {goes} {check} [if] (is|are) [there] <thing> {at} [there]
     {then} {goes} check for <thing> {at}
@@ -74,7 +75,8 @@ _EXPLORES = compiled(
     {goes} {look} <stops> {time}
     {goes} {look} <room> [, (only|just) (this|that) (room|one)] {time}
     give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
-            (once-over|look|scan|sweep|look over|check|going over|look-over|inspection) {time}
+            (once-over|once over|look|scan|sweep|look over|check|going over|look-over|inspection)
+            {time}
     (have|take|make) a [good|proper|quick|close]* look (round|around|in|at|inside) (<room>|{whole})
             {time}
     """,
@@ -117,7 +119,7 @@ _STARTS = compiled(
     PARTS,
 )
 _BACK_TO = compiled(
-    "{then} (return|(come|go|get|drive|head|run|move|be) [straight|right] back|back) to <thing>",
+    "{then} (return|[come|go|get|drive|head|run|move|be] [straight|right] back) to <thing>",
     PARTS,
 )
 _CALLS = compiled("(come|drive|get|move|roll) [over|right|up]* (here|to me|to us|over here)", PARTS)
@@ -140,11 +142,11 @@ _RELATED = re.compile(
     re.I,
 )
 _INTRODUCED = re.compile(
-    rf"^ (?:there (?:is|are)|(?:we|i) (?:need|want|lost|have lost|left|forgot|am looking for)) "
+    r"^ (?:there (?:is|are)|(?:we|i) (?:need|want|am looking for|can not find|"
+    r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten))) "
     rf"(?P<thing>{NAME})(?: {any_of('standing')})?(?: (?P<relation>{any_of('relation')}) "
-    rf"(?P<anchor>{NAME}))?(?:[,.;!]+|(?= (?:find|look|go|search)\b)) (?:so |please |and )*"
-    r"(?P<order>[^,.;!?]*?) (?:it|them)"
-    r"(?=[,.;!?]|$)",
+    rf"(?P<anchor>{NAME}))?(?: somewhere)?(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
+    r"(?:so |please |and )*(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
     re.I,
 )
 _ROOM_WITH = re.compile(
@@ -164,7 +166,7 @@ _ONLY_THERE = (
 )
 _NOWHERE = nouns.listed(
     """way foot own order point least most floor floors last path road route place places spot area
-    position location side one ones"""
+    position location side one ones bit moment while"""
 )
 """Words that name no object in "at some point", "on the way", "a place near the door"."""
 _STOP = rf",? (?:and then|and|then|to|or) |, | (?={MARK}|the )"
@@ -320,11 +322,12 @@ def _checked(found: re.Match[str]) -> str | None:
     thing = bare(found["thing"])
     if is_vague(thing) or thing in ("it", "them"):
         return None
-    plain_look = not slots.get("relation") and found[0].rstrip().endswith(found["thing"])
-    if plain_look and (
-        is_room(thing) or thing.startswith("rooms ") or thing.split()[-1] in _NOWHERE
-    ):
-        return None  # "check the kitchen" is no check of a thing
+    if not slots.get("relation") and found[0].rstrip().endswith(found["thing"]):
+        known = is_marked(thing) or nouns.unknown_in(thing.split()) is None
+        named = known or re.match(r"(?!any|some)\w+ ", found["thing"][: -len(thing)])
+        nowhere = thing.startswith("rooms ") or thing.split()[-1] in _NOWHERE
+        if is_room(thing) or nowhere or not named:
+            return None  # "check the kitchen" is no check of a thing, nor "check for any messages"
     if slots.get("into") and not is_room(bare(slots["into"])):
         return None
     if slots.get("room") or slots.get("into"):

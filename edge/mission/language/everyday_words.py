@@ -17,7 +17,8 @@ _ROWS: dict[str, str] = {
     "hesitation": "uh; um; er; erm; hmm; hm; uhm; mm; eh",
     "opening": """
         hey; hi; hello; yo; ok; okay; so; well; now; please; robot; oh; right; alright; all right;
-        listen; dear; ah; and; then; good morning; good evening; attention; quick; quickly; yes;
+        listen; dear; ah; and; then; carefully; good morning; good evening; attention; quick;
+        quickly; yes;
         yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you go;
         buddy; sorry; just; kindly; from now; from now on; for now; first; today;
         (my|) (dear|love|darling|friend|sweetheart|sweetie);
@@ -32,6 +33,7 @@ _ROWS: dict[str, str] = {
         (could|would); be (a|an) (dear|pal|darling|sweetheart|love|angel|star|good
         (robot|boy|girl)) and; do me a favour and;
         do me a favor and; go ahead and; make sure (to|you|that you); be sure to; try to; let us;
+        mind (that|) you;
         i wonder if you could; why do not you; why do n't you; time to; in your memory;
         hurry up and; hurry and;
         as far as you (know|remember); be the guard and; be a guard and; come on;
@@ -42,7 +44,8 @@ _ROWS: dict[str, str] = {
         pal; (would|will|could|can) you; for me; now; right now; right away; at once; immediately;
         honey; darling; sweetie; my dear; my friend; my love; sweetheart;
         as (fast|quickly|soon) as you can; (really|very|super|) (quickly|quick|fast); sharpish;
-        hurry; hurry up; thanks a lot;
+        hurry; hurry up; thanks a lot; (just|) so you know; for your information; log it; you can
+        find;
         if you (please|do not mind); when you (have|get) (time|a moment|a minute|a chance);
         in case you did not know; for now; today; do not forget (that|it|); got it; did you get
         that; you hear;
@@ -136,7 +139,7 @@ _ROWS: dict[str, str] = {
     """,
     # Verbs of work at a thing: the robot drives there.
     "work": """
-        open; close; shut; lock; unlock; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
+        sweep; open; close; shut; lock; unlock; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
         feed; iron; water; empty; fill; (switch|turn) (on|off|up|down); knock; fix; repair; sort
     """,
     "talk": """

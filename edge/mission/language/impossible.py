@@ -20,8 +20,13 @@ _CANNOT = (
     (rf"{_OPENS_CLAUSE}{any_of('follow')}\b", "the robot cannot follow or lead; say where to go"),
     (
         rf"{_OPENS_CLAUSE}(?:{any_of('carry')}\b{_DRIVES}"
-        rf"|(?:bring|fetch|carry|hand) (?:over|up|in|out|down|back) {ARTICLE}\b)",
+        rf"|(?:bring|fetch|carry|hand|take) (?:over|up|in|out|down|back) {ARTICLE}\b)",
         "the robot has no arms; it can drive to things, so say for example 'find the mug'",
+    ),
+    (
+        rf"\balong {ARTICLE} (?!(?:\w+ )?(?:way|route|path|line|road|street|aisle|lane|hall|"
+        r"hallway|corridor|passage)\b)",
+        "the robot cannot drive along a thing; say where to go",
     ),
     (rf"{_OPENS_CLAUSE}{any_of('talk')}\b", "the robot answers here in text, and does no more"),
     (rf"\b{any_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),

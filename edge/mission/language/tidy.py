@@ -27,7 +27,8 @@ _MORE = {
 }  # fmt: skip
 _IS = re.compile(
     r"(?<=\d)'s (?=\w+ed\b)|"
-    r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone)\b|"
+    r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|"
+    r"finished|done|coming|going|backing|blocked|busy)\b|"
     rf"{any_of('relation')} )",
     re.I,
 )

@@ -10,12 +10,13 @@ PARTS = {
         yet|by now|by any chance|again|on your (map|way|tour|rounds|trip)|in your memory|
         this (morning|afternoon|evening)|(when|while|as) you (were|was|drove|went|looked) ...|
         [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
-        (got|gone|run off) to|ended up|[do] you (know|remember)]*
+        (got|gone|run off) to|ended up|[do] you (know|remember)|have you]*
         [(did|have) you [seen|see] (it|them|her|him|one)]
         """,
     "seen": """
         (see|seen|saw|spot|spotted|find|found|notice|noticed|come across|came across|remember|put|
-        leave|left|discover|discovered|pass|passed|meet|met|clock|clocked)
+        leave|left|discover|discovered|pass|passed|meet|met|clock|clocked|
+        (run|ran|come|came|bump|bumped) (across|into))
         """,
     "you": "[did|have|had|has|do] (you|the robot|anyone|anybody) "
            "[have|had|did|ever|already|just|last|recently|by [any] chance|maybe|happen to]*",
@@ -35,7 +36,8 @@ PARTS = {
     "keep": "(remember|save|store|note|mark|call|name|learn|label|register|memorize|memorise|set|"
             "keep in mind|know) [that|down]",
     "go": """
-        [to|even|also] (go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
+        [to|even|also]
+            (use|access|go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
         wander|get|getting|be|run|back|inside|into|in) [never|ever|back]
         [in|into|inside|to|over|near|at|on|through]*
         """,
@@ -73,7 +75,7 @@ PARTS = {
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
             "your rounds|your round|your errand|your job|your work|your way|mission|"
-            "what i [just] said|(that|the|my) [last] (order|command|instruction)]",
+            "what i [just] said|(that|the|my) [last] (order|command|instruction|task|job|errand)]",
     "quit": "(cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} "
             "[about (it|that)]",
     "reason": """
@@ -107,7 +109,7 @@ QUESTIONS = {
         {tell} (what|which things|which objects|what things|what objects) [all|else] {you}
             [all|everything] {seen} {in} [out there|in there|there|with your camera|all]* {last}
         (what|which things|which objects) [all|else] [you have|you did|have you] {seen} {in} {last}
-        what (is|was|are) [there] (in|inside) <room> {last}
+        (what|which things|what things|which objects) (is|was|are) [there] (in|inside) <room> {last}
         {tell} [me] (what|all|everything) [that|what] you [have|did|all]* {seen} {in} {last}
         (list|name) [me] (what|all|everything) [that] you [have|did]* {seen} {in} {last}
         what do you (know|remember) [about this place|so far]
@@ -118,7 +120,8 @@ QUESTIONS = {
             [the (nearest|closest)] <thing> [is|are|was|were] {last}
         {tell} where <thing> (is|are|was|were|has|have) {last}
         {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
-        {tell} where [did|have|had] (i|we) [have|had|did] (put|leave|left|lost|forget|drop|dropped)
+        {tell} where [on earth|in the world|ever] [did|have|had] (i|we) [have|had|did]
+            (put|leave|left|lost|forget|drop|dropped)
             <thing> {last}
         {tell} where (can|could|do|should|would|will|might) (i|we) (find|see|get|look for|go for)
             <thing>
@@ -147,6 +150,8 @@ QUESTIONS = {
         do you (know|remember) if there (is|are) <thing> {in} {last}
         how many <thing> {you} {seen} {in} {last}
         how many <thing> are there {in} {last}
+        you have not {seen} [any|my]* <thing> {in} {last}
+        any (sign|trace) of <thing> {in} {last}
         how many <thing> (do|have) (we|you) (have|got|know) {in} {last}
     """,
 }
@@ -171,7 +176,8 @@ ORDERS = {
             {while}
     """,
     "open": """
-        it is (okay|ok|fine|alright|all right|allowed|safe) [for you] [now|again]* to {go} <room>
+        it is [quite|perfectly|absolutely]* (okay|ok|fine|alright|all right|allowed|safe) [for you]
+            [now|again]* to {go} <room>
             [again|now]*
         {may} {go} again [in|into|to]* <room> [now]
         {may} {go} <room> (again|freely|as before|as you like) [now|again]*
@@ -206,7 +212,8 @@ ORDERS = {
         we call {here} <room>
     """,
     "place": """
-        {keep} {here} [is|as|to be|by the name] [called|named] <name>
+        {keep} {here} [down] [is|as|to be|by the name] [called|named] <name>
+        the name of {here} is <name>
         {keep} , {here} (is|is called) <name>
         {here} , {keep} it [as|like] <name>
         {here} (is|is called|is named|will be|shall be) [now|called|from now on] <name>
@@ -222,7 +229,7 @@ CONTROL = {
             [now|to|please]*
             (go on|carry on|crack on|press on|continue|resume|keep going|keep on|keep moving|
             keep driving|get moving|get going|go ahead|
-            proceed|move on|drive on|start again|move again|go again|drive again|unpause)
+            off you go|proceed|move on|drive on|start again|move again|go again|drive again|unpause)
             [now|then|again|please|with|as before|what you (were|was) doing [before]|
             where you left off|where you stopped|from where you stopped|doing that|driving|
             searching|looking]* {task}
@@ -231,13 +238,14 @@ CONTROL = {
     "cancel": """
         {quit} [{quit}]* [, (i|we) (need|want) you (elsewhere|here|somewhere else)]
         do nothing (more|else|further)
-        [you (can|may)] forget (it|that|about it|about that|everything|what i said|
-            the mission|the task)
-        (stop|end) (searching|looking|exploring|patrolling|the|your)
+        [you (can|may)] forget [about] {task}
+        [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
             [search|mission|task|patrol|tour|errand|rounds|job|for it]
     """,
     "pause": """
-        (stop|halt|freeze|hold it|hold on|hold still|hold|pause|stand still|whoa|enough|do not move|
+        [wait|hold on|hang on]* (a|one|half a) (moment|second|sec|tick) {there} {reason}
+        (stop|halt|freeze|hold it|hold on|hold up|hold still|hold|pause|stand still|whoa|enough|do
+            not move|
             stay (where you are|there|still|put|right there)|stop|hold your horses|not move|brake|
             keep still|you can stop|be still|stand there|emergency stop|not so fast|
             do not (go|drive) (on|any further|further|anywhere)|remain (there|where you are)|
@@ -265,7 +273,8 @@ REASONS = """
     (no worries|no problem|no hurry|no rush|as you like|as you wish)
     do not (mind|worry about|bother about) (me|us|him|her|it|them)
     (i|we) [have] changed (my|our) mind
-    <thing> (coming|passing|going) (through|past|by)
+    <thing> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
+    you are doing (well|great|fine|good) ...
     [it] does not matter [to me|to us] [which|which one]
     you (pick|choose|decide)
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
