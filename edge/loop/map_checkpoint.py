@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
@@ -117,10 +117,10 @@ def state_of(
 ) -> Checkpoint[MapState]:
     """Return the current state without the tiles; see `MapState` for the arguments."""
     config, values, policy = parts.map.config, parts.map.grid.values, parts.policy
-    x_m, y_m, yaw_rad = map(float, astuple(sighted.pose))
+    pose = sighted.pose
     state = MapState(
         boot, config.policy.kind, targets, target,
-        (x_m, y_m, yaw_rad), sighted.stamp_ns, sighted.now_ns,
+        (float(pose.x_m), float(pose.y_m), float(pose.yaw_rad)), sighted.stamp_ns, sighted.now_ns,
         config.mapping.resolution_m, config.mapping.obstacle_max_m,
         config.value_source or "", tuple(values.targets), values.side,
     )  # fmt: skip

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from edge import names
 from edge.config import Config
+from edge.jit import jit
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.revisits import RevisitCounter
 from edge.lab.eval.zone_entries import ZoneEntryCounter
@@ -276,7 +276,7 @@ def mask_of(things: Sequence[WorldObject], most: int) -> np.ndarray:
     return mask
 
 
-@njit(nogil=True, cache=True)
+@jit
 def visible_px(ids: np.ndarray, depth_m: np.ndarray, mine: np.ndarray, range_m: float) -> int:
     """Count the pixels that show one of the objects within a range.
 
