@@ -49,7 +49,7 @@ class MissionFacts:
     Attributes:
         spec: The mission as it was given.
         state: State of the automaton.
-        trace: Letters (propositions) that led to this state.
+        trace: Propositions that led to this state.
         plan: Current plan.
         knowledge: Sets D, R and B (ViTL IV-A2).
         reached: Set R in the order of reaching.

@@ -186,16 +186,16 @@ def _hear(running: RunningService, now_ns: int) -> Observation | None:
 
 
 def _obey(running: RunningService, now_ns: int) -> None:
-    """Serve waiting requests, then step the model swap, the governor and the reload."""
+    """Serve waiting requests, then step the model swap, the load shedder and the reload."""
     service = running.service
     for key, server in running.servers.items():
         service.error_boundary.call(key, now_ns, partial(server.serve, now_ns))
     service.end_pause(now_ns)
     with service.error_boundary.contain("swap", now_ns):
         service.detector_swap.step(now_ns)
-    if service.governor is not None:
-        with service.error_boundary.contain("governor", now_ns):
-            service.governor.step(now_ns)
+    if service.load_shedder is not None:
+        with service.error_boundary.contain("load shedding", now_ns):
+            service.load_shedder.step(now_ns)
     if running.reloader is not None:
         with service.error_boundary.contain("reload", now_ns):
             running.reloader.step(now_ns)

@@ -118,7 +118,7 @@ class Scorers:
         paused: True while no questions are asked; may be set.
         swap: Swaps the model of the choice scorer; None if it cannot be swapped.
         newest_swap: True if the last swap request was for `swap`, not the detector; may be set.
-        shed: Scorers (`similarity`, `choice`) that get no questions; may be set.
+        shed: Scorers (`similarity`, `choice`) that get no questions under load; may be set.
     """
 
     def __init__(
@@ -358,7 +358,7 @@ def sightings(
     found = [
         (instance.label, instance.center_m)
         for instance in tracker.all
-        if instance.state != "refuted"
+        if instance.state != "rejected"
         and instance.hits >= least
         and observation.stamp_ns - instance.last_seen_ns <= SIGHTED_NS
     ]
@@ -429,7 +429,7 @@ def make_scorers(
         from_detections,
         score_of,
         inline=config.loop.lockstep,
-        rest_s=getattr(choice, "rest_s", 0.0),
+        rest_s=getattr(choice, "pause_s", 0.0),
         value_source=config.value_source,
         remake=remake,
     )

@@ -37,7 +37,7 @@ class MissionRun:
         state: state of the automaton.
         plan: plan from the current state to acceptance.
         target: the target to pursue now; after the end, the last one.
-        trace: the trace so far.
+        trace: propositions that were reached, and `NOTHING`, oldest first.
         detected: the set D, as labels.
         failed: the set B, as labels.
         reached: the set R, in order of reaching.

@@ -177,7 +177,7 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
         """See `Worker`; a failure is excused if the detector's own health is not `ok`."""
-        self._what = f"detector {self.detector.name}"
+        self._name = f"detector {self.detector.name}"
         super()._failed(error, excused=self.detector.health().state != "ok")
 
 

@@ -157,12 +157,12 @@ BREAKS: dict[str, Callable[[RunningService], tuple[object, str]]] = {
     "check": lambda run: (run.service.plausibility, "permitted_use"),
     "detect": lambda run: (run.service._worker, "submit"),
     "map": lambda run: (run.service, "_map"),
-    "lift": lambda run: (run.service.map._back_projector, "lift"),
+    "lift": lambda run: (run.service.map._back_projector, "back_project"),
     "candidates": lambda run: (run.service.map, "gather"),
     "score": lambda run: (run.service.policy, "score"),
     "plan": lambda run: (run.service.mission, "observe"),
     "select": lambda run: (run.service.goals, "choose"),
-    "publish": lambda run: (run.service.goals, "tell"),
+    "publish": lambda run: (run.service.goals, "send_pending"),
 }
 
 

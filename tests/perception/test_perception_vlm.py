@@ -240,7 +240,7 @@ def test_a_view_becomes_a_choice(models_dir, make_observation, family):
 
 def test_without_marks_nothing_is_asked_and_without_an_image_it_cannot_be(make_observation):
     class Eyes:
-        name, sees = "eyes", True
+        name, takes_images = "eyes", True
 
     asks = OnnxFrontierScorer(Eyes(), 640, 1.0)
     with pytest.raises(ModelError, match=r"model eyes: .* observation 3 has no camera image"):

@@ -107,7 +107,7 @@ def test_what_is_shown_is_not_given(functions):
     with pytest.raises(CallError, match="10 trajectories are shown already"):
         functions.visual_3d([(0, 0)])
     assert functions.trajectory is None
-    assert len(functions.seen) == MOST_SHOWN
+    assert len(functions.shown_trajectories) == MOST_SHOWN
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def test_a_script_gives_a_trajectory(functions):
     assert (outcome.printed.split(), outcome.error) == (["15", "degrees", "5"], "")
     coarse = functions.trajectory
     assert [len(points) > 3 for points in coarse.segments] == [True, True]
-    assert (coarse.regions, coarse.speed_mps, len(functions.seen)) == ((1,), 0.8, 1)
+    assert (coarse.regions, coarse.speed_mps, len(functions.shown_trajectories)) == ((1,), 0.8, 1)
     assert coarse.points_m[-1].tolist() == pytest.approx([14.8, 2.0])
 
 
