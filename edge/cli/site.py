@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
         raise SiteError(f"{path}: no such file")
     request = _request(args)
     if path is not None and args.do == "import":
-        request["site"] = read_site(path).geojson()
+        request["site"] = read_site(path, imported=True).geojson()
     with client.connect(settings, ANSWER_S, "service") as session:
         key = settings.key(topics.SITE_REQUEST)
         answer = client.send_request(session, key, request, ANSWER_S, "service")
