@@ -14,7 +14,8 @@ from typing import Any
 from edge.bus.client import RequestError
 from edge.bus.session import zenoh_session
 from edge.bus.zenoh_file import protocol
-from edge.cli.mission import ANSWER_S, PATIENCE_S, as_text
+from edge.cli.mission import PATIENCE_S, as_text
+from edge.cli.service_request import ANSWER_S
 from edge.config import MissionConfig, ZenohConfig, load
 from edge.errors import FAILED, UserError
 from edge.fleet.dispatch import LOOK_S, Dispatcher, FleetPlan, plan
@@ -178,7 +179,7 @@ def new(args: argparse.Namespace) -> int:
     text = {"formula" if args.formula else "instruction": args.text}
     brief = prepare(limits, **text)
     if brief.translation.repeat is not None:
-        raise UserError("fleet: a mission that repeats cannot be shared; send it to one service")
+        raise UserError("fleet: a mission that repeats is for one robot; send it without --fleet")
     named = [] if args.to in (None, [ANY]) else list(dict.fromkeys(args.to))
     if ANY in named:
         raise UserError(f"fleet: --to: give either {ANY} or names of robots")

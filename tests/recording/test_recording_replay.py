@@ -291,7 +291,9 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     recorded = files_of(tmp_path / "run")[0]
     same(recorded, 10)
     monkeypatch.setattr("edge.host.checkpoint.VERSION", 5)
-    with pytest.raises(ReplayError, match=r"recording: .* version 4, this program reads version 5"):
+    with pytest.raises(
+        ReplayError, match=r"in the recording .* version 4, this program reads version 5"
+    ):
         replay(RecordedRun(recorded))
 
 
