@@ -18,7 +18,7 @@ import zenoh
 from edge_processes import write_config
 from nav2 import Nav2
 from ros_messages import from_ros, to_ros
-from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, builtin_data, builtin_config, transforms_of
+from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, builtin_config, builtin_data, transforms_of
 from ros_router import kept, ours, router
 from ros_sdk import Republisher, peers
 

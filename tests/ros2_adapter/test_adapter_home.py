@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from edge_processes import edge, endpoint, write_config  # noqa: F401, fixtures
 from processes import running
-from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, builtin_data, builtin_config, transforms_of
+from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, builtin_config, builtin_data, transforms_of
 
 from edge.config import load
 from edge.host.ports import free_port

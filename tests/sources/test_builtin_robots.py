@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ros_robots import ROBOTS, builtin_data, builtin_config, transforms_of
+from ros_robots import ROBOTS, builtin_config, builtin_data, transforms_of
 
 from edge.config import parse
 from edge.sources.synchronizer import streams_of
