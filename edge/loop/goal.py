@@ -393,7 +393,7 @@ class GoalTracker:
             return
         if why := self._tracker.why(mission.target, instance):
             self._explained = mission.target, instance.id
-            self._event(f"{mission.target}: {instance.label} {instance.id} taken: {why}", now_ns)
+            self._event(f"{mission.target}: {instance.label} {instance.id} chosen: {why}", now_ns)
 
     def _warn_of_neighbours(self, goal: Goal, mission: MissionRun, now_ns: int) -> None:
         """Warn if a new goal is next to an object that must not be reached now.
