@@ -261,7 +261,7 @@ def test_a_server_that_comes_back_with_another_model_is_taken_up(model, far, pic
         with pytest.raises(ServerError):
             there.detect(picture)
         server.behave, server.metadata, there.time.s = None, metadata, 2e3
-        with pytest.raises(ServerError, match=r"lying: 'images' is FP32 \(1, 3, 64, 64\)"):
+        with pytest.raises(ServerError, match=r"invalid answer: 'images' is FP32 \(1, 3, 64, 64\)"):
             there.detect(picture)
 
 
