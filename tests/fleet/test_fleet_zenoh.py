@@ -239,7 +239,7 @@ def test_a_robot_back_from_afar_is_told_that_another_is_at_it(port, robots, monk
     eventually(lambda: not bob.mission.done)
     anna.presence.announce()
     eventually(lambda: bob.mission.done)
-    assert bob.mission.reason == "another robot is at it"
+    assert bob.mission.reason == "another robot is working on it"
     anna.reach()
     assert sharing.ended() == {"bed": ("reached", "anna")}
 
