@@ -82,7 +82,7 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
         "--share", action="store_true", help="divide the mission among several robots, if possible"
     )
     fleet.add_argument(
-        "--anew",
+        "--restart",
         action="store_true",
         help="start again, although the same mission is still running",
     )
@@ -93,7 +93,7 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
     return ("--task", "--reading", "--from-pose", "--rounds", "--for", "--timeout"), (
         "--to",
         "--share",
-        "--anew",
+        "--restart",
         "--patience",
     )
 
@@ -165,10 +165,10 @@ def _phase(answer: dict) -> str:
     return "; ".join(filter(None, [paused, _text("phase")(answer), _text("reason")(answer)]))
 
 
-def _amiss(answer: dict) -> str:
+def _not_ready(answer: dict) -> str:
     """Return the reasons why the robot is not ready, as in `/readyz`."""
     robot = answer.get("robot")
-    return _text("amiss", "; ")(robot) if isinstance(robot, dict) else ""
+    return _text("problems", "; ")(robot) if isinstance(robot, dict) else ""
 
 
 def _reading(answer: dict) -> str:
@@ -233,7 +233,7 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "warning": _text("warnings"),
     "state": _state,
     "phase": _phase,
-    "not ready": _amiss,
+    "not ready": _not_ready,
     "target": _text("target"),
     "why": _text("why"),
     "plan": _text("plan", ", then "),

@@ -44,7 +44,7 @@ _POINT_SNAP_M, _SAME_POINT_M = np.array([0.08]), 0.6
 
 _KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "look")
 
-Verdict = Literal["reached", "refuted", "out of reach"]
+Verdict = Literal["reached", "rejected", "out of reach"]
 
 
 @dataclass(slots=True, eq=False)
@@ -492,7 +492,7 @@ class GoalTracker:
             return "reached"
         long_enough = (now_ns - present.verifying_since_ns) * 1e-9 > config.verify_s
         if long_enough and images - present.images_before >= MIN_IMAGES:
-            return "refuted"
+            return "rejected"
         return None
 
     def _act_on(
@@ -514,7 +514,7 @@ class GoalTracker:
                 # The mission visits this target again: use another object, or this one later.
                 self._discard(now_ns)
             return
-        if verdict == "refuted":
+        if verdict == "rejected":
             self._tracker.reject(instance.id)
             self.drop()
         else:

@@ -178,7 +178,7 @@ def _ask(
     client, begin_s = make_chat_client(config), time.monotonic()
     talk = messages(instruction, functions.ground.scene, functions.limits, config.picture, why)
     rounds: list[PlanAttempt] = []
-    while len(rounds) < config.rounds:
+    while len(rounds) < config.max_attempts:
         left_s = config.time_limit_s - (time.monotonic() - begin_s)
         try:
             answer, cut = client.ask(talk, left_s=left_s, temperature=0), ""

@@ -82,7 +82,7 @@ def test_what_it_stops_at_is_made_sure_of_or_left_for_another(task, monkeypatch)
     (oven,) = tracker.of("oven")
     monkeypatch.setattr(tracker, "confirmed", lambda one: False)
     until(loop, "looking").step()
-    assert oven.state == "refuted"
+    assert oven.state == "rejected"
     assert (loop.service.status.done, states(loop)[0]) == (False, "looked for")
     assert any(
         f"oven {oven.id} was not confirmed from near by, rejected: exploring" in event
@@ -114,7 +114,7 @@ def ambiguous(loop: ClosedLoop, monkeypatch, states: tuple[str, ...]) -> None:
 
 def test_what_it_may_be_any_of_is_looked_at_from_near_by(monkeypatch):
     loop = closed(TO_THE_OVEN)
-    ambiguous(loop, monkeypatch, ("seen",))
+    ambiguous(loop, monkeypatch, ("tentative",))
     loop.run(200)
     assert loop.service.status.phase == "reached", loop.notes.events
     assert any("it may be any of these: exploring further" in e for e in loop.notes.events)
@@ -124,7 +124,7 @@ def test_what_it_may_be_any_of_is_looked_at_from_near_by(monkeypatch):
 
 def test_what_it_may_be_any_of_when_all_are_known_ends_it(monkeypatch):
     loop = closed(TO_THE_OVEN)
-    ambiguous(loop, monkeypatch, ("seen", "confirmed"))
+    ambiguous(loop, monkeypatch, ("tentative", "confirmed"))
     loop.run(200)
     status = loop.service.status
     assert (status.phase, status.reason) == ("failed", "it may be any of these")

@@ -477,7 +477,7 @@ STRANGE = {
     "mission.planner.kind": {"mission": {"target": "bed", "planner": {"kind": OWN}}},
     "source.kind": {"source": {"kind": OWN}},
     "sinks.1.kind": {"sinks": ["zenoh", {"kind": OWN, "options": {"args": "true"}}]},
-    "tasks.chain.kind": {"tasks": {"chain": {"kind": OWN}}},
+    "tasks.pipeline.kind": {"tasks": {"pipeline": {"kind": OWN}}},
 }
 
 

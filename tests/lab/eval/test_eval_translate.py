@@ -16,8 +16,8 @@ from edge.cli.parsers import make_parser
 from edge.config import TranslatorGrammar
 from edge.errors import UserError
 from edge.lab.eval import translate, translation_cases
-from edge.lab.eval.translation_cases import MAY_REFUSE, TO_READ
 from edge.lab.eval.equivalence import distinguishing_trace, satisfiable
+from edge.lab.eval.translation_cases import MAY_REFUSE, TO_READ
 from edge.mission.logic.automaton import NOTHING, CompileError, compile_formula
 from edge.mission.logic.ltl import Formula, ap, conj, disj, neg, parse
 from edge.mission.translate import Translation, make_translator
