@@ -179,7 +179,7 @@ def new(args: argparse.Namespace) -> int:
     text = {"formula" if args.formula else "instruction": args.text}
     brief = prepare(limits, **text)
     if brief.translation.repeat is not None:
-        raise UserError("fleet: a mission that repeats cannot be shared; send it to one service")
+        raise UserError("fleet: a mission that repeats is for one robot; send it without --fleet")
     named = [] if args.to in (None, [ANY]) else list(dict.fromkeys(args.to))
     if ANY in named:
         raise UserError(f"fleet: --to: give either {ANY} or names of robots")
