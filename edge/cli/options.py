@@ -69,6 +69,12 @@ def dispatch_on_option(
     return handler
 
 
+def trust_option(command: argparse.ArgumentParser) -> None:
+    """Add `--trust-cache`."""
+    text = "do not verify the hash of model files that have not changed since the last check"
+    command.add_argument("--trust-cache", action="store_true", help=text)
+
+
 def require_lab() -> None:
     """Raise UnavailableError if a package of the extra `lab` is missing."""
     missing = [name for name in LAB_PACKAGES if find_spec(name) is None]
