@@ -62,7 +62,7 @@ class InputLog:
         """
         decision = decide()
         if decision != usual:
-            self.note("decided", what=what, said=decision)
+            self.note("decision", name=what, value=decision)
         return decision
 
     def wrap(self, name: str, worker: Any) -> Any:
@@ -84,11 +84,11 @@ class _LoggedWorker:
 
     def submit(self, item: Any) -> None:
         if self._name != DETECTOR:  # the detector gets every image, so this is not logged
-            self._input_log.note("asked", worker=self._name)
+            self._input_log.note("request", worker=self._name)
         self._worker.submit(item)
 
     def poll(self) -> Any:
         found = self._worker.poll()
         if found is not None:
-            self._input_log.note("found", worker=self._name, what=found)
+            self._input_log.note("result", worker=self._name, result=found)
         return found

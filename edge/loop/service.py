@@ -180,9 +180,8 @@ class Service:
         if checkpoint is not None:
             saved, known = checkpoint.saved, checkpoint.map.loaded
         input_log.note(
-            "start", translation=spec.translation, task=task_state(spec), saved=saved,
-            places=known,
-            idle=idle, site=self.site.site,
+            "start", translation=spec.translation, task=task_state(spec),
+            mission_checkpoint=saved, map_checkpoint=known, idle=idle, site=self.site.site,
         )  # fmt: skip
 
     # -- the tick ---------------------------------------------------------------------------
@@ -515,7 +514,7 @@ class Service:
 
     def on_goal_status(self, answer: GoalStatus) -> None:
         """Handle a goal status of the controller. A status for an old goal has no effect on it."""
-        self._input_log.note("answer", answer=answer)
+        self._input_log.note("goal_status", goal_status=answer)
         answer = self.goals.client.with_sent_stamp(answer)
         self._publisher.goal_statuses.append(answer)
         self.goals.on_goal_status(answer)
