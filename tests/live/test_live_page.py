@@ -295,7 +295,7 @@ def test_the_box_for_words_starts_a_mission_or_says_why_not(page, house):
 def test_the_answer_to_a_question_is_shown(page, house, monkeypatch):
     asked = house.view._queues["mission/request"]
     answer = json.dumps({"text": "mug: <b>here</b>"}).encode()
-    monkeypatch.setattr(asked, "take", lambda body, reply: reply(answer, False))
+    monkeypatch.setattr(asked, "accept", lambda body, reply: reply(answer, False))
     page.type("#sentence", "where is the mug?")
     page.click("#send")
     page.says("#answer", "mug: <b>here</b>")

@@ -98,7 +98,7 @@ class Ros2Node:
 
     def _add(self, endpoint: Any) -> Any:
         self._endpoints.append(endpoint)
-        endpoint.settle()
+        endpoint.declare_again()
         return endpoint
 
 
