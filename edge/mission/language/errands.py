@@ -75,7 +75,8 @@ _EXPLORES = compiled(
     give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
             (once-over|once over|look|scan|sweep|look over|check|going over|look-over|inspection)
             {time}
-    (have|take|make) a [good|proper|quick|close]* look (round|around|in|at|inside) (<room>|{whole})
+    (have|take|make) a [good|proper|quick|close]* (look|scout|nose|wander)
+            (round|around|in|at|inside) (<room>|{whole})
             {time}
     """,
     PARTS,
@@ -184,6 +185,7 @@ _NUMBERED = re.compile(
 )
 _PLAINER = (
     (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
+    (re.compile(r", after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
