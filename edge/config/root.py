@@ -148,7 +148,7 @@ class Config(Section):
     def farthest_depth_m(self) -> float:
         """Depth from this value on is no measurement."""
         camera, perception = self.sensors.camera, self.perception
-        return max(camera.depth_max_m, self.mapping.range_m, perception.lift_max_range_m)
+        return max(camera.depth_max_m, self.mapping.range_m, perception.back_projection_max_range_m)
 
     @property
     def goals_without_feedback(self) -> bool:
@@ -227,7 +227,7 @@ def load(
     """Read a configuration, apply the overrides of the environment, and validate it.
 
     Args:
-        name_or_path: a YAML file, or the name of a ready configuration (`demo`).
+        name_or_path: a YAML file, or the name of a built-in configuration (`demo`).
         environ: environment with the overrides; None: the environment of this process.
         options: command line options that set a variable of `environ`, by variable.
 

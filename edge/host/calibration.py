@@ -53,7 +53,7 @@ class SpeedCalibration:
     def __str__(self) -> str:
         """Return the speed in words.
 
-        >>> print(Calibration("Cortex-A78AE, 8 cores", 1.8, {}))
+        >>> print(SpeedCalibration("Cortex-A78AE, 8 cores", 1.8, {}))
         1.8 times slower than the reference computer
         """
         if 1 / AS_FAST < self.slowdown < AS_FAST:

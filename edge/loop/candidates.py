@@ -265,9 +265,9 @@ def _nearest_unclaimed(old_xy, old_anchor, n_old, new_xy, i, r2, claim):
         d2 = dx * dx + dy * dy
         if d2 >= best:
             continue
-        rival = claim[j]
-        if rival >= 0:
-            rx, ry = new_xy[rival, 0] - old_xy[j, 0], new_xy[rival, 1] - old_xy[j, 1]
+        other = claim[j]
+        if other >= 0:
+            rx, ry = new_xy[other, 0] - old_xy[j, 0], new_xy[other, 1] - old_xy[j, 1]
             if rx * rx + ry * ry <= d2:
                 continue
         found, best = j, d2

@@ -93,7 +93,12 @@ class MapState:
     value_side: Annotated[int, Field(ge=1, le=64)]
 
 
-MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20)
+RENAMED = {
+    "instances/doubted": "instances/contested",
+    "instances/rival_sum": "instances/competing_sum",
+}
+"""Arrays of version 4 → their present names."""
+MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20, renamed=RENAMED)
 
 
 class MapParts(NamedTuple):
@@ -354,10 +359,10 @@ class MapCheckpoint:
         )
 
     def _pack(
-        self, checkpoint: Checkpoint[MapState], n: int, anew: bool, batches: list[TileBatch]
+        self, checkpoint: Checkpoint[MapState], n: int, is_new: bool, batches: list[TileBatch]
     ) -> Checkpoint[MapState]:
         """Add the tiles; on the writer's thread."""
-        if anew:
+        if is_new:
             self._packed = PackedTiles()
         self._packed.update(batches)
         tiles = self._packed.state_dict(checkpoint.arrays["map/origin"], n)

@@ -37,7 +37,7 @@ from edge.tasks.facts import StepState
 from edge.types import MissionPhase
 
 _STEP_STATES = get_args(StepState)
-_GOALS = ("none", "frontier", "instance", "look", "trajectory", "place")
+_GOALS = ("none", "frontier", "instance", "spin", "trajectory", "place")
 _MS = 1e-3
 
 
@@ -109,7 +109,7 @@ HEALTH_METRICS: tuple[MetricSpec[ServiceHealth], ...] = (
            lambda v: v.state, states=STATES),
     MetricSpec("edge_service_ready", "gauge",
     "1 if the service is ready, as /readyz reports, else 0.",
-           lambda v: not v.amiss()),
+           lambda v: not v.problems()),
     MetricSpec("edge_loop_beat_age_seconds", "gauge", "Time since the newest loop cycle.",
            lambda v: v.silent_s),
     MetricSpec("edge_observation_age_seconds", "gauge",
@@ -216,12 +216,12 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
                       if isinstance(s.detector, ProcessDetector) else 0}, ("model",)),
     MetricSpec("edge_model_swaps_total", "counter", "Swaps of the detector's model, by outcome.",
            lambda s: dict(s.service.swapper.outcomes), ("outcome",)),
-    MetricSpec("edge_governor_rung", "gauge",
-           "Degradation level (entry of perception.governor.ladder); 0: no load is shed.",
-           lambda s: s.service.governor and s.service.governor.rung),
-    MetricSpec("edge_governor_steps_total", "counter",
+    MetricSpec("edge_load_shedding_level", "gauge",
+           "Degradation level (entry of perception.load_shedding.levels); 0: no load is shed.",
+           lambda s: s.service.load_shedder and s.service.load_shedder.level),
+    MetricSpec("edge_load_shedding_steps_total", "counter",
            "Changes of the degradation level, by direction.",
-           lambda s: s.service.governor and dict(s.service.governor.steps), ("direction",)),
+           lambda s: s.service.load_shedder and dict(s.service.load_shedder.steps), ("direction",)),
     MetricSpec("edge_scorer_answers_total", "counter", "Questions to scorers, by outcome.",
            _answers, ("scorer", "outcome")),
     MetricSpec("edge_reloads_total", "counter", "Reloads of the configuration, by outcome.",
@@ -246,7 +246,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            _task_steps, ("state",)),
     MetricSpec("edge_goal_state", "state",
     "Kind of the current goal: a frontier, an instance of the "
-           "target, a look around, or a task's trajectory.",
+           "target, a spin, or a task's trajectory.",
            lambda s: "none" if s.goal is None else s.goal.kind, states=_GOALS),
     MetricSpec("edge_goal_age_seconds", "gauge", "Time since the current goal was chosen.",
            lambda s: None if s.goal is None

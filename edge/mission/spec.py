@@ -133,8 +133,8 @@ def prepare(
             names the parts in conflict), or asks for nothing.
 
     Example:
-        >>> brief = prepare(Mission(), "Go to the bed, then to the sofa.")
-        >>> str(brief.automaton.formula), brief.targets
+        >>> spec = prepare(MissionConfig(), "Go to the bed, then to the sofa.")
+        >>> str(spec.automaton.formula), spec.targets
         ('F (bed & F sofa)', ('bed', 'sofa'))
     """
     site = with_caller(site, caller)
@@ -167,6 +167,11 @@ def translate(
     Raises:
         NoMissionError: it is a question, an order to learn, or about the present mission.
         TranslationError: it is not understood.
+
+    Example:
+        >>> translation = translate(MissionConfig(), "Please go to the bed and the sofa.")
+        >>> str(translation.formula)
+        'F bed & F sofa'
     """
     places = [place.name for place in site.places] + [room.name for room in site.room_names]
     translator = make_translator(config.translator)

@@ -62,9 +62,11 @@ class ReplayTick:
     pictures: set[int] = field(default_factory=set)
 
     def begin(self, entries: Sequence[LoopInput]) -> None:
-        self.asked = {_worker_of(e) for e in entries if e.kind == "asked"}
-        self.found = {_worker_of(e): e.fields["what"] for e in entries if e.kind == "found"}
-        self.decided = {e.fields["what"]: e.fields["said"] for e in entries if e.kind == "decided"}
+        self.asked = {e.fields["worker"] for e in entries if e.kind == "request"}
+        self.found = {e.fields["worker"]: e.fields["result"] for e in entries if e.kind == "result"}
+        self.decided = {
+            e.fields["name"]: e.fields["value"] for e in entries if e.kind == "decision"
+        }
 
     def see(self, observation: Observation, picture: bool) -> None:
         self.frames[observation.seq] = observation
@@ -87,12 +89,6 @@ class ReplayTick:
     def _forget(self, seq: int) -> None:
         del self.frames[seq]
         self.pictures.discard(seq)
-
-
-def _worker_of(entry: LoopInput) -> str:
-    """Return the worker's name; in older recordings, the prior cut the map into rooms."""
-    name = entry.fields["worker"]
-    return "rooms" if name == "prior" else name
 
 
 def _bytes_of(observation: Observation) -> int:
@@ -133,19 +129,22 @@ class ReplaySource(InputLog):
 
     Args:
         now: recorded events of the current tick.
-        anew: runs a detector on the recorded images; None: recorded detections are used.
+        detect: runs a detector on the recorded images; None: recorded detections are used.
         own: names of workers that run for real.
     """
 
     def __init__(
-        self, now: ReplayTick, anew: Callable[[Observation], Detections] | None, own: Sequence[str]
+        self,
+        now: ReplayTick,
+        detect: Callable[[Observation], Detections] | None,
+        own: Sequence[str],
     ) -> None:
         super().__init__()
         self.unseen = 0
-        self._now, self._anew, self._own = now, anew, own
+        self._now, self._detect, self._own = now, detect, own
         self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._detections,
-            "surveyor": lambda said, asked: journal.survey_of(said),
+            "travel_cost": lambda said, asked: journal.survey_of(said),
             "rooms": lambda said, asked: journal.rooms_of(said),
             "similarity": self._similarity,
             "choice": self._choice,
@@ -167,12 +166,12 @@ class ReplaySource(InputLog):
 
     def _detections(self, said: dict[str, Any], asked: Any) -> Detections | None:
         observation = self._now.frame(said["seq"])
-        if self._anew is None:
+        if self._detect is None:
             return journal.detections_of(said, observation)
         if said["seq"] not in self._now.pictures:
             self.unseen += 1
             return None
-        return self._anew(observation)
+        return self._detect(observation)
 
     def _similarity(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
         similarity = journal.similarity_of(said)

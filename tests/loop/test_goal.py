@@ -88,7 +88,7 @@ class Things(dict):
         self[instance_id].state = "reached"
 
     def reject(self, instance_id: int) -> None:
-        self[instance_id].state = "refuted"
+        self[instance_id].state = "rejected"
 
     def forget_rejected(self, label: str) -> None:
         """Nothing is found again here."""
@@ -176,7 +176,7 @@ class Case:
         """Return the next spin, which comes after one second without a candidate."""
         assert self.choose(pose=pose) is None
         goal = self.choose(pose=pose, after_s=1.1)
-        assert goal.kind == "look"
+        assert goal.kind == "spin"
         assert self.choose(pose=pose) is goal
         return goal
 
@@ -256,12 +256,12 @@ def test_what_cannot_be_reached_is_passed_over():
     assert who(case.choose(frontier(1, 3.0, 0.1), frontier(2, -3.0, 0.9))) == ("frontier", 1)
 
 
-@pytest.mark.parametrize("gone", ["refuted", "forgotten"])
+@pytest.mark.parametrize("gone", ["rejected", "forgotten"])
 def test_an_instance_that_is_none_any_more_is_passed_over(gone):
     case = Case()
     case.choose(chair(9, 3.0, 0.5))
     case.goals.drop()
-    if gone == "refuted":
+    if gone == "rejected":
         case.things.reject(9)
     else:
         del case.things[9]
@@ -309,7 +309,7 @@ def test_with_nowhere_to_go_it_turns_three_times_and_what_turns_up_later_has_to_
     assert case.goals.exhausted
     case.goals.retarget(case.mission)
     assert not case.goals.exhausted
-    assert case.turn().kind == "look"
+    assert case.turn().kind == "spin"
 
 
 def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
@@ -327,7 +327,7 @@ def test_what_was_seen_badly_is_looked_at_again_from_one_view():
     case.turn_round()
     goal = case.tick()
     # A camera that looks aside is turned to the view.
-    assert (goal.pose.x_m, goal.pose.y_m, goal.kind) == (1.0, 2.0, "look")
+    assert (goal.pose.x_m, goal.pose.y_m, goal.kind) == (1.0, 2.0, "spin")
     assert goal.pose.yaw_rad == pytest.approx(0.5 - math.pi / 2)
     assert case.tick(images=50) is goal
     case.answer("reached")
@@ -350,7 +350,7 @@ def test_a_frontier_that_vanishes_time_and_again_is_left_alone(explored, chances
         assert case.tick() is None
     case.tick((3.0, 0.0))
     goal = case.tick((3.0, 0.0), after_s=2.5)
-    assert goal is None or goal.kind == "look"
+    assert goal is None or goal.kind == "spin"
     case.tick((3.0, 0.0), (-3.0, 0.0))
     goal = case.tick((3.0, 0.0), (-3.0, 0.0), after_s=2.5)
     assert goal.candidate_xy_m == (-3.0, 0.0)  # other places are not affected
@@ -449,18 +449,18 @@ def test_what_is_out_of_reach_twice_from_one_place_is_left_alone():
 
 
 @pytest.mark.parametrize(
-    ("looks", "refuted"),
+    ("looks", "rejected"),
     [
         # (seconds since arrival, images that the detector has searched so far)
         ([(0, 40), (1, 45), (3, 50)], True),
         ([(0, 40), (1, 50), (1.9, 60)], False),
-        # A detector that stalls, or has looked a few times only, refutes nothing.
+        # A detector that stalls, or has looked a few times only, rejects nothing.
         ([(0, 40), (3, 40), (60, 40)], False),
         ([(0, 40), (3, 44), (9, 44)], False),
         ([(0, 40), (3, 44), (9, 45)], True),
     ],
 )
-def test_an_instance_is_refuted_by_images_and_time(looks, refuted):
+def test_an_instance_is_rejected_by_images_and_time(looks, rejected):
     case, there = Case(), SE2(2.5, 0.0, 0.0)
     case.choose(chair(9, 3.0, 0.8))
     case.answer("reached")
@@ -468,7 +468,7 @@ def test_an_instance_is_refuted_by_images_and_time(looks, refuted):
     for t_s, images in looks:
         case.now_ns = start_ns + int(t_s * S)
         case.judge(images, there)
-    assert (case.things[9].state == "refuted") == refuted
+    assert (case.things[9].state == "rejected") == rejected
     assert case.goals.phase == "verifying"
 
 
@@ -486,9 +486,9 @@ def test_every_arrival_is_verified_afresh(between):
     case.answer("reached")
     case.judge(60, there)
     assert case.goals.phase == "verifying"
-    assert "refuted" not in [thing.state for thing in case.things.values()]
+    assert "rejected" not in [thing.state for thing in case.things.values()]
     case.judge(90, there, after_s=3.0)
-    assert "refuted" in [thing.state for thing in case.things.values()]
+    assert "rejected" in [thing.state for thing in case.things.values()]
 
 
 def test_a_stop_beside_what_must_not_be_reached_is_told_once_before():

@@ -162,7 +162,7 @@ def test_an_answer_that_was_cut_off_is_not_run():
 def test_after_so_many_rounds_it_gives_up(rounds):
     with serving(saying(THROUGH)) as server:
         with pytest.raises(WriteError) as raised:
-            write_trajectory(INSTRUCTION, SCENE, by_model(server, rounds=rounds))
+            write_trajectory(INSTRUCTION, SCENE, by_model(server, max_attempts=rounds))
         assert len(server.requests) == rounds
     assert len(raised.value.rounds) == rounds
     assert f"{server.url}: no trajectory in {rounds} answers, last error: " in str(raised.value)
@@ -194,7 +194,7 @@ def fails(handler):
 @pytest.mark.parametrize(
     ("behave", "message"),
     [
-        (stalls, "no whole answer within 0.3 s; raise time_limit_s or use a faster model"),
+        (stalls, "no complete answer within 0.3 s; raise time_limit_s or use a faster model"),
         (sends_100_mb, "the answer has more than 256 KB; is it a chat server?"),
         (fails, "answered HTTP 500: out of memory [2J"),
         (lambda h: send(h, b"<html>welcome</html>"), "the answer is not JSON"),
@@ -237,7 +237,7 @@ def test_all_rounds_share_one_time_limit(monkeypatch):
         send(handler, completion(THROUGH))
 
     with serving(behave) as server:
-        with pytest.raises(ChatError, match="no whole answer within 120 s; raise time_limit_s"):
+        with pytest.raises(ChatError, match="no complete answer within 120 s; raise time_limit_s"):
             write_trajectory(INSTRUCTION, SCENE, by_model(server))
         assert len(server.requests) == 2
 
@@ -247,7 +247,7 @@ def test_the_key_goes_to_the_server_and_nowhere_else(monkeypatch, caplog):
     with caplog.at_level(logging.DEBUG), serving(saying(THROUGH)) as server:
         with pytest.raises(UserError) as raised:
             write_trajectory(
-                INSTRUCTION, SCENE, by_model(server, api_key_env="TASKS_KEY", rounds=2)
+                INSTRUCTION, SCENE, by_model(server, api_key_env="TASKS_KEY", max_attempts=2)
             )
         for _, headers, body in server.requests:
             assert headers["Authorization"] == "Bearer sk-secret-47"

@@ -96,7 +96,9 @@ class GroundTruthLogger:
         )
         detector = config.perception.detector
         simulated = detector.kind == "sim"
-        self._range_m = detector.max_range_m if simulated else config.perception.lift_max_range_m
+        self._range_m = (
+            detector.max_range_m if simulated else config.perception.back_projection_max_range_m
+        )
         self.fault: Exception | None = None
         self.now: GroundTruth | None = None
         self.seconds = 0.0

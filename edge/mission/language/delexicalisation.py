@@ -82,7 +82,7 @@ def delexicalise_text(text: str) -> DelexicalisedText:
             than `MOST_NAMES` objects.
 
     Example:
-        >>> lift("Go to the bed, then to the sofa.").words
+        >>> delexicalise_text("Go to the bed, then to the sofa.").words
         ('go', 'to', '<0>', ',', 'then', 'to', '<1>', '.')
     """
     pieces = _pieces(text)

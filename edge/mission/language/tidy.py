@@ -91,8 +91,8 @@ def tidied(said: str) -> TidySpeech:
         TranslationError: it corrects itself, and which words it replaces is not clear.
 
     Example:
-        >>> tidied("Um, could you go to the kitchen, no sorry, the bathroom, please?").text
-        'go to the bathroom'
+        >>> tidied("Um, could you go to the kitchen, no sorry, the bathroom, please.").text
+        'go to the bathroom.'
     """
     if len(said) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"

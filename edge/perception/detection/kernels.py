@@ -195,13 +195,13 @@ def competing_scores(
     """
     scored = np.flatnonzero(top)  # most anchors have no score
     for k in range(n):
-        i, rivals = anchor[keep[k]], competes[1 if cut[k] else 0, label[keep[k]]]
+        i, others = anchor[keep[k]], competes[1 if cut[k] else 0, label[keep[k]]]
         best = np.float32(0.0)
         for j in scored:
             if top[j] <= best or (j != i and iou(boxes, i, j) <= iou_max):
                 continue
             for c in range(scores.shape[1]):
-                if rivals[c] and scores[j, c] >= tau and scores[j, c] > best:
+                if others[c] and scores[j, c] >= tau and scores[j, c] > best:
                     best = scores[j, c]
         out[k] = best
 
