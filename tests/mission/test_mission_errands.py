@@ -123,6 +123,7 @@ def test_an_errand_is_spelled_out(said, plain):
         ("take out the garbage", "no arms"),
         ("bring over the gray folder", "no arms"),
         ("move along the wall", "along a thing"),
+        ("go to the kitchen stop go to the bedroom", "two sentences"),
         ("find the cuff in rooms 3 and 4", "unclear what to do with the second"),
         ("go to the hall, and on the way check if the cart is there", "what comes first"),
         ("call the nurse", "in text"),
