@@ -224,7 +224,7 @@ _UNCLEAR = (
         "stove is in the kitchen'",
     ),
 )
-"""What is still unclear when all is spelled out, and why."""
+"""Patterns of what is still unclear when all is spelled out, and the reason of each."""
 _LEAD = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
 _GOES_TO = re.compile(rf"{_LEAD}{any_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _GOES_ROOM = re.compile(rf"{_LEAD}(?:go|drive|come) (?P<name>{NAME})", re.I)
