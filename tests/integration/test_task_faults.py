@@ -53,7 +53,7 @@ LEADS_AWAY = "```python\ngive_trajectory([line(robot()['position'], (1e9, float(
 @pytest.mark.parametrize(
     ("behave", "said"),
     [
-        (stalls, "no whole answer within 1 s"),
+        (stalls, "no complete answer within 1 s"),
         (sends_100_mb, "the answer has more than 256 KB"),
         (dies, "closed the connection before its answer was complete"),
         (lambda h: send(h, b"<html>welcome</html>"), "the answer is not JSON"),
