@@ -15,7 +15,7 @@ from edge.policies import make_policy
 from edge.policies.base import (
     FRONTIER,
     INSTANCE,
-    LOOK,
+    SPIN,
     Candidates,
     PolicyInput,
     ScorerOutputs,
@@ -147,7 +147,7 @@ def candidates_of(*entries: tuple[int, float, float]) -> Candidates:
         ([(FRONTIER, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [1]),
         ([(INSTANCE, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [0, 1]),
         # A turn on the spot is one more way to see what is not known yet.
-        ([(FRONTIER, 3, 0), (INSTANCE, 3, 1), (LOOK, 0.3, 0)], [0.1, 0.1, 0.9], [1, 2, 0]),
+        ([(FRONTIER, 3, 0), (INSTANCE, 3, 1), (SPIN, 0.3, 0)], [0.1, 0.1, 0.9], [1, 2, 0]),
         # Ties go to the older identity.
         ([(FRONTIER, 2, 0), (FRONTIER, 3, 0)], [0.5, 0.5], [0, 1]),
     ],
@@ -213,7 +213,7 @@ def context(
 )
 def test_what_a_policy_makes_of_way_and_gain(policy, expected):
     candidates = candidates_of(
-        (FRONTIER, 4, 0), (FRONTIER, 2, 0), (FRONTIER, 1, 0), (INSTANCE, 9, 0), (LOOK, 1, 0)
+        (FRONTIER, 4, 0), (FRONTIER, 2, 0), (FRONTIER, 1, 0), (INSTANCE, 9, 0), (SPIN, 1, 0)
     )
     candidates.path_m[:5] = 4.0, 2.0, math.inf, 9.0, 1.0
     candidates.gain_m2[:5] = 4.0, 9.0, 25.0, 0.0, 4.0
