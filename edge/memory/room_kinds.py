@@ -55,8 +55,9 @@ def kind_of_room(word: str) -> str | None:
 def is_room_name(word: str) -> bool:
     """Return True for a word for a kind of room, and for a room's number, such as "room 3".
 
-    >>> is_room_name("the lounge"), is_room_name("room 3"), is_room_name("toilet")
+    >>> is_room_name("the lounge"), is_room_name("room three"), is_room_name("toilet")
     (True, True, False)
     """
-    kind, _, number = names.normalise(word).partition(" ")
-    return kind_of_room(word) is not None or (kind == "room" and number.isdigit())
+    kind, *number = names.normalise(word).split()
+    by_number = kind == "room" and bool(number) and names.number(number) is not None
+    return kind_of_room(word) is not None or by_number
