@@ -58,6 +58,5 @@ def is_room_name(word: str) -> bool:
     >>> is_room_name("the lounge"), is_room_name("room three"), is_room_name("toilet")
     (True, True, False)
     """
-    kind, *number = names.normalise(word).split()
-    by_number = kind == "room" and bool(number) and names.number(number) is not None
-    return kind_of_room(word) is not None or by_number
+    kind, _, number = names.normalise(word).partition(" ")
+    return kind_of_room(word) is not None or (kind == "room" and names.number([number]) is not None)

@@ -173,7 +173,7 @@ def _cell(context: PolicyInput, index: int, instance_of: InstanceOf) -> Cell | N
         return pose.x_m, pose.y_m
     if kind == INSTANCE:
         instance = instance_of(int(candidates.id[index]))
-        if instance is None or instance.state == "refuted":  # changed since it was gathered
+        if instance is None or instance.state == "rejected":  # changed since it was gathered
             return None
         enough = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
         for points in (enough, 1):
