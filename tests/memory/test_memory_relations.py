@@ -36,6 +36,7 @@ def test_a_plain_name_has_no_relation(name):
         ("mug in room 3", DescribedThing("mug", room="room three")),
         ("mug in Anna's crypt", DescribedThing("mug", room="anna's crypt")),
         ("mug on the desk in the crypt", DescribedThing("mug", "on", "desk", "crypt")),
+        ("mug in room twelve", DescribedThing("mug", room="room 12")),
         ("second door", DescribedThing("door", nth=2)),
         ("2nd red chair in the kitchen", None),
         ("red chair in the living room", DescribedThing("red chair", room="living room")),
