@@ -39,8 +39,9 @@ GRACE_NS = 300_000_000
 
 # A place whose cell is closed is reached next to it; a goal there that failed is tried again.
 _AT_PLACE_M, _PLACE_TRIES = 0.5, 3
-# A point in a room is reached on its own cell or the next one. The points move as the map grows.
-_POINT_SNAP_M, _SAME_POINT_M = np.array([0.08]), 0.6
+POINT_SNAP_M = np.array([0.08])
+"""A point in a room is reached on its own cell or the next one."""
+_SAME_POINT_M = 0.6  # the points move as the map grows
 
 _KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "spin")
 
@@ -257,10 +258,10 @@ class GoalTracker:
         ):
             return goal
         path_m = np.empty(n, np.float32)
-        grid.travel_cost.path_lengths_m(points_m, np.zeros(n, np.int8), _POINT_SNAP_M, n, path_m)
+        grid.travel_cost.path_lengths_m(points_m, np.zeros(n, np.int8), POINT_SNAP_M, n, path_m)
         best = int(path_m.argmin())
         at = points_m[best].tolist()
-        cell = grid.travel_cost.nearest(at[0], at[1], float(_POINT_SNAP_M[0]))
+        cell = grid.travel_cost.nearest(at[0], at[1], float(POINT_SNAP_M[0]))
         if cell is None or not math.isfinite(path_m[best]):
             return None
         self._next_view.abandon()
