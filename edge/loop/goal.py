@@ -22,7 +22,7 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.goal_client import ARRIVED_M, GoalClient
 from edge.loop.search_state import LASTING_NS, LEFT, TURNS, NextBestView, SearchState
 from edge.loop.standstill import StandstillMonitor
-from edge.mapping.coverage import Viewpoint
+from edge.mapping.coverage import START_M, Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
@@ -171,6 +171,8 @@ class GoalTracker:
         If no candidate is left, the robot turns on the spot. After that, discarded candidates get
         one more chance, and blocked places are opened again and tried once the travel-cost field
         reaches them. Last, the robot goes to viewpoints of objects that the detector saw badly.
+        If a remembered object is gone, it may be anywhere in known space: viewpoints then come
+        whenever they show more per metre than the best candidate.
 
         Args:
             context: Candidates, pose and time of the tick.
@@ -184,8 +186,12 @@ class GoalTracker:
         """
         self._leave_vanished(context)
         chosen = self._towards_best(context, score) or self._turn(context)
-        if chosen is not None or not self._search.exhausted:
-            self._next_view.drop()
+        view = self._look_for_moved(context, grid, chosen, images)
+        if view is not None:
+            chosen = view
+        elif chosen is not None or not self._search.exhausted:
+            if chosen is not self._present:
+                self._next_view.drop()
         elif not self._search.trying_again(context, grid, self._pool, self._tracker):
             chosen = self._look_again(context, grid, images)
         self._present = chosen
@@ -315,11 +321,12 @@ class GoalTracker:
 
     def _turn(self, context: PolicyInput) -> _Present | None:
         """Return a goal that turns the robot on the spot, if it may turn."""
-        turning = self.goal is not None and self.goal.kind == "look"
+        present = self._present
+        turning = present is not None and present.goal.kind == "look" and present.view is None
         if not self._search.may_turn(turning, context.now_ns):
             return None
         if turning:
-            return self._present
+            return present
         at = context.pose
         yaw_rad = at.yaw_rad + 2.0 * math.pi / TURNS
         return _Present(_look(SE2(at.x_m, at.y_m, yaw_rad), context.now_ns, context.target))
@@ -334,6 +341,28 @@ class GoalTracker:
         yaw_rad = wrap_angle(view.heading_rad - grid.coverage.camera_yaw_rad)
         pose = SE2(view.x_m, view.y_m, yaw_rad)
         return _Present(_look(pose, context.now_ns, context.target), view=view)
+
+    def _look_for_moved(
+        self, context: PolicyInput, grid: RollingMap, chosen: _Present | None, images: int
+    ) -> _Present | None:
+        """Return a goal at a viewpoint if a remembered object is gone and no candidate is better.
+
+        The value of both is the area that is to be seen per length of path.
+        """
+        c, present = context.candidates, self._present
+        if not self._search.has_moved or (c.kind[: c.n] == INSTANCE).any():
+            return None
+        view = self._look_again(context, grid, images)
+        if view is None or chosen is None or view is present:
+            return view
+        at = c.index_of(FRONTIER, chosen.goal.candidate_id)
+        if chosen.goal.kind != "frontier" or at < 0:
+            return None  # a spin costs little
+        assert view.view is not None
+        path_m = grid.reach.distance_m(view.goal.pose.x_m, view.goal.pose.y_m)
+        value = grid.coverage.area_m2(view.view) / (START_M + path_m)
+        other = float(c.gain_m2[at]) / (START_M + float(c.path_m[at]))
+        return view if value > (1.0 + self._config.policy.switch_margin) * other else None
 
     def _leave_vanished(self, context: PolicyInput) -> None:
         """Discard the goal's frontier if it vanished and is not reliable.
@@ -515,6 +544,7 @@ class GoalTracker:
                 self._discard(now_ns)
             return
         if verdict == "refuted":
+            self._search.has_moved |= self._tracker.confirmed(instance)
             self._tracker.reject(instance.id)
             self.drop()
         else:

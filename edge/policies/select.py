@@ -177,7 +177,7 @@ def _cell(context: PolicyInput, index: int, instance_of: InstanceOf) -> Cell | N
             return None
         enough = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
         for points in (enough, 1):
-            for within_m in STOP_M:
+            for within_m in (STOP_M[::-1] if points == enough else STOP_M):
                 found = context.map.approach(instance.points_m, within_m, points)
                 if found is not None:
                     return found[0], found[1]
