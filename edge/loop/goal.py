@@ -27,7 +27,7 @@ from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, PolicyInput
-from edge.policies.select import CurrentGoal, choose, ranked
+from edge.policies.select import STOP_M, CurrentGoal, choose, ranked
 from edge.text import one_line
 from edge.types import CandidateKind, Goal, GoalStatus, Instance, MissionPhase
 
@@ -41,6 +41,9 @@ GRACE_NS = 300_000_000
 _AT_PLACE_M, _PLACE_TRIES = 0.5, 3
 # A point in a room is reached on its own cell or the next one. The points move as the map grows.
 _POINT_SNAP_M, _SAME_POINT_M = np.array([0.08]), 0.6
+
+# The robot stops by this nearer to an object than it must.
+_STOP_SHORT_M = 0.05
 
 _KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "look")
 
@@ -114,6 +117,11 @@ class GoalTracker:
         self._grace_ns = GRACE_NS
 
     # -- state for other modules --------------------------------------------------------------
+
+    @property
+    def _stop_m(self) -> float:
+        """Stopping distance from an object: near enough to have reached it."""
+        return min(self._config.mission.reach_m - _STOP_SHORT_M, STOP_M[-1])
 
     @property
     def goal(self) -> Goal | None:
@@ -300,14 +308,17 @@ class GoalTracker:
         """Return a goal for the best candidate; the current goal if it still serves."""
         c, policy, search = context.candidates, self._config.policy, self._search
         present, held = self._present, None
-        order = ranked(c, score, context.pose, policy.delta_reached_m)
+        reached_m, first = policy.delta_reached_m, policy.confirmed_first
+        order = ranked(c, score, context.pose, reached_m, first)
         if search.exhausted:
             lasting = c.first_seen_ns[order] <= c.stamp_ns - LASTING_NS
             order = order[lasting | (c.kind[order] == INSTANCE)]
         if present is not None:
             fickle = partial(search.fickle, present.goal.candidate_xy_m)
             held = CurrentGoal(present.goal, present.peak, fickle)
-        chosen = choose(context, score, order, held, policy.switch_margin, self._tracker.get)
+        chosen = choose(
+            context, score, order, held, policy.switch_margin, self._tracker.get, self._stop_m
+        )
         goal, peak, stays = chosen or (None, 0.0, False)
         if present is not None and present.goal.kind == "frontier" and not stays:
             search.left.append(present.goal.candidate_xy_m)
