@@ -76,7 +76,7 @@ def open_service(
     task: str | None = None,
     stop: threading.Event | None = None,
     progress: Callable[[str], None] = lambda what: None,
-    amiss: Callable[[], Sequence[str]] = tuple,
+    problems: Callable[[], Sequence[str]] = tuple,
     make_source: Callable[..., Source] | None = None,
 ) -> Iterator[LaunchedService]:
     """Prepare the mission, open Zenoh, load the detector and compile kernels; close all at exit.
@@ -96,8 +96,8 @@ def open_service(
             is left to a background thread (`edge.host.interruptible`).
         progress: Function that is called, by any thread, with the step that begins. A step that
             takes several minutes calls it again and again.
-        amiss: Function that returns the reasons why the service is not ready, for requests on the
-            bus.
+        problems: Function that returns the reasons why the service is not ready, for requests on
+            the bus.
         make_source: Function that makes a source other than that of the configuration; see
             `find_source`.
 
@@ -183,7 +183,7 @@ def open_service(
         def prepare(**request: Any) -> MissionSpec:
             return prepare_mission(config, site=site.known, **request)
 
-        served = requests.request_handlers(service, prepare, amiss)
+        served = requests.request_handlers(service, prepare, problems)
         for key, (verbs, handle) in served.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)

@@ -54,7 +54,7 @@ def setup(level: str = "info", as_json: bool = False, stream: TextIO | None = No
 def first_time(key: Hashable) -> bool:
     """Return True for the first call with `key` in this process.
 
-    >>> once("readme example"), once("readme example")
+    >>> first_time("readme example"), first_time("readme example")
     (True, False)
     """
     mine = object()

@@ -110,7 +110,7 @@ def bounded_lines(text: str, limit: int) -> str:
 
     Text that is too long is cut and ends in `…`.
 
-    >>> some_lines("a = 1\\nb\\x1b[2J = 2", 11)
+    >>> bounded_lines("a = 1\\nb\\x1b[2J = 2", 11)
     'a = 1\\nb [2…'
     """
     cut = printable_lines(text[:limit].replace("\t", "    "))
@@ -191,7 +191,7 @@ def format_table(rows: Sequence[Sequence[object]], left: int | None = None) -> s
 
     The first `left` columns (default: all) are left-aligned, the others right-aligned.
 
-    >>> aligned([["name", "n"], ["chair", 3], ["tv", 12]], left=1)
+    >>> format_table([["name", "n"], ["chair", 3], ["tv", 12]], left=1)
     'name    n\\nchair   3\\ntv     12'
     """
     texts = [[str(cell) for cell in row] for row in rows]
@@ -216,9 +216,9 @@ def redact(data: Any, depth: int = 100) -> Any:
         data: Text, or JSON types that hold text. Keys of objects are not changed.
         depth: Levels of nesting to keep. Deeper data becomes `…`.
 
-    >>> without_secrets({"url": "https://me:pw@host/v1?key=42", "n": [1, "a://b"]})
+    >>> redact({"url": "https://me:pw@host/v1?key=42", "n": [1, "a://b"]})
     {'url': 'https://host/v1?***', 'n': [1, 'a://b']}
-    >>> without_secrets({"endpoint": "tls/host:7447#connect_private_key_base64=42", "token": "42"})
+    >>> redact({"endpoint": "tls/host:7447#connect_private_key_base64=42", "token": "42"})
     {'endpoint': 'tls/host:7447?***', 'token': '***'}
     """
     if isinstance(data, str):

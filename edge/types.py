@@ -107,8 +107,8 @@ class Detections:
         score: (n,) float32 in [0, 1].
         class_id: (n,) int32, index into `prompts`.
         prompts: Text classes that the detector searched for.
-        rival: (n,) float32, the best score of a competing class (a background prompt) at the same
-            place; None if there are no competing classes.
+        competing_score: (n,) float32, the best score of a competing class (a background prompt) at
+            the same place; None if there are no competing classes.
         context: Boxes of other objects; None if the detector does not return them.
         model: Card name of the model.
         latency_ns: Time from the image to the boxes and masks.
@@ -130,7 +130,7 @@ class Detections:
     score: np.ndarray
     class_id: np.ndarray
     prompts: tuple[str, ...]
-    rival: np.ndarray | None = None
+    competing_score: np.ndarray | None = None
     context: ContextBoxes | None = None
     model: str = ""
     latency_ns: int = 0
@@ -149,18 +149,18 @@ class Detections:
         c = self.context
         return replace(
             self, xyxy_px=c.xyxy_px, score=c.score, class_id=c.class_id, prompts=c.words,
-            rival=None, context=None, mask=None,
+            competing_score=None, context=None, mask=None,
         )  # fmt: skip
 
     def not_suppressed(self) -> np.ndarray:
         """Return (n,) bool: True for boxes whose competing class does not score higher."""
-        if self.rival is None:
+        if self.competing_score is None:
             return np.ones(len(self), np.bool_)
-        return self.score >= self.rival
+        return self.score >= self.competing_score
 
     def without_suppressed(self) -> Detections:
         """Return only the boxes whose competing class does not score higher."""
-        return replace(self.only(self.not_suppressed()), rival=None)
+        return replace(self.only(self.not_suppressed()), competing_score=None)
 
     def above(self, score: float) -> Detections:
         """Return only the boxes with at least this score."""
@@ -176,12 +176,12 @@ class Detections:
             xyxy_px=self.xyxy_px[chosen],
             score=self.score[chosen],
             class_id=self.class_id[chosen],
-            rival=None if self.rival is None else self.rival[chosen],
+            competing_score=None if self.competing_score is None else self.competing_score[chosen],
             mask=None if self.mask is None else self.mask[chosen],
         )
 
 
-InstanceState = Literal["seen", "confirmed", "refuted", "reached"]
+InstanceState = Literal["tentative", "confirmed", "rejected", "reached"]
 
 
 @dataclass(slots=True, eq=False)
@@ -198,8 +198,8 @@ class Instance:
         hits: Number of frames with a detection of the object.
         first_seen_ns: Stamp of the first of these frames.
         last_seen_ns: Stamp of the newest of these frames.
-        state: `seen`: tentative; `confirmed`; `refuted`: rejected, no longer a candidate;
-            `reached`: the mission reached it.
+        state: `tentative` until enough detections confirm it; `confirmed`; `rejected`: it is no
+            candidate; `reached`: the mission reached it.
     """
 
     id: int
@@ -210,7 +210,7 @@ class Instance:
     hits: int
     first_seen_ns: int
     last_seen_ns: int
-    state: InstanceState = "seen"
+    state: InstanceState = "tentative"
 
     def copied(self) -> Instance:
         """Return a copy that shares the arrays, which are replaced but never written to."""

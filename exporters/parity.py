@@ -61,11 +61,11 @@ def select_boxes(
     order = np.argsort(-scores[anchor, class_id], kind="stable")
     anchor, class_id = anchor[order], class_id[order]
     boxes = xyxy_px[anchor]
-    rivals = (overlaps(boxes, boxes)[0] > NMS_IOU) & (class_id[:, None] == class_id[None])
+    others = (overlaps(boxes, boxes)[0] > NMS_IOU) & (class_id[:, None] == class_id[None])
     kept = np.ones(len(boxes), bool)
     for row in range(len(boxes)):
         if kept[row]:
-            kept[row + 1 :] &= ~rivals[row, row + 1 :]
+            kept[row + 1 :] &= ~others[row, row + 1 :]
     return DetectedBoxes(boxes[kept], scores[anchor, class_id][kept], class_id[kept])
 
 

@@ -108,14 +108,14 @@ def test_suppress(benchmark, against):
     scores[hot] = random.uniform(0, 0.9, (300, 7)) ** 3
     anchor, label, keep = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(64, np.int32)
     score, top, tau = np.zeros(n, np.float32), np.zeros(n, np.float32), np.float32(0.05)
-    competes, rival = np.ones((2, 1, 7), np.bool_), np.zeros(len(keep), np.float32)
+    competes, competing_score = np.ones((2, 1, 7), np.bool_), np.zeros(len(keep), np.float32)
     competes[:, 0, 0], cut = False, np.zeros(len(keep), np.bool_)
 
     def decode():
         m, _ = kernels.candidates(boxes, scores, 1, tau, 1e4, anchor, label, score, top)
         n = kernels.suppress(boxes, anchor, label, score, m, 0, 1, False, 0.5, keep)
         kernels.competing_scores(
-            boxes, scores, competes, tau, top, anchor, label, keep, n, cut, 0.5, rival
+            boxes, scores, competes, tau, top, anchor, label, keep, n, cut, 0.5, competing_score
         )
         return n
 
@@ -141,7 +141,9 @@ def test_lift(benchmark, way):
     """Twenty boxes of a 640 × 480 image."""
     benchmark.extra_info["budget"] = f"lift_20_boxes_{way}"
     seen = observe()
-    lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), lift=way))
+    lifter = BackProjector(
+        config.PerceptionConfig(detector=config.DetectorSim(), back_projection=way)
+    )
     out, _ = benchmark(lifter.lift, boxes_in(seen, 20))
     assert out.valid.any()
 

@@ -222,5 +222,5 @@ def adapted_config(endpoint: str) -> Config:
             "topics": {"camera/rgb": "/camera"}, "adapter": {"python": str(ROS_PYTHON)},
         },
         "sensors": {"lidar": {"rings": 1}}, "mapping": {"input": "cloud"},
-        "perception": {"detector": {"kind": "onnx"}, "lift": "cloud"},
+        "perception": {"detector": {"kind": "onnx"}, "back_projection": "cloud"},
     })  # fmt: skip

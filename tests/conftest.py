@@ -26,6 +26,11 @@ settings.register_profile(
 )
 settings.load_profile("edge")
 
+# The tests start some hundred interpreters. Without bytecode each would compile `edge` again, and
+# each worker would rewrite the asserts of all tests again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 HERE = Path(__file__).resolve().parent
 SHARED = HERE.parents[1] / "shared"
 
@@ -54,7 +59,8 @@ def pytest_xdist_auto_num_workers() -> int:
 
 # Kernels that this checkout has not compiled yet: each worker would compile all of them, for a
 # minute and a half. It is done once, while they collect; numba compiles on one core at a time, so a
-# second process does those of perception before the first has come to them.
+# second process does those of perception before the first has come to them, and then those of tasks
+# and value maps, which the first does not need.
 EPISODE = """
 import tempfile
 from pathlib import Path
@@ -74,7 +80,15 @@ with tempfile.TemporaryDirectory() as folder:
 a_m = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 3.0]])
 trajectory_scores(a_m, a_m[::2] + 0.1, Grid(np.zeros((9, 9), np.int8), (0.0, 0.0), 0.5))
 """
-PERCEPTION = "from edge.perception.warmup import warmup; warmup()"
+PERCEPTION = """
+from edge.config import MappingConfig
+from edge.mapping.warmup import warm_values
+from edge.perception.warmup import warmup
+from edge.tasks.warmup import warm_up
+warmup()
+warm_values(MappingConfig())
+warm_up()
+"""
 _compiling: list[subprocess.Popen] = []
 # In a new checkout the asserts of all tests have to be rewritten as well, which takes twice as long
 # as all else of collecting. The first worker does it; the others wait for this, and find it done.
@@ -90,13 +104,28 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
 
 
 def _start_compiling() -> bool:
-    """Compile the kernels in the background if this checkout has none."""
-    compiled = f"*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
-    if _compiling or any((HERE.parent / "edge" / "mapping").rglob(compiled)):
+    """Compile the kernels in the background if this checkout has none, or older ones."""
+    if _compiling or _has_kernels():
         return False
     for code in (EPISODE, PERCEPTION):
         _compiling.append(subprocess.Popen([sys.executable, "-c", code], cwd=HERE))
     return True
+
+
+def _has_kernels() -> bool:
+    """Return True if the kernels are compiled; delete those whose module has changed since."""
+    compiled = f"*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
+    indexes = list((HERE.parent / "edge").rglob(compiled))
+    old = [index for index in indexes if _is_older(index)]
+    for index in old:
+        index.unlink(missing_ok=True)
+    return bool(indexes) and not old
+
+
+def _is_older(index: Path) -> bool:
+    """Return True if numba's index of a kernel is older than the kernel's module."""
+    module = index.parents[1] / f"{index.name.partition('.')[0]}.py"
+    return not module.exists() or module.stat().st_mtime > index.stat().st_mtime
 
 
 def _compile_for(tests: Iterable[str]) -> None:

@@ -50,7 +50,7 @@ class FakeService:
             mission=MissionConfig(), perception=SimpleNamespace(min_hits=1)
         )
         things = [
-            SimpleNamespace(label=label, center_m=(away_m, 0.0, 0.0), hits=9, state="seen")
+            SimpleNamespace(label=label, center_m=(away_m, 0.0, 0.0), hits=9, state="tentative")
             for label, away_m in known.items()
         ]
         self.map = SimpleNamespace(tracker=SimpleNamespace(all=things))
@@ -83,7 +83,7 @@ class FakeRobot:
 
     Attributes:
         reaches_in_s: how long it takes for a target; None: until `reach`.
-        amiss: why nobody can count on it.
+        problems: why nobody can count on it.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class FakeRobot:
         reaches_in_s: float | None = None,
         announced: bool = True,
     ) -> None:
-        self.name, self.reaches_in_s, self.amiss = name, reaches_in_s, ()
+        self.name, self.reaches_in_s, self.problems = name, reaches_in_s, ()
         self.service = FakeService(known or {}, blind_to)
         self._stop = threading.Event()
         self._open = ExitStack()
@@ -104,7 +104,7 @@ class FakeRobot:
         self.presence = Presence(session, settings)
         self._open.callback(self.presence.close)
         served = requests.request_handlers(
-            self.service, partial(prepare, LIMITS), lambda: self.amiss
+            self.service, partial(prepare, LIMITS), lambda: self.problems
         )
         verbs, handle = served["mission/request"]
         key = settings.key("mission/request")

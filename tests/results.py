@@ -34,7 +34,7 @@ def facts(target: str = "chair") -> MissionFacts:
 
 def health() -> dict[str, Any]:
     parts = (
-        "loop", "checkpoint", "detector", "segmenter", "swap", "governor", "scorers", "sinks"
+        "loop", "checkpoint", "detector", "segmenter", "swap", "load_shedding", "scorers", "sinks"
     )  # fmt: skip
     return {part: {} for part in parts}
 

@@ -31,7 +31,7 @@ def test_no_number_breaks_decoding_or_a_tick(mode):
     config = simulated({
         "mission": {"target": "bed"},
         "mapping": {"input": mode},
-        "perception": {"lift": mode, "min_hits": 1},
+        "perception": {"back_projection": mode, "min_hits": 1},
         "sensors": {"lidar": {"z_m": 0.5}, "camera": {"width_px": WIDTH, "height_px": HEIGHT}},
     })  # fmt: skip
     service, ticks = ClosedLoop(config).service, 0

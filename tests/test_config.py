@@ -22,7 +22,7 @@ from edge.config import (
     parse,
 )
 from edge.config.explain import models_in
-from edge.config.removed import REMOVED
+from edge.config.removed import REMOVED, RENAMED
 from edge.config.yaml_text import parse_yaml
 from edge.geometry import MIN_FOCAL
 from edge.host import resources
@@ -132,16 +132,17 @@ FAULTS = [
         "f.yaml: perception: isolation: process: only for perception.detector.kind: onnx; sim runs",
     ),
     (
-        {"perception": {**SIM["perception"], "governor": {"ladder": [{}]}}},
-        "f.yaml: perception.governor.ladder.0: set either model, or rest to a scorer",
+        {"perception": {**SIM["perception"], "load_shedding": {"levels": [{}]}}},
+        "f.yaml: perception.load_shedding.levels.0: set either model, or pause to a scorer",
     ),
     (
-        {"perception": {**SIM["perception"], "governor": {"ladder": [{"model": "small"}]}}},
-        "f.yaml: perception: governor: ladder: 0: model: only for perception.detector.kind: onnx;",
+        {"perception": {**SIM["perception"], "load_shedding": {"levels": [{"model": "small"}]}}},
+        "f.yaml: perception: load_shedding: levels: 0: model: only for perception.detector.kind: "
+        "onnx;",
     ),
     (
-        {"perception": {**SIM["perception"], "governor": {"ladder": [{"rest": "choice"}]}}},
-        "f.yaml: perception: governor: ladder: 0: rest: choice: no such scorer is configured",
+        {"perception": {**SIM["perception"], "load_shedding": {"levels": [{"pause": "choice"}]}}},
+        "f.yaml: perception: load_shedding: levels: 0: pause: choice: no such scorer is configured",
     ),
     ({"robot": {"radius_m": "0.5"}, "mapping": None}, "f.yaml: mapping: expected a section"),
     ({"robot": {"radius_m": 0.5}, "mapping": []}, "f.yaml: mapping: expected a section"),
@@ -220,6 +221,65 @@ def test_a_file_with_a_key_that_was_removed_is_read_with_a_warning(write, caplog
         f"{path}: report.frames{GONE}",
         f"environment EDGE__MOTION__STUCK_M: motion.stuck_m{GONE}",
     ]
+
+
+LEVELS = [{"pause": "choice"}, {"model": "small"}]
+CHOICE = {"kind": "text", "url": "http://localhost:1", "model": "m"}
+OLD_NAMES = [
+    ({"perception": {"choice": {"pause_s": 2.0, **CHOICE}}},
+     {"perception": {"choice": {"rest_s": 2.0, **CHOICE}}},
+     [("perception.choice.rest_s", "pause_s")]),
+    ({"perception": {"choice": CHOICE, "load_shedding": {"levels": LEVELS}}},
+     {"perception": {"choice": CHOICE, "governor": {"ladder": [{"rest": "choice"}, LEVELS[1]]}}},
+     [("perception.governor", "load_shedding"), ("perception.load_shedding.ladder", "levels"),
+      ("perception.load_shedding.levels.[].rest", "pause")]),
+    ({"perception": {"back_projection": "cloud", "back_projection_max_range_m": 50.0,
+                     "back_projection_min_points": 4, "reject_radius_m": 0.7}},
+     {"perception": {"lift": "cloud", "lift_max_range_m": 50.0, "lift_min_points": 4,
+                     "refute_radius_m": 0.7}},
+     [("perception.lift", "back_projection"),
+      ("perception.lift_max_range_m", "back_projection_max_range_m"),
+      ("perception.lift_min_points", "back_projection_min_points"),
+      ("perception.refute_radius_m", "reject_radius_m")]),
+    ({"policy": {"kind": "hvl", "spin": True}}, {"policy": {"kind": "hvl", "look_round": True}},
+     [("policy.look_round", "spin")]),
+    ({"tasks": {"pipeline": {"kind": "a:b"}, "planner": {"kind": "model", "max_attempts": 2}}},
+     {"tasks": {"chain": {"kind": "a:b"}, "planner": {"kind": "model", "rounds": 2}}},
+     [("tasks.chain", "pipeline"), ("tasks.planner.rounds", "max_attempts")]),
+]  # fmt: skip
+
+
+def test_the_table_has_every_old_name():
+    rows = [(old.replace(".[]", "[]"), new) for _, _, rows in OLD_NAMES for old, new in rows]
+    assert sorted(rows) == sorted(RENAMED.items())
+
+
+@pytest.mark.parametrize(("new", "old", "rows"), OLD_NAMES)
+def test_a_file_with_an_old_name_is_read_with_a_warning(write, caplog, new, old, rows):
+    onnx = {"kind": "onnx", "model": "large"}
+    read = [
+        load(write(yaml.safe_dump({**data, "perception": {"detector": onnx, **perception}})), {})
+        for data in (new, old)
+        for perception in [data.get("perception", {})]
+    ]
+    assert read[0].model_dump(exclude={"path"}) == read[1].model_dump(exclude={"path"})
+    path = read[1].path
+    assert sorted(record.message for record in caplog.records) == sorted(
+        f"{path}: {key} is now called {name}: rename it" for key, name in rows
+    )
+
+
+def test_an_old_name_in_a_variable_is_read_with_a_warning_and_named_in_errors(write, caplog):
+    path = write(yaml.safe_dump({**SIM, "policy": {"kind": "hvl"}}))
+    assert load(path, {"EDGE__POLICY__LOOK_ROUND": "true"}).policy.spin
+    (record,) = caplog.records
+    variable = "environment EDGE__POLICY__LOOK_ROUND: policy.look_round"
+    assert record.message == f"{variable} is now called spin: rename it"
+    with pytest.raises(ConfigError, match=r"^environment EDGE__PERCEPTION__GOVERNOR__LADDER: "):
+        load(path, {"EDGE__PERCEPTION__GOVERNOR__LADDER": "7"})
+    both = write(yaml.safe_dump({**SIM, "policy": {"kind": "hvl", "look_round": 1, "spin": 1}}))
+    with pytest.raises(ConfigError, match=r"look_round is the old name of spin, .*: remove look_"):
+        load(both, {})
 
 
 @pytest.mark.parametrize("key", sorted(REMOVED))
@@ -585,10 +645,20 @@ def keys_of(schema: dict, node: dict, above: str = "", seen: tuple[str, ...] = (
     return found
 
 
+def present_name(key: str) -> str:
+    """Return the present name of a key that may be old; see `RENAMED`."""
+    parts: list[str] = []
+    for part in key.split("."):
+        new = RENAMED.get(".".join([*parts, part.removesuffix("[]")]))
+        parts.append(part if new is None else new + "[]" * part.endswith("[]"))
+    return ".".join(parts)
+
+
 def test_every_key_of_before_the_renaming_is_still_read():
     """`tests/data/config_keys.txt` has the keys of commit 6253ad9f."""
     before = (Path(__file__).parent / "data" / "config_keys.txt").read_text().split()
     schema = Config.model_json_schema()
     now = keys_of(schema, schema)
     assert len(before) == 252
-    assert [key for key in before if key not in now and key not in REMOVED] == []
+    assert [key for key in before if present_name(key) not in now and key not in REMOVED] == []
+    assert set(RENAMED).isdisjoint(now)

@@ -18,7 +18,7 @@ from edge.cli.options import LAB_PACKAGES
 ROOT = Path(edge.__file__).parent
 # A package imports from itself and from the lines above its own.
 LAYERS = (
-    ("__init__", "errors", "text", "geometry", "types", "logs", "names", "stuck"),
+    ("__init__", "errors", "text", "geometry", "types", "logs", "names", "stuck", "jit"),
     ("host",),
     ("config",),
     ("bus", "chat"),

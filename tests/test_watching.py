@@ -230,7 +230,7 @@ FIRES = {
     "EdgeModelProcessRestarts": {
         'edge_model_process_restarts_total{model="m"}': ("0+0.1x200", "0x150 1x50")
     },
-    "EdgeSteppedDown": {"edge_governor_rung": ("1x200", "0x200")},
+    "EdgeSteppedDown": {"edge_load_shedding_level": ("1x200", "0x200")},
     "EdgeModelRolledBack": {
         'edge_model_swaps_total{outcome="rolled back"}': ("0x150 1x50", "0x200"),
         'edge_model_swaps_total{outcome="kept"}': ("0x200", "0x150 1x50"),

@@ -150,7 +150,7 @@ def _serve(
             *what,
             stop,
             vitals.starting,
-            vitals.amiss,
+            vitals.problems,
             None if playback is None else playback.open,
         ) as running,
     ):

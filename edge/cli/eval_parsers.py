@@ -86,15 +86,15 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "--min-distance", type=float, default=4.0, metavar="M",
         help="shortest driving distance from start to target, in m (default: %(default)g)",
     )  # fmt: skip
-    option = episodes.add_argument_group("variants to compare").add_argument
+    option = episodes.add_argument_group("arms to compare").add_argument
     option(
-        "--column", nargs="+", action="append", metavar=("NAME", "KEY=VALUE"),
-        help="name of a variant, and its changes of the configuration: "
-        "--column near policy.kind=nearest_frontier; may be repeated",
+        "--arm", nargs="+", action="append", metavar=("NAME", "KEY=VALUE"),
+        help="name of an arm, and its changes of the configuration: "
+        "--arm near policy.kind=nearest_frontier; may be repeated",
     )  # fmt: skip
     option(
-        "--columns", type=Path, metavar="FILE",
-        help="variants from a YAML file: name: {policy: {kind: …}}; `config:` in a variant names "
+        "--arms", type=Path, metavar="FILE",
+        help="arms from a YAML file: name: {policy: {kind: …}}; `config:` in an arm names "
         "another configuration to change",
     )  # fmt: skip
     option = episodes.add_argument_group("how to run").add_argument
@@ -121,11 +121,11 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option(
         "--baseline", metavar="NAME",
-        help="variant that the others are compared with (default: the first)",
+        help="arm that the others are compared with (default: the first)",
     )  # fmt: skip
     compare = lazy_handler("edge.lab.eval.comparison.run", "run", lab=True)
     runs = lazy_handler("edge.lab.eval.runs", "run", lab=True)
-    of_runs = ("--episodes", "--plan", "--worlds", "--column", "--columns", "--out", "--report")
+    of_runs = ("--episodes", "--plan", "--worlds", "--arm", "--arms", "--out", "--report")
     dispatch_on_option(episodes, "--compare", compare, ("--baseline",), runs, of_runs)
 
 

@@ -14,7 +14,8 @@ from typing import Any
 from edge.bus.client import RequestError
 from edge.bus.session import zenoh_session
 from edge.bus.zenoh_file import protocol
-from edge.cli.mission import ANSWER_S, PATIENCE_S, as_text
+from edge.cli.mission import PATIENCE_S, as_text
+from edge.cli.service_request import ANSWER_S
 from edge.config import MissionConfig, ZenohConfig, load
 from edge.errors import FAILED, UserError
 from edge.fleet.dispatch import LOOK_S, Dispatcher, FleetPlan, plan
@@ -81,7 +82,7 @@ def _cells(robot: Robot) -> dict[str, str]:
         return {"robot": robot.name, **dict.fromkeys(("phase", "mission", "target", "pose"), "?"),
                 "health": robot.problem, "reason": "-"}  # fmt: skip
     body, idle = account.robot, account.phase == "idle"
-    amiss = [*body.amiss, *(["controller silent"] if body.controller == "silent" else [])]
+    problems = [*body.problems, *(["controller silent"] if body.controller == "silent" else [])]
     pose = "?" if body.pose is None else "{:.1f} {:.1f} m {:.0f}°".format(
         *body.pose[:2], body.pose[2] * 57.29578
     )  # fmt: skip
@@ -91,7 +92,7 @@ def _cells(robot: Robot) -> dict[str, str]:
         "mission": "-" if idle else account.instruction,
         "target": "-" if idle else account.target or "-",
         "pose": pose,
-        "health": "; ".join(amiss) or "ok",
+        "health": "; ".join(problems) or "ok",
         "reason": account.reason if account.phase in ("reached", "failed") else "-",
     }
 
@@ -178,13 +179,13 @@ def new(args: argparse.Namespace) -> int:
     text = {"formula" if args.formula else "instruction": args.text}
     brief = prepare(limits, **text)
     if brief.translation.repeat is not None:
-        raise UserError("fleet: a mission that repeats cannot be shared; send it to one service")
+        raise UserError("fleet: a mission that repeats is for one robot; send it without --fleet")
     named = [] if args.to in (None, [ANY]) else list(dict.fromkeys(args.to))
     if ANY in named:
         raise UserError(f"fleet: --to: give either {ANY} or names of robots")
     with open_roster(zenoh) as roster:
         _check_names(named, roster.names())
-        mission = plan(brief, limits, roster.look(), named, args.share, args.anew)
+        mission = plan(brief, limits, roster.look(), named, args.share, args.restart)
         _say(f"mission {mission.id}: {brief.translation.understood}")
         if mission.why_whole:
             _say(f"not split: {mission.why_whole}; one robot gets all of it")

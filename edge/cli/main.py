@@ -43,8 +43,8 @@ def main(argv: list[str] | None = None) -> int:
     argv, renamed = translate_renamed(sys.argv[1:] if argv is None else argv)
     args = make_parser().parse_args(argv)
     setup(args.log_level, args.log_json)
-    if renamed:
-        log.warning("%s; the next release drops the old name", renamed)
+    for warning in renamed:
+        log.warning("%s; the next release drops the old name", warning)
     # Python's last garbage collection at exit takes 0.3 s in a service.
     atexit.register(gc.freeze)
     if args.trust_cache:  # set in the environment, so that model processes inherit it

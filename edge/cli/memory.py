@@ -10,9 +10,7 @@ import base64
 import json
 from pathlib import Path
 
-from edge.cli.options import CONFIG, lazy_handler
-
-ANSWER_S = 5.0
+from edge.cli.service_request import add_action, connected
 
 
 def add(commands) -> None:  # type: ignore[no-untyped-def]
@@ -25,8 +23,7 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
         ("export", "write all known objects as JSON, or the whole memory as GeoJSON"),
         ("crop", "write the picture of an object, as JPEG"),
     ):
-        action = actions.add_parser(do, help=text)
-        action.add_argument("config", help=CONFIG)
+        action = add_action(actions, do, text, "edge.cli.memory")
         if do == "crop":
             action.add_argument("id", type=int, help="number of the object, from `list`")
         if do != "list":
@@ -44,7 +41,6 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
             action.add_argument(
                 "--since", type=float, metavar="S", help="only objects seen in the last S seconds"
             )
-        action.set_defaults(handler=lazy_handler("edge.cli.memory", "run"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -54,24 +50,17 @@ def run(args: argparse.Namespace) -> int:
         RequestError: no service is there, it does not answer, or it refuses.
         ConfigError: the configuration cannot be read.
     """
-    from edge.bus import client, topics
-    from edge.config import load
+    from edge.bus import topics
     from edge.host.files import write_atomically
     from edge.memory import memory_geojson
     from edge.text import format_table, one_line
 
-    settings = load(args.config).zenoh
-    request = _request(args)
-    with client.connect(settings, ANSWER_S, "service") as session:
-
-        def ask(key: str, asked: dict) -> dict:
-            return client.send_request(session, key, asked, ANSWER_S, "service")
-
-        answer = ask(settings.key(topics.MEMORY_REQUEST), request)
+    with connected(args.config) as ask:
+        answer = ask(topics.MEMORY_REQUEST, _request(args))
         objects = written = answer.get("objects")
         if args.do == "export" and args.geojson:
-            site = ask(settings.key(topics.SITE_REQUEST), {"do": "list"})["site"]
-            rooms = ask(settings.key(topics.MEMORY_REQUEST), {"do": "rooms"})["rooms"]
+            site = ask(topics.SITE_REQUEST, {"do": "list"})["site"]
+            rooms = ask(topics.MEMORY_REQUEST, {"do": "rooms"})["rooms"]
             written = memory_geojson(site, objects, rooms)
     if args.do == "crop":
         write_atomically(Path(args.file), base64.b64decode(answer["jpeg_base64"]))

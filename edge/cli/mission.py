@@ -10,12 +10,11 @@ import json
 import math
 from collections.abc import Callable
 
-from edge.bus import client
 from edge.cli.options import CONFIG, WHERE, count, dispatch_on_option, lazy_handler, positive
+from edge.cli.service_request import ANSWER_S, connected
 from edge.cli.site import pose
 from edge.text import one_line
 
-ANSWER_S = 5.0
 _ROW_CHARS = 1000
 NEW_S = 120.0  # a language model may be asked twice, and the mission compiled
 
@@ -83,7 +82,7 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
         "--share", action="store_true", help="divide the mission among several robots, if possible"
     )
     fleet.add_argument(
-        "--anew",
+        "--restart",
         action="store_true",
         help="start again, although the same mission is still running",
     )
@@ -94,7 +93,7 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
     return ("--task", "--reading", "--from-pose", "--rounds", "--for", "--timeout"), (
         "--to",
         "--share",
-        "--anew",
+        "--restart",
         "--patience",
     )
 
@@ -115,9 +114,7 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: the configuration cannot be read.
     """
     from edge.bus import topics
-    from edge.config import load
 
-    settings = load(args.config).zenoh
     request = {"do": args.do}
     if args.do == "new":
         kind = "formula" if args.formula else "task" if args.task else "instruction"
@@ -129,10 +126,9 @@ def run(args: argparse.Namespace) -> int:
         if args.from_pose is not None:
             x_m, y_m, heading_deg = args.from_pose
             request["from_pose"] = [x_m, y_m, math.radians(heading_deg)]
-    key = settings.key(topics.MISSION_REQUEST)
     timeout_s = args.timeout or (NEW_S if args.do == "new" else ANSWER_S)
-    with client.connect(settings, timeout_s, "mission") as session:
-        answer = client.send_request(session, key, request, timeout_s, "mission")
+    with connected(args.config, timeout_s, "mission") as ask:
+        answer = ask(topics.MISSION_REQUEST, request)
     print(json.dumps(answer, indent=2) if args.json else as_text(answer))
     return 0
 
@@ -169,10 +165,10 @@ def _phase(answer: dict) -> str:
     return "; ".join(filter(None, [paused, _text("phase")(answer), _text("reason")(answer)]))
 
 
-def _amiss(answer: dict) -> str:
+def _not_ready(answer: dict) -> str:
     """Return the reasons why the robot is not ready, as in `/readyz`."""
     robot = answer.get("robot")
-    return _text("amiss", "; ")(robot) if isinstance(robot, dict) else ""
+    return _text("problems", "; ")(robot) if isinstance(robot, dict) else ""
 
 
 def _reading(answer: dict) -> str:
@@ -237,7 +233,7 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "warning": _text("warnings"),
     "state": _state,
     "phase": _phase,
-    "not ready": _amiss,
+    "not ready": _not_ready,
     "target": _text("target"),
     "why": _text("why"),
     "plan": _text("plan", ", then "),

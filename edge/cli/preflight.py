@@ -166,10 +166,10 @@ def named_models(config: Config) -> Iterator[NamedModel]:
     if isinstance(detector, DetectorOnnx):
         providers = detector.providers
         yield NamedModel("perception.detector.model", detector.model, DetectCard, providers)
-    for i, rung in enumerate(perception.governor.ladder):
-        if rung.model is not None:
-            key = f"perception.governor.ladder.{i}.model"
-            yield NamedModel(key, rung.model, DetectCard, providers)
+    for i, level in enumerate(perception.load_shedding.levels):
+        if level.model is not None:
+            key = f"perception.load_shedding.levels.{i}.model"
+            yield NamedModel(key, level.model, DetectCard, providers)
     if isinstance(segmenter, SegmenterOnnx):
         key = "perception.segmenter.model"
         yield NamedModel(key, segmenter.model, SegmentCard, segmenter.providers)

@@ -1,4 +1,4 @@
-"""Old names of commands, which are accepted with a warning for one release."""
+"""Old names of commands and options, which are accepted with a warning for one release."""
 
 from __future__ import annotations
 
@@ -22,14 +22,32 @@ RENAMED = {
 }
 """Old command words → new ones. The arguments after them stay."""
 
+OPTIONS = {
+    "mission new --anew": "--restart",
+    "eval episodes --column": "--arm",
+    "eval episodes --columns": "--arms",
+}
+"""Command words and an old option → the new option."""
 
-def translate_renamed(argv: Sequence[str]) -> tuple[list[str], str | None]:
-    """Return the arguments with the new command words, and a warning if the old ones were given."""
+
+def translate_renamed(argv: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the arguments with the new names, and a warning for each old one."""
     at = 0  # index of the command, after the options of `edge` itself
     while at < len(argv) and argv[at].startswith("-"):
         at += 1 + (argv[at] == "--log-level")
+    before, command, warnings = list(argv[:at]), list(argv[at:]), []
     for n in (1, 2):
-        if new := RENAMED.get(old := " ".join(argv[at : at + n])):
-            argv = [*argv[:at], *new.split(), *argv[at + n :]]
-            return argv, f"edge {old} is now: edge {new}"
-    return list(argv), None
+        if new := RENAMED.get(old := " ".join(command[:n])):
+            command = [*new.split(), *command[n:]]
+            warnings.append(f"edge {old} is now: edge {new}")
+            break
+    words = " ".join(command[:2])
+    for i, argument in enumerate(command):
+        if argument == "--":
+            break
+        old, equals, value = argument.partition("=")
+        if new := OPTIONS.get(f"{words} {old}"):
+            command[i] = new + equals + value
+            warning = f"edge {words} {old} is now: {new}"
+            warnings += [warning] * (warning not in warnings)
+    return [*before, *command], warnings

@@ -8,9 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from edge.cli.options import CONFIG, lazy_handler
-
-ANSWER_S = 5.0
+from edge.cli.service_request import add_action, connected
 
 
 def add(commands) -> None:  # type: ignore[no-untyped-def]
@@ -24,12 +22,10 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
         ("keep-out", "make a zone of a room that the robot must not enter"),
         ("stay-inside", "make a zone of a room that the robot must not leave"),
     ):
-        action = actions.add_parser(do, help=text)
-        action.add_argument("config", help=CONFIG)
+        action = add_action(actions, do, text, "edge.cli.room")
         if do != "list":
             action.add_argument("name", help="name of the room")
         action.add_argument("--json", action="store_true", help="print JSON")
-        action.set_defaults(handler=lazy_handler("edge.cli.room", "run"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -39,15 +35,11 @@ def run(args: argparse.Namespace) -> int:
         RequestError: no service is there, it does not answer, or it refuses.
         ConfigError: the configuration cannot be read.
     """
-    from edge.bus import client, topics
-    from edge.config import load
+    from edge.bus import topics
 
-    settings = load(args.config).zenoh
-    topic = topics.MEMORY_REQUEST if args.do == "list" else topics.SITE_REQUEST
-    with client.connect(settings, ANSWER_S, "service") as session:
-        answer = client.send_request(
-            session, settings.key(topic), _request(args), ANSWER_S, "service"
-        )
+    with connected(args.config) as ask:
+        topic = topics.MEMORY_REQUEST if args.do == "list" else topics.SITE_REQUEST
+        answer = ask(topic, _request(args))
     if args.json:
         print(json.dumps(answer["rooms" if args.do == "list" else "site"], indent=1))
     elif args.do == "list":

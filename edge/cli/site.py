@@ -10,9 +10,7 @@ import json
 import math
 from pathlib import Path
 
-from edge.cli.options import CONFIG, lazy_handler
-
-ANSWER_S = 5.0
+from edge.cli.service_request import add_action, connected
 
 
 def add_places(commands) -> None:  # type: ignore[no-untyped-def]
@@ -47,10 +45,8 @@ def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
 
 
 def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
-    action = actions.add_parser(name, help=text)
-    action.add_argument("config", help=CONFIG)
+    action = add_action(actions, name, text, "edge.cli.site")
     action.add_argument("--json", action="store_true", help="print the answer as GeoJSON")
-    action.set_defaults(handler=lazy_handler("edge.cli.site", "run"))
     return action
 
 
@@ -91,11 +87,9 @@ def run(args: argparse.Namespace) -> int:
         SiteError: a file cannot be used.
         ConfigError: the configuration cannot be read.
     """
-    from edge.bus import client, topics
-    from edge.config import load
+    from edge.bus import topics
     from edge.memory import read_site, site_of, write_site
 
-    settings = load(args.config).zenoh
     path = Path(args.file) if args.do in ("export", "import") else None
     if path is not None and args.do == "import" and not path.exists():
         from edge.memory import SiteError
@@ -104,9 +98,8 @@ def run(args: argparse.Namespace) -> int:
     request = _request(args)
     if path is not None and args.do == "import":
         request["site"] = read_site(path).geojson()
-    with client.connect(settings, ANSWER_S, "service") as session:
-        key = settings.key(topics.SITE_REQUEST)
-        answer = client.send_request(session, key, request, ANSWER_S, "service")
+    with connected(args.config) as ask:
+        answer = ask(topics.SITE_REQUEST, request)
     site = site_of(answer["site"], "the service's answer")
     if path is not None and args.do == "export":
         write_site(path, site)

@@ -47,6 +47,14 @@ class KeyOrigins(dict[tuple[str, ...], str]):
         """
         return ", ".join(dict.fromkeys(name for key in keys for name in self._of(path, key)))
 
+    def rename(self, key: tuple[str, ...], name: str) -> None:
+        """Rename the last part of a key, in it and in all keys below it."""
+        size, new = len(key), (*key[:-1], name)
+        renamed = {old: (*new, *old[size:]) for old in self if old[:size] == key}
+        for old, now in renamed.items():
+            self[now] = self.pop(old)
+        self.made = {(*new, *old[size:]) if old[:size] == key else old for old in self.made}
+
     def _of(self, path: str, key: tuple[str, ...]) -> list[str]:
         starts = [key[:n] for n in range(len(key), 0, -1)]
         if (own := next(filter(None, map(self.get, starts)), None)) is not None:

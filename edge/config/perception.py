@@ -136,16 +136,16 @@ class DegradationLevel(Section):
 
     Attributes:
         model: card of a cheaper detector.
-        rest: scorer that pauses: `similarity` or `choice`.
+        pause: scorer that pauses: `similarity` or `choice`.
     """
 
     model: str | None = None
-    rest: Literal["similarity", "choice"] | None = None
+    pause: Literal["similarity", "choice"] | None = None
 
     @model_validator(mode="after")
     def _one_thing(self) -> DegradationLevel:
-        if (self.model is None) == (self.rest is None):
-            raise ValueError("set either model, or rest to a scorer")
+        if (self.model is None) == (self.pause is None):
+            raise ValueError("set either model, or pause to a scorer")
         return self
 
 
@@ -157,10 +157,10 @@ class LoadSheddingConfig(Section):
     taken again when there is room (`edge.loop.degradation`).
 
     Attributes:
-        ladder: degradation levels, the first to be taken first; empty: no load shedding.
+        levels: degradation levels, the first to be taken first; empty: no load shedding.
     """
 
-    ladder: tuple[DegradationLevel, ...] = ()
+    levels: tuple[DegradationLevel, ...] = ()
 
 
 class ChoiceNone(Section):
@@ -179,7 +179,7 @@ class ChoiceOpenai(Section):
         model: name of the model on the server.
         api_key_env: environment variable that holds the API key.
         time_limit_s: time for one answer.
-        rest_s: pause after an answer, to limit the cost of a paid server.
+        pause_s: pause after an answer, to limit the cost of a paid server.
         max_image_px: longer side of the image that is sent.
     """
 
@@ -188,7 +188,7 @@ class ChoiceOpenai(Section):
     model: str
     api_key_env: str = "OPENAI_API_KEY"
     time_limit_s: Positive = 5.0
-    rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    pause_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
     max_image_px: Annotated[int, Field(ge=64, le=4096)] = 640
 
 
@@ -200,7 +200,7 @@ class ChoiceText(Section):
         model: name of the model on the server.
         api_key_env: environment variable that holds the API key.
         time_limit_s: time for one answer.
-        rest_s: pause after an answer, to limit the cost of a paid server.
+        pause_s: pause after an answer, to limit the cost of a paid server.
     """
 
     kind: Literal["text"] = "text"
@@ -208,7 +208,7 @@ class ChoiceText(Section):
     model: str
     api_key_env: str = "OPENAI_API_KEY"
     time_limit_s: Positive = 5.0
-    rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    pause_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
 
 
 class ChoiceOnnx(Section):
@@ -220,7 +220,7 @@ class ChoiceOnnx(Section):
     Attributes:
         card: name of its card, of task `choice` (a language model) or `marks` (a small network).
         time_limit_s: time for one answer.
-        rest_s: pause after an answer.
+        pause_s: pause after an answer.
         max_image_px: longer side of the image. A model of task `marks` has a fixed image size; a
             smaller value is refused.
         providers: execution providers of onnxruntime, best first.
@@ -231,7 +231,7 @@ class ChoiceOnnx(Section):
     kind: Literal["onnx"] = "onnx"
     card: str
     time_limit_s: Positive = 5.0
-    rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    pause_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
     max_image_px: Annotated[int, Field(ge=64, le=4096)] = 640
     providers: tuple[str, ...] = ("CPUExecutionProvider",)
     threads: Annotated[int, Field(ge=1, le=64)] = 2
@@ -252,7 +252,7 @@ class PerceptionConfig(Section):
             processes; a crash or hang of a model then costs detections, but no tick.
         process: supervision of these processes.
         swap: conditions for a change of the model at run time.
-        governor: load shedding.
+        load_shedding: work to drop when the computer is too slow.
         similarity: card of an image-text scorer (the score of VLFM); null: none runs.
         choice: model that chooses among frontiers.
         detector: object detector.
@@ -262,9 +262,9 @@ class PerceptionConfig(Section):
             (`cooccurrence`), by the kind of room (`rooms`), or both. Policies weigh it.
         tau_det: a box of at least this score starts a new object; weaker boxes count only for
             objects that are known.
-        lift: source of the 3-D position of a box: `depth` image, or the LiDAR's `cloud`.
-        lift_min_points: fewest points for a 3-D position.
-        lift_max_range_m: boxes farther away get no 3-D position.
+        back_projection: source of the 3-D position of a box: `depth` image, or the LiDAR's `cloud`.
+        back_projection_min_points: fewest points for a 3-D position.
+        back_projection_max_range_m: boxes farther away get no 3-D position.
         voxel_m: spacing of an object's points.
         merge_m: a detection within this distance of an object of its name belongs to that object.
         min_hits: an object counts as seen after detections in this many images.
@@ -275,14 +275,14 @@ class PerceptionConfig(Section):
         confirm_hits: number of images that confirm an object.
         confirm_mean: lowest mean score over all views from nearby for a confirmed object.
         confirm_lead: the summed score must be this many times that of any other name.
-        refute_radius_m: an object of the same name within this distance of a rejected one is
+        reject_radius_m: an object of the same name within this distance of a rejected one is
             rejected, too.
     """
 
     isolation: Literal["thread", "process"] = "thread"
     process: ModelProcessConfig = ModelProcessConfig()
     swap: SwapConfig = SwapConfig()
-    governor: LoadSheddingConfig = LoadSheddingConfig()
+    load_shedding: LoadSheddingConfig = LoadSheddingConfig()
     similarity: str | None = None
     choice: Annotated[
         Union[ChoiceNone, ChoiceOpenai, ChoiceText, ChoiceOnnx, ChoiceCooccurrence],
@@ -300,9 +300,9 @@ class PerceptionConfig(Section):
     ] = SegmenterNone()
     prior: Literal["none", "cooccurrence", "rooms", "both"] = "both"
     tau_det: Fraction = 0.3
-    lift: Literal["depth", "cloud"] = "depth"
-    lift_min_points: Annotated[int, Field(ge=1)] = 8
-    lift_max_range_m: Positive = 8.0
+    back_projection: Literal["depth", "cloud"] = "depth"
+    back_projection_min_points: Annotated[int, Field(ge=1)] = 8
+    back_projection_max_range_m: Positive = 8.0
     voxel_m: Positive = 0.1
     merge_m: Positive = 0.6
     min_hits: Annotated[int, Field(ge=1)] = 2
@@ -311,7 +311,7 @@ class PerceptionConfig(Section):
     confirm_hits: Annotated[int, Field(ge=1)] = 3
     confirm_mean: Fraction = 0.12
     confirm_lead: Annotated[float, Field(ge=1)] = 1.5
-    refute_radius_m: NonNegative = 0.6
+    reject_radius_m: NonNegative = 0.6
 
     @model_validator(mode="after")
     def _isolable(self) -> PerceptionConfig:
@@ -323,10 +323,10 @@ class PerceptionConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _has_what_the_ladder_gives_up(self) -> PerceptionConfig:
-        for i, rung in enumerate(self.governor.ladder):
-            key = f"governor: ladder: {i}"
-            if rung.model is not None and self.detector.kind != "onnx":
+    def _has_what_load_shedding_drops(self) -> PerceptionConfig:
+        for i, level in enumerate(self.load_shedding.levels):
+            key = f"load_shedding: levels: {i}"
+            if level.model is not None and self.detector.kind != "onnx":
                 raise ValueError(
                     f"{key}: model: only for perception.detector.kind: onnx; "
                     f"{self.detector.kind} has no model to replace"
@@ -335,6 +335,6 @@ class PerceptionConfig(Section):
                 "similarity": self.similarity is not None,
                 "choice": self.choice.kind not in ("none", "cooccurrence"),
             }
-            if rung.rest is not None and not runs[rung.rest]:
-                raise ValueError(f"{key}: rest: {rung.rest}: no such scorer is configured")
+            if level.pause is not None and not runs[level.pause]:
+                raise ValueError(f"{key}: pause: {level.pause}: no such scorer is configured")
         return self

@@ -29,7 +29,7 @@ class _Selection(Section):
         switch_margin: the goal changes only to a candidate whose score is better by this fraction.
         instances: false: do not approach objects that may be the target (VL-Nav III.C). The robot
             then goes only to objects that were confirmed in passing.
-        look_round: true: a full turn on the spot is a candidate, too.
+        spin: true: a full turn on the spot is a candidate, too.
     """
 
     # Confirmed objects come before others, whatever their scores.
@@ -38,7 +38,7 @@ class _Selection(Section):
     r_assoc_m: Positive = 0.6
     switch_margin: NonNegative = 0.3
     instances: bool = True
-    look_round: bool = False
+    spin: bool = False
 
 
 class PolicyHvl(_Selection):
@@ -79,7 +79,7 @@ class PolicySearch(_Selection):
 
     confirmed_first: ClassVar[bool] = False  # the score has the certainty
     kind: Literal["search"] = "search"
-    look_round: bool = True
+    spin: bool = True
 
 
 class PolicyVlfm(_Selection):

@@ -80,7 +80,7 @@ class Camera(SensorMount):
         rate_hz: images per second.
         depth_min_m: the simulated camera measures no nearer depth.
         depth_max_m: depth from here on is no measurement. If `mapping.range_m` or
-            `perception.lift_max_range_m` is larger, that one is the limit.
+            `perception.back_projection_max_range_m` is larger, that one is the limit.
     """
 
     x_m: float = 0.1

@@ -148,7 +148,7 @@ class Config(Section):
     def farthest_depth_m(self) -> float:
         """Depth from this value on is no measurement."""
         camera, perception = self.sensors.camera, self.perception
-        return max(camera.depth_max_m, self.mapping.range_m, perception.lift_max_range_m)
+        return max(camera.depth_max_m, self.mapping.range_m, perception.back_projection_max_range_m)
 
     @property
     def goals_without_feedback(self) -> bool:

@@ -42,7 +42,7 @@ class WriterModel(Section):
         model: name of the model on the server.
         api_key_env: environment variable that holds the API key.
         picture: false: send no image, only text, as LLM-TG does.
-        rounds: most answers for one trajectory.
+        max_attempts: most answers for one trajectory.
         time_limit_s: time for all answers together.
     """
 
@@ -51,7 +51,7 @@ class WriterModel(Section):
     model: str = "default"
     api_key_env: str = "OPENAI_API_KEY"
     picture: bool = True
-    rounds: Annotated[int, Field(ge=1, le=20)] = 4
+    max_attempts: Annotated[int, Field(ge=1, le=20)] = 4
     time_limit_s: Positive = 120.0
 
 
@@ -74,13 +74,13 @@ class TasksConfig(Section):
     """Tasks: instructions that describe a way to drive.
 
     Attributes:
-        chain: your own models for `edge trajectory --objects detector` and
+        pipeline: your own models for `edge trajectory --objects detector` and
             `edge eval trajectories --detector`. null: `perception.detector` and
             `perception.segmenter`, which the service always uses.
         planner: writes the trajectories.
         trajectory: limits of the trajectories.
     """
 
-    chain: PipelinePlugin | None = None
+    pipeline: PipelinePlugin | None = None
     planner: Annotated[Union[WriterRules, WriterModel], Field(discriminator="kind")] = WriterRules()
     trajectory: TrajectoryLimits = TrajectoryLimits()

@@ -57,7 +57,7 @@ def plan(
     robots: Mapping[str, Robot],
     to: Sequence[str] = (),
     share: bool = False,
-    anew: bool = False,
+    restart: bool = False,
 ) -> FleetPlan:
     """Return the parts of a mission.
 
@@ -69,7 +69,7 @@ def plan(
         robots: Robots by name, with their status.
         to: Names of robots that each get the whole mission. Empty: any one robot gets it.
         share: Split the mission, so that several robots can share it.
-        anew: Start a new mission even if robots know an unfinished one like it.
+        restart: Start a new mission even if robots know an unfinished one like it.
 
     Raises:
         CompileError: See `edge.mission.split`.
@@ -79,7 +79,7 @@ def plan(
     formulas = (formula,) * max(len(to), 1) if cut is None else cut.parts
     digest = _digest(formula, to, share)
     make = partial(_parts, formulas, to, limits)
-    run = None if anew else _unfinished(digest, robots, make)
+    run = None if restart else _unfinished(digest, robots, make)
     id = f"{digest}.{run or secrets.token_hex(4)}"
     return FleetPlan(id, make(id), cut.why_whole if cut is not None else "")
 

@@ -47,7 +47,7 @@ class RobotState:
     Attributes:
         pose: x and y in metres, yaw in radians, in the robot's own `map`; None before the first.
         controller: Whether its motion controller answers.
-        amiss: Reasons why the robot is not ready; empty if it is.
+        problems: Reasons why the robot is not ready; empty if it is.
         known: Metres to the nearest object of each label in its map.
     """
 
@@ -55,7 +55,7 @@ class RobotState:
 
     pose: tuple[float, float, float] | None
     controller: Literal["answers", "silent"]
-    amiss: tuple[str, ...]
+    problems: tuple[str, ...]
     known: dict[str, Annotated[float, Field(ge=0)]]
 
 
@@ -105,8 +105,8 @@ class Robot:
             return self.problem
         if account.phase not in OVER:
             return f"{account.phase}: {one_line(account.instruction, 80)}"
-        if account.robot.amiss:
-            return one_line("; ".join(account.robot.amiss))
+        if account.robot.problems:
+            return one_line("; ".join(account.robot.problems))
         return "its controller is silent" if account.robot.controller == "silent" else ""
 
 

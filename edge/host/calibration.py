@@ -15,11 +15,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 from edge.errors import FileError, UserError
 from edge.host import machine, resources
 from edge.host.files import read_regular, write_atomically
+from edge.jit import jit
 
 REFERENCE = "AMD EPYC (Zen 5), 2 virtual cores"
 REFERENCE_MS = {"kernels": 3.45, "arrays": 0.45, "memory": 1.85, "python": 2.55}
@@ -53,7 +53,7 @@ class SpeedCalibration:
     def __str__(self) -> str:
         """Return the speed in words.
 
-        >>> print(Calibration("Cortex-A78AE, 8 cores", 1.8, {}))
+        >>> print(SpeedCalibration("Cortex-A78AE, 8 cores", 1.8, {}))
         1.8 times slower than the reference computer
         """
         if 1 / AS_FAST < self.slowdown < AS_FAST:
@@ -63,7 +63,7 @@ class SpeedCalibration:
         return f"{1 / self.slowdown:.1f} times faster than the reference computer"
 
 
-@njit(nogil=True, cache=True)
+@jit
 def flood_fill(free, seen, queue):
     """Mark all cells that are 4-connected to the middle cell, and return their number.
 

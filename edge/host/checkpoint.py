@@ -21,6 +21,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -35,7 +36,7 @@ from edge.text import one_line
 
 log = logging.getLogger("edge.host.checkpoint")
 
-VERSION = 4
+VERSION, OLDEST_VERSION = 5, 4
 MAX_STATE_BYTES = 8 << 20
 _MAX_DIRECTORY_BYTES = 64 << 10
 _END_BYTES = 22  # size of the last record of a zip archive without a comment
@@ -85,6 +86,7 @@ class CheckpointFormat(Generic[State]):
         state: dataclass of the state, which pydantic validates.
         max_bytes: largest file.
         check: raises ValueError if a state with valid types is inconsistent.
+        renamed: array names of older versions → present ones.
     """
 
     def __init__(
@@ -94,10 +96,12 @@ class CheckpointFormat(Generic[State]):
         state: type[State],
         max_bytes: int,
         check: Callable[[State], None] = lambda state: None,
+        renamed: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.title, self.max_bytes = title, max_bytes
         self.begins = b'{"format":"%s",' % name.encode()
         self._adapter, self._check = TypeAdapter(state), check
+        self._renamed = renamed
 
     def encode(self, checkpoint: Checkpoint[State]) -> bytes:
         """Return the file's content.
@@ -131,14 +135,18 @@ class CheckpointFormat(Generic[State]):
         head = re.match(re.escape(self.begins) + _HEAD, content)
         if head is None:
             raise ValueError(f"not a whole {self.title}")
-        if int(head[1]) != VERSION:
-            raise ValueError(f"version {int(head[1])}, this program reads version {VERSION}")
+        if not OLDEST_VERSION <= (version := int(head[1])) <= VERSION:
+            raise ValueError(
+                f"version {version}, this program reads versions {OLDEST_VERSION} to {VERSION}"
+            )
         if _sha256(memoryview(content)[head.end() :]) != head[2]:
             raise ValueError("damaged: its checksum does not match")
         about = re.compile(_ABOUT).match(content, head.end(), head.end() + MAX_STATE_BYTES)
         if about is None:
             raise ValueError(f"not a whole {self.title}")
         arrays = _arrays(content[about.end() :])
+        if version < VERSION:
+            arrays = {self._renamed.get(name, name): array for name, array in arrays.items()}
         return Checkpoint(self._state(about[3]), arrays, about[1].decode(), int(about[2]))
 
     def _state(self, text: bytes) -> State:

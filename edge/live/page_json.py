@@ -178,7 +178,7 @@ def log_json(moment: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
 def automaton_json(mission: MissionFacts) -> dict[str, Any]:
     """Return the automaton as a graph: see `edge.live.automaton_graph`."""
     scene = make_automaton_graph(
-        mission.brief.automaton, mission.state, mission.plan.steps, mission.word
+        mission.brief.automaton, mission.state, mission.plan.steps, mission.trace
     )
     return {
         "nodes": [node._asdict() for node in scene.nodes],

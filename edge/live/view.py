@@ -96,7 +96,7 @@ class LiveView:
     def _now(self) -> HttpResponse:
         now_s = self.sink.look()
         moment, shot, ticked_s = self.sink.moment, self.sink.shot, self.sink.ticked_s
-        why = self._vitals.amiss()
+        why = self._vitals.problems()
         return _json(
             {
                 "robot": self._config.robot_name,

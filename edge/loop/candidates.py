@@ -10,10 +10,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, check_arrays
+from edge.jit import jit
 from edge.mapping.grid import Frontiers, RollingMap
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates
 from edge.types import Instance
@@ -231,7 +231,7 @@ class CandidatePool:
         self.lift_discards()
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _associate(old_xy, old_anchor, n_old, new_xy, n_new, radius, match, claim):
     """Match new frontiers to old ones: match[new] = old index or -1, each old one at most once.
 
@@ -253,7 +253,7 @@ def _associate(old_xy, old_anchor, n_old, new_xy, n_new, radius, match, claim):
             i = loser
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _nearest_unclaimed(old_xy, old_anchor, n_old, new_xy, i, r2, claim):
     """Return the nearest old frontier that no nearer new frontier has claimed, or -1."""
     found, best = -1, r2
@@ -265,16 +265,16 @@ def _nearest_unclaimed(old_xy, old_anchor, n_old, new_xy, i, r2, claim):
         d2 = dx * dx + dy * dy
         if d2 >= best:
             continue
-        rival = claim[j]
-        if rival >= 0:
-            rx, ry = new_xy[rival, 0] - old_xy[j, 0], new_xy[rival, 1] - old_xy[j, 1]
+        other = claim[j]
+        if other >= 0:
+            rx, ry = new_xy[other, 0] - old_xy[j, 0], new_xy[other, 1] - old_xy[j, 1]
             if rx * rx + ry * ry <= d2:
                 continue
         found, best = j, d2
     return found
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _carry_over(
     match, n_new, next_id, stamp_ns, old_anchor, old_id, old_seen, old_gain,
     xy, anchor, ids, seen, gain,
@@ -296,7 +296,7 @@ def _carry_over(
     return next_id
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _mark_blocked(
     xy, kind, ids, n, discarded_xy, discarded_kind, discarded_id, until_ns, now_ns, radius, blocked
 ):
@@ -314,7 +314,7 @@ def _mark_blocked(
                 break
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _to_measure(gain, n, start, least, which):
     """Write to `which` the indices of the frontiers to measure; return their number.
 

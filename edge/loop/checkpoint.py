@@ -95,7 +95,7 @@ class ServiceCheckpoint:
             mission.id, mission.results, mission.round = saved.id, saved.results, saved.round
             self._resumed = mission
             mission.restore(
-                saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m,
+                saved.trace, saved.reached, saved.failed, saved.elapsed_s, saved.path_m,
                 saved.paused, (saved.exempt_s, saved.exempt_m), saved.pursued_s,
             )  # fmt: skip
             log.info("continuing the saved mission: %s (state %d, reached: %s)",

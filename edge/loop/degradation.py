@@ -1,8 +1,8 @@
 """Load shedding: decides when to drop work under overload, and when to add it again.
 
 This module only computes: the caller passes the time, and there is no access to models. At level 0,
-all configured work runs. At level n, the first n entries of the list `perception.governor.ladder`
-are dropped.
+all configured work runs. At level n, the first n entries of `perception.load_shedding.levels` are
+dropped.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class LevelChange(NamedTuple):
 class DegradationLevels:
     """Chooses how much work to drop.
 
-    Level 0 drops nothing. Each higher level drops one more entry of `perception.governor.ladder`.
-    There are at least `DWELL_S` between two changes. Work was added too early if it does not stay
-    for twice the wait before it. The next wait is then doubled.
+    Level 0 drops nothing. Each higher level drops one more entry of
+    `perception.load_shedding.levels`. There are at least `DWELL_S` between two changes. Work was
+    added too early if it does not stay for twice the wait before it. The next wait is then doubled.
 
     Args:
         n_levels: Number of levels, without level 0.

@@ -38,8 +38,8 @@ class ErrorBoundary:
         last_error: Text of the newest exception; "" if there was none.
 
     Example:
-        >>> faults = Faults(lambda text, now_ns: None)
-        >>> with faults.outlived("sink", now_ns=0):
+        >>> faults = ErrorBoundary(lambda text, now_ns: None)
+        >>> with faults.contain("sink", now_ns=0):
         ...     raise KeyError("x")
         >>> faults.failures
         {'sink: KeyError': 1}

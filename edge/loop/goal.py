@@ -47,7 +47,7 @@ _STOP_SHORT_M = 0.05
 
 _KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "look")
 
-Verdict = Literal["reached", "refuted", "out of reach"]
+Verdict = Literal["reached", "rejected", "out of reach"]
 
 
 @dataclass(slots=True, eq=False)
@@ -532,7 +532,7 @@ class GoalTracker:
             return "reached"
         long_enough = (now_ns - present.verifying_since_ns) * 1e-9 > config.verify_s
         if long_enough and images - present.images_before >= MIN_IMAGES:
-            return "refuted"
+            return "rejected"
         return None
 
     def _act_on(
@@ -554,7 +554,7 @@ class GoalTracker:
                 # The mission visits this target again: use another object, or this one later.
                 self._discard(now_ns)
             return
-        if verdict == "refuted":
+        if verdict == "rejected":
             self._search.has_moved |= self._tracker.confirmed(instance)
             self._tracker.reject(instance.id)
             self.drop()

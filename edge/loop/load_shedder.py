@@ -1,9 +1,9 @@
 """Load shedder: it drops expensive work when the computer cannot keep up, and restores it later.
 
-`perception.governor.ladder` lists the work to drop, in order. Each entry is a degradation level.
-The module `edge.loop.degradation` decides when to step. A cheaper model is swapped in as by `edge
-models use`, without waiting. If a user swaps in another model, the governor waits until the model
-of its level runs again.
+`perception.load_shedding.levels` lists the work to drop, in order. Each entry is a degradation
+level. The module `edge.loop.degradation` decides when to step. A cheaper model is swapped in as by
+`edge models use`, without waiting. If a user swaps in another model, the load shedder waits until
+the model of its level runs again.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class LoadShedder:
     """The load shedder; for the loop's thread. It never waits.
 
     Args:
-        perception: The configuration, with a ladder.
+        perception: The configuration, with degradation levels.
         worker: Background worker of the detector.
         swapper: Swaps the detector's model.
         scorers: The scorers, which a level may pause.
@@ -42,7 +42,7 @@ class LoadShedder:
         board: Reads the computer's sensors, on its own thread.
 
     Raises:
-        ModelError: The ladder names a model that is not on this computer.
+        ModelError: A level names a model that is not on this computer.
 
     Attributes:
         steps: Number of steps, by direction.
@@ -58,8 +58,8 @@ class LoadShedder:
         board: Callable[[], BoardReading] = read_board,
     ) -> None:
         self._perception = perception
-        self._rungs = perception.governor.ladder
-        for name in filter(None, (rung.model for rung in self._rungs)):
+        self._entries = perception.load_shedding.levels
+        for name in filter(None, (entry.model for entry in self._entries)):
             _check_here(name)
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
         self._log = tell
@@ -76,17 +76,17 @@ class LoadShedder:
         self._restart()
 
     def reconfigure(self, perception: PerceptionConfig) -> None:
-        """Use another configuration with the same ladder. Its detector already runs."""
+        """Use another configuration with the same levels. Its detector already runs."""
         before, self._perception = self._perception, perception
-        self._ladder.budget_ms = perception.swap.budget_ms
+        self._levels.budget_ms = perception.swap.budget_ms
         parts = ("detector", "isolation", "process")
         if any(getattr(before, part) != getattr(perception, part) for part in parts):
             self._restart()
 
     @property
-    def rung(self) -> int:
+    def level(self) -> int:
         """Current level; 0: nothing is dropped."""
-        return self._ladder.level
+        return self._levels.level
 
     def step(self, now_ns: int) -> None:
         """Measure the load and take the next step if it is due, between two ticks."""
@@ -94,24 +94,24 @@ class LoadShedder:
         self._check_board(now_ns)
         if self._move is not None:
             self._follow(self._move, now_ns)
-        elif self._aside:
+        elif self._waiting:
             self._begin_second(now_ns)
         elif now_ns - self._begun_ns >= SECOND_NS:
             second = self._second()
             self._begin_second(now_ns)
-            move = self._ladder.update(second, now_ns)
+            move = self._levels.update(second, now_ns)
             if move is not None:
                 self._begin(move, now_ns)
 
     def status(self) -> dict[str, object]:
         """Return the part of the status message."""
         return {
-            "rung": self.rung,
-            "rungs": len(self._rungs),
-            "state": "stepping" if self._move else "aside" if self._aside else "steady",
+            "level": self.level,
+            "levels": len(self._entries),
+            "state": "stepping" if self._move else "waiting" if self._waiting else "steady",
             "why": self._why,
             "distress": self._distress,
-            "resting": sorted(self._resting(self.rung)),
+            "paused": sorted(self._paused(self.level)),
             "power_mode": None if self._seen is None else self._seen.power_mode,
             "steps": dict(self.steps),
         }
@@ -121,9 +121,9 @@ class LoadShedder:
         self._board.close(timeout_s=BOARD_S)
 
     @property
-    def _aside(self) -> bool:
+    def _waiting(self) -> bool:
         """True if another swap runs, or if the current model is not that of the level."""
-        wanted = self._model_on(self.rung)
+        wanted = self._model_on(self.level)
         running = wanted is None or self._swapper.running == wanted
         return not running or self._swapper.state not in ("idle", *FINAL_STATES)
 
@@ -131,10 +131,10 @@ class LoadShedder:
         """Restart at level 0, whose model runs."""
         detector = self._perception.detector
         self._model = detector.model if detector.kind == "onnx" else None
-        self._ladder = DegradationLevels(len(self._rungs), self._perception.swap.budget_ms)
+        self._levels = DegradationLevels(len(self._entries), self._perception.swap.budget_ms)
         self._unfit.clear()
         self._move = None
-        self._rest(0)
+        self._pause(0)
 
     def _measure(self) -> None:
         stats = self._worker.stats
@@ -152,8 +152,10 @@ class LoadShedder:
         self._distress = throttling_reason(board, before, MARGIN_C)
         self._cool = not throttling_reason(board, before, MARGIN_C + COOL_C)
         if before is not None and board.power_mode != before.power_mode:
-            self._ladder.forget()
-            self._log(f"governor: power mode {board.power_mode}, was {before.power_mode}", now_ns)
+            self._levels.forget()
+            self._log(
+                f"load shedding: power mode {board.power_mode}, was {before.power_mode}", now_ns
+            )
 
     def _second(self) -> LoadSample:
         """Return the load since the last call."""
@@ -167,15 +169,15 @@ class LoadShedder:
         self._times_ms.clear()
 
     def _begin(self, move: LevelChange, now_ns: int) -> None:
-        down = move.level > self.rung
-        rested = self._rungs[max(move.level, self.rung) - 1].rest
+        down = move.level > self.level
+        paused = self._entries[max(move.level, self.level) - 1].pause
         wanted = self._model_on(move.level)
         what = f"model {wanted}"
-        if rested is not None:
-            what = f"rest {rested}" if down else f"resume {rested}"
-        where = f"{'down' if down else 'up'} to level {move.level} of {len(self._rungs)}"
+        if paused is not None:
+            what = f"pause {paused}" if down else f"resume {paused}"
+        where = f"{'down' if down else 'up'} to level {move.level} of {len(self._entries)}"
         self._why = f"{where}: {what}: {move.why}"
-        self._log(f"governor: step {self._why}", now_ns)
+        self._log(f"load shedding: {self._why}", now_ns)
         if wanted in (None, self._swapper.running):
             self._arrive(move, now_ns)
             return
@@ -194,44 +196,44 @@ class LoadShedder:
         if swap["state"] == "kept":
             self._arrive(move, now_ns)
             return
-        if move.level > self.rung:
+        if move.level > self.level:
             self._unfit.add(str(swap["model"]))  # the next level is tried without it
         self._abort(move, str(swap["detail"]), now_ns)
 
     def _arrive(self, move: LevelChange, now_ns: int) -> None:
-        self.steps["down" if move.level > self.rung else "up"] += 1
+        self.steps["down" if move.level > self.level else "up"] += 1
         self._move = None
-        self._ladder.arrived(move.level, now_ns)
-        self._rest(move.level)
+        self._levels.arrived(move.level, now_ns)
+        self._pause(move.level)
         self._begin_second(now_ns)
 
     def _abort(self, move: LevelChange, why: str, now_ns: int) -> None:
         self._move = None
         self._why = f"level {move.level} cannot be used: {why}"
-        self._log(f"governor: {self._why}", now_ns)
+        self._log(f"load shedding: {self._why}", now_ns)
         if self._model_on(move.level) == self._swapper.running:  # the level is usable otherwise
             self._arrive(move, now_ns)
         else:
-            self._ladder.change_failed(now_ns)
+            self._levels.change_failed(now_ns)
             self._begin_second(now_ns)
 
-    def _model_on(self, rung: int) -> str | None:
+    def _model_on(self, level: int) -> str | None:
         """Return the model of a level, or None if the detector has no model."""
-        named = [r.model for r in self._rungs[:rung] if r.model and r.model not in self._unfit]
+        named = [r.model for r in self._entries[:level] if r.model and r.model not in self._unfit]
         return named[-1] if named else self._model
 
-    def _resting(self, rung: int) -> frozenset[str]:
-        return frozenset(r.rest for r in self._rungs[:rung] if r.rest)
+    def _paused(self, level: int) -> frozenset[str]:
+        return frozenset(r.pause for r in self._entries[:level] if r.pause)
 
-    def _rest(self, rung: int) -> None:
+    def _pause(self, level: int) -> None:
         if self._scorers is not None:
-            self._scorers.resting = self._resting(rung)
+            self._scorers.shed = self._paused(level)
 
 
 def _check_here(name: str) -> None:
     card = load_detector_card(name)
     if card.server is None and not card.is_here():
         raise ModelError(
-            f"{card.path}: model {name} of perception.governor.ladder is not on this computer; "
-            f"{install_hint(card)}"
+            f"{card.path}: model {name} of perception.load_shedding.levels is not on this "
+            f"computer; {install_hint(card)}"
         )

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
@@ -93,7 +93,12 @@ class MapState:
     value_side: Annotated[int, Field(ge=1, le=64)]
 
 
-MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20)
+RENAMED = {
+    "instances/doubted": "instances/contested",
+    "instances/rival_sum": "instances/competing_sum",
+}
+"""Arrays of version 4 → their present names."""
+MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20, renamed=RENAMED)
 
 
 class MapParts(NamedTuple):
@@ -117,10 +122,10 @@ def state_of(
 ) -> Checkpoint[MapState]:
     """Return the current state without the tiles; see `MapState` for the arguments."""
     config, values, policy = parts.map.config, parts.map.grid.values, parts.policy
-    x_m, y_m, yaw_rad = map(float, astuple(sighted.pose))
+    pose = sighted.pose
     state = MapState(
         boot, config.policy.kind, targets, target,
-        (x_m, y_m, yaw_rad), sighted.stamp_ns, sighted.now_ns,
+        (float(pose.x_m), float(pose.y_m), float(pose.yaw_rad)), sighted.stamp_ns, sighted.now_ns,
         config.mapping.resolution_m, config.mapping.obstacle_max_m,
         config.value_source or "", tuple(values.targets), values.side,
     )  # fmt: skip
@@ -354,10 +359,10 @@ class MapCheckpoint:
         )
 
     def _pack(
-        self, checkpoint: Checkpoint[MapState], n: int, anew: bool, batches: list[TileBatch]
+        self, checkpoint: Checkpoint[MapState], n: int, is_new: bool, batches: list[TileBatch]
     ) -> Checkpoint[MapState]:
         """Add the tiles; on the writer's thread."""
-        if anew:
+        if is_new:
             self._packed = PackedTiles()
         self._packed.update(batches)
         tiles = self._packed.state_dict(checkpoint.arrays["map/origin"], n)

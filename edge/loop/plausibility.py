@@ -119,7 +119,7 @@ class DataCheck:
 
 def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
     """Return the table of checks for the sensors that a configuration uses."""
-    mapped, lifted = config.mapping.input, config.perception.lift
+    mapped, lifted = config.mapping.input, config.perception.back_projection
     leaves: dict[str, Use] = {
         kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")
     }

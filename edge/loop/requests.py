@@ -44,7 +44,7 @@ _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._~-]{0,63}")
 def request_handlers(
     service: Service,
     prepare: Callable[..., MissionSpec],
-    amiss: Callable[[], Sequence[str]] = tuple,
+    problems: Callable[[], Sequence[str]] = tuple,
 ) -> dict[str, tuple[Mapping[str, Verb], Callable[[Request, int], dict]]]:
     """Return the verbs and the handler of each request key below the prefix; see `RequestServer`.
 
@@ -52,13 +52,13 @@ def request_handlers(
         service: The running service.
         prepare: Makes a mission of an `instruction`, a `formula` or a `task`; see
             `edge.tasks.mission_spec`.
-        amiss: Returns the reasons why the service is not ready; see `edge.loop.service_health`.
+        problems: Returns the reasons why the service is not ready; see `edge.loop.service_health`.
     """
     in_words = not isinstance(service.config.mission.translator, TranslatorLtl)
     return {
         topics.MISSION_REQUEST: (
             mission_verbs(prepare, in_words),
-            partial(handle_mission, service, amiss=amiss),
+            partial(handle_mission, service, problems=problems),
         ),
         topics.MODELS_REQUEST: (
             MODEL_VERBS,
@@ -213,7 +213,7 @@ def _named(fields: dict) -> dict:
 
 
 def handle_mission(
-    service: Service, request: Request, now_ns: int, amiss: Callable[[], Sequence[str]] = tuple
+    service: Service, request: Request, now_ns: int, problems: Callable[[], Sequence[str]] = tuple
 ) -> dict:
     """Handle a mission request and return the status of mission and robot.
 
@@ -224,7 +224,7 @@ def handle_mission(
         service: The running service.
         request: The request.
         now_ns: Loop time.
-        amiss: Returns the reasons why the service is not ready.
+        problems: Returns the reasons why the service is not ready.
 
     Raises:
         UserError: There is nothing to pause, resume or cancel, or the mission cannot be started.
@@ -249,7 +249,7 @@ def handle_mission(
         **overtaken,
         **told,
         "past": list(service.past),
-        "robot": _robot(service, amiss()),
+        "robot": _robot(service, problems()),
     }
 
 
@@ -272,7 +272,7 @@ def _last(service: Service) -> str:
     return f"the last mission {service.status.phase}: {service.status.instruction}"
 
 
-def _robot(service: Service, amiss: Sequence[str]) -> dict[str, object]:
+def _robot(service: Service, problems: Sequence[str]) -> dict[str, object]:
     """Return the state of the robot for the reply, JSON-ready.
 
     `known` is the straight-line distance in metres to the nearest object of each label in the map.
@@ -281,13 +281,13 @@ def _robot(service: Service, amiss: Sequence[str]) -> dict[str, object]:
     known: dict[str, float] = {}
     least = service.config.perception.min_hits
     for found in service.map.tracker.all:
-        if pose is not None and found.state != "refuted" and found.hits >= least:
+        if pose is not None and found.state != "rejected" and found.hits >= least:
             away_m = round(pose.distance_to(*map(float, found.center_m[:2])), 2)
             known[found.label] = min(away_m, known.get(found.label, away_m))
     return {
         "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
         "controller": "answers" if goals.client.heard else "silent",
-        "amiss": [one_line(why) for why in amiss],
+        "problems": [one_line(why) for why in problems],
         "known": known,
     }
 

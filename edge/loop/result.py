@@ -49,7 +49,7 @@ class MissionFacts:
     Attributes:
         brief: The mission as it was given.
         state: State of the automaton.
-        word: Letters (propositions) that led to this state.
+        trace: Propositions that led to this state.
         plan: Current plan.
         knowledge: Sets D, R and B (ViTL IV-A2).
         reached: Set R in the order of reaching.
@@ -61,7 +61,7 @@ class MissionFacts:
 
     brief: MissionSpec
     state: int
-    word: tuple[str, ...]
+    trace: tuple[str, ...]
     plan: TargetPlan
     knowledge: MissionKnowledge
     reached: tuple[str, ...]
@@ -74,7 +74,7 @@ class MissionFacts:
 def mission_facts(mission: MissionRun) -> MissionFacts:
     """Return a snapshot of a mission."""
     return MissionFacts(
-        mission.brief, mission.state, mission.word, mission.plan, mission.knowledge,
+        mission.brief, mission.state, mission.trace, mission.plan, mission.knowledge,
         mission.reached, mission.forbidden, mission.paused, mission.steps, mission.id,
     )  # fmt: skip
 

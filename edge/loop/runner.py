@@ -184,16 +184,16 @@ def _hear(running: RunningService, now_ns: int) -> Observation | None:
 
 
 def _obey(running: RunningService, now_ns: int) -> None:
-    """Serve waiting requests, then step the model swap, the governor and the reload."""
+    """Serve waiting requests, then step the model swap, the load shedder and the reload."""
     service = running.service
     for key, server in running.servers.items():
         service.faults.call(key, now_ns, partial(server.serve, now_ns))
     service.end_pause(now_ns)
     with service.faults.contain("swap", now_ns):
         service.swapper.step(now_ns)
-    if service.governor is not None:
-        with service.faults.contain("governor", now_ns):
-            service.governor.step(now_ns)
+    if service.load_shedder is not None:
+        with service.faults.contain("load shedding", now_ns):
+            service.load_shedder.step(now_ns)
     if running.reloader is not None:
         with service.faults.contain("reload", now_ns):
             running.reloader.step(now_ns)

@@ -118,7 +118,7 @@ class Scorers:
         paused: True while no questions are asked; may be set.
         swap: Swaps the model of the choice scorer; None if it cannot be swapped.
         newest_swap: True if the last swap request was for `swap`, not the detector; may be set.
-        resting: Scorers (`similarity`, `choice`) that get no questions; may be set.
+        shed: Scorers (`similarity`, `choice`) that get no questions under load; may be set.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Scorers:
         self._from_detections, self._score_of = from_detections, score_of
         self._detector = ""
         self.feeds = feeds
-        self.resting: frozenset[str] = frozenset()
+        self.shed: frozenset[str] = frozenset()
         self._turn = 0  # counts questions about directions
         asked = None if similarity is None else _SimilarityAnswers(similarity)
         self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
@@ -201,8 +201,8 @@ class Scorers:
         """
         if self.paused:
             return
-        similarity = None if "similarity" in self.resting else self._similarity
-        choice = None if "choice" in self.resting else self._choice
+        similarity = None if "similarity" in self.shed else self._similarity
+        choice = None if "choice" in self.shed else self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
             sight = values.sight(observation) if self.feeds == "similarity" else None
             similarity.submit(_Question(observation, targets, sight))
@@ -356,7 +356,7 @@ def sightings(
     found = [
         (instance.label, instance.center_m)
         for instance in tracker.all
-        if instance.state != "refuted"
+        if instance.state != "rejected"
         and instance.hits >= least
         and observation.stamp_ns - instance.last_seen_ns <= SIGHTED_NS
     ]
@@ -427,7 +427,7 @@ def make_scorers(
         from_detections,
         score_of,
         inline=config.loop.lockstep,
-        rest_s=getattr(choice, "rest_s", 0.0),
+        rest_s=getattr(choice, "pause_s", 0.0),
         feeds=config.value_source,
         remake=remake,
     )

@@ -126,7 +126,7 @@ class SemanticMap:
         pool, policy, camera = self.pool, self.config.policy, observation.camera
         pool.update(self.grid.frontiers, instances, observation.stamp_ns, now_ns)
         pool.measure(self.grid)
-        if policy.look_round and camera is not None:
+        if policy.spin and camera is not None:
             pool.add_spin(self.grid, observation.pose, camera.hfov_rad, now_ns)
 
     # -- from one mission, configuration or frame to another --------------------------------

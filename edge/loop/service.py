@@ -87,8 +87,9 @@ class Service:
         plausibility: Checks the observations.
         refused: True if the newest observation must not be used to drive.
         swapper: Swaps the detector's model.
-        governor: Sheds expensive stages under load, in the order of `perception.governor.ladder`.
-            None without a ladder, and in lockstep, where runs must be reproducible.
+        load_shedder: Drops expensive work under load, in the order of
+            `perception.load_shedding.levels`. None without levels, and in lockstep, where runs must
+            be reproducible.
         blind_s: Time without an observation after which the robot must stand still.
         overruns: As in `Args`.
         inputs: As in `Args`.
@@ -141,16 +142,16 @@ class Service:
         self._worker = journal.wrap(DETECTOR, worker)
         self.scorers = scorers
         self.swapper = DetectorSwap(config.perception, worker, self.event)
-        self.governor: LoadShedder | None = None
-        if config.perception.governor.ladder and not config.loop.lockstep:
-            self.governor = LoadShedder(
+        self.load_shedder: LoadShedder | None = None
+        if config.perception.load_shedding.levels and not config.loop.lockstep:
+            self.load_shedder = LoadShedder(
                 config.perception, worker, self.swapper, scorers, self.event
             )
         self.blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
         self.plausibility = Plausibility(config, self.blind_s, self.event)
         self._health = HealthWatch(
             worker, self.swapper, scorers, checkpoint, self.faults, overruns,
-            lambda: None if self.governor is None else self.governor.status(),
+            lambda: None if self.load_shedder is None else self.load_shedder.status(),
             self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
         self._publisher = ResultPublisher(
@@ -457,8 +458,8 @@ class Service:
         self.config, self.policy = config, policy
         self.map.reconfigure(config)
         self.swapper.perception = config.perception
-        if self.governor is not None:
-            self.governor.reconfigure(config.perception)
+        if self.load_shedder is not None:
+            self.load_shedder.reconfigure(config.perception)
         self.mission.config = config.mission
         self.behaviour.reconfigure(config)
         self.goals.reconfigure(config)
@@ -588,8 +589,8 @@ class Service:
 
     def close(self) -> None:
         """Stop all background work. No tick may follow."""
-        if self.governor is not None:
-            self.governor.close()
+        if self.load_shedder is not None:
+            self.load_shedder.close()
         self.swapper.close()
         if self._surveyor is not None:
             self._surveyor.close()

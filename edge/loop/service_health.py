@@ -153,7 +153,7 @@ class ServiceHealth:
             return (f"the loop has hung for {silent_s:.0f} s",)
         return ()
 
-    def amiss(self) -> tuple[str, ...]:
+    def problems(self) -> tuple[str, ...]:
         """Return the reasons why the service is not ready; empty if it is ready."""
         return self.hangs() or self._problems
 
@@ -164,7 +164,7 @@ class ServiceHealth:
         """
         return {
             "/healthz": lambda: self._page(self.hangs()),
-            "/readyz": lambda: self._page(self.amiss()),
+            "/readyz": lambda: self._page(self.problems()),
         }
 
     def _page(self, why: tuple[str, ...]) -> HttpResponse:

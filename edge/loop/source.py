@@ -100,6 +100,28 @@ class Source(Protocol):
         inbox: Goal statuses of the controller.
         epoch: Number that increases when the pose jumps to an unrelated frame.
         pose: Newest pose of the odometry; None before the first.
+
+    Example:
+        >>> from types import SimpleNamespace
+        >>> import numpy as np
+        >>> class ListSource:
+        ...     epoch, pose = 0, SE2(0.0, 0.0, 0.0)
+        ...
+        ...     def __init__(self, observations: list[Observation]) -> None:
+        ...         self.observations, self.counters = observations, {}
+        ...         self.inbox = SimpleNamespace(overruns=0, poll=list)  # no controller
+        ...
+        ...     def poll(self) -> Observation | None:
+        ...         return self.observations.pop() if self.observations else None
+        ...
+        ...     def wait(self, timeout_s: float) -> bool:
+        ...         return bool(self.observations)
+        ...
+        ...     def close(self) -> None:
+        ...         pass
+        >>> source = ListSource([Observation(0, 0, np.eye(4))])
+        >>> source.wait(1.0), source.poll().stamp_ns, source.poll()
+        (True, 0, None)
     """
 
     counters: dict[str, int]

@@ -79,7 +79,7 @@ class HealthWatch:
         checkpoint: The checkpoint, if any.
         faults: Counts exceptions.
         overruns: Returns the number of reads that found a message ring full, by ring.
-        governor: Returns the state of the governor; None if there is none.
+        load_shedding: Returns the state of the load shedder; None if there is none.
         event: Reports an event for people, at a loop time.
         sinks: See `edge.loop.publish.statuses`.
         inputs: Returns the source's table of inputs; empty if it has none.
@@ -94,7 +94,7 @@ class HealthWatch:
         checkpoint: ServiceCheckpoint | None,
         faults: ErrorBoundary,
         overruns: Callable[[], dict[str, int]],
-        governor: Callable[[], dict[str, object] | None],
+        load_shedding: Callable[[], dict[str, object] | None],
         event: Callable[[str, int], None],
         sinks: Sequence[Sink] = (),
         inputs: Callable[[], Sequence[InputStatus]] = tuple,
@@ -102,7 +102,7 @@ class HealthWatch:
     ) -> None:
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
         self._checkpoint, self._faults, self._overruns = checkpoint, faults, overruns
-        self._governor, self._event = governor, event
+        self._load_shedding, self._event = load_shedding, event
         self._sinks, self._inputs, self._plausibility = sinks, inputs, plausibility
         self._degraded = False  # the detector is degraded, and that was reported
 
@@ -131,7 +131,7 @@ class HealthWatch:
             },
             "segmenter": None if worker.masker is None else worker.masker.status(),
             "swap": self._swapper.status(),
-            "governor": self._governor(),
+            "load_shedding": self._load_shedding(),
             "scorers": {} if self._scorers is None else self._scorers.status(),
             "sinks": statuses(self._sinks),
             "inputs": inputs_status(self._inputs()),
@@ -162,7 +162,7 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
         "readings": [one_line(english, _PRINTED_CHARS) for english in translation.readings],
         "state": mission.state,
         "states": mission.brief.automaton.n_states,
-        "word": list(mission.word),
+        "trace": list(mission.trace),
         "plan": list(plan.steps),
         "cost": plan.cost if plan.feasible else None,
         "why": plan.reason,

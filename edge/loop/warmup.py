@@ -49,7 +49,7 @@ def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None)
     """
     # A second process compiles these at the same time; this one then reads them from the cache.
     apart: dict[str, Callable[[], object]] = {
-        "perception": lambda: warm_perception((config.perception.lift,)),
+        "perception": lambda: warm_perception((config.perception.back_projection,)),
         "planner": lambda: warm_planners(weights_of(config)),
         "messages": warm_messages,
     }
@@ -93,7 +93,11 @@ def _is_cold() -> bool:
 
 def _compile_apart(config: Config) -> subprocess.Popen[bytes]:
     """Start `main` in another process. If it fails, this process compiles everything."""
-    words = (*python_module("edge.loop.warmup"), config.perception.lift, weights_of(config))
+    words = (
+        *python_module("edge.loop.warmup"),
+        config.perception.back_projection,
+        weights_of(config),
+    )
     nothing = subprocess.DEVNULL
     return subprocess.Popen(words, stdin=nothing, stdout=nothing, stderr=nothing)
 

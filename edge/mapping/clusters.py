@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from edge.jit import jit
 
 # Largest cluster, which bounds the work of growing one again (25 m at 0.05 m).
 MAX_CELLS = 512
@@ -78,13 +79,13 @@ def make_clusters(n: int) -> Clusters:
     )
 
 
-@njit(nogil=True, cache=True, inline="always")
+@jit(inline="always")
 def _unknown(layers, sy, word):
     """Return the unknown cells of a word that are not blocked, as bits."""
     return ~(layers.known[sy, word] | layers.blocked[sy, word])
 
 
-@njit(nogil=True, cache=True)
+@jit
 def retest(layers, shift_x, shift_y, x0, y0, x1, y1, clusters, n_pending):
     """Test the frontier cells of a window rectangle again.
 
@@ -136,7 +137,7 @@ def retest(layers, shift_x, shift_y, x0, y0, x1, y1, clusters, n_pending):
     return n_pending
 
 
-@njit(nogil=True, cache=True)
+@jit
 def regroup(layers, shift_x, shift_y, clusters, n_pending, large_cells, spacing_cells):
     """Grow changed clusters again (BFS, 8-connected) and choose their target points.
 
@@ -170,7 +171,7 @@ def regroup(layers, shift_x, shift_y, clusters, n_pending, large_cells, spacing_
     return any_change
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _dissolve(flat, clusters, k, n_pending):
     """Free a cluster's nodes; its cells wait for a new cluster."""
     clusters.dirty[k] = False
@@ -200,7 +201,7 @@ def _dissolve(flat, clusters, k, n_pending):
     return n_pending
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _grow(layers, flat, shift_x, shift_y, clusters, seed):
     """Make a cluster of at most MAX_CELLS waiting cells connected to `seed`."""
     n = layers.raw.shape[0]
@@ -237,7 +238,7 @@ def _grow(layers, flat, shift_x, shift_y, clusters, seed):
     clusters.size[k] = done
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _sample(n, flat, shift_x, shift_y, clusters, k, large_cells, spacing_cells):
     """Choose the target points of a cluster.
 
@@ -261,7 +262,7 @@ def _sample(n, flat, shift_x, shift_y, clusters, k, large_cells, spacing_cells):
         node = clusters.node_next[node]
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _central(n, shift_x, shift_y, clusters, k):
     """Return the member nearest to the centroid of a cluster."""
     sum_x, sum_y = 0.0, 0.0
@@ -283,7 +284,7 @@ def _central(n, shift_x, shift_y, clusters, k):
     return nearest
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _add_apart(n, shift_x, shift_y, clusters, k, cell, spacing_cells):
     """Make a cell a target point of its cluster unless one is nearer than `spacing_cells`."""
     chosen = clusters.samples[k]
@@ -300,7 +301,7 @@ def _add_apart(n, shift_x, shift_y, clusters, k, cell, spacing_cells):
     clusters.samples[k] = chosen + 1
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _targets_of(clusters, min_cells):
     """Return the number of target points of clusters with `min_cells` or more."""
     total = 0
@@ -310,7 +311,7 @@ def _targets_of(clusters, min_cells):
     return total
 
 
-@njit(nogil=True, cache=True)
+@jit
 def list_targets(n, shift_x, shift_y, origin_x, origin_y, res, clusters, min_cells, xy, cells, ids):
     """Write the target points of all clusters with `min_cells` or more.
 
@@ -396,7 +397,7 @@ def load_state_dict(label, clusters, state):
     clusters.count[FREE_NODE] = n if n < len(clusters.node_cell) else -1
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _members(clusters, ids, cell, size):
     """Write the members of clusters in the order of their lists; return their number."""
     n = 0

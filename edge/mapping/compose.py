@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from edge.jit import jit
 from edge.mapping.layers import OCCUPIED as RAW_OCCUPIED
 from edge.mapping.layers import ZONE, Layers, bit_get, on_trail
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 
 
-@njit(nogil=True, cache=True)
+@jit
 def compose(
     layers: Layers, body: np.ndarray, x0: int, y0: int, inflated: int, zones: bool, out: np.ndarray
 ) -> None:

@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from edge.geometry import Grid, optical_yaw_rad
+from edge.jit import jit
 from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, bit_get
 from edge.mapping.reach_kernels import STRAIGHT
 from edge.mapping.travel_cost import TravelCostField
@@ -195,7 +195,7 @@ class Coverage:
         )  # fmt: skip
 
 
-@njit(nogil=True, cache=True)
+@jit
 def sector(fov, far, bits):
     """Return (angle between two rays, number of rays) of a sector.
 
@@ -206,7 +206,7 @@ def sector(fov, far, bits):
     return between, min(max(int(fov / between), 0), circle - 1) + 1
 
 
-@njit(nogil=True, cache=True)
+@jit
 def show(
     raw, looks, bits, shift_x, shift_y, x, y, first, between, rays, near, far, enough, then, fresh
 ):  # fmt: skip
@@ -246,14 +246,14 @@ def show(
     return total
 
 
-@njit(nogil=True, cache=True, inline="always")
+@jit(inline="always")
 def _stored(at, shift, n):
     """Return the storage row or column of a window row or column."""
     at += shift
     return at - n if at >= n else at
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _square(x, y, far, bits, m):
     """Return the half-open range (x0, y0, x1, y1) of places that may be within `far` cells."""
     return (
@@ -264,7 +264,7 @@ def _square(x, y, far, bits, m):
     )
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, enough):
     """Flag the places along a ray; return how many of them are new and have too few looks."""
     n = raw.shape[0]
@@ -290,7 +290,7 @@ def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, enough):
     return fresh
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _bad_around(looks, bits, shift_x, shift_y, x, y, far, enough):
     """Count the places with too few looks in the square around a cell: the most a view shows."""
     m = looks.shape[0]
@@ -304,7 +304,7 @@ def _bad_around(looks, bits, shift_x, shift_y, x, y, far, enough):
     return count
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _best_sector(fresh, circle, width):
     """Return (places, first ray) of the best `width` neighbouring rays of a full circle."""
     now = 0
@@ -318,7 +318,7 @@ def _best_sector(fresh, circle, width):
     return best, first
 
 
-@njit(nogil=True, cache=True)
+@jit
 def best_view(
     layers, distance, x0, y0, x1, y1, origin_x, origin_y, looks, bits, enough, fov, near, far,
     start, least, fresh, at, work, best,

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, Rows, check_arrays
+from edge.jit import jit
 from edge.mapping.layers import OCCUPIED, UNSEEN, ZONE, Layers
 from edge.mapping.window import Window
 
@@ -132,7 +132,7 @@ class InformationGain:
         return k
 
 
-@njit(nogil=True, cache=True)
+@jit
 def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
     """Compute the expected unknown area that each ray from a place shows.
 
@@ -167,7 +167,7 @@ def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
     return total
 
 
-@njit(nogil=True, cache=True)
+@jit
 def gains(layers, origin_x, origin_y, inv_res, xy, which, n, direction, area, decay, ray, out):
     """Compute the area of each place for `InformationGain.around`; `ray` is scratch."""
     for j in range(n):
@@ -178,7 +178,7 @@ def gains(layers, origin_x, origin_y, inv_res, xy, which, n, direction, area, de
         )  # fmt: skip
 
 
-@njit(nogil=True, cache=True)
+@jit
 def sector_bits(ahead, fov):
     """Return the rays within a field of view, as bits."""
     bits = np.uint64(0)
@@ -189,7 +189,7 @@ def sector_bits(ahead, fov):
     return bits
 
 
-@njit(nogil=True, cache=True)
+@jit
 def best_sweep(ray, looked, fov, ahead):
     """Find the shorter turn, left or right, over all unseen rays that show enough.
 

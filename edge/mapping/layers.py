@@ -12,7 +12,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from edge.jit import jit
 
 WORD = 64
 UNSEEN, FREE, OCCUPIED = 0, 1, 2
@@ -92,7 +93,7 @@ def bits_of(cells: np.ndarray) -> np.ndarray:
     return np.packbits(cells, axis=1, bitorder="little").view(np.uint64)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def grow(rect, x, y):
     """Extend a half-open rectangle (x0, y0, x1, y1) to contain a cell."""
     rect[0] = min(rect[0], x)
@@ -101,7 +102,7 @@ def grow(rect, x, y):
     rect[3] = max(rect[3], y + 1)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def bit_set(plane, sy, sx, on):
     """Set or clear one bit of a bit plane."""
     word = sx >> 6
@@ -112,13 +113,13 @@ def bit_set(plane, sy, sx, on):
         plane[sy, word] &= ~bit
 
 
-@njit(nogil=True, cache=True)
+@jit
 def bit_get(plane, sy, sx):
     """Return one bit of a bit plane."""
     return (plane[sy, sx >> 6] >> np.uint64(sx & 63)) & np.uint64(1) != np.uint64(0)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def add_disc(layers, shift_x, shift_y, x, y, delta, disc, clip, changed):
     """Add an occupied cell (delta 1) to the inflation around it, or remove it (delta -1).
 
@@ -147,7 +148,7 @@ def add_disc(layers, shift_x, shift_y, x, y, delta, disc, clip, changed):
                 grow(changed, wx, wy)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def set_free(layers, shift_x, shift_y, x, y, changed):
     """Mark an unseen cell as free."""
     n = layers.raw.shape[0]
@@ -162,7 +163,7 @@ def set_free(layers, shift_x, shift_y, x, y, changed):
         grow(changed, x, y)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def mark_trail(layers, shift_x, shift_y, x0, y0, x1, y1):
     """Mark the straight line between two window cells, thick enough to be 4-connected."""
     n = layers.raw.shape[0]
@@ -174,7 +175,7 @@ def mark_trail(layers, shift_x, shift_y, x0, y0, x1, y1):
                 bit_set(layers.trail, (y + dy + shift_y) % n, (x + dx + shift_x) % n, True)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def on_trail(layers, sy, sx, body):
     """Return True if the robot was at a storage cell, and no obstacle is known there.
 
@@ -193,7 +194,7 @@ def on_trail(layers, sy, sx, body):
     return True
 
 
-@njit(nogil=True, cache=True)
+@jit
 def near_trail(layers, sy, sx, radius):
     """Return True if the trail comes within `radius` cells of a storage cell."""
     n = layers.raw.shape[0]
@@ -206,7 +207,7 @@ def near_trail(layers, sy, sx, radius):
     return False
 
 
-@njit(nogil=True, cache=True)
+@jit
 def remove_obstacles(layers, shift_x, shift_y, x0, y0, x1, y1, disc, changed):
     """Remove the obstacles of a window rectangle, and their inflation."""
     n = layers.raw.shape[0]
@@ -220,7 +221,7 @@ def remove_obstacles(layers, shift_x, shift_y, x0, y0, x1, y1, disc, changed):
                 add_disc(layers, shift_x, shift_y, x, y, -1, disc, clip, changed)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def wipe(layers, shift_x, shift_y, x0, y0, x1, y1, dirty):
     """Clear a window rectangle; mark clusters with cells in it in `dirty`."""
     n = layers.raw.shape[0]
@@ -242,7 +243,7 @@ def wipe(layers, shift_x, shift_y, x0, y0, x1, y1, dirty):
                 layers.trail[sy, sx >> 6] = np.uint64(0)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def inflate_into(layers, shift_x, shift_y, source, target, disc, changed):
     """Inflate the obstacles of the window rectangle `source`, writing only into `target`."""
     n = layers.raw.shape[0]

@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from edge.geometry import FARTHEST_M
+from edge.jit import jit
 
 # Values of `seen` for a cell: floor, a step (too low for an obstacle, but not floor), or
 # 3 + height over the ground in units of coded_m / HEIGHT_CODES, as in `top`.
@@ -165,7 +165,7 @@ def search_range_m(height_m: float, min_range_m: float) -> float:
     return max(_SEARCH_M, _SEARCH_HEIGHTS * height_m, _SEARCH_BLIND * min_range_m)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
     """Compute the points of every stride-th pixel: x and y relative to the sensor, z in `map`.
 
@@ -193,7 +193,7 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
     return n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def lost_rays(depth_m, stride_u, stride_v, column, row, T, min_range_m, polar, lost):
     """Mark the rays of the pixels that `from_depth` leaves out; see `is_open`.
 
@@ -218,7 +218,7 @@ def lost_rays(depth_m, stride_u, stride_v, column, row, T, min_range_m, polar, l
             lost[sector] |= np.uint64(1) << np.uint64(bit)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def is_open(lost, below_m, over_m, d, step_m, high_m):
     """Return True if nothing can stand in a cell that a ray passed over.
 
@@ -251,7 +251,7 @@ def is_open(lost, below_m, over_m, d, step_m, high_m):
     return hidden == np.uint64(0)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def from_cloud(cloud_m, T, min_range_m, xyz):
     """Compute the points of a cloud, like `from_depth`.
 
@@ -288,7 +288,7 @@ def from_cloud(cloud_m, T, min_range_m, xyz):
     return hits, n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def drop_self_points(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m):
     """Remove the points of the robot itself from `xyz`.
 
@@ -327,7 +327,7 @@ def drop_self_points(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m)
     return left, left_hits
 
 
-@njit(nogil=True, cache=True)
+@jit
 def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
     """Bin scan.xyz: the lowest point of each bin, and the cell of each point within range.
 
@@ -375,7 +375,7 @@ def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
     return n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def find_floor(lowest_m, polar, sensor_z, base_z, step_m, search_m, levels):
     """Find the height of the floor: the lowest height with enough ground near the robot.
 
@@ -413,7 +413,7 @@ def find_floor(lowest_m, polar, sensor_z, base_z, step_m, search_m, levels):
     return np.nan, below_m2
 
 
-@njit(nogil=True, cache=True)
+@jit
 def fit_floor(lowest_m, polar, sensor_z, step_m, search_m, floor):
     """Fit a plane to the ground near the robot, to bridge a blind zone or a gap.
 
@@ -459,7 +459,7 @@ def fit_floor(lowest_m, polar, sensor_z, step_m, search_m, floor):
     return True
 
 
-@njit(nogil=True, cache=True)
+@jit
 def sweep_ground(scan, polar, floor, sensor_z, slope, step_m, range_m, inv_res):
     """Follow the ground outward in every sector.
 
@@ -499,7 +499,7 @@ def sweep_ground(scan, polar, floor, sensor_z, slope, step_m, range_m, inv_res):
     return near_sum, near_count
 
 
-@njit(nogil=True, cache=True, inline="always")
+@jit(inline="always")
 def _last_ring(lowest_m, s):
     """Return the farthest ring of a sector with a point, or -1."""
     for r in range(lowest_m.shape[1] - 1, -1, -1):
@@ -508,7 +508,7 @@ def _last_ring(lowest_m, s):
     return -1
 
 
-@njit(nogil=True, cache=True, inline="always")
+@jit(inline="always")
 def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, lean, slope, step_m):
     """Fill one sector's ground; return its reach, and sum and number of near floor heights."""
     ground, ground_d, drop = floor_z, 0.0, False
@@ -540,7 +540,7 @@ def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, lean, slope, st
     return (min(reach_m, ground_d) if drop else reach_m), near_sum, near_count
 
 
-@njit(nogil=True, cache=True, inline="always")
+@jit(inline="always")
 def _lowest_passing(scan, s, last, ring_m, sensor_z):
     """Fill one sector's pass slopes, from rays that end two rings farther or more."""
     lowest = scan.far_slope[s]
@@ -552,7 +552,7 @@ def _lowest_passing(scan, s, last, ring_m, sensor_z):
         scan.pass_slope[s, r] = lowest
 
 
-@njit(nogil=True, cache=True, inline="always")
+@jit(inline="always")
 def _grow_box(box, polar, s, end_cells, half):
     """Extend the box to contain one sector up to its end."""
     side = polar.bin_of.shape[0]
@@ -565,7 +565,7 @@ def _grow_box(box, polar, s, end_cells, half):
     box[3] = min(max(box[3], y + margin + 1), side)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def classify(n, scan, polar, obstacle_min_m, obstacle_max_m, coded_m):
     """Split points by height over the local ground; obstacles end the rays of their sectors.
 
@@ -594,7 +594,7 @@ def classify(n, scan, polar, obstacle_min_m, obstacle_max_m, coded_m):
                 seen[cell] = code
 
 
-@njit(nogil=True, cache=True)
+@jit
 def extend_obstacles_up(n, scan, polar, obstacle_max_m, coded_m):
     """Extend obstacles that reach `obstacle_max_m` by the points above them, up to `coded_m`."""
     per_m = np.float32(HEIGHT_CODES / coded_m)
@@ -608,7 +608,7 @@ def extend_obstacles_up(n, scan, polar, obstacle_max_m, coded_m):
             seen[cell] = max(seen[cell], LOWEST_OBSTACLE + int(height * per_m))
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _block(reach_m, polar, cell):
     """End the rays of all sectors that an obstacle's cell subtends."""
     side = polar.bin_of.shape[1]

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from edge.jit import jit
 from edge.mapping.layers import FREE, OCCUPIED, ZONE, bit_get, on_trail
 from edge.mapping.points import TALL
 
@@ -43,7 +43,7 @@ class Wave(NamedTuple):
     state: np.ndarray
 
 
-@njit(nogil=True, cache=True)
+@jit
 def start_wave(layers, wave, sx, sy, escape_cells):
     """Start an empty field at a storage cell.
 
@@ -64,7 +64,7 @@ def start_wave(layers, wave, sx, sy, escape_cells):
     wave.filled[1] = 1
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, steps):
     """Write storage offsets of the eight neighbours at the torus' seam; 0 outside the rectangle."""
     x, y = (cell % n - shift_x) % n, (cell // n - shift_y) % n
@@ -80,7 +80,7 @@ def _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, steps):
             k += 1
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _escapes(layers, wave, cell):
     """Return True if a closed cell may be crossed because the robot started inside inflation.
 
@@ -96,7 +96,7 @@ def _escapes(layers, wave, cell):
     return dx * dx + dy * dy <= wave.state[_ESCAPE2] and layers.raw[sy, sx] == FREE
 
 
-@njit(nogil=True, cache=True)
+@jit
 def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
     """Settle up to `budget` cells inside a world rectangle; return True if none are left."""
     n = layers.raw.shape[0]
@@ -168,7 +168,7 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
     return queued == 0
 
 
-@njit(nogil=True, cache=True)
+@jit
 def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
     """Return the free reached cell whose centre is nearest to a point, all in cells.
 
@@ -201,7 +201,7 @@ def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
     return best_x, best_y, found
 
 
-@njit(nogil=True, cache=True)
+@jit
 def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out):
     """Do the work of `TravelCostField.paths_m`."""
     for i in range(n):
@@ -211,7 +211,7 @@ def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out
         out[i] = (steps - 1) / STRAIGHT * res if steps != 0 else np.inf
 
 
-@njit(nogil=True, cache=True)
+@jit
 def trace(distance, x0, y0, x1, y1, x, y, cells):
     """Trace the path back from a world cell to the start of a field.
 
@@ -240,7 +240,7 @@ def trace(distance, x0, y0, x1, y1, x, y, cells):
     return k
 
 
-@njit(nogil=True, cache=True)
+@jit
 def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, points):
     """Do the work of `TravelCostField.approach`; the result is as in `nearest_reached`."""
     n, k, radius = layers.raw.shape[0], len(surface), within / res
@@ -267,7 +267,7 @@ def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, point
     return best_x, best_y, found
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _sees(layers, x, y, at, radius, points):
     """Return True if enough `points` of (k, 2) are within the radius of a cell and in sight."""
     near, seen = 0, 0
@@ -286,7 +286,7 @@ def _sees(layers, x, y, at, radius, points):
     return False
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _in_sight(layers, x, y, dx, dy):
     """Return True if no wall stands between a cell's centre and a point.
 

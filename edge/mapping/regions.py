@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 
 from edge.geometry import Grid
+from edge.jit import jit
 from edge.mapping.layers import OCCUPIED, Layers
 from edge.mapping.window import Window
 
@@ -152,7 +152,7 @@ def _to_wall(cells: np.ndarray) -> np.ndarray:
     return cv2.distanceTransform((~wall).astype(np.uint8), cv2.DIST_L2, 5)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _coarsen(layers, tall_code, x0, y0, factor, cells):
     """Make a coarse cell a wall if one of its cells is, else open if one is known."""
     raw, top = layers.raw, layers.top
@@ -170,7 +170,7 @@ def _coarsen(layers, tall_code, x0, y0, factor, cells):
             cells[row, col] = state
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _root(parent, i):
     """Return the representative of a set in a union-find forest, and shorten the path to it."""
     while parent[i] != i:
@@ -179,7 +179,7 @@ def _root(parent, i):
     return i
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _basins(cells, apart, order, door_half_m, narrower, least_cells, label):
     """Flood from the places farthest from walls; return the number of regions.
 
@@ -243,7 +243,7 @@ def _basins(cells, apart, order, door_half_m, narrower, least_cells, label):
     return n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def regions_at(label, x0_m, y0_m, cell_m, xy_m, n, radius_m, out):
     """Write the region of the labelled cell nearest to each place into out[:n]; 0 if none is near.
 

@@ -62,13 +62,13 @@ class TileCopier:
 
     def __init__(self) -> None:
         self._window: Window | None = None
-        self._anew = True
+        self._restarted = True
         self._batches: list[TileBatch] = []
 
     def step(self, window: Window, planes: LayerTiles, most: int) -> bool:
         """Copy up to `most` tiles; return True if `take` now gives the complete current map."""
         if window is not self._window:  # another map: drop the tiles of the last one
-            self._window, self._anew, self._batches = window, True, []
+            self._window, self._restarted, self._batches = window, True, []
         row, column = np.nonzero(window.written)
         row, column = row[:most], column[:most]
         if len(row):
@@ -79,8 +79,8 @@ class TileCopier:
 
     def take(self) -> tuple[bool, list[TileBatch]]:
         """Return True if the map is a new one, and the copies since the last call, oldest first."""
-        taken = self._anew, self._batches
-        self._anew, self._batches = False, []
+        taken = self._restarted, self._batches
+        self._restarted, self._batches = False, []
         return taken
 
 

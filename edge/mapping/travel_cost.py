@@ -6,6 +6,7 @@ A wavefront computes them, spread over many ticks.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -130,14 +131,8 @@ class TravelCostField:
         Returns:
             (x_m, y_m, geodesic_m) of the cell's centre; None if there is none.
         """
-        if self.generation == 0:
-            return None
         res = self._window.resolution_m
-        distance, common = self.field
-        x, y, steps = nearest_reached(
-            self._layers, distance, *common, float(x_m / res), float(y_m / res), radius_m / res
-        )
-        return _place_m(x, y, steps, res)
+        return self._found(nearest_reached, float(x_m / res), float(y_m / res), radius_m / res)
 
     def approach(
         self, surface_m: np.ndarray, within_m: float, points: int = 1
@@ -155,14 +150,18 @@ class TravelCostField:
         Returns:
             (x_m, y_m, geodesic_m) of the cell's centre; None if there is none.
         """
+        res = self._window.resolution_m
+        return self._found(first_in_sight, res, surface_m, within_m, points)
+
+    def _found(
+        self, search: Callable[..., tuple[int, int, int]], *args: object
+    ) -> tuple[float, float, float] | None:
+        """Return the cell that a kernel finds in the current field; see `nearest`."""
         if self.generation == 0:
             return None
-        res = self._window.resolution_m
         distance, common = self.field
-        x, y, steps = first_in_sight(
-            self._layers, distance, *common, res, surface_m, within_m, points
-        )
-        return _place_m(x, y, steps, res)
+        x, y, steps = search(self._layers, distance, *common, *args)
+        return _place_m(x, y, steps, self._window.resolution_m)
 
     def path_m(self, x_m: float, y_m: float) -> np.ndarray:
         """Return the shortest path to a point's cell, from the start of the field, for display.

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from edge.jit import jit
 
 
-@njit(nogil=True, cache=True, inline="always")
+@jit(inline="always")
 def _popcount(x):
     """Return the number of set bits of a word."""
     x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
@@ -17,7 +18,7 @@ def _popcount(x):
     return (x * np.uint64(0x0101010101010101)) >> np.uint64(56)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def count(plane):
     """Return the number of set bits of a bit plane, (N, N / 64) uint64."""
     n = 0
@@ -27,7 +28,7 @@ def count(plane):
     return n
 
 
-@njit(nogil=True, cache=True, inline="always")
+@jit(inline="always")
 def _fill(x, p):
     """Spread the bits x along the row within p."""
     while x != p:
@@ -39,7 +40,7 @@ def _fill(x, p):
     return x
 
 
-@njit(nogil=True, cache=True)
+@jit
 def unknown_ratios(
     known, blocked, shift_x, shift_y, origin_x, origin_y, inv_res, xy, n_points, disc,
     passable, flooded, out,
@@ -99,7 +100,7 @@ def unknown_ratios(
         out[i] = float(unknown) / float(visited)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _flood(flooded, passable, start, first, last):
     """Spread from row `start` up and down until nothing changes or everything is full."""
     while True:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from edge.jit import jit
 from edge.mapping.layers import BUMPED, FREE, OCCUPIED, UNSEEN, add_disc, bit_set, set_free
 from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE, is_open
 
@@ -12,7 +12,7 @@ SEEN_FREE = 10
 """`Layers.top` of a bumped cell after this many updates in a row that saw only floor there."""
 
 
-@njit(nogil=True, cache=True)
+@jit
 def apply_scan(
     layers, shift_x, shift_y, corner_x, corner_y, scan, polar, lost, sensor_z,
     obstacle_min_m, obstacle_max_m, coded_m, clear_after, disc, changed, explored, flipped,
@@ -71,7 +71,7 @@ def apply_scan(
     explored[3] = max(explored[3], y1 + corner_y)
 
 
-@njit(nogil=True, cache=True, inline="always")
+@jit(inline="always")
 def _is_open(scan, polar, lost, cy, cx, sensor_z, step_m, high_m):
     """Return `is_open` of a cell, from the rays that end in the next ring or farther.
 
@@ -88,7 +88,7 @@ def _is_open(scan, polar, lost, cy, cx, sensor_z, step_m, high_m):
     return is_open(lost[sector], below_m, over_m, d, step_m, high_m)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _update_obstacle(
     layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m, coded_m, clear_after
 ):
@@ -128,7 +128,7 @@ def _update_obstacle(
     return True
 
 
-@njit(nogil=True, cache=True)
+@jit
 def free_footprint(layers, shift_x, shift_y, x, y, footprint, body, disc, changed, explored):
     """Free the cells under the robot: unknown cells of the footprint, and all cells of the body.
 

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from edge.geometry import Grid, optical_yaw_rad
+from edge.jit import jit
 from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, plain
 from edge.mapping.window import TILE, Window
 from edge.types import Observation
@@ -277,7 +277,7 @@ def fuse(v_old: float, s_old: float, v_curr: float, s_curr: float) -> float:
     return min((v_old + v_curr) / (s_old + s_curr) * s_curr, s_curr)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def depth_profile(depth, fx, fy, cx, cy, R, fov, limit, range_m):
     """Compute the range of visible floor in each direction: the farthest return of a column (VLFM).
 
@@ -311,7 +311,7 @@ def depth_profile(depth, fx, fy, cx, cy, R, fov, limit, range_m):
         range_m[i] = min(math.sqrt(best[i]), limit)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def map_profile(raw, shift_x, shift_y, x, y, yaw, fov, far, res, range_m):
     """Compute the range in each direction from the map: up to the first occupied or unseen cell.
 
@@ -336,7 +336,7 @@ def map_profile(raw, shift_x, shift_y, x, y, yaw, fov, far, res, range_m):
         range_m[i] = min(along, far) * res
 
 
-@njit(nogil=True, cache=True)
+@jit
 def seen_cells(x, y, yaw, fov, range_m, origin_x, origin_y, m, cell, cells, bearings):
     """List the cells of the window whose centres a sight showed, with cells cut by its end.
 
@@ -378,7 +378,7 @@ def seen_cells(x, y, yaw, fov, range_m, origin_x, origin_y, m, cell, cells, bear
     return n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def blend(value, weight, cells, bearings, n, fov, channels, score):
     """Apply VLFM's update to `n` listed cells; see `ValueMap.write_view`."""
     for i in range(n):
@@ -396,7 +396,7 @@ def blend(value, weight, cells, bearings, n, fov, channels, score):
             weight[sy, sx, at] = np.uint16(c * UNIT + 0.5)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def spread(value, weight, cells, bearings, n, channel, angle, v, scene):
     """Write ViTL eq. 8 into `n` listed cells: linear in the bearing between neighbouring frontiers.
 
@@ -416,7 +416,7 @@ def spread(value, weight, cells, bearings, n, channel, angle, v, scene):
         weight[cells[i, 0], cells[i, 1], channel] = stored
 
 
-@njit(nogil=True, cache=True)
+@jit
 def best_near(value, weight, channel, origin_x, origin_y, cell, xy, n, radius, out):
     """Do the work of `ValueMap.best`.
 

@@ -59,4 +59,4 @@ def is_room_name(word: str) -> bool:
     (True, True, False)
     """
     kind, _, number = names.normalise(word).partition(" ")
-    return kind_of_room(word) is not None or (kind == "room" and number.isdigit())
+    return kind_of_room(word) is not None or (kind == "room" and names.number([number]) is not None)

@@ -32,8 +32,9 @@ class MissionState:
         repeat: see `edge.mission.translate.Translation`; `round` is the current round.
         destinations: see `edge.mission.run.MissionRun`; older files call them `places`.
         formula: text of the automaton's formula.
-        word: the trace so far: reached propositions and `NOTHING`. The automaton's state is not
-            saved. It follows from the trace, even if a later compiler numbers states differently.
+        trace: reached propositions and `NOTHING`, oldest first; older files call it `word`. The
+            automaton's state is not saved. It follows from the trace, even if a later compiler
+            numbers states differently.
         reached: R of ViTL III; a subset of the formula's propositions, like `failed` and
             `detected`.
         failed: B of ViTL III.
@@ -46,7 +47,7 @@ class MissionState:
         path_m: path that counts towards the path limit.
         id: see `edge.mission.run.MissionRun`.
         exempt_s: see `edge.mission.run.MissionRun`, as for `exempt_m`, `results` and `pursued_s`.
-        task: True for a task (`edge.tasks`): `word` has one `NOTHING` for each driven step.
+        task: True for a task (`edge.tasks`): `trace` has one `NOTHING` for each driven step.
     """
 
     __pydantic_config__ = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
@@ -55,7 +56,7 @@ class MissionState:
     formula: str
     backend: Word
     english: str
-    word: Words
+    trace: Annotated[Words, Field(validation_alias=AliasChoices("trace", "word"))]
     reached: Words
     failed: Words
     detected: Words
@@ -87,7 +88,7 @@ OF_TRANSLATION = (
     "instruction", "backend", "english", "reading", "readings", "implied", "destinations", "repeat",
 )  # fmt: skip
 _OF_RUN = (
-    "word", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id", "exempt_s",
+    "trace", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id", "exempt_s",
     "exempt_m", "results", "round",
 )  # fmt: skip
 
@@ -109,8 +110,8 @@ def _check(state: MissionState) -> None:
     letters = _letters(state.formula)
     if state.task:
         return
-    for name in ("word", "reached", "failed", "detected"):
-        unknown = set(getattr(state, name)) - letters - ({NOTHING} if name == "word" else set())
+    for name in ("trace", "reached", "failed", "detected"):
+        unknown = set(getattr(state, name)) - letters - ({NOTHING} if name == "trace" else set())
         if unknown:
             raise ValueError(f"{name}: {bounded_repr(min(unknown), 60)} is not in the formula")
     if state.target is not None and state.target not in letters:

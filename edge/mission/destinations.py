@@ -128,16 +128,16 @@ def destination_of(text: str, site: Site) -> Destination | None:
 
     The canonical phrases are `start`, `here`, `caller`, the names of places, `explored`,
     `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s`, `check stove`,
-    `check kettle in kitchen`, the names of
-    rooms and their kinds, `room 3`, `largest room`, `next room` and `room with sofa`. A place of
-    the site comes before a phrase, and a room's name before a kind. A kind of room that the robot
-    cannot recognise is a thing, unless a person gave a room that name.
+    `check kettle in kitchen`, the names of rooms and their kinds, `room 3`, `largest room`,
+    `next room` and `room with sofa`. A place of the site comes before a phrase, and a room's name
+    before a kind. A kind of room that the robot cannot recognise is a thing, unless a person gave
+    a room that name.
 
     Raises:
         DestinationError: a duration is no number or too long, or the caller's pose is not known.
 
     Example:
-        >>> destination_of("wait half an hour", Site()) is None
+        >>> destination_of("sofa", Site()) is None
         True
         >>> destination_of("wait 2 min", Site())
         WaitTarget(seconds=120.0, kind='wait')

@@ -37,7 +37,7 @@ class MissionRun:
         state: state of the automaton.
         plan: plan from the current state to acceptance.
         target: the target to pursue now; after the end, the last one.
-        word: the trace so far.
+        trace: propositions that were reached, and `NOTHING`, oldest first.
         detected: the set D, as labels.
         failed: the set B, as labels.
         reached: the set R, in order of reaching.
@@ -79,7 +79,7 @@ class MissionRun:
         self.state = 0
         self.target = brief.targets[0]
         self.destinations: dict[str, Destination] = dict(brief.translation.destinations)
-        self.word: tuple[str, ...] = ()
+        self.trace: tuple[str, ...] = ()
         known = [n for n, d in self.destinations.items() if not isinstance(d, RoomTarget)]
         self.detected: frozenset[str] = frozenset(known)
         self.reached: tuple[str, ...] = ()
@@ -384,7 +384,7 @@ class MissionRun:
 
     def restore(
         self,
-        word: Iterable[str],
+        trace: Iterable[str],
         reached: Iterable[str],
         failed: Iterable[str],
         elapsed_s: float,
@@ -397,7 +397,7 @@ class MissionRun:
 
         Call it before `start`.
         """
-        for letter in word:
+        for letter in trace:
             self._take(letter)
         self.reached, self.failed = tuple(reached), frozenset(failed)
         self._why_failed = {label: f"{label} failed before the restart" for label in self.failed}
@@ -416,7 +416,7 @@ class MissionRun:
 
     def _take(self, letter: str) -> None:
         self.state = self.brief.automaton.step(self.state, letter)
-        self.word = (*self.word, letter)
+        self.trace = (*self.trace, letter)
 
     def _accept(self, evidence: str, now_ns: int) -> bool:
         """End the mission, or the round, if the formula is fulfilled; return True if it is."""
@@ -426,7 +426,7 @@ class MissionRun:
         if repeat is not None:
             self._end_round(repeat, now_ns)
             return True
-        taken = [letter for letter in self.word if letter != NOTHING]
+        taken = [letter for letter in self.trace if letter != NOTHING]
         order = ", then ".join(taken) if len(taken) > 1 else evidence
         self._finish("reached", "; ".join(self.results) or order, now_ns)
         return True
@@ -437,7 +437,7 @@ class MissionRun:
             self._finish("reached", self._rounds_done(self.round), now_ns)
             return
         self.round += 1
-        self.state, self.word, self.reached = 0, (), ()
+        self.state, self.trace, self.reached = 0, (), ()
         self.failed, self.detected = frozenset(), frozenset(self._newest)
         self._stale, self._why_failed = {}, {}
         self.exempt_s, self.exempt_m = self.elapsed_s, self.path_m

@@ -29,8 +29,9 @@ from edge.mission.language.english import describe
 from edge.mission.language.errands import CHECK, spell_out
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
-from edge.mission.language.places import quote_places
+from edge.mission.language.places import EXPLORED, quote_places
 from edge.mission.language.said import MissionOrder, NoMissionError, understand
+from edge.mission.language.tokens import UnclearError
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
@@ -43,7 +44,7 @@ from edge.mission.translate import Translation, TranslationError, make_translato
 from edge.text import one_line
 
 _NO_SITE = Site()
-_MEANS_MORE = re.compile(rf'"{CHECK} |, then (?:find|look for) ')
+_MEANS_MORE = re.compile(rf'"(?:{CHECK}|{EXPLORED})\b|, then ')
 _MOST_SHOWN = 600  # of the parts of a contradiction
 
 
@@ -132,8 +133,8 @@ def prepare(
             names the parts in conflict), or asks for nothing.
 
     Example:
-        >>> brief = prepare(Mission(), "Go to the bed, then to the sofa.")
-        >>> str(brief.automaton.formula), brief.targets
+        >>> spec = prepare(MissionConfig(), "Go to the bed, then to the sofa.")
+        >>> str(spec.automaton.formula), spec.targets
         ('F (bed & F sofa)', ('bed', 'sofa'))
     """
     site = with_caller(site, caller)
@@ -166,6 +167,11 @@ def translate(
     Raises:
         NoMissionError: it is a question, an order to learn, or about the present mission.
         TranslationError: it is not understood.
+
+    Example:
+        >>> translation = translate(MissionConfig(), "Please go to the bed and the sofa.")
+        >>> str(translation.formula)
+        'F bed & F sofa'
     """
     places = [place.name for place in site.places] + [room.name for room in site.room_names]
     translator = make_translator(config.translator)
@@ -183,6 +189,10 @@ def translate(
     chosen = given if not means_more and _is_read(given) else plain
     chosen, repeat = split_repetition(chosen)
     translation = translator.translate(chosen, reading, ask)
+    letters = {name for name in ltl.propositions(translation.formula) if len(name) == 1}
+    if letters == {"a"} and '"a"' not in text:
+        hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
+        raise UnclearError(f"instruction: {hint}")
     english = translation.english
     if unused := "; ".join(f"'{one_line(reason)}'" for reason in said.speech.reasons):
         english += f" (Not part of the order: {unused}.)"

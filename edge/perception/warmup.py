@@ -22,7 +22,7 @@ def warmup(lifts: Sequence[str] = ("depth", "cloud")) -> None:
     """Run every kernel once, with the types of its calls; the disk caches the result.
 
     Args:
-        lifts: sources of 3-D points to warm up, as in `perception.lift`.
+        lifts: sources of 3-D points to warm up, as in `perception.back_projection`.
     """
     rgb = np.zeros((16, 16, 3), np.uint8)
     kernels.to_planes(rgb, np.float32(1 / 255), 0, 0, np.zeros((3, 16, 16), np.float32))
@@ -63,7 +63,7 @@ def _lift(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
         prompts=("chair",),
     )
     for way in lifts:
-        perception = config.PerceptionConfig(lift=way, detector=config.DetectorSim())
+        perception = config.PerceptionConfig(back_projection=way, detector=config.DetectorSim())
         lifted, _ = BackProjector(perception).lift(detections)
     clear = replace(lifted, valid=np.ones(1, np.bool_), n_points=np.ones(1, np.int32))
     sightings = ObjectTracker(perception)

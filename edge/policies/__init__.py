@@ -57,6 +57,6 @@ def make_policy(
     Example:
         >>> from edge.config import PolicyNearest
         >>> type(make_policy(PolicyNearest())).__name__
-        'NearestFrontier'
+        'NearestFrontierPolicy'
     """
     return find_policy(config, path, given)()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from edge.config import PolicyAdaptive
+from edge.jit import jit
 from edge.policies.base import PolicyInput, Why
 from edge.policies.value_map import count_frontiers, values_near
 
@@ -83,7 +83,7 @@ class AdaptivePolicy:
         self._score, self._value = (np.zeros(capacity, np.float32) for _ in range(2))
 
 
-@njit(nogil=True, cache=True)
+@jit
 def shortest_tour(path_m, xy_m):
     """Return the order of the shortest open tour from the robot through all stops (exact).
 

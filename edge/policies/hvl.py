@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from edge.config import UNKNOWN_RADIUS_M, PolicyHvl
 from edge.geometry import optical_yaw_rad
+from edge.jit import jit
 from edge.perception.prior import table
 from edge.policies.base import FRONTIER, PolicyInput, Why, distances_m
 from edge.types import Detections
@@ -136,7 +136,7 @@ def relatedness(words: tuple[str, ...], targets: tuple[str, ...]) -> np.ndarray:
     return 1.0 - 1.0 / np.maximum(lift.reshape(len(words), len(targets)), 1.0)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def carry_over(kind, ids, n, known, n_known, vl, old, old_vl):
     """Reorder the stored frontiers into the order of the candidates, in place.
 
@@ -171,7 +171,7 @@ def carry_over(kind, ids, n, known, n_known, vl, old, old_vl):
     return count
 
 
-@njit(nogil=True, cache=True)
+@jit
 def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma, vl):
     """Write S_VL of frontiers that no image covered yet (VL-Nav eq. 2-4), in place.
 
@@ -217,7 +217,7 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma,
             vl[t, i] = (said + most) * confidence
 
 
-@njit(nogil=True, cache=True)
+@jit
 def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, k, heuristics, score):
     """Write S_HVL of frontiers (VL-Nav eq. 5, 7, 8), in place; an instance scores its confidence.
 

@@ -185,7 +185,7 @@ def _cell(context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: flo
         return pose.x_m, pose.y_m
     if kind == INSTANCE:
         instance = instance_of(int(candidates.id[index]))
-        if instance is None or instance.state == "refuted":  # changed since it was gathered
+        if instance is None or instance.state == "rejected":  # changed since it was gathered
             return None
         enough = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
         for within_m, points in ((stop_m, enough), *((within_m, 1) for within_m in STOP_M)):

@@ -259,7 +259,7 @@ def _boxes(found: Detections) -> dict[str, Any]:
         "seq": found.observation.seq,
         "xyxy_px": _array(found.xyxy_px), "score": _array(found.score),
         "class_id": _array(found.class_id), "prompts": list(found.prompts),
-        "rival": None if found.rival is None else _array(found.rival),
+        "competing_score": None if found.competing_score is None else _array(found.competing_score),
         "context": None if c is None else {
             "xyxy_px": _array(c.xyxy_px), "score": _array(c.score),
             "class_id": _array(c.class_id), "words": list(c.words),
@@ -270,12 +270,12 @@ def _boxes(found: Detections) -> dict[str, Any]:
 
 
 def detections_of(said: dict[str, Any], observation: Observation) -> Detections:
-    """Decode detections of this observation."""
-    c = said["context"]
+    """Decode detections of this observation; older recordings call the competing score `rival`."""
+    c, competing = said["context"], said.get("competing_score", said.get("rival"))
     return Detections(
         observation, _array_of(said["xyxy_px"]), _array_of(said["score"]),
         _array_of(said["class_id"]), tuple(said["prompts"]),
-        None if said["rival"] is None else _array_of(said["rival"]),
+        None if competing is None else _array_of(competing),
         None if c is None else ContextBoxes(
             _array_of(c["xyxy_px"]), _array_of(c["score"]), _array_of(c["class_id"]),
             tuple(c["words"]),

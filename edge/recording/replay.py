@@ -188,7 +188,7 @@ class _Run:
         brief = restore_spec(config.mission, translation, task)
         checkpoint = self._checkpoint(saved, places)
         detector: Detector = NullModel("replay")
-        anew: Callable[[Observation], Detections] | None = None
+        detect: Callable[[Observation], Detections] | None = None
         if self._detect:
             if config.perception.detector.kind == "sim":
                 raise ReplayError(
@@ -197,7 +197,7 @@ class _Run:
                 )
             masker = make_masker(config.perception, timed=False)
             detector = make_detector(config.perception, brief.prompts)
-            anew = detector.detect if masker is None else lambda o: masker.add(detector.detect(o))
+            detect = detector.detect if masker is None else lambda o: masker.add(detector.detect(o))
         self._worker = worker = DetectorWorker(detector, inline=True)
         self._stack.callback(worker.close)
         scorers = self._scorers(brief.prompts)
@@ -206,7 +206,7 @@ class _Run:
             by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
             by_rules = config.tasks.planner.kind == "rules"
             own = (*_BY_THE_MAP, *["choice"] * by_prior, *[TASK] * by_rules)
-        self._journal = ReplaySource(self._now, anew, own)
+        self._journal = ReplaySource(self._now, detect, own)
         policy = make_policy(config.policy, config.path)
         self.service = Service(
             config, brief, worker, policy, [self.sink], checkpoint, scorers,

@@ -133,16 +133,19 @@ class ReplaySource(InputLog):
 
     Args:
         now: recorded events of the current tick.
-        anew: runs a detector on the recorded images; None: recorded detections are used.
+        detect: runs a detector on the recorded images; None: recorded detections are used.
         own: names of workers that run for real.
     """
 
     def __init__(
-        self, now: ReplayTick, anew: Callable[[Observation], Detections] | None, own: Sequence[str]
+        self,
+        now: ReplayTick,
+        detect: Callable[[Observation], Detections] | None,
+        own: Sequence[str],
     ) -> None:
         super().__init__()
         self.unseen = 0
-        self._now, self._anew, self._own = now, anew, own
+        self._now, self._detect, self._own = now, detect, own
         self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._detections,
             "surveyor": lambda said, asked: journal.survey_of(said),
@@ -167,12 +170,12 @@ class ReplaySource(InputLog):
 
     def _detections(self, said: dict[str, Any], asked: Any) -> Detections | None:
         observation = self._now.frame(said["seq"])
-        if self._anew is None:
+        if self._detect is None:
             return journal.detections_of(said, observation)
         if said["seq"] not in self._now.pictures:
             self.unseen += 1
             return None
-        return self._anew(observation)
+        return self._detect(observation)
 
     def _similarity(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
         similarity = journal.similarity_of(said)

@@ -18,7 +18,7 @@ from edge.types import Goal, Instance
 
 _FRONTIER: markers.RGBA = (0.2, 0.6, 1.0, 0.8)
 _THING: markers.RGBA = (1.0, 0.6, 0.1, 0.6)
-_REFUTED: markers.RGBA = (0.5, 0.5, 0.5, 0.3)
+_REJECTED: markers.RGBA = (0.5, 0.5, 0.5, 0.3)
 _GOAL: markers.RGBA = (0.2, 0.9, 0.3, 0.9)
 _WORDS: markers.RGBA = (1.0, 1.0, 1.0, 1.0)
 _KNOWN: markers.RGBA = (0.4, 0.6, 0.9, 0.6)
@@ -101,7 +101,7 @@ def markers_of(drawing: Drawing) -> list[Marker]:
         )
     for i, thing in enumerate(drawing.instances):
         x, y, z = map(float, thing.center_m)
-        colour = _REFUTED if thing.state == "refuted" else _THING
+        colour = _REJECTED if thing.state == "rejected" else _THING
         at, words = SE2(x, y, 0.0), f"{thing.label} {thing.score:.2f}"
         drawn.append(Marker("things", i, markers.CUBE, (0.25,) * 3, colour, at, z))
         drawn.append(Marker("names", i, markers.TEXT, _LABEL_M, _WORDS, at, z + 0.4, words))

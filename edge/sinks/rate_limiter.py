@@ -10,7 +10,7 @@ class RateLimiter:
         hz: highest rate of each, by name.
 
     Example:
-        >>> pace = Pace(map=2.0)
+        >>> pace = RateLimiter(map=2.0)
         >>> pace.is_due("map", 0), pace.is_due("map", 100_000_000)
         (True, False)
     """

@@ -61,9 +61,9 @@ def record_messages(
         >>> from edge.bus.wire.messages import encode_pose_stamped
         >>> from edge.geometry import SE2
         >>> goal = encode_pose_stamped(0, SE2(1.0, 2.0, 0.0))
-        >>> record_messages("/tmp/edge-example.mcap", [(topics.GOAL, 0, goal)])
+        >>> record_messages("example.mcap", [(topics.GOAL, 0, goal)])
         1
-        >>> [message.topic.key for message in read("/tmp/edge-example.mcap")]
+        >>> [message.topic.key for message in read("example.mcap")]
         ['goal']
     """
     with McapWriter(path, "zstd") as file:

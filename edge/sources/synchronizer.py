@@ -72,8 +72,8 @@ def streams_of(config: Config) -> dict[str, Stream]:
     """
     perception, lidar = config.perception, config.sensors.lidar
     cloud_leads = config.mapping.input == "cloud"
-    if lidar is None and (cloud_leads or perception.lift == "cloud"):
-        key = "mapping.input" if cloud_leads else "perception.lift"
+    if lidar is None and (cloud_leads or perception.back_projection == "cloud"):
+        key = "mapping.input" if cloud_leads else "perception.back_projection"
         raise ConfigError(f"{config.at(key)}: cloud needs sensors.lidar (where it is mounted)")
     must = config.loop.lockstep or not cloud_leads
     half_frame_ns = int(0.5e9 / config.sensors.camera.rate_hz)
@@ -81,11 +81,15 @@ def streams_of(config: Config) -> dict[str, Stream]:
     kept_ns = int(2e9 * config.source.wait_s)
     most_bytes = int(_LARGEST * 1e6 * config.source.max_message_mb)
     streams = {}
-    if cloud_leads or perception.lift == "cloud":
+    if cloud_leads or perception.back_projection == "cloud":
         required = cloud_leads or config.loop.lockstep
         streams["cloud_m"] = Stream(int(1e9 / lidar.rate_hz), required, kept_ns, most_bytes)
     # The simulator's detector takes distances from the depth image.
-    if not cloud_leads or perception.lift == "depth" or perception.detector.kind == "sim":
+    if (
+        not cloud_leads
+        or perception.back_projection == "depth"
+        or perception.detector.kind == "sim"
+    ):
         streams["depth_m"] = Stream(half_frame_ns, must, kept_ns, most_bytes)
     streams["rgb"] = Stream(half_frame_ns, must, kept_ns, most_bytes)
     leader = "cloud_m" if cloud_leads else "depth_m"

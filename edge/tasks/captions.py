@@ -100,7 +100,8 @@ def compose_captions(found: Detections) -> tuple[str, ...]:
 def caption_with_place(caption: str, position_m: np.ndarray, size_m: np.ndarray, pose: SE2) -> str:
     """Return an object's caption with its size and its place as seen from the robot.
 
-    >>> in_words("white car", np.array([9.0, 4.0, 0.7]), np.array([4.2, 1.8, 1.5]), SE2(0, 0, 0))
+    >>> xyz_m, size_m = np.array([9.0, 4.0, 0.7]), np.array([4.2, 1.8, 1.5])
+    >>> caption_with_place("white car", xyz_m, size_m, SE2(0, 0, 0))
     'white car, 4.2 x 1.8 x 1.5 m, 9 m ahead, 4 m to the left'
     """
     along, across, up = size_m

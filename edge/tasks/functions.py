@@ -250,7 +250,7 @@ NAMES = (
 def signature(function: Callable[..., Any]) -> inspect.Signature:
     """Return a function's parameters and their defaults without types, for scripts and prompts.
 
-    >>> signature(Functions.region_at)
+    >>> signature(ScriptFunctions.region_at)
     <Signature (self, at)>
     """
     full = inspect.signature(function)

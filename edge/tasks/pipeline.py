@@ -129,7 +129,8 @@ def _united(whole: Detections, parts: Sequence[Detections]) -> Detections:
             xyxy[same, 2:] = np.maximum(xyxy[same, 2:], xyxy[i, 2:])
     return replace(
         whole, xyxy_px=xyxy[kept], score=score[kept], class_id=class_id[kept],
-        rival=None, context=None, mask=None, latency_ns=sum(part.latency_ns for part in parts),
+        competing_score=None, context=None, mask=None,
+        latency_ns=sum(part.latency_ns for part in parts),
     )  # fmt: skip
 
 

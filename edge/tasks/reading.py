@@ -173,7 +173,7 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
 def named_objects(instruction: str) -> tuple[str, ...]:
     """Return the names in an instruction, each object once; see `task_steps`.
 
-    >>> named("pass the van on its left, then go to the red car")
+    >>> named_objects("pass the van on its left, then go to the red car")
     ('van', 'car')
     """
     return tuple(dict.fromkeys(name for step in task_steps(instruction) for name in step.names))

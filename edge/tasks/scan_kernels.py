@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from edge.jit import jit
 
 NEAREST_M = 0.1
 """Points nearer to the camera than this are in no picture."""
 
 
-@njit(nogil=True, cache=True)
+@jit
 def points_of_windows(cloud, T, camera, boxes, masks, margin, keep, mask_of, point_of, depth_of):
     """Find the points of a cloud that lie in windows around boxes (OpenNav eq. 2).
 
@@ -66,7 +67,7 @@ def points_of_windows(cloud, T, camera, boxes, masks, margin, keep, mask_of, poi
     return found
 
 
-@njit(nogil=True, cache=True)
+@jit
 def best_surface(depth, on, gap_m, gap_share):
     """Split points where their depth jumps, and return the part that fits the mask best.
 
@@ -103,7 +104,7 @@ def best_surface(depth, on, gap_m, gap_share):
     return first, last
 
 
-@njit(nogil=True, cache=True)
+@jit
 def lowest(points, x0_m, y0_m, cell_m, out):
     """Write the lowest z of the points in each cell.
 
@@ -122,7 +123,7 @@ def lowest(points, x0_m, y0_m, cell_m, out):
             out[int(r), int(c)] = points[i, 2]
 
 
-@njit(nogil=True, cache=True)
+@jit
 def grow_ground(low, row, column, z_m, step_m, slope, cell_m, reach, ground, known):
     """Estimate the height of the ground by cells, from the robot outwards.
 
@@ -173,7 +174,7 @@ def grow_ground(low, row, column, z_m, step_m, slope, cell_m, reach, ground, kno
                     found += 1
 
 
-@njit(nogil=True, cache=True)
+@jit
 def nearest_of_regions(regions, allowed, cells, best, at):
     """Find the allowed cell of each region that is nearest to an object.
 

@@ -121,7 +121,7 @@ def write_trajectory(
         >>> occupancy, regions = (Grid(cells, (-5.0, -5.0), 0.1) for cells in (free, floor))
         >>> pose, hall = SE2(0.0, 0.0, 0.0), {1: Region(1, "floor", 100.0)}
         >>> scene = Scene(0, pose, {}, hall, occupancy, regions, None, None, None, {})
-        >>> written = write("go straight for 3 metres", scene, Tasks())
+        >>> written = write_trajectory("go straight for 3 metres", scene, TasksConfig())
         >>> written.coarse.points_m[-1].tolist()
         [3.0, 0.0]
     """
@@ -178,7 +178,7 @@ def _ask(
     client, begin_s = make_chat_client(config), time.monotonic()
     talk = messages(instruction, functions.ground.scene, functions.limits, config.picture, why)
     rounds: list[PlanAttempt] = []
-    while len(rounds) < config.rounds:
+    while len(rounds) < config.max_attempts:
         left_s = config.time_limit_s - (time.monotonic() - begin_s)
         try:
             answer, cut = client.ask(talk, left_s=left_s, temperature=0), ""

@@ -14,7 +14,9 @@ keys are integers too, and a queue of buckets needs no heap. Two properties make
 from __future__ import annotations
 
 import numpy as np
-from numba import int64, njit, uint32
+from numba import int64, uint32
+
+from edge.jit import jit
 
 # Step lengths in units of 1/29 cell: 41/29 is sqrt(2) within 0.03 %.
 STRAIGHT = 29
@@ -45,7 +47,7 @@ def step_tables(width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return dy * width + dx, packed, length
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _heuristic(cell, goal_x, goal_y, h_long, h_short):
     """Return the octile distance at the smallest weight; it never exceeds the cost to go."""
     dx = abs((cell & _XY) - goal_x)
@@ -53,7 +55,7 @@ def _heuristic(cell, goal_x, goal_y, h_long, h_short):
     return h_long * max(dx, dy) + h_short * min(dx, dy)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, packed, length, out):
     """Run A* from `start` to `goal`.
 
@@ -145,7 +147,7 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
     return status
 
 
-@njit(nogil=True, cache=True)
+@jit
 def backtrack(weight, start, goal, g, offset, packed, length, path):
     """Follow a finished search from the goal back to the start.
 
@@ -177,7 +179,7 @@ def backtrack(weight, start, goal, g, offset, packed, length, path):
         i = best
 
 
-@njit(nogil=True, cache=True)
+@jit
 def line_cost(weight, x0, y0, x1, y1):
     """Return the cost of a straight line: the sum over its cells of weight times length inside.
 
@@ -223,7 +225,7 @@ def line_cost(weight, x0, y0, x1, y1):
             next_y += step_y / dy
 
 
-@njit(nogil=True, cache=True)
+@jit
 def shortcut(weight, points, out):
     """Replace parts of a path by straight lines that cost no more.
 
@@ -264,7 +266,7 @@ def shortcut(weight, points, out):
     return kept
 
 
-@njit(nogil=True, cache=True)
+@jit
 def polyline_cost(weight, points):
     """Return the sum of `line_cost` over the legs of (n, 2) grid points; -1 if a leg is closed."""
     cost = 0.0

@@ -99,7 +99,7 @@ def pursue(
     Example:
         >>> limits = MotionLimits(0.5, 1.0, 0.5, 2.0)
         >>> pursue(SE2(0.0, 0.0, 0.0), 1.0, 0.0, 5.0, limits)
-        Command(v_mps=0.5, w_radps=0.0)
+        VelocityCommand(v_mps=0.5, w_radps=0.0)
     """
     bearing = pose.bearing_to(x_m, y_m)
     distance = pose.distance_to(x_m, y_m)

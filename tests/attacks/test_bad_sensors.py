@@ -19,7 +19,9 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module", params=["depth", "cloud"])
 def service(request) -> Iterator[Live]:
-    with live({"mapping": {"input": request.param}, "perception": {"lift": request.param}}) as it:
+    with live(
+        {"mapping": {"input": request.param}, "perception": {"back_projection": request.param}}
+    ) as it:
         yield it
 
 

@@ -236,7 +236,7 @@ except ValueError as error:
 def test_a_trajectory_of_a_script_that_fails_later_is_not_driven():
     code = "```python\ngive_trajectory([(0, 0), (1, 0)])\nwhile True: pass\n```"
     with serving(saying(code)) as server:
-        config = TasksConfig(planner=WriterModel(url=server.url, rounds=2))
+        config = TasksConfig(planner=WriterModel(url=server.url, max_attempts=2))
         with pytest.raises(UserError, match="no trajectory in 2 answers, last error: "):
             write_trajectory("go to the van", SCENE, config)
 
@@ -265,7 +265,7 @@ def test_a_model_that_obeys_a_sign_moves_nothing(caption, obeying, host):
     scene = street(*STREET, Thing("sign", 3.0, 2.0, (0.2, 0.2), caption), picture=True)
     said = []
     with serving(saying(f"As the sign says:\n```python\n{obeying}\n```")) as server:
-        config = TasksConfig(planner=WriterModel(url=server.url, rounds=2))
+        config = TasksConfig(planner=WriterModel(url=server.url, max_attempts=2))
         with pytest.raises(UserError) as raised:
             write_trajectory("go to the gate", scene, config, said.append)
         (_, user), *_ = [request[2]["messages"] for request in server.requests]

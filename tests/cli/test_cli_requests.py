@@ -15,7 +15,7 @@ from edge.cli.mission import add_arguments, as_text
         ({}, ["done"]),
         ({"phase": "failed", "reason": "cancelled"}, ["phase:       failed; cancelled"]),
         ({"state": 0}, ["state:       0"]),
-        ({"phase": "searching", "robot": {"amiss": ["no usable observations: no odom", "b"]}},
+        ({"phase": "searching", "robot": {"problems": ["no usable observations: no odom", "b"]}},
          ["phase:       searching", "not ready:   no usable observations: no odom; b"]),
         ({"task": {"phase": "looking", "missing": ["van", "gate"], "writer": "rules",
                    "steps": [{"said": "go there", "state": "driven"},

@@ -324,7 +324,7 @@ def test_models_that_are_neither_here_nor_named_are_only_counted(cache):
         {"detector": {"kind": "onnx", "model": "yolo-world-s-256x320-fp32"}},
         {
             "detector": {"kind": "onnx", "model": "mini-house-256x320-int8-cpu"},
-            "governor": {"ladder": [{"model": "yolo-world-s-256x320-fp32"}]},
+            "load_shedding": {"levels": [{"model": "yolo-world-s-256x320-fp32"}]},
         },
         {"choice": {"kind": "onnx", "card": "smollm2-135m-q4"}},
     ],

@@ -90,7 +90,10 @@ def test_a_log_of_carmen_makes_a_map(play, tmp_path):
              for k in range(20)]  # fmt: skip
     log, path = tmp_path / "robot.log", tmp_path / "mine.yaml"
     log.write_text("\n".join(["ODOM 0 0 0 0 0 0 0 host 0", *lines]))
-    mapping = {"mapping": {"input": "cloud"}, "perception": {**OURS["perception"], "lift": "cloud"}}
+    mapping = {
+        "mapping": {"input": "cloud"},
+        "perception": {**OURS["perception"], "back_projection": "cloud"},
+    }
     path.write_text(json.dumps({**OURS, **mapping}))
     code, told, _ = play(write_mcap(tmp_path / "robot.mcap", carmen(log)), path, "--fast")
     assert code == os.EX_OK

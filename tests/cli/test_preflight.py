@@ -101,8 +101,8 @@ NAMED = [
         "mine.yaml: perception.segmenter.model: model 'nobody': no such card",
     ),
     (
-        perception(detector=ONNX, governor={"ladder": [{"model": "nobody"}]}),
-        "mine.yaml: perception.governor.ladder.0.model: model 'nobody': no such card",
+        perception(detector=ONNX, load_shedding={"levels": [{"model": "nobody"}]}),
+        "mine.yaml: perception.load_shedding.levels.0.model: model 'nobody': no such card",
     ),
 ]  # fmt: skip
 

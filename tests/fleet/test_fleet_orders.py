@@ -17,12 +17,12 @@ def robot(
     phase: str = "idle",
     past: tuple[tuple[str, str, str], ...] = (),
     reason: str = "",
-    amiss: tuple[str, ...] = (),
+    problems: tuple[str, ...] = (),
     controller: str = "answers",
     elapsed_s: float = 0.0,
     **known_m: float,
 ) -> Robot:
-    body = RobotState((0.0, 0.0, 0.0), controller, amiss, known_m)
+    body = RobotState((0.0, 0.0, 0.0), controller, problems, known_m)
     outcomes = tuple(PastMission(*entry) for entry in past)
     return Robot(name, StatusReply(at, "words", phase, reason, "x", elapsed_s, outcomes, body))
 
@@ -52,7 +52,7 @@ def test_nobody_and_nothing():
         # Who is not free gets nothing.
         ([robot("a", "other", "searching"), robot("b")], {"m.1": "b"}),
         ([robot("a", "", "paused"), robot("b", "other", "reached")], {"m.1": "b"}),
-        ([robot("a", amiss=("no usable observations",))], {}),
+        ([robot("a", problems=("no usable observations",))], {}),
         ([Robot("a", problem="no answer within 2 s")], {}),
         # Who failed at a part does not get it again; who was doubled may, by another name.
         ([robot("a", past=(("m.1", "failed", "no bed"),)), robot("b")], {"m.2": "a", "m.1": "b"}),

@@ -154,7 +154,7 @@ def test_who_watches_is_told_of_changes_only(port, robots, tmp_path):
     watching = Edge("fleet", "list", "--watch", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
     try:
         watching.says("anna  idle  -  -  ok")
-        anna.amiss = ("no usable observations",)
+        anna.problems = ("no usable observations",)
         watching.says("anna  idle  -  -  no usable observations")
         anna.close()
         watching.says("anna  gone")

@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 
 from edge.host import checkpoint
 from edge.host.checkpoint import (
+    OLDEST_VERSION,
     VERSION,
     Checkpoint,
     CheckpointError,
@@ -138,6 +139,17 @@ def test_what_could_not_be_loaded_is_not_saved(tmp_path, change, text):
     assert same(load(path, NOTE)[0], BEGUN)
 
 
+def test_arrays_of_an_older_version_get_their_present_names():
+    old = BEGUN.arrays | {"part/points_m": np.zeros(2)}
+    current = CheckpointFormat("edge-note", "note", Note, MAX_BYTES, no_secret)
+    content = current.encode(replace(BEGUN, arrays=old))
+    older = content.replace(b'"version":%d' % VERSION, b'"version":%d' % OLDEST_VERSION, 1)
+    names = {"part/points_m": "part/surface_m"}
+    renaming = CheckpointFormat("edge-note", "note", Note, MAX_BYTES, no_secret, names)
+    assert set(renaming.decode(older).arrays) == {*BEGUN.arrays, "part/surface_m"}
+    assert set(renaming.decode(content).arrays) == set(old)
+
+
 DAMAGED = {
     "head": (BEGINS, "not a whole note"),
     "cut": (WHOLE[:-1], "checksum"),
@@ -148,7 +160,7 @@ DAMAGED = {
     "earlier": (b'%s"version":2,"sha256":"%064d","note":{}}\n' % (BEGINS, 0), "version 2, this"),
     "later": (
         forged(STATE, archive(), VERSION + 1),
-        f"version {VERSION + 1}, this program reads version {VERSION}",
+        f"version {VERSION + 1}, this program reads versions {OLDEST_VERSION} to {VERSION}",
     ),
     "too long": (BEGINS + b" " * MAX_BYTES, "more than"),
     "no archive": (forged(STATE, b""), "its directory of arrays"),

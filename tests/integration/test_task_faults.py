@@ -63,7 +63,7 @@ LEADS_AWAY = "```python\ngive_trajectory([line(robot()['position'], (1e9, float(
 def test_a_server_that_misbehaves_costs_its_task_and_no_tick(behave, said):
     limit_s = 1.0 if behave is stalls else PATIENCE_S
     with serving(behave) as server:
-        planner = {"kind": "model", "url": server.url, "time_limit_s": limit_s, "rounds": 2}
+        planner = {"kind": "model", "url": server.url, "time_limit_s": limit_s, "max_attempts": 2}
         loop = ClosedLoop(simulated({**BESIDE, "tasks": {"planner": planner}}), task=TASK)
         service = loop.service
         until(loop, lambda: server.requests)

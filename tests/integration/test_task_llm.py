@@ -57,7 +57,7 @@ def attempt(
 
 
 def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys):
-    model = WriterModel(url=url, picture=False, rounds=2, time_limit_s=LIMIT_S)
+    model = WriterModel(url=url, picture=False, max_attempts=2, time_limit_s=LIMIT_S)
     config, lines = TasksConfig(planner=model), []
     for where, instruction in TASKS:
         scene, rounds, begin_s = scenes[where], list[PlanAttempt](), time.monotonic()
@@ -73,7 +73,7 @@ def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys
             assert written.rounds == tuple(rounds)
             assert not rounds[-1].error
         took_s = time.monotonic() - begin_s
-        assert len(rounds) <= model.rounds
+        assert len(rounds) <= model.max_attempts
         assert all(r.error for r in rounds[:-1])
         np.testing.assert_array_equal(scene.occupancy.cells, before[0])
         assert (scene.pose, set(scene.objects)) == before[1:]
@@ -88,7 +88,7 @@ def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys
 def test_a_model_without_eyes_is_told_to_go_without_the_picture(url):
     """A server whose model takes no pictures says so; that is one line, not a crash."""
     scene = street(*STREET, picture=True)
-    config = TasksConfig(planner=WriterModel(url=url, rounds=1, time_limit_s=LIMIT_S))
+    config = TasksConfig(planner=WriterModel(url=url, max_attempts=1, time_limit_s=LIMIT_S))
     with pytest.raises(ChatError, match=r"answered HTTP \d+: .*image") as error:
         write_trajectory("go to the gate", scene, config)
     assert "\n" not in str(error.value)

@@ -1,4 +1,4 @@
-"""The ladder of what is given up: never in haste, never to and fro, and up again."""
+"""Degradation levels: no hasty step, no oscillation, and a return to full work."""
 
 from __future__ import annotations
 
@@ -21,64 +21,64 @@ def _soon(monkeypatch):
 
 
 class Plant:
-    """A computer: what detect takes on a rung, times the load; a step is taken at once."""
+    """A computer: what detect takes on a level, times the load; a step is taken at once."""
 
     def __init__(self, costs_ms=(20.0, 10.0, 5.0)) -> None:
-        self.ladder, self.costs_ms = DegradationLevels(len(costs_ms) - 1, BUDGET_MS), costs_ms
+        self.levels, self.costs_ms = DegradationLevels(len(costs_ms) - 1, BUDGET_MS), costs_ms
         self.now_s, self.moves = 0, []
 
     @property
-    def rung(self) -> int:
-        return self.ladder.level
+    def level(self) -> int:
+        return self.levels.level
 
     def run(self, seconds: int, load: float = 1.0, **second) -> Plant:
         for _ in range(seconds):
             self.now_s += 1
-            told = LoadSample(self.costs_ms[self.rung] * load, **second)
-            if (move := self.ladder.update(told, self.now_s * S)) is not None:
-                self.ladder.arrived(move.level, self.now_s * S)
+            told = LoadSample(self.costs_ms[self.level] * load, **second)
+            if (move := self.levels.update(told, self.now_s * S)) is not None:
+                self.levels.arrived(move.level, self.now_s * S)
                 self.moves.append((self.now_s, move.level, move.why))
         return self
 
 
 def test_too_slow_for_seconds_is_a_step_down_and_says_why():
-    ((at_s, rung, why),) = Plant().run(4, load=2.0).moves
-    assert (at_s, rung) == (4, 1)
+    ((at_s, level, why),) = Plant().run(4, load=2.0).moves
+    assert (at_s, level) == (4, 1)
     budget = "perception.swap.budget_ms (33)"
     assert why == f"detect takes 40 ms (median), above {budget}, for over 3 s"
 
 
 def test_a_detector_that_finds_nothing_out_is_no_room():
-    ladder = DegradationLevels(2, BUDGET_MS)
-    ladder.arrived(1, 0)
-    assert all(ladder.update(LoadSample(None), s * S) is None for s in range(1, 1000))
+    levels = DegradationLevels(2, BUDGET_MS)
+    levels.arrived(1, 0)
+    assert all(levels.update(LoadSample(None), s * S) is None for s in range(1, 1000))
 
 
 def test_a_board_that_is_not_cool_has_no_room():
     plant = Plant().run(4, distress="hot").run(1000, has_headroom=False)
-    assert plant.rung == 1
-    assert plant.run(62).rung == 0
+    assert plant.level == 1
+    assert plant.run(62).level == 0
 
 
 def test_steps_up_in_vain_come_ever_more_seldom():
     """A board that is cool once something is given up, and hot once it is taken back."""
     plant = Plant(costs_ms=(10.0, 10.0))
     while plant.now_s < 20_000:
-        plant.run(1, distress="" if plant.rung else "hot")
-    ups = [at for at, rung, _ in plant.moves if rung == 0]
+        plant.run(1, distress="" if plant.level else "hot")
+    ups = [at for at, level, _ in plant.moves if level == 0]
     gaps = [b - a for a, b in pairwise(ups)]
     assert len(gaps) > MOST_DOUBLINGS
     assert all(b >= 1.8 * a for a, b in pairwise(gaps[:MOST_DOUBLINGS]))
 
 
 def test_a_step_that_is_refused_is_tried_again_but_not_at_once():
-    ladder, asked = DegradationLevels(2, BUDGET_MS), []
+    levels, asked = DegradationLevels(2, BUDGET_MS), []
     for s in range(1, 100):
-        if ladder.update(LoadSample(50.0), s * S) is not None:
+        if levels.update(LoadSample(50.0), s * S) is not None:
             asked.append(s)
-            ladder.change_failed(s * S)
+            levels.change_failed(s * S)
     assert asked[:3] == [4, 14, 24]
-    assert ladder.level == 0
+    assert levels.level == 0
 
 
 loads = st.lists(
@@ -87,14 +87,14 @@ loads = st.lists(
 
 
 @given(loads)
-def test_never_two_steps_within_the_dwell_and_never_more_than_one_rung(phases):
+def test_never_two_steps_within_the_dwell_and_never_more_than_one_level(phases):
     plant = Plant()
     for seconds, load, hot, cool in phases:
         plant.run(seconds, load, distress="hot" if hot else "", has_headroom=cool)
     assert all(b - a >= 10 for (a, *_), (b, *_) in pairwise(plant.moves))
-    rungs = [0, *(rung for _, rung, _ in plant.moves)]
-    assert all(abs(b - a) == 1 for a, b in pairwise(rungs))
-    assert set(rungs) <= {0, 1, 2}
+    levels = [0, *(level for _, level, _ in plant.moves)]
+    assert all(abs(b - a) == 1 for a, b in pairwise(levels))
+    assert set(levels) <= {0, 1, 2}
 
 
 @given(loads, st.floats(0.05, 1.0))
@@ -102,7 +102,7 @@ def test_whatever_came_before_all_is_taken_back_once_there_is_room(phases, load)
     plant = Plant()
     for seconds, heavy, hot, cool in phases:
         plant.run(seconds, heavy, distress="hot" if hot else "", has_headroom=cool)
-    assert plant.run(2 * 3 * (60 << MOST_DOUBLINGS), load).rung == 0
+    assert plant.run(2 * 3 * (60 << MOST_DOUBLINGS), load).level == 0
 
 
 @given(st.floats(0.05, 6.0), st.tuples(*[st.floats(0.1, 1.0)] * 2), st.floats(5.0, 60.0))
@@ -110,4 +110,4 @@ def test_under_a_load_that_stays_it_steps_down_and_hardly_ever_up(load, shares, 
     """The gain of a level is known after a try; tries come at 16 times `ROOM_S` or later."""
     costs_ms = (cost_ms, cost_ms * shares[0], cost_ms * shares[0] * shares[1])
     plant = Plant(costs_ms).run(60 << UNLIKELY, load)
-    assert [rung for _, rung, _ in plant.moves] == list(range(1, len(plant.moves) + 1))
+    assert [level for _, level, _ in plant.moves] == list(range(1, len(plant.moves) + 1))

@@ -96,7 +96,7 @@ class Things(dict):
         self[instance_id].state = "reached"
 
     def reject(self, instance_id: int) -> None:
-        self[instance_id].state = "refuted"
+        self[instance_id].state = "rejected"
 
     def forget_rejected(self, label: str) -> None:
         """Nothing is found again here."""
@@ -264,12 +264,12 @@ def test_what_cannot_be_reached_is_passed_over():
     assert who(case.choose(frontier(1, 3.0, 0.1), frontier(2, -3.0, 0.9))) == ("frontier", 1)
 
 
-@pytest.mark.parametrize("gone", ["refuted", "forgotten"])
+@pytest.mark.parametrize("gone", ["rejected", "forgotten"])
 def test_an_instance_that_is_none_any_more_is_passed_over(gone):
     case = Case()
     case.choose(chair(9, 3.0, 0.5))
     case.goals.drop()
-    if gone == "refuted":
+    if gone == "rejected":
         case.things.reject(9)
     else:
         del case.things[9]
@@ -368,7 +368,7 @@ def test_if_a_confirmed_object_has_moved_known_space_is_searched(
     case.goals.judge(case.map, there, case.mission, 0, case.now_ns, lambda _: False)
     case.now_ns += 3 * S
     case.goals.judge(case.map, there, case.mission, 9, case.now_ns, lambda _: False)
-    assert case.things[9].state == "refuted"
+    assert case.things[9].state == "rejected"
     goal = case.choose(frontier(1, 3.0, 0.5))
     assert goal.kind == expected
     assert case.choose(frontier(1, 3.0, 0.5)) is goal
@@ -496,18 +496,18 @@ def test_what_is_out_of_reach_twice_from_one_place_is_left_alone():
 
 
 @pytest.mark.parametrize(
-    ("looks", "refuted"),
+    ("looks", "rejected"),
     [
         # (seconds since arrival, images that the detector has searched so far)
         ([(0, 40), (1, 45), (3, 50)], True),
         ([(0, 40), (1, 50), (1.9, 60)], False),
-        # A detector that stalls, or has looked a few times only, refutes nothing.
+        # A detector that stalls, or has looked a few times only, rejects nothing.
         ([(0, 40), (3, 40), (60, 40)], False),
         ([(0, 40), (3, 44), (9, 44)], False),
         ([(0, 40), (3, 44), (9, 45)], True),
     ],
 )
-def test_an_instance_is_refuted_by_images_and_time(looks, refuted):
+def test_an_instance_is_rejected_by_images_and_time(looks, rejected):
     case, there = Case(), SE2(2.5, 0.0, 0.0)
     case.choose(chair(9, 3.0, 0.8))
     case.answer("reached")
@@ -515,7 +515,7 @@ def test_an_instance_is_refuted_by_images_and_time(looks, refuted):
     for t_s, images in looks:
         case.now_ns = start_ns + int(t_s * S)
         case.judge(images, there)
-    assert (case.things[9].state == "refuted") == refuted
+    assert (case.things[9].state == "rejected") == rejected
     assert case.goals.phase == "verifying"
 
 
@@ -533,9 +533,9 @@ def test_every_arrival_is_verified_afresh(between):
     case.answer("reached")
     case.judge(60, there)
     assert case.goals.phase == "verifying"
-    assert "refuted" not in [thing.state for thing in case.things.values()]
+    assert "rejected" not in [thing.state for thing in case.things.values()]
     case.judge(90, there, after_s=3.0)
-    assert "refuted" in [thing.state for thing in case.things.values()]
+    assert "rejected" in [thing.state for thing in case.things.values()]
 
 
 def test_a_stop_beside_what_must_not_be_reached_is_told_once_before():

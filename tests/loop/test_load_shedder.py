@@ -1,4 +1,4 @@
-"""The governor over a real swapper and worker, with detectors that are as slow as they are told."""
+"""The shedder over a real swapper and worker, with detectors that are as slow as they are told."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from edge.types import Detections, Observation
 MS, TICK_NS = 1_000_000, 100_000_000
 COOL = BoardReading({"tj": 50.0}, {("tj", "passive"): 99.0}, {}, {}, {}, {}, "MAXN")
 HOT = BoardReading({"tj": 97.0}, {("tj", "passive"): 99.0}, {}, {}, {}, {}, "MAXN")
-LADDER = [{"model": "small"}, {"rest": "choice"}]
+LEVELS = [{"model": "small"}, {"pause": "choice"}]
 
 
 class Fake:
@@ -57,21 +57,21 @@ class Fake:
 class Bench:
     """Ten images a second of the loop's time; `models` makes those that are asked for."""
 
-    def __init__(self, ladder=LADDER, board=COOL) -> None:
+    def __init__(self, levels=LEVELS, board=COOL) -> None:
         config = parse({
             "perception": {
                 "detector": {"kind": "onnx", "model": "large"},
                 "choice": {"kind": "text", "url": "http://127.0.0.1:1/v1", "model": "m"},
                 "swap": {"probation": 2},
-                "governor": {"ladder": ladder},
+                "load_shedding": {"levels": levels},
             }
         })  # fmt: skip
         self.config, self.board, self.said = config, board, []
         self.models = {"large": Fake("large", 20.0), "small": Fake("small", 10.0)}
         self.worker = DetectorWorker(self.models["large"], inline=True)
-        self.scorers = SimpleNamespace(resting=frozenset())
+        self.scorers = SimpleNamespace(shed=frozenset())
         self.swapper = DetectorSwap(config.perception, self.worker, lambda *_: None, self._make)
-        self.governor = LoadShedder(
+        self.shedder = LoadShedder(
             config.perception, self.worker, self.swapper, self.scorers,
             lambda text, now_ns: self.said.append(text), self._read,
         )  # fmt: skip
@@ -98,7 +98,7 @@ class Bench:
         for _ in range(int(seconds * 10)):
             self.see()
             self.swapper.step(self.now_ns)
-            self.governor.step(self.now_ns)
+            self.shedder.step(self.now_ns)
         return self
 
     def see(self) -> None:
@@ -113,17 +113,17 @@ class Bench:
         self.worker.stats.last_latency_ns = int(self.worker.detector.ms * MS)
 
     def until(self, what) -> Bench:
-        eventually(lambda: self.run(1.0) and what(), f"never: {self.governor.status()}")
+        eventually(lambda: self.run(1.0) and what(), f"never: {self.shedder.status()}")
         return self
 
     def sees(self, board: BoardReading) -> Bench:
-        """Wait until the governor has read this of the board."""
+        """Wait until the shedder has read this of the board."""
         self.board = board
-        self.governor._board._rest_s = 0.0
-        return self.until(lambda: self.governor._seen is board)
+        self.shedder._board._rest_s = 0.0
+        return self.until(lambda: self.shedder._seen is board)
 
     def close(self) -> None:
-        self.governor.close()
+        self.shedder.close()
         self.swapper.close()
         self.worker.close()
 
@@ -146,55 +146,57 @@ def bench(monkeypatch):
         one.close()
 
 
-def test_a_slow_detector_gives_way_rung_by_rung_and_comes_back(bench):
+def test_a_slow_detector_is_relieved_level_by_level_and_comes_back(bench):
     b = bench()
     b.models["large"].ms, b.models["small"].ms = 60.0, 40.0
-    b.until(lambda: b.governor.rung == 1)
-    assert (b.running, b.scorers.resting) == ("small", frozenset())
+    b.until(lambda: b.shedder.level == 1)
+    assert (b.running, b.scorers.shed) == ("small", frozenset())
     assert b.said == [
-        "governor: step down to level 1 of 2: model small: detect takes 60 ms (median), above "
+        "load shedding: down to level 1 of 2: model small: detect takes 60 ms (median), above "
         "perception.swap.budget_ms (33), for over 2 s"
     ]
-    b.until(lambda: b.governor.rung == 2)
-    assert b.scorers.resting == {"choice"}
-    assert b.said[1].startswith("governor: step down to level 2 of 2: rest choice: detect takes 40")
-    assert b.governor.status()["resting"] == ["choice"]
+    b.until(lambda: b.shedder.level == 2)
+    assert b.scorers.shed == {"choice"}
+    assert b.said[1].startswith(
+        "load shedding: down to level 2 of 2: pause choice: detect takes 40"
+    )
+    assert b.shedder.status()["paused"] == ["choice"]
     b.models["large"].ms, b.models["small"].ms = 12.0, 8.0
-    b.until(lambda: b.governor.rung == 0)
-    assert (b.running, b.scorers.resting) == ("large", frozenset())
+    b.until(lambda: b.shedder.level == 0)
+    assert (b.running, b.scorers.shed) == ("large", frozenset())
     assert [line.split(":")[1].strip() for line in b.said[2:]] == [
-        "step up to level 1 of 2", "step up to level 0 of 2",
+        "up to level 1 of 2", "up to level 0 of 2",
     ]  # fmt: skip
-    assert b.governor.steps == {"down": 2, "up": 2}
+    assert b.shedder.steps == {"down": 2, "up": 2}
 
 
 def test_a_hot_board_is_a_step_down_and_says_which_part(bench):
     b = bench().sees(HOT)
-    b.until(lambda: b.governor.rung == 1)
+    b.until(lambda: b.shedder.level == 1)
     assert "model small: tj is at 97 C, passive from 99 C, for over 2 s" in b.said[0]
-    assert b.governor.status()["distress"] == "tj is at 97 C, passive from 99 C"
+    assert b.shedder.status()["distress"] == "tj is at 97 C, passive from 99 C"
 
 
 def test_a_model_that_is_not_to_be_had_is_passed_over(bench):
     b = bench()
     b.models["large"].ms, b.models["small"] = 60.0, ModelError("small.onnx: damaged")
-    b.until(lambda: b.governor.rung == 2)
+    b.until(lambda: b.shedder.level == 2)
     assert b.running == "large"
-    assert b.said[1] == "governor: level 1 cannot be used: small.onnx: damaged; large goes on"
-    assert b.scorers.resting == {"choice"}
+    assert b.said[1] == "load shedding: level 1 cannot be used: small.onnx: damaged; large goes on"
+    assert b.scorers.shed == {"choice"}
     b.models["large"].ms = 10.0
-    b.until(lambda: b.governor.rung == 0)
+    b.until(lambda: b.shedder.level == 0)
 
 
 def test_a_model_that_cannot_come_back_leaves_the_other_at_work(bench):
-    b = bench(ladder=LADDER[:1])
+    b = bench(levels=LEVELS[:1])
     large = b.models["large"]
     large.ms = 60.0
     b.until(lambda: b.running == "small")
     b.models["large"] = ModelError("large.onnx: damaged")
     b.until(lambda: len(b.said) == 3)
-    assert b.said[2] == "governor: level 0 cannot be used: large.onnx: damaged; small goes on"
-    assert (b.governor.rung, b.running) == (1, "small")
+    assert b.said[2] == "load shedding: level 0 cannot be used: large.onnx: damaged; small goes on"
+    assert (b.shedder.level, b.running) == (1, "small")
 
 
 def test_it_stands_aside_for_a_model_that_somebody_asked_for(bench):
@@ -203,76 +205,78 @@ def test_it_stands_aside_for_a_model_that_somebody_asked_for(bench):
     b.swapper.request("own", True, b.now_ns)
     b.until(lambda: b.running == "own" and b.swapper.state == "kept")
     b.run(30)
-    assert (b.governor.status()["state"], b.said) == ("aside", [])
+    assert (b.shedder.status()["state"], b.said) == ("waiting", [])
     b.swapper.request("large", True, b.now_ns)
     b.until(lambda: b.running == "large" and b.swapper.state == "kept")
     b.models["large"].ms = 60.0
-    b.until(lambda: b.governor.rung == 1)
+    b.until(lambda: b.shedder.level == 1)
 
 
 def test_another_power_mode_is_told(bench):
     b = bench().sees(COOL).sees(COOL.__class__({}, {}, {}, {}, {}, {}, "15W"))
-    assert b.said == ["governor: power mode 15W, was MAXN"]
-    assert b.governor.status()["power_mode"] == "15W"
+    assert b.said == ["load shedding: power mode 15W, was MAXN"]
+    assert b.shedder.status()["power_mode"] == "15W"
 
 
 def test_a_sensor_that_cannot_be_read_costs_nothing(bench):
     b = bench(board=OSError("no such sensor"))
     b.until(lambda: b.reads)
     b.models["large"].ms = 60.0
-    b.until(lambda: b.governor.rung == 1)
-    assert b.governor.status()["power_mode"] is None
+    b.until(lambda: b.shedder.level == 1)
+    assert b.shedder.status()["power_mode"] is None
 
 
-def test_another_configuration_of_the_detector_begins_anew_and_another_budget_does_not(bench):
+def test_another_configuration_of_the_detector_starts_again_and_another_budget_does_not(bench):
     b = bench()
     b.models["large"].ms, perception = 60.0, b.config.perception
-    b.until(lambda: b.governor.rung == 1)
+    b.until(lambda: b.shedder.level == 1)
     swap = perception.swap.model_copy(update={"budget_ms": 100.0})
-    b.governor.reconfigure(perception.model_copy(update={"swap": swap}))
-    assert b.governor.rung == 1
+    b.shedder.reconfigure(perception.model_copy(update={"swap": swap}))
+    assert b.shedder.level == 1
     detector = perception.detector.model_copy(update={"model": "small"})
-    b.governor.reconfigure(perception.model_copy(update={"detector": detector}))
-    assert (b.governor.rung, b.governor.status()["state"]) == (0, "steady")
+    b.shedder.reconfigure(perception.model_copy(update={"detector": detector}))
+    assert (b.shedder.level, b.shedder.status()["state"]) == (0, "steady")
 
 
-def service(lockstep: bool, **governor) -> ClosedLoop:
+def service(lockstep: bool, **load_shedding) -> ClosedLoop:
     choice = {"kind": "text", "url": "http://127.0.0.1:1/v1", "model": "m"}
     return ClosedLoop(simulated({
         "loop": {"lockstep": lockstep}, "mission": {"target": "bed"},
-        "perception": {"choice": choice, "governor": governor},
+        "perception": {"choice": choice, "load_shedding": load_shedding},
     }))  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("lockstep", "ladder"), [(False, []), (True, LADDER[1:])], ids=["no ladder", "lockstep"]
+    ("lockstep", "levels"), [(False, []), (True, LEVELS[1:])], ids=["no levels", "lockstep"]
 )
-def test_there_is_none_without_a_ladder_nor_where_runs_replay(lockstep, ladder):
-    closed = service(lockstep, ladder=ladder)
-    assert closed.service.governor is None
-    assert status_message(closed.service.result())["governor"] is None
+def test_there_is_none_without_levels_nor_where_runs_replay(lockstep, levels):
+    closed = service(lockstep, levels=levels)
+    assert closed.service.load_shedder is None
+    assert status_message(closed.service.result())["load_shedding"] is None
 
 
 def test_a_service_tells_of_each_step_in_its_status_and_to_its_sinks():
-    closed = service(False, ladder=LADDER[1:])
-    governor = closed.service.governor
+    closed = service(False, levels=LEVELS[1:])
+    shedder = closed.service.load_shedder
     try:
-        governor._board._work = lambda _: HOT
+        shedder._board._work = lambda _: HOT
         s = iter(range(10_000))
-        eventually(lambda: governor.step(next(s) * 10**9) or governor.rung == 1)
+        eventually(lambda: shedder.step(next(s) * 10**9) or shedder.level == 1)
         closed.step()
         status = status_message(closed.service.result())
-        assert closed.service.scorers.resting == {"choice"}
+        assert closed.service.scorers.shed == {"choice"}
     finally:
         closed.close()
-    assert (status["governor"]["rung"], status["governor"]["steps"]["down"]) == (1, 1)
-    told = [text for text in closed.notes.events if text.startswith("governor")]
-    assert told == [f"governor: step {status['governor']['why']}"]
-    assert "rest choice: tj is at 97 C" in told[0]
+    assert (status["load_shedding"]["level"], status["load_shedding"]["steps"]["down"]) == (1, 1)
+    told = [text for text in closed.notes.events if text.startswith("load shedding")]
+    assert told == [f"load shedding: {status['load_shedding']['why']}"]
+    assert "pause choice: tj is at 97 C" in told[0]
 
 
-def test_a_ladder_names_models_that_are_here():
+def test_levels_name_models_that_are_here():
     with pytest.raises(ModelError, match=r"^model 'none': no such card"):
         module._check_here("none")
-    with pytest.raises(ModelError, match=r"480x640-fp32 of perception\.governor\.ladder is not"):
+    with pytest.raises(
+        ModelError, match=r"480x640-fp32 of perception\.load_shedding\.levels is not"
+    ):
         module._check_here("yolo-world-s-480x640-fp32")

@@ -20,9 +20,13 @@ KITCHEN_X_M, KITCHEN_Y_M = (6.0, 11.0), (0.0, 4.0)  # of the built-in house
 
 
 def driven(instruction: str, *items, seconds: float = 90.0) -> ClosedLoop:
-    mission = {"instruction": instruction, "translator": {"kind": "grammar"}}
-    config = simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission})
-    return ClosedLoop(config, colour=False, site=Site(items)).run(seconds)
+    sections = {
+        "loop": {"lockstep": True},
+        "sim": {"lockstep": True, "step_s": 0.2},
+        "mission": {"instruction": instruction, "translator": {"kind": "grammar"}},
+        "sensors": {"camera": {"width_px": 160, "height_px": 128}},  # sees enough
+    }
+    return ClosedLoop(simulated(sections), colour=False, site=Site(items)).run(seconds)
 
 
 def ask(loop: ClosedLoop, verbs=SITE_VERBS, handle=handle_site, **request) -> dict:

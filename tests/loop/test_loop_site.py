@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from simulated import simulated
+from small_house import BOX, HOUSE, small_house
 
 from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
@@ -23,9 +26,17 @@ def square(x_m: float, y_m: float, half_m: float) -> tuple[tuple[float, float], 
     return tuple((x_m + a * half_m, y_m + b * half_m) for a, b in corners)
 
 
-def driven(instruction: str, *items, seconds: float = 150.0) -> ClosedLoop:
-    mission = {"instruction": instruction, "translator": {"kind": "grammar"}}
-    config = simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission})
+def driven(
+    instruction: str, *items, seconds: float = 150.0, folder: Path | None = None
+) -> ClosedLoop:
+    """Drive a mission in the built-in house, or in the small one, written to a folder."""
+    sections = {
+        "loop": {"lockstep": True},
+        "sim": {"lockstep": True, "step_s": 0.2},
+        "mission": {"instruction": instruction, "translator": {"kind": "grammar"}},
+        "sensors": {"camera": {"width_px": 160, "height_px": 128}},  # sees enough
+    }
+    config = simulated(sections) if folder is None else small_house(folder, **sections)
     return ClosedLoop(config, colour=False, site=Site(items)).run(seconds)
 
 
@@ -84,8 +95,8 @@ def test_what_is_no_request_is_refused(payload, message):
         read_request(payload.encode(), SITE_VERBS)
 
 
-def test_a_place_that_cannot_be_reached_fails_with_the_reason():
-    loop = driven("go to the roof", Place("roof", SE2(60.0, 60.0, 0.0)), seconds=280.0)
+def test_a_place_that_cannot_be_reached_fails_with_the_reason(tmp_path):
+    loop = driven("go to the roof", Place("roof", SE2(60.0, 60.0, 0.0)), folder=tmp_path)
     status = loop.service.status
     assert status.phase == "failed"
     assert "no path to roof" in status.reason
@@ -115,12 +126,13 @@ def test_it_stays_inside():
     assert max(abs(pose.x_m - START[0]), abs(pose.y_m - START[1])) < 1.5 - 0.2
 
 
-def test_it_explores_and_knows_more_than_when_it_only_looked_around():
-    loop = driven("explore the house, then come back", seconds=280.0)
+def test_it_explores_and_knows_more_than_when_it_only_looked_around(tmp_path):
+    loop = driven("explore the house, then come back", folder=tmp_path)
     assert loop.service.status.phase == "reached", loop.notes.events
-    assert loop.service.map.grid.known_m2 > 30.0
+    area_m2 = BOX[2][0] * BOX[2][1]
+    assert loop.service.map.grid.known_m2 > 0.9 * area_m2
     assert "reached: explored" in " ".join(loop.notes.events)
-    assert loop.drive.motion.pose.distance_to(*START) < 0.6
+    assert loop.drive.motion.pose.distance_to(*HOUSE["start"][:2]) < 0.6
 
 
 def test_it_patrols():

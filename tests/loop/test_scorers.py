@@ -172,7 +172,7 @@ def test_similarity_is_for_every_target(monkeypatch):
     assert set(status["scores"]) == {"bed", "chair"}
     assert status["model"] == "fake"
     scorers.ask(replace(seen, rgb=None), ("bed",), "bed", *known)
-    scorers.resting = frozenset({"similarity"})
+    scorers.shed = frozenset({"similarity"})
     scorers.ask(seen, ("bed",), "bed", *known)
     assert scorers.status()["similarity"]["asked"] == 1
     scorers.close()
@@ -196,7 +196,7 @@ def test_what_stands_around_is_told_too():
     tracker, around = InstanceTracker(simulated().perception), TrackedObjects(8)
     seen_ns = 5 * SIGHTED_NS
     center = np.array([4.0, 1.0, 0.5], np.float32)
-    tracker.add(Instance(1, "TV", center, center[None], 0.5, 3, 0, seen_ns, "refuted"))
+    tracker.add(Instance(1, "TV", center, center[None], 0.5, 3, 0, seen_ns, "rejected"))
     things = [("stove", 2.0, 3, 0), ("television", 1.0, 3, 0)]
     things += [("lamp", 1.0, 1, 0), ("desk", 1.0, 3, SIGHTED_NS + 1)]
     around.words, around.n = [word for word, *_ in things], len(things)
@@ -204,7 +204,7 @@ def test_what_stands_around_is_told_too():
         around.word[i], around.hits[i], around.xyz_m[i] = i, hits, (x_m, 1.0, 0.5)
         around.last_seen_ns[i] = seen_ns - ago_ns
     told = sightings(tracker, around, Observation(0, seen_ns, SE2(0.0, 1.0, 0.0).matrix()))
-    # What is refuted, seen once or seen long ago is not told, under any name.
+    # What is rejected, seen once or seen long ago is not told, under any name.
     assert [(s.label, s.distance_m) for s in told] == [("stove", pytest.approx(2.0))]
 
 

@@ -58,7 +58,7 @@ def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
         run.step()
     old = run.service
     mission = run.killed().service.mission
-    assert mission.word == old.mission.word == ("sofa",)
+    assert mission.trace == old.mission.trace == ("sofa",)
     assert mission.id == "1f.2"
     assert mission.brief.automaton.formula == old.mission.brief.automaton.formula
     run.step()

@@ -175,13 +175,13 @@ def test_a_detector_that_hangs_at_an_image_is_noticed(watched):
     worker.submit(replace(seen, rgb=np.zeros((2, 2, 3), np.uint8)))
     for _ in range(int(HANGS_S)):
         watched.beat(1.0)
-    assert watched.vitals.amiss() == ("no usable observations",)
+    assert watched.vitals.problems() == ("no usable observations",)
     watched.beat(1.0)
-    assert "the detector has hung at one image for more than 10 s" in watched.vitals.amiss()
+    assert "the detector has hung at one image for more than 10 s" in watched.vitals.problems()
     detector.over.set()
     worker.close()
     watched.beat(1.0)
-    assert watched.vitals.amiss() == ("no usable observations",)
+    assert watched.vitals.problems() == ("no usable observations",)
 
 
 def test_that_no_file_can_be_opened_is_told_once_and_makes_it_not_ready(

@@ -238,4 +238,4 @@ def test_status_tells_formula_state_plan_sets_and_why():
     assert told["plan"][-1] == "television"
     assert told["forbidden"] == ["bed"]
     assert told["why"]
-    assert set(told) >= {"state", "detected", "reached", "failed", "english", "options", "word"}
+    assert set(told) >= {"state", "detected", "reached", "failed", "english", "options", "trace"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import asdict, replace
 
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from edge.host.checkpoint import Checkpoint
+from edge.host.checkpoint import OLDEST_VERSION, Checkpoint
 from edge.mission.checkpoint import MISSION, MissionState
 
 BEGUN = MissionState(
@@ -18,7 +19,7 @@ BEGUN = MissionState(
     formula='F (chair & F "tv stand")',
     backend="grammar",
     english="reach the chair, then the tv stand",
-    word=("", "chair"),
+    trace=("", "chair"),
     reached=("chair",),
     failed=(),
     detected=("tv stand",),
@@ -34,7 +35,7 @@ words = st.sampled_from(["chair", "tv stand"])
 states = st.builds(
     MissionState, instruction=st.text(), formula=st.just(BEGUN.formula),
     backend=st.text(max_size=20), english=st.text(),
-    word=st.lists(words | st.just("")).map(tuple), reached=st.lists(words).map(tuple),
+    trace=st.lists(words | st.just("")).map(tuple), reached=st.lists(words).map(tuple),
     failed=st.lists(words).map(tuple), detected=st.lists(words).map(tuple),
     target=st.none() | words, phase=st.text(max_size=20), reason=st.text(), paused=st.booleans(),
     elapsed_s=st.floats(0, 1e9), path_m=st.floats(0, 1e9), id=st.text(max_size=64),
@@ -46,6 +47,18 @@ def test_every_state_comes_back_as_it_was(state):
     assert MISSION.decode(MISSION.encode(Checkpoint(state))).state == state
 
 
+@pytest.mark.parametrize(("new", "old"), [("trace", "word"), ("destinations", "places")])
+def test_the_old_name_of_a_field_is_read(new, old):
+    content = MISSION.encode(Checkpoint(BEGUN))
+    body = content[content.index(b'"config"') :].replace(
+        b'"%s":' % new.encode(), b'"%s":' % old.encode()
+    )
+    digest = hashlib.sha256(body).hexdigest().encode()
+    older = MISSION.begins + b'"version":%d,"sha256":"%s",' % (OLDEST_VERSION, digest) + body
+    assert older != content
+    assert MISSION.decode(older).state == BEGUN
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -54,8 +67,8 @@ def test_every_state_comes_back_as_it_was(state):
         ({"path_m": -1.0}, "path_m"),
         ({"formula": "F ("}, "formula"),
         ({"formula": "("}, "formula"),
-        ({"word": ("sofa",)}, "word: 'sofa' is not in the formula"),
-        ({"word": ("chair",) * 10_001}, "word"),
+        ({"trace": ("sofa",)}, "trace: 'sofa' is not in the formula"),
+        ({"trace": ("chair",) * 10_001}, "trace"),
         ({"reached": ("",)}, "reached: '' is not in the formula"),
         ({"failed": ("sofa",)}, "failed"),
         ({"detected": ("sofa",)}, "detected"),

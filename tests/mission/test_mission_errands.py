@@ -121,7 +121,8 @@ def test_an_errand_is_spelled_out(said, plain):
         ("go to the bed and check if there is a cat under it", "check whether a thing is there"),
         ("explore the other room", "unclear which one"),
         ("explore the house, then the dock", "unclear what to do with the second"),
-        ("find the mug, then patrol the dock and the bed for 20 minutes", "whole instruction"),
+        ("find the mug, then patrol the dock and the bed for 20 minutes", "before it first"),
+        ("patrol the dock and the bed until I call, then wait", "rest afterwards"),
     ],
 )
 def test_what_cannot_be_done_is_refused_in_one_line(said, hint):

@@ -36,6 +36,8 @@ ORDERS = [
     ("visit landmarks one, two and three",
      'F "landmark one" & F "landmark two" & F "landmark three"'),
     ("ok robot, um, go to the kitchen", "F kitchen"),
+    ("robot, find a robot", "F robot"),
+    ("find me the little robot and a drone, buddy", 'F "little robot" & F drone'),
 ]  # fmt: skip
 
 AVOIDANCE = [

@@ -26,7 +26,7 @@ def kinds(mission: MissionRun) -> list[str]:
 
 def test_a_new_mission_has_a_target_and_has_done_nothing():
     mission = begun()
-    assert (mission.target, mission.word, mission.reached) == ("chair", (), ())
+    assert (mission.target, mission.trace, mission.reached) == ("chair", (), ())
     assert kinds(mission) == ["start", "target"]
     assert not mission.done
     assert mission.status("searching").phase == "searching"
@@ -47,7 +47,7 @@ def test_reaching_the_targets_in_order_fulfils_it():
     mission = begun()
     mission.see({"sofa": 1}, S)
     mission.on_reached("seen in 5 images", 2 * S)
-    assert (mission.target, mission.word) == ("tv", ("sofa",))
+    assert (mission.target, mission.trace) == ("tv", ("sofa",))
     mission.on_reached("seen in 6 images", 3 * S)
     assert mission.status("searching").phase == "reached"
     assert mission.reason == "sofa, then tv"
@@ -97,7 +97,7 @@ def test_what_failed_before_a_restart_needs_a_newer_instance_too():
 def test_a_step_without_anything_reached_is_taken_where_the_formula_asks_for_it():
     mission = begun("F (chair & F (!chair & F chair))")
     mission.on_reached("", S)
-    assert mission.word == ("chair", "")
+    assert mission.trace == ("chair", "")
     assert mission.target == "chair"
     mission.on_reached("", 2 * S)
     assert mission.done
@@ -153,7 +153,7 @@ def test_it_goes_on_where_another_run_of_it_stopped():
     first.on_reached("", 2 * S)
     config = MissionConfig()
     second = MissionRun(prepare(config, formula=CHOICE), config)
-    second.restore(first.word, first.reached, first.failed, 12.0, 3.0, False)
+    second.restore(first.trace, first.reached, first.failed, 12.0, 3.0, False)
     second.start(0)
     assert (second.state, second.target, second.elapsed_s) == (first.state, "tv", 12.0)
 

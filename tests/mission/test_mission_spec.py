@@ -40,6 +40,26 @@ def test_a_mission_that_makes_no_sense_is_refused_with_the_reason(formula, words
     assert all(word in text for word in words), text
 
 
+@pytest.mark.parametrize(
+    ("said", "hint"),
+    [
+        ("find a", "name of the thing is missing"),
+        ("look for a, then wait 2 minutes", "name of the thing is missing"),
+        ("find a thanks", "not a known object"),
+        ("find a buddy", "not a known object"),
+        ("find the robot, then go to the bed", "this is the robot itself"),
+        ("go to the please", "expected the name of a thing"),
+    ],
+)
+def test_an_article_or_a_filler_is_no_thing(said, hint):
+    with pytest.raises(UserError, match=hint):
+        prepare(MissionConfig(), said)
+
+
+def test_letters_may_name_things():
+    assert str(prepare(MissionConfig(), "go to a, then b").automaton.formula) == "F (a & F b)"
+
+
 def test_what_does_not_matter_is_not_looked_for():
     brief = prepare(MissionConfig(), formula="F (chair & (bed | !bed))")
     assert brief.targets == ("chair",)

@@ -90,7 +90,7 @@ class Steered:
             score=np.full(n, observation.rgb.mean(dtype=np.float64) / 255, np.float32),
             class_id=np.arange(n, dtype=np.int32) % len(self.prompts),
             prompts=self.prompts,
-            rival=np.zeros(n, np.float32),
+            competing_score=np.zeros(n, np.float32),
         )
 
     def health(self):

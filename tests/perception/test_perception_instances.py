@@ -19,14 +19,14 @@ class Scene:
         )
         self.make, self.seq = make_observation, 0
 
-    def see(self, *things, x_m=0.0, y_m=0.0, size_m=0.1, seed=0, rival=0.0):
+    def see(self, *things, x_m=0.0, y_m=0.0, size_m=0.1, seed=0, competing_score=0.0):
         """One frame with (label, x, y, score) each; returns all instances."""
         self.last = seen = self.frame(x_m, y_m)
-        self.tracker.update(self.lifted(seen, things, size_m, seed, rival), seen.stamp_ns)
+        self.tracker.update(self.lifted(seen, things, size_m, seed, competing_score), seen.stamp_ns)
         return self.tracker.all
 
     @staticmethod
-    def lifted(seen, things, size_m=0.1, seed=0, rival=0.0):
+    def lifted(seen, things, size_m=0.1, seed=0, competing_score=0.0):
         things = sorted(things, key=lambda t: -t[3])
         labels = [t[0] for t in things]
         prompts = tuple(dict.fromkeys(labels)) or ("none",)
@@ -39,7 +39,7 @@ class Scene:
             np.array([t[3] for t in things], np.float32),
             np.array([prompts.index(label) for label in labels], np.int32),
             prompts,
-            np.full(n, rival, np.float32),
+            np.full(n, competing_score, np.float32),
         )
         full = np.full(n, POINTS, np.int32)
         points = (places[:, None] + spread).astype(np.float32)
@@ -71,7 +71,7 @@ def test_only_what_is_over_tau_det_founds_an_instance(scene):
     s = scene(tau_det=0.3)
     assert s.see(("chair", 2, 0, 0.29)) == []
     (chair,) = s.see(("chair", 2, 0, 0.31))
-    assert (chair.label, chair.hits, chair.state) == ("chair", 1, "seen")
+    assert (chair.label, chair.hits, chair.state) == ("chair", 1, "tentative")
     np.testing.assert_allclose(chair.center_m, [2, 0, 0.4], atol=0.1)
     assert chair.distance_m(0, 0) == pytest.approx(1.95, abs=0.1)
 
@@ -104,9 +104,9 @@ def test_instances_that_grow_together_become_one(scene):
     ("score", "x_m", "hits", "state"),
     [
         (0.5, 2.0, 3, "confirmed"),
-        (0.5, 2.0, 2, "seen"),
-        (0.32, 2.0, 9, "seen"),
-        (0.5, 4.0, 9, "seen"),
+        (0.5, 2.0, 2, "tentative"),
+        (0.32, 2.0, 9, "tentative"),
+        (0.5, 4.0, 9, "tentative"),
     ],
     ids=["well", "too seldom", "too weakly", "from too far"],
 )
@@ -125,16 +125,16 @@ def test_what_later_looks_do_not_bear_out_is_no_longer_confirmed(scene):
     assert chair.state == "confirmed"
     for _ in range(15):
         s.expire(s.frame())
-    assert chair.state == "seen"
+    assert chair.state == "tentative"
 
 
-def test_what_something_else_explains_better_is_refuted(scene):
+def test_what_something_else_explains_better_is_rejected(scene):
     s = scene(confirm_hits=3, tau_det=0.1)
     (desk,) = s.see(("desk", 2, 0, 0.6))
     for _ in range(40):
-        s.see(("desk", 2, 0, 0.45), rival=0.7)
+        s.see(("desk", 2, 0, 0.45), competing_score=0.7)
         s.expire(s.last)
-    assert desk.state == "refuted"
+    assert desk.state == "rejected"
     assert s.tracker.of("desk") == []
 
 
@@ -148,21 +148,21 @@ def test_mistakes_in_partial_views_do_not_confirm(scene, places):
         s.expire(s.last)
         for _ in range(19):
             s.expire(s.frame())
-    assert chair.state == "seen"
+    assert chair.state == "tentative"
     for _ in range(40):
         s.see(("chair", x_m, y_m, 0.4))
         s.expire(s.last)
     assert chair.state == "confirmed"
 
 
-def test_a_refuted_thing_is_never_chased_again(scene):
-    s = scene(refute_radius_m=0.6, min_hits=1)
+def test_a_rejected_thing_is_never_chased_again(scene):
+    s = scene(reject_radius_m=0.6, min_hits=1)
     (chair,) = s.see(("chair", 2, 0, 0.6))
     s.tracker.reject(chair.id)
     for _ in range(5):
         s.see(("chair", 2.3, 0.2, 0.9))
     assert len(s.tracker) == 1
-    assert chair.state == "refuted"
+    assert chair.state == "rejected"
     assert s.tracker.of("chair") == []
     s.see(("chair", 4, 0, 0.6))
     assert [i.id for i in s.tracker.of("chair")] == [2]
@@ -170,11 +170,14 @@ def test_a_refuted_thing_is_never_chased_again(scene):
     assert s.tracker.get(chair.id) is chair
 
 
-def test_refuting_takes_its_doubles_along(scene):
-    s = scene(merge_m=0.3, refute_radius_m=0.7)
+def test_rejecting_takes_its_doubles_along(scene):
+    s = scene(merge_m=0.3, reject_radius_m=0.7)
     s.see(("chair", 2, 0, 0.6), ("chair", 2.6, 0, 0.6), ("sofa", 2.3, 0, 0.6))
     s.tracker.reject(1)
-    assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "refuted"), ("sofa", "seen")]
+    assert [(i.label, i.state) for i in s.tracker.all] == [
+        ("chair", "rejected"),
+        ("sofa", "tentative"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -183,7 +186,7 @@ def test_refuting_takes_its_doubles_along(scene):
     ids=["too far", "beside", "under the nose", "hidden", "behind"],
 )
 def test_what_was_not_looked_at_stays(scene, x_m, y_m, depth_m):
-    s = scene(lift_max_range_m=8.0)
+    s = scene(back_projection_max_range_m=8.0)
     (chair,) = s.see(("chair", x_m, y_m, 0.6))
     for _ in range(50):
         s.expire(s.frame(depth_m=depth_m))
@@ -213,24 +216,27 @@ def test_looking_for_something_else_wears_nothing_away(scene):
     assert chair.score < before
 
 
-def test_another_mission_may_find_again_what_the_last_one_reached_or_refuted(scene):
+def test_another_mission_may_find_again_what_the_last_one_reached_or_rejected(scene):
     s = scene(min_hits=1)
     s.see(("chair", 2, 0, 0.6), ("sofa", 4, 0, 0.6), ("desk", 6, 0, 0.6))
     s.tracker.mark_reached(1)
     s.tracker.reject(2)
     s.tracker.forget_verdicts()
-    assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "confirmed"), ("desk", "seen")]
+    assert [(i.label, i.state) for i in s.tracker.all] == [
+        ("chair", "confirmed"),
+        ("desk", "tentative"),
+    ]
     s.see(("sofa", 4, 0, 0.6))
-    assert [i.state for i in s.tracker.of("sofa")] == ["seen"]
+    assert [i.state for i in s.tracker.of("sofa")] == ["tentative"]
 
 
-def test_what_was_refuted_may_be_found_again_where_nothing_else_is_left(scene):
+def test_what_was_rejected_may_be_found_again_where_nothing_else_is_left(scene):
     s = scene(min_hits=1)
     s.see(("couch", 2, 0, 0.6), ("chair", 4, 0, 0.6))
     s.tracker.reject(1)
     s.tracker.reject(2)
     s.tracker.forget_rejected("sofa")
-    assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "refuted")]
+    assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "rejected")]
 
 
 class Memory(Scene):
@@ -257,14 +263,18 @@ def memory(make_observation):
 
 
 @pytest.mark.parametrize(
-    ("first", "rival", "state"),
-    [(0, 0.5, "seen"), (6, 0.5, "confirmed"), (6, 0.9, "seen")],
+    ("first", "competing_score", "state"),
+    [(0, 0.5, "tentative"), (6, 0.5, "confirmed"), (6, 0.9, "tentative")],
     ids=["never confirmed", "confirmed before", "confirmed before, but another does better"],
 )
-def test_what_was_confirmed_stays_so_while_nothing_does_better(scene, first, rival, state):
+def test_what_was_confirmed_stays_so_while_nothing_does_better(
+    scene, first, competing_score, state
+):
     s = scene(confirm_lead=2.0)
     for k in range(first + 20):
-        (chair,) = s.see(("chair", 2, 0, 0.6), rival=0.0 if k < first else rival)
+        (chair,) = s.see(
+            ("chair", 2, 0, 0.6), competing_score=0.0 if k < first else competing_score
+        )
         s.expire(s.last)
     assert chair.state == state
 
@@ -276,7 +286,7 @@ def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
     for _ in range(4):
         tracker = s.look(("desk", 2, 0, 0.5), around=[("sofa", 2, 0, 0.7)])
     (desk,) = tracker.of("desk")
-    assert desk.state == "seen"
+    assert desk.state == "tentative"
     assert tracker.of("desk", doubted=False) == []
     for _ in range(60):  # it was a mistake, and as the looks go on it is seen to be one
         s.look(("desk", 2, 0, 0.6), around=[("sofa", 2, 3, 0.7)])

@@ -13,7 +13,7 @@ from twins import (
     merge_points,
     object_boxes,
     sample_depth,
-    strongest_rivals,
+    strongest_competing_scores,
     suppress,
     surfaces,
     to_planes,
@@ -108,7 +108,7 @@ def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
     kernels.competing_scores(
         boxes, scores, competes, TAU, top, anchor, label, keep, k, cut, 0.5, against
     )
-    expected = strongest_rivals(
+    expected = strongest_competing_scores(
         boxes, scores, competes, TAU, FAR_PX, anchor, label, keep[:k], cut[:k], 0.5
     )
     np.testing.assert_array_equal(against[:k], expected)

@@ -47,7 +47,7 @@ BOX = (28, 18, 52, 46)
 
 @pytest.mark.parametrize("way", ["depth", "cloud"])
 def test_no_box_nothing_lifted(make_observation, way):
-    assert len(lift(make_observation(), lift=way)) == 0
+    assert len(lift(make_observation(), back_projection=way)) == 0
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,9 @@ def cloud_of(observation):
 def test_cloud_and_depth_agree(make_observation):
     seen = make_observation(x_m=1.0, depth_m=wall_with_thing())
     cloud = np.vstack((cloud_of(seen), np.full((5, 3), np.inf, np.float32)))
-    by_cloud = lift(dataclasses.replace(seen, cloud_m=cloud, depth_m=None), BOX, lift="cloud")
+    by_cloud = lift(
+        dataclasses.replace(seen, cloud_m=cloud, depth_m=None), BOX, back_projection="cloud"
+    )
     by_depth = lift(seen, BOX)
     np.testing.assert_allclose(by_cloud.center_m, by_depth.center_m, atol=0.05)
     assert by_cloud.valid.all()
@@ -133,7 +135,9 @@ def test_cloud_and_depth_agree(make_observation):
 def test_what_is_lacking_is_counted_and_told_once(make_observation, change, way, message, caplog):
     """A LiDAR or depth camera that falls silent must not end the loop."""
     seen = dataclasses.replace(make_observation(depth_m=wall_with_thing()), **change)
-    lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), lift=way))
+    lifter = BackProjector(
+        config.PerceptionConfig(detector=config.DetectorSim(), back_projection=way)
+    )
     for _ in range(2):
         lifted, _ = lifter.lift(detect(seen, BOX))
         assert len(lifted) == 1
@@ -196,7 +200,11 @@ def test_things_of_a_real_lidar_scan(shared_dir):
     folder = shared_dir / "logs" / "semantic_kitti_05"
     if not folder.is_dir():
         pytest.skip(f"not there: {folder.name}")
-    settings = {"lift": "cloud", "lift_max_range_m": 60.0, "lift_min_points": 4}
+    settings = {
+        "back_projection": "cloud",
+        "back_projection_max_range_m": 60.0,
+        "back_projection_min_points": 4,
+    }
     lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), **settings))
     gaps = {TRUCK: [], TRUNK: [], POLE: []}
     for frame in (0, 2, 4, 6, 8):
@@ -282,7 +290,7 @@ SHELF, CABINET = (39, 5, 61, 57), (9, 21, 61, 57)
         (None, 1.5),
         ((), 1.5),
         ((CABINET,), 3.0),
-        # A rival for the same box hides nothing of it.
+        # A competing class at the same box hides nothing of it.
         ((SHELF,), 1.5),
         (((200, 200, 210, 210),), 1.5),
         ((CABINET, (np.nan, 0, 1, 1)), 3.0),
@@ -357,7 +365,9 @@ def test_only_what_lies_on_the_mask_is_the_thing(make_observation, shown_m, x_m,
     found = detect(seen, SHELF)
     if shown_m is not None:
         found = dataclasses.replace(found, mask=mask_over(SHELF, depth == np.float32(shown_m)))
-    lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), lift=way))
+    lifter = BackProjector(
+        config.PerceptionConfig(detector=config.DetectorSim(), back_projection=way)
+    )
     out, _ = lifter.lift(found)
     assert out.valid.tolist() == [True]
     assert out.center_m[0, 0] == pytest.approx(x_m, abs=0.1)

@@ -154,9 +154,10 @@ def test_what_cannot_be_used_is_an_error_of_one_line(monkeypatch, session, says)
 
 def test_without_an_image_or_a_map_and_for_an_unknown_target_it_says_so(monkeypatch):
     scorer = scorer_of(monkeypatch, FakeSession([0.0] * 9))
-    for rgb, says in ((None, "image"), (np.zeros((*HW, 3), np.uint8), "map with paths")):
+    image = np.zeros((*HW, 3), np.uint8)
+    for rgb, says in ((None, "observation 3 has no camera image"), (image, "there is no map yet")):
         blind = MarkedView(Observation(3, 7, np.eye(4), rgb=rgb), "bed", (mark(1, 1.0),))
-        with pytest.raises(ModelError, match=f"observation 3: no {says}"):
+        with pytest.raises(ModelError, match=f"cannot choose a direction: {says}"):
             scorer.look(blind)
     with pytest.raises(PromptError, match="unicorn"):
         scorer.answer(scorer.look(view(mark(1, 1.0), target="unicorn")))

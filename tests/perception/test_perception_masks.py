@@ -231,5 +231,5 @@ def test_masks_go_with_their_boxes(seen):
     found = found_in(seen, BOX, BOX)
     masks = np.zeros((2, MASK_SIDE, MASK_SIDE), np.bool_)
     masks[1] = True
-    found = dataclasses.replace(found, mask=masks, rival=np.array([1, 0], np.float32))
+    found = dataclasses.replace(found, mask=masks, competing_score=np.array([1, 0], np.float32))
     assert made(found.without_suppressed().mask) == [True]

@@ -142,11 +142,11 @@ def test_a_background_that_fits_better_is_a_boxs_rival(tiny, make_observation):
     seen = make_observation(rgb=image())
     alone = tiny(prompts=("sofa",)).detect(seen)
     assert alone.not_suppressed().tolist() == [True]
-    assert alone.rival.tolist() == [0.0]
+    assert alone.competing_score.tolist() == [0.0]
     found = tiny(prompts=("sofa",), background=("chair",)).detect(seen)
     assert found.prompts == ("sofa",)
     assert list(found.class_id) == [0]
-    assert found.rival[0] > found.score[0]
+    assert found.competing_score[0] > found.score[0]
     assert found.not_suppressed().tolist() == [False]
 
 
@@ -155,10 +155,10 @@ def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny
     seen = make_observation(rgb=image())
     found = tiny(prompts=("sofa", "chair")).detect(seen)
     assert [found.prompts[k] for k in found.class_id] == ["chair", "sofa"]
-    assert found.rival.tolist() == pytest.approx(found.score[::-1].tolist())
+    assert found.competing_score.tolist() == pytest.approx(found.score[::-1].tolist())
     assert found.not_suppressed().tolist() == [True, False]
     found = tiny(prompts=("easy chair", "chair")).detect(seen)
-    assert found.rival.max() == 0.0
+    assert found.competing_score.max() == 0.0
 
 
 def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tiny, caplog):
@@ -258,12 +258,12 @@ def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
 def test_contrasts_are_asked_for_beside_the_prompts(tiny, monkeypatch, make_observation):
     detector = tiny(prompts=("chair",))
     seen = make_observation(rgb=image())
-    assert detector.detect(seen).rival.tolist() == [0.0]
+    assert detector.detect(seen).competing_score.tolist() == [0.0]
     monkeypatch.setattr(TextEmbeddings, "contrasts", lambda *_, **__: ["red chair"])
     detector.set_prompts(("chair",))
     found = detector.detect(seen)
     assert found.prompts == ("chair",)
-    np.testing.assert_allclose(found.rival, found.score)
+    np.testing.assert_allclose(found.competing_score, found.score)
 
 
 def test_a_thing_scores_what_the_best_of_its_names_does(tiny, monkeypatch, make_observation):
@@ -307,4 +307,4 @@ def test_a_kind_of_one_target_is_still_a_rival_of_the_other(tiny, make_observati
         make_observation(rgb=image())
     )
     assert found.context.words == ("chair",)
-    assert found.rival[0] > found.score[0]
+    assert found.competing_score[0] > found.score[0]

@@ -127,7 +127,7 @@ def test_an_image_goes_there_and_boxes_come_back(make, seen, place, tmp_path):
     assert found.xyxy_px.tolist() == [[0, 0, 10, 8]] * 2
     assert found.score.tolist() == [np.float32(observation.rgb.mean() / 255)] * 2
     assert found.class_id.tolist() == [0, 1]
-    assert found.rival.tolist() == [0, 0]
+    assert found.competing_score.tolist() == [0, 0]
     assert found.prompts == detector.prompts == ("chair", "sofa")
     assert found.model == detector.name == "steered"
     assert found.latency_ns > 0
@@ -464,7 +464,7 @@ def compare(inside, perception, observations):
     try:
         for observation in observations:
             a, b = inside.detect(observation), outside.detect(observation)
-            arrays = [(a, b, ("xyxy_px", "score", "class_id", "rival"))]
+            arrays = [(a, b, ("xyxy_px", "score", "class_id", "competing_score"))]
             arrays.append((a.context, b.context, ("xyxy_px", "score", "class_id")))
             for ours, others, fields in arrays:
                 for name in fields:

@@ -25,8 +25,8 @@ REALS = st.floats(-1e6, 1e6, width=32)
 UNITS = st.floats(0, 1, width=32)
 
 
-def detections(xyxy, score, class_id, rival, context=None):
-    return Detections(None, xyxy, score, class_id, PROMPTS, rival, context)
+def detections(xyxy, score, class_id, competing_score, context=None):
+    return Detections(None, xyxy, score, class_id, PROMPTS, competing_score, context)
 
 
 def encode(found, health=("ok", ""), seq=3):
@@ -35,7 +35,7 @@ def encode(found, health=("ok", ""), seq=3):
     return read_json_object(header), block
 
 
-def some(n=2, rival=True, around=None):
+def some(n=2, competing_score=True, around=None):
     xyxy = np.arange(4 * n, dtype=np.float32).reshape(n, 4)
     context = None
     if around is not None:
@@ -44,7 +44,7 @@ def some(n=2, rival=True, around=None):
         context = ContextBoxes(np.ones((around, 4), np.float32), score, class_id, ("lamp",))
     return detections(
         xyxy, np.full(n, 0.5, np.float32), np.arange(n, dtype=np.int32),
-        np.full(n, 0.25, np.float32) if rival else None, context,
+        np.full(n, 0.25, np.float32) if competing_score else None, context,
     )  # fmt: skip
 
 
@@ -71,7 +71,7 @@ def test_an_answer_arrives_bit_for_bit(data, n):
     )
     told = Health("building engine", "a line")
     answer = wire.decode_answer(3, *encode(found, told))
-    for name in ("xyxy_px", "score", "class_id", "rival"):
+    for name in ("xyxy_px", "score", "class_id", "competing_score"):
         sent, came = getattr(found, name), getattr(answer.found, name)
         if sent is None:
             assert came is None
@@ -117,8 +117,11 @@ DAMAGES = {
     "no end of a box": (with_array("xyxy_px", np.inf), "boxes that are not finite"),
     "NaN score": (with_array("score", np.nan), "scores that are not in 0 to 1"),
     "score above 1": (with_array("score", 1.5), "scores that are not in 0 to 1"),
-    "NaN rival": (with_array("rival", np.nan), "scores that are not in 0 to 1"),
-    "negative rival": (with_array("rival", -1), "scores that are not in 0 to 1"),
+    "NaN competing score": (with_array("competing_score", np.nan), "scores that are not in 0 to 1"),
+    "negative competing score": (
+        with_array("competing_score", -1),
+        "scores that are not in 0 to 1",
+    ),
     "class beyond the prompts": (with_array("class_id", 2), "classes that are not among 2"),
     "negative class": (with_array("class_id", -1), "classes that are not among 2"),
 }

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from twins import fuse, match, strongest_rival
+from twins import fuse, match, strongest_competing_score
 
 from edge import config
 from edge.geometry import invert, se3, to_optical
@@ -266,7 +266,7 @@ def test_the_strongest_rival_agrees_with_its_twin(seed, n):
     given = (thing, centers, points, n_points, word, confidence)
     rows = np.arange(n, dtype=np.int32)
     assert kernels.competing_confidence(*given, rows, against, 0.6) == pytest.approx(
-        strongest_rival(*given, against, 0.6), abs=1e-5
+        strongest_competing_score(*given, against, 0.6), abs=1e-5
     )
 
 

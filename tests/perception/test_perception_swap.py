@@ -487,11 +487,11 @@ def test_the_exchange_while_the_old_one_detects(make_observation):
 # -- boxes found again ---------------------------------------------------------------------------
 
 
-def detections(boxes, scores, classes, rival=None, prompts=("chair", "bed")):
+def detections(boxes, scores, classes, competing_score=None, prompts=("chair", "bed")):
     return Detections(
         SimpleNamespace(), np.array(boxes, np.float32).reshape(-1, 4),
         np.array(scores, np.float32), np.array(classes, np.int32), prompts,
-        rival=None if rival is None else np.array(rival, np.float32),
+        competing_score=None if competing_score is None else np.array(competing_score, np.float32),
     )  # fmt: skip
 
 
@@ -505,7 +505,7 @@ def detections(boxes, scores, classes, rival=None, prompts=("chair", "bed")):
         (detections([BOX], [0.9], [0]), detections([BOX], [0.44], [0]), (1, 0)),
         (detections([BOX], [0.9], [0]), detections([BOX], [0.9], [1]), (1, 0)),
         (detections([BOX], [0.29], [0]), detections([BOX], [0.9], [0]), (0, 0)),
-        (detections([BOX], [0.9], [0], rival=[0.95]), detections([], [], []), (0, 0)),
+        (detections([BOX], [0.9], [0], competing_score=[0.95]), detections([], [], []), (0, 0)),
         (detections([BOX], [0.9], [0]), detections([BOX], [0.9], [0], prompts=("bed",)), (0, 0)),
         (detections([BOX, BOX], [0.9, 0.8], [0, 1]), detections([BOX], [0.9], [1]), (2, 1)),
     ],

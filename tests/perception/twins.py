@@ -55,7 +55,9 @@ def suppress(boxes, anchor, label, score, labels, one_word, iou_max, limit):
     return kept
 
 
-def strongest_rivals(boxes, scores, competes, tau, far_px, anchor, label, keep, cut, iou_max):
+def strongest_competing_scores(
+    boxes, scores, competes, tau, far_px, anchor, label, keep, cut, iou_max
+):
     """Return the best score of a competing class at each kept box."""
     clean = np.where(sound(boxes, scores, far_px)[:, None] & (scores >= tau), scores, 0).astype(
         np.float32
@@ -205,7 +207,9 @@ def match(centers, points, n_points, word, of_word, x, y, merge_m):
     return best
 
 
-def strongest_rival(surface, centers, points, n_points, word, confidence, against, reach_m):
+def strongest_competing_score(
+    surface, centers, points, n_points, word, confidence, against, reach_m
+):
     """Return the highest mean confidence of another class over the surface."""
     middle = surface[:, :2].mean(axis=0)
     cover = np.zeros((len(against), len(surface)))

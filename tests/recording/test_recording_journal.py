@@ -94,14 +94,14 @@ def test_an_entry_comes_back(kind, fields):
 FLOATS = arrays(np.float32, st.integers(0, 4), elements=st.floats(width=32))
 
 
-@given(FLOATS, st.sampled_from([None, "rival"]), st.none() | st.integers(0, 2**32 - 1))
-def test_detections_come_back_to_the_last_bit(score, rival, masked):
+@given(FLOATS, st.sampled_from([None, "competing_score"]), st.none() | st.integers(0, 2**32 - 1))
+def test_detections_come_back_to_the_last_bit(score, competing_score, masked):
     n = len(score)
     boxes, labels = np.outer(score, np.ones(4, np.float32)), np.arange(n, dtype=np.int32)
     context = ContextBoxes(boxes, score, labels, ("rug",) * n)
     seen = Observation(5, 7, np.eye(4))
     found = Detections(
-        seen, boxes, score, labels, ("bed", "sofa"), rival and score, context, "model", 9,
+        seen, boxes, score, labels, ("bed", "sofa"), competing_score and score, context, "model", 9,
         None if masked is None
         else np.random.default_rng(masked).random((n, MASK_SIDE, MASK_SIDE)) < 0.5,
     )  # fmt: skip
@@ -113,7 +113,7 @@ def test_detections_come_back_to_the_last_bit(score, rival, masked):
             assert getattr(one, name).dtype == getattr(other, name).dtype
     assert (back.prompts, back.context.words) == (found.prompts, context.words)
     assert (back.model, back.latency_ns) == ("model", 9)
-    assert (back.rival is None) == (rival is None)
+    assert (back.competing_score is None) == (competing_score is None)
     assert (back.mask is None) == (masked is None)
     if masked is not None:
         np.testing.assert_array_equal(back.mask, found.mask)

@@ -291,7 +291,9 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     recorded = files_of(tmp_path / "run")[0]
     same(recorded, 10)
     monkeypatch.setattr("edge.host.checkpoint.VERSION", 5)
-    with pytest.raises(ReplayError, match=r"recording: .* version 4, this program reads version 5"):
+    with pytest.raises(
+        ReplayError, match=r"in the recording .* version 4, this program reads version 5"
+    ):
         replay(RecordedRun(recorded))
 
 
@@ -475,7 +477,7 @@ STRANGE = {
     "mission.planner.kind": {"mission": {"target": "bed", "planner": {"kind": OWN}}},
     "source.kind": {"source": {"kind": OWN}},
     "sinks.1.kind": {"sinks": ["zenoh", {"kind": OWN, "options": {"args": "true"}}]},
-    "tasks.chain.kind": {"tasks": {"chain": {"kind": OWN}}},
+    "tasks.pipeline.kind": {"tasks": {"pipeline": {"kind": OWN}}},
 }
 
 

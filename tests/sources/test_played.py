@@ -278,7 +278,7 @@ def test_one_lidar_maps(tmp_path, cloud, used):
 
     config = simulated(
         {"mapping": {"input": "cloud"}, "sensors": {"lidar": {"z_m": 0.3}},
-         "perception": {"lift": "cloud"}}
+         "perception": {"back_projection": "cloud"}}
     )  # fmt: skip
     seen = play(write_db3(tmp_path / "robot.db3", together(odometry(), scans())), config)
     assert {n: t for n, t in seen.matched.topics.items() if n.startswith("lidar")} == used

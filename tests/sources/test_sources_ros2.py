@@ -153,7 +153,8 @@ def test_a_robot_becomes_an_observation(robot, make):
 
 
 CLOUD_LEADS = {"mapping": {"input": "cloud"}, "sensors": {"lidar": {}},
-               "perception": {"detector": {"kind": "onnx"}, "lift": "cloud"}}  # fmt: skip
+               "perception": {"detector": {"kind": "onnx"},
+                              "back_projection": "cloud"}}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", ["scan", "points"])

@@ -24,7 +24,7 @@ CAMERA = CameraModel(4, 3, 5.0, 5.0, 1.5, 1.0)
 ONNX = {"perception": {"detector": {"kind": "onnx"}}}
 CLOUD = {
     "mapping": {"input": "cloud"},
-    "perception": {"detector": {"kind": "onnx"}, "lift": "cloud"},
+    "perception": {"detector": {"kind": "onnx"}, "back_projection": "cloud"},
     "sensors": {"lidar": {"x_m": 0.2, "z_m": 0.4, "pitch_deg": 23.0}},
 }
 
@@ -106,7 +106,7 @@ def test_a_frame_with_its_interpolated_pose():
         ({}, 8.0),
         ({"sensors": {"camera": {"depth_max_m": 20.0}}}, 20.0),
         ({"mapping": {"range_m": 12.0}}, 12.0),
-        ({"perception": {"detector": {"kind": "onnx"}, "lift_max_range_m": 15.0}}, 15.0),
+        ({"perception": {"detector": {"kind": "onnx"}, "back_projection_max_range_m": 15.0}}, 15.0),
     ],
 )
 def test_depth_beyond_what_the_camera_sees_is_no_return(settings, farthest_m):

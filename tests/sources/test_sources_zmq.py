@@ -212,7 +212,8 @@ def test_the_publisher_of_the_page_is_seen_with_a_lidar_over_zenoh(tmp_path):
     source = {**parse_yaml(section)["source"], "options": {"address": where}}
     config = simulated({
         "source": source, "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
-        "mapping": {"input": "cloud"}, "perception": {"lift": "cloud"}, "sensors": {"lidar": {}},
+        "mapping": {"input": "cloud"}, "perception": {"back_projection": "cloud"},
+        "sensors": {"lidar": {}},
     })  # fmt: skip
     command = [sys.executable, str(tmp_path / "publisher.py"), where, str(tmp_path / "film.avi")]
     with zenoh_session(config.zenoh, "listen") as session, source_of(config, session) as made:

@@ -162,7 +162,7 @@ def test_an_answer_that_was_cut_off_is_not_run():
 def test_after_so_many_rounds_it_gives_up(rounds):
     with serving(saying(THROUGH)) as server:
         with pytest.raises(WriteError) as raised:
-            write_trajectory(INSTRUCTION, SCENE, by_model(server, rounds=rounds))
+            write_trajectory(INSTRUCTION, SCENE, by_model(server, max_attempts=rounds))
         assert len(server.requests) == rounds
     assert len(raised.value.rounds) == rounds
     assert f"{server.url}: no trajectory in {rounds} answers, last error: " in str(raised.value)
@@ -247,7 +247,7 @@ def test_the_key_goes_to_the_server_and_nowhere_else(monkeypatch, caplog):
     with caplog.at_level(logging.DEBUG), serving(saying(THROUGH)) as server:
         with pytest.raises(UserError) as raised:
             write_trajectory(
-                INSTRUCTION, SCENE, by_model(server, api_key_env="TASKS_KEY", rounds=2)
+                INSTRUCTION, SCENE, by_model(server, api_key_env="TASKS_KEY", max_attempts=2)
             )
         for _, headers, body in server.requests:
             assert headers["Authorization"] == "Bearer sk-secret-47"

@@ -19,7 +19,7 @@ class DecodeError(ValueError):
 class CdrReader:
     """Reads one payload field by field; a read outside the payload raises DecodeError.
 
-    >>> Reader(HEADER + U32.pack(7)).read(U32, 4)
+    >>> CdrReader(HEADER + U32.pack(7)).read(U32, 4)
     (7,)
     """
 
@@ -85,7 +85,7 @@ class CdrReader:
 class CdrWriter:
     """Builds one payload.
 
-    >>> Writer().write(U32, 4, 7).bytes() == HEADER + U32.pack(7)
+    >>> CdrWriter().write(U32, 4, 7).bytes() == HEADER + U32.pack(7)
     True
     """
 

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
+
+from edge.jit import jit
 
 U0, U1, U2 = np.uintp(0), np.uintp(1), np.uintp(2)
 INF = np.uint32(0x7F800000)  # a float32's exponent of NaN and inf
@@ -38,7 +40,7 @@ def _half(typing: Any, data: Any, at: Any) -> Any:
     return _loaded(data, at, types.uint16, 16)
 
 
-@njit(nogil=True, cache=True, inline="always")
+@jit(inline="always")
 def _swapped(word: int) -> int:
     return (
         (word >> np.uint32(24))
@@ -48,7 +50,7 @@ def _swapped(word: int) -> int:
     )
 
 
-@njit(nogil=True, cache=True)
+@jit
 def cloud_points(
     data: np.ndarray,
     begin: int,
@@ -96,7 +98,7 @@ def cloud_points(
     return int(kept)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def scan_points(
     ranges_m: np.ndarray,
     angle_min_rad: float,
@@ -138,7 +140,7 @@ def scan_points(
     return n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def depth_of_integers(
     data: np.ndarray,
     begin: int,
@@ -169,7 +171,7 @@ def depth_of_integers(
             out_m[v, u] = metres if steps < least_invalid else np.float32(0.0)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def exact_millimetres(depth_m: np.ndarray, out_mm: np.ndarray) -> bool:
     """Return True if all depth is an exact multiple of 1 mm, as from a depth camera.
 

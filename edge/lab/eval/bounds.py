@@ -1,7 +1,7 @@
 """Oracle policies: upper bounds that use the simulator's ground truth.
 
 An evaluation passes them the simulator's `world`. A robot refuses a configuration that names one.
-They spin (`policy.look_round`) if that shows anything: SPL counts only the path, and a spin
+They spin (`policy.spin`) if that shows anything: SPL counts only the path, and a spin
 adds none.
 """
 

@@ -1,7 +1,4 @@
-"""Experiment arms: named changes of a configuration that an evaluation compares.
-
-On the command line (`--column`), in files and on pages an arm is called a column.
-"""
+"""Experiment arms: named changes of a configuration that an evaluation compares."""
 
 from __future__ import annotations
 
@@ -74,7 +71,7 @@ def _column(name: str, config: Config, settings: Data) -> ExperimentArm:
     other = settings.pop("config", None)
     base = config if other is None else load(str(other))
     data, path = data_of(base), base.path
-    whole = parse(merged(data, settings), f"{path}: column {name}")
+    whole = parse(merged(data, settings), f"{path}: arm {name}")
     content = whole.model_dump(mode="json", exclude=_NOT_HASHED)
     for key in ("target", "instruction", "checkpoint"):
         del content["mission"][key]
@@ -142,13 +139,13 @@ def parse_arm(words: Sequence[str]) -> tuple[str, Data]:
         sections = key.split(".")
         if not equals or not all(sections):
             raise ConfigError(
-                f"--column {one_line(name)}: {one_line(setting)!r:.80}: expected KEY=VALUE, such "
+                f"--arm {one_line(name)}: {one_line(setting)!r:.80}: expected KEY=VALUE, such "
                 "as policy.kind=nearest_frontier"
             )
         try:
             part: Any = parse_yaml(value)
         except ValueError as error:
-            raise ConfigError(f"--column {one_line(name)}: {key}: {error}") from None
+            raise ConfigError(f"--arm {one_line(name)}: {key}: {error}") from None
         for section in reversed(sections):
             part = {section: part}
         data = merged(data, part)

@@ -97,7 +97,7 @@ def config_of(column: ExperimentArm, episode: Episode) -> Config:
     data["sim"]["world"] = episode.world
     if data["perception"]["detector"].get("kind") == "onnx":
         data["perception"]["detector"]["threads"] = 1
-    return parse(data, f"{column.path}: column {column.name}")
+    return parse(data, f"{column.path}: arm {column.name}")
 
 
 _LOCKSTEP: Data = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from edge.jit import jit
 from edge.lab.sim.base import FloorPlan, WorldObject
 
 
@@ -67,7 +67,7 @@ def value_at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> floa
     return math.inf if cell is None else float(field[cell])
 
 
-@njit(nogil=True, cache=True)
+@jit
 def any_within(xy_m, points_m, within_m):
     """Return True for each place that has any of the points within `within_m`.
 
@@ -89,7 +89,7 @@ def any_within(xy_m, points_m, within_m):
     return near
 
 
-@njit(nogil=True, cache=True)
+@jit
 def relax(free, distance):
     """Relax every free cell from its neighbours, in both directions. Return True if any changed.
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from edge import names
 from edge.config import Config
+from edge.jit import jit
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.revisits import RevisitCounter
 from edge.lab.eval.zone_entries import ZoneEntryCounter
@@ -96,7 +96,9 @@ class GroundTruthLogger:
         )
         detector = config.perception.detector
         simulated = detector.kind == "sim"
-        self._range_m = detector.max_range_m if simulated else config.perception.lift_max_range_m
+        self._range_m = (
+            detector.max_range_m if simulated else config.perception.back_projection_max_range_m
+        )
         self.fault: Exception | None = None
         self.now: GroundTruth | None = None
         self.seconds = 0.0
@@ -276,7 +278,7 @@ def mask_of(things: Sequence[WorldObject], most: int) -> np.ndarray:
     return mask
 
 
-@njit(nogil=True, cache=True)
+@jit
 def visible_px(ids: np.ndarray, depth_m: np.ndarray, mine: np.ndarray, range_m: float) -> int:
     """Count the pixels that show one of the objects within a range.
 

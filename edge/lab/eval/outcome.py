@@ -27,8 +27,8 @@ class EpisodeOutcome:
 
     Attributes:
         episode: id of the episode.
-        column: name of the arm.
-        column_id: hash of the arm's configuration.
+        arm: name of the arm.
+        arm_id: hash of the arm's configuration.
         world: name of the world.
         kind: kind of world.
         target: name of the object to find; None for a mission.
@@ -64,8 +64,8 @@ class EpisodeOutcome:
     """
 
     episode: str
-    column: str
-    column_id: str
+    arm: str
+    arm_id: str
     world: str
     kind: str
     target: str | None
@@ -99,7 +99,7 @@ class EpisodeOutcome:
     @property
     def key(self) -> tuple[str, str]:
         """Key of the outcome in its file: episode and hash of the arm."""
-        return self.episode, self.column_id
+        return self.episode, self.arm_id
 
 
 def crashed_outcomes(
@@ -179,5 +179,14 @@ class OutcomeFile:
         self.known[outcome.key] = outcome
 
 
+RENAMED = {"column": "arm", "column_id": "arm_id"}
+"""Old names of fields in files that older versions wrote → present names."""
+
+
+def present_names(data: dict[str, Any]) -> dict[str, Any]:
+    """Return a line of the file with the present names of its fields."""
+    return {RENAMED.get(name, name): value for name, value in data.items()}
+
+
 def _tupled(data: dict[str, Any]) -> dict[str, Any]:
-    return {**data, "start": tuple(data["start"])}
+    return {**present_names(data), "start": tuple(data["start"])}

@@ -10,10 +10,10 @@ import math
 from collections.abc import Hashable
 
 import numpy as np
-from numba import njit
 
 from edge import names
 from edge.config import Config
+from edge.jit import jit
 from edge.lab.sim.base import FloorPlan, World
 
 PLACE_M = 0.1
@@ -111,7 +111,7 @@ class SeenFloor:
         return new * self._place_m**2, again * self._place_m**2
 
 
-@njit(nogil=True, cache=True)
+@jit
 def cast(closed, seen, x, y, yaw_rad, half_rad, reach):
     """Mark the cells in view, and count the new ones and those seen before but not since.
 

@@ -88,8 +88,8 @@ def changed(columns: Sequence[ExperimentArm], out: Path) -> dict[str, int]:
     ids = {column.name: column.id for column in columns}
     counts: dict[str, int] = {}
     for outcome in OutcomeFile(out).known.values():
-        if outcome.column_id != ids.get(outcome.column, outcome.column_id):
-            counts[outcome.column] = counts.get(outcome.column, 0) + 1
+        if outcome.arm_id != ids.get(outcome.arm, outcome.arm_id):
+            counts[outcome.arm] = counts.get(outcome.arm, 0) + 1
     return counts
 
 
@@ -139,11 +139,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _columns(args: argparse.Namespace) -> dict[str, cols.Data]:
-    given = {} if args.columns is None else cols.read_arms(args.columns)
-    for words in args.column or ():
+    given = {} if args.arms is None else cols.read_arms(args.arms)
+    for words in args.arm or ():
         name, settings = cols.parse_arm(words)
         if name in given:
-            raise UserError(f"--column {name}: this name is used twice; choose another")
+            raise UserError(f"--arm {name}: this name is used twice; choose another")
         given[name] = settings
     return given
 
@@ -179,7 +179,7 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
 def _line(number: int, total: int, o: EpisodeOutcome) -> str:
     verdict = "ok  " if o.success else "FAIL"
     return (
-        f"{number:3}/{total} {verdict} {o.column:12} {o.world:18} "
+        f"{number:3}/{total} {verdict} {o.arm:12} {o.world:18} "
         f"{o.instruction or o.target:12} {o.elapsed_s:6.1f} s, {o.path_m:5.1f} m driven, "
         f"{o.shortest_m:4.1f} m shortest, {o.collisions} collisions, {o.wall_s:.1f} s real time: "
         f"{o.reason}"

@@ -6,17 +6,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from edge.geometry import Grid
+from edge.jit import jit
 from edge.lab.eval.metrics import REACHED_M
 from edge.tasks.value_map import closed_cells
 from edge.trajectory.smoothing import resample
 
 SPACING_M = 0.5
 """NDTW compares points at this distance, however densely a trajectory was sampled."""
-_jit = {"nogil": True, "cache": True}
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +155,7 @@ def _points(path_m: np.ndarray) -> np.ndarray:
     return path
 
 
-@njit(**_jit)
+@jit
 def _by_points(a, b):
     """Return the discrete Fréchet distance (Eiter & Mannila 1994): jumps from point to point."""
     row = np.empty(len(b))
@@ -175,7 +174,7 @@ def _by_points(a, b):
     return row[-1]
 
 
-@njit(**_jit)
+@jit
 def _warp(reference, path):
     """Return the least sum of distances over all monotone matchings of the points."""
     row = np.full(len(path) + 1, math.inf)
@@ -191,7 +190,7 @@ def _warp(reference, path):
     return row[-1]
 
 
-@njit(**_jit)
+@jit
 def _free(x, y, ax, ay, bx, by, leash):
     """Return the part (from, to) of segment a-b within `leash` of (x, y); from > to if empty."""
     dx, dy, ox, oy = bx - ax, by - ay, ax - x, ay - y
@@ -211,7 +210,7 @@ def _free(x, y, ax, ay, bx, by, leash):
     return low, high
 
 
-@njit(**_jit)
+@jit
 def _fits(a, b, leash):
     """Return True if a leash is long enough: a path through the free space, cell by cell.
 

@@ -43,7 +43,7 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
         mark("goal: place", "s", "white", palette.TARGET),
         mark("goal: spin", "o", "white", palette.MUTED, 5),
         *seen,
-        mark("refuted", "o", palette.MUTED, "white", 7),
+        mark("rejected", "o", palette.MUTED, "white", 7),
         mark("robot at the start", dart(math.pi / 2), "white", palette.START, 13),
         mark("robot at the end", dart(math.pi / 2), end, "white", 13),
     ]

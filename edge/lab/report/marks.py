@@ -116,7 +116,7 @@ def instances(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Bo
     for rank, instance in enumerate(ranked):
         wanted = _rank(record, instance)[0] == 0
         colour = palette.target_colour(instance.label, record.targets)
-        colour = palette.MUTED if instance.state == "refuted" else colour
+        colour = palette.MUTED if instance.state == "rejected" else colour
         number = numbers.get(instance.id, "")
         points = instance.points_m
         if len(points):
@@ -176,8 +176,8 @@ def _number(axes: Axes, number: str, xy_m: tuple[float, float]) -> None:
 
 def _rank(record: RunRecord, instance: Instance) -> tuple[int, bool, float]:
     """Return the sort key for labels: targets first, then reached ones, then the highest score."""
-    refuted = instance.state == "refuted"
-    order = 2 if refuted else 0 if record.is_target(instance.label) else 1
+    rejected = instance.state == "rejected"
+    order = 2 if rejected else 0 if record.is_target(instance.label) else 1
     return order, instance.state != "reached", -instance.score
 
 

@@ -54,7 +54,7 @@ def _timeline(record: RunRecord) -> str:
 
 def _automaton(story: MissionFacts) -> str:
     automaton = story.brief.automaton
-    scene = make_automaton_graph(automaton, story.state, _to_come(story), story.word)
+    scene = make_automaton_graph(automaton, story.state, _to_come(story), story.trace)
     title = f"Automaton with {automaton.n_states} states, now in state {story.state}"
     words = "; ".join([title, *(part.title for part in (*scene.arrows, *scene.nodes))])
     drawing = canvas.img(automaton_graph.draw(scene), words)

@@ -179,7 +179,7 @@ def _scene(record: RunRecord, known: Grid) -> Scene:
     floor = Grid((occupancy.cells == 0).astype(np.uint8), known.origin_xy_m, known.resolution_m)
     area_m2 = float(np.count_nonzero(floor.cells)) * known.resolution_m**2
     start = SE2(*record.trajectory[0].tolist()) if len(record.trajectory) else SE2(0.0, 0.0, 0.0)
-    things = [one for one in record.instances if len(one.points_m) and one.state != "refuted"]
+    things = [one for one in record.instances if len(one.points_m) and one.state != "rejected"]
     return Scene(
         record.start_ns, start, {one.id: _thing(one) for one in things},
         {1: Region(1, "floor", area_m2)}, occupancy, floor, None, None, None, {},

@@ -14,7 +14,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from edge.jit import jit
 
 BOX, CYLINDER, ELLIPSOID = 0, 1, 2
 
@@ -23,10 +24,8 @@ TILE_PX = 16
 # Directions of length zero along an axis would divide 0 by 0 in the slab test.
 _TINY = 1e-12
 
-_jit = {"nogil": True, "cache": True, "error_model": "numpy"}
 
-
-@njit(**_jit)
+@jit(error_model="numpy")
 def _slab(o, d, h):
     """Return entry and exit of the ray o + t d in |x| <= h."""
     inverse = 1.0 / (d if abs(d) > _TINY else _TINY)
@@ -34,7 +33,7 @@ def _slab(o, d, h):
     return (t_a, t_b) if t_a < t_b else (t_b, t_a)
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _quadratic(a, b, c):
     """Return entry and exit of a t^2 + 2 b t + c <= 0; an empty interval if there is none."""
     if a < _TINY:
@@ -46,7 +45,7 @@ def _quadratic(a, b, c):
     return (-b - root) / a, (-b + root) / a
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _hit(shape, ox, oy, oz, dx, dy, dz, hx, hy, hz):
     """Return the distance t along d where a ray enters the solid; inf for a miss or inside."""
     if shape == ELLIPSOID:
@@ -69,7 +68,7 @@ def _hit(shape, ox, oy, oz, dx, dy, dz, hx, hy, hz):
     return t_in if NEAR_M < t_in <= t_out else math.inf
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def into_local(pose, T, local):
     """Fill `local` (3, 4) with the transform from the sensor's frame to the primitive's."""
     c, s = pose[6], pose[7]
@@ -81,7 +80,7 @@ def into_local(pose, T, local):
     local[0, 3], local[1, 3], local[2, 3] = c * x + s * y, -s * x + c * y, T[2, 3] - pose[2]
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _corners(pose, local, corners):
     """Fill `corners` (8, 3) with the bounding box's corners in the sensor frame."""
     for k in range(8):
@@ -92,7 +91,7 @@ def _corners(pose, local, corners):
             corners[k, j] = local[0, j] * x + local[1, j] * y + local[2, j] * z
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _rectangle(corners, fx, fy, cx, cy, width, height, rect):
     """Fill `rect` (u0, v0, u1, v1, inclusive) with the projection of a box cut at the near plane.
 
@@ -126,7 +125,7 @@ def _rectangle(corners, fx, fy, cx, cy, width, height, rect):
     return max(z_min, NEAR_M)
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _box_row(index, hx, hy, hz, local, u0, fx, bx, by, bz, depth, prim):
     """Ray-test a row of pixels against a box, without branches, so that the compiler vectorises it.
 
@@ -153,7 +152,7 @@ def _box_row(index, hx, hy, hz, local, u0, fx, bx, by, bz, depth, prim):
     return count
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _draw(index, shape, pose, local, rect, z_min, fx, fy, cx, cy, depth, prim, tile_z):
     """Ray-test the pixels of `rect` against one primitive."""
     height, width = depth.shape
@@ -192,7 +191,7 @@ def _draw(index, shape, pose, local, rect, z_min, fx, fy, cx, cy, depth, prim, t
                 tile_z[tile_y, tile_x] = far
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def render_depth(shape, pose, T_map_camera, fx, fy, cx, cy, depth, prim):
     """Fill `depth` (h, w) float32 [m along z, inf = nothing] and `prim` (h, w) int32 (-1 = none).
 
@@ -219,7 +218,7 @@ def render_depth(shape, pose, T_map_camera, fx, fy, cx, cy, depth, prim):
         )  # fmt: skip
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def name_hits(hit, owner, near_m, far_m, depth, ids):
     """Fill `ids` with each hit's owner, and set depths outside the camera's range to NaN.
 
@@ -238,7 +237,7 @@ def name_hits(hit, owner, near_m, far_m, depth, ids):
             depths[k] = np.nan
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
     """Fill `window` (ring0, ring1, column0, columns) with the rays that can meet a box.
 
@@ -275,7 +274,7 @@ def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
     window[1] = min(n_rings, math.floor((top - el_min) / el_step) + 2)
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def cast_fan(shape, pose, T_map_lidar, directions, el_min, el_step, ranges):
     """Fill `ranges` (rings, columns) float32 [m, inf = nothing] for a rotating LiDAR.
 
@@ -304,7 +303,7 @@ def cast_fan(shape, pose, T_map_lidar, directions, el_min, el_step, ranges):
                 ranges[r, c] = min(ranges[r, c], t)
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def rasterise(shape, pose, z_lo, z_hi, origin_m, cell_m, grid):
     """Set `grid` (rows, columns) uint8 to 1 where a solid reaches into z_lo..z_hi [m]."""
     pad = 0.5 * cell_m

@@ -11,12 +11,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-_jit = {"nogil": True, "cache": True, "error_model": "numpy"}
+from edge.jit import jit
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def aim(rays, T_map_sensor, origins, directions):
     """Fill `origins` and `directions` (n, 3) float32 in the map for `rays` (n, 3) of a sensor.
 
@@ -30,7 +29,7 @@ def aim(rays, T_map_sensor, origins, directions):
             directions[k, j] = T[j, 0] * x + T[j, 1] * y + T[j, 2] * z
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _sample(texels, offset, height, width, s, t):
     """Return r, g, b by bilinear lookup with wrap-around at s (right), t (down)."""
     x, y = (s - math.floor(s)) * width - 0.5, (t - math.floor(t)) * height - 0.5
@@ -51,7 +50,7 @@ def _sample(texels, offset, height, width, s, t):
     )
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def shade_hits(
     face, u, v, distance, rays, fx,
     normals, uvs, tint, texels, levels, first_level, level_count, texel_density, sky, rgb,
@@ -94,7 +93,7 @@ def shade_hits(
         rgb[k, 2] = np.uint8(min(255.0, b * tint[f, 2] * light))
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def rasterise_triangles(triangles, z_lo, z_hi, origin_m, cell_m, grid):
     """Set `grid` to 1 under every part of the (n, 3, 3) triangles between z_lo and z_hi [m].
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from edge.jit import jit
 from edge.lab.sim.kernels import BOX, CYLINDER, ELLIPSOID, into_local
 
 PLAIN, PLANKS, TILES, FABRIC, GRAIN, PAINT, SCREEN, BOOKS, FOLIAGE, PICTURE = range(10)
 
-_jit = {"nogil": True, "cache": True, "error_model": "numpy"}
 
-
-@njit(**_jit)
+@jit(error_model="numpy")
 def _noise(a, b):
     """Return a repeatable pseudo-random number in [0, 1) from two integers."""
     n = (np.int64(a) * np.int64(374761393) + np.int64(b) * np.int64(668265263)) & 0x7FFFFFFF
@@ -22,7 +20,7 @@ def _noise(a, b):
     return ((n ^ (n >> 16)) & 0xFFFF) / 65536.0
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _line(a, period, width, blur):
     """Return the share in [0, 1] of a spot of size `blur` at a that a seam covers.
 
@@ -33,7 +31,7 @@ def _line(a, period, width, blur):
     return 0.0 if from_seam > reach else min(1.0, width / (width + blur))
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _texture(kind, a, b, px, py, pz, blur):
     """Return colour factors (r, g, b) at face coordinates a, b [m].
 
@@ -88,7 +86,7 @@ def _texture(kind, a, b, px, py, pz, blur):
     return 1.0, 1.0, 1.0
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def _normal(shape, px, py, pz, hx, hy, hz):
     """Return the outward unit normal at a surface point, and the axis that is closest to it."""
     x, y, z = px / hx, py / hy, pz / hz
@@ -105,7 +103,7 @@ def _normal(shape, px, py, pz, hx, hy, hz):
     return nx * scale, ny * scale, nz * scale, (0 if abs(nx) > abs(ny) else 1)
 
 
-@njit(**_jit)
+@jit(error_model="numpy")
 def shade(
     shape, pose, color, texture, T_map_camera, fx, fy, cx, cy, depth, prim,
     clearance_m, origin_m, cell_m, sky, rgb,

@@ -225,15 +225,15 @@ function frontier(context, c, best, told) {
 
 function instance(context, thing) {
   const [x, y] = toScreen(thing.xy_m);
-  const refuted = thing.state === "refuted";
-  const ink = refuted ? colour("muted") : colourOf(thing.label, shown.targets);
-  const half = thing.state === "seen" || refuted ? 5 : 7;
+  const rejected = thing.state === "rejected";
+  const ink = rejected ? colour("muted") : colourOf(thing.label, shown.targets);
+  const half = thing.state === "tentative" || rejected ? 5 : 7;
   context.fillStyle = ink;
   context.fillRect(x - half, y - half, 2 * half, 2 * half);
   context.strokeStyle = colour("card");
   context.lineWidth = 1.5;
   context.strokeRect(x - half, y - half, 2 * half, 2 * half);
-  if (thing.state !== "seen") label(context, refuted ? `no ${thing.label}` : thing.label, x + half + 4, y, ink);
+  if (thing.state !== "tentative") label(context, rejected ? `no ${thing.label}` : thing.label, x + half + 4, y, ink);
 }
 
 // Objects that are not drawn as objects of the mission.

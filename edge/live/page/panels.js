@@ -131,7 +131,7 @@ const ms = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
 
 export const health = once(({ service, health: h, controlled }) => {
   const rows = [["service", service.ready ? `${service.state}, ready` : `${service.state}: ${service.why.join("; ")}`, service.ready ? "ok" : "warn"]];
-  const { detector, loop, checkpoint, swap, governor, scorers, inputs, plausibility } = h;
+  const { detector, loop, checkpoint, swap, load_shedding: shedding, scorers, inputs, plausibility } = h;
   for (const [name, input] of Object.entries(inputs?.topics ?? {})) rows.push([name, ...inputOf(input)]);
   for (const [name, message] of Object.entries(plausibility?.failed ?? {})) rows.push([name, message, "warn"]);
   rows.push(["detector", `${detector.model}: ${detector.state}${detector.detail ? `, ${detector.detail}` : ""}`, level(detector.state)]);
@@ -139,7 +139,7 @@ export const health = once(({ service, health: h, controlled }) => {
   rows.push(["loop", `${loop.state}, ${loop.failed} faults${loop.last_error ? `: ${loop.last_error}` : ""}`, level(loop.state)]);
   rows.push(["controller", controlled ? "answers" : "silent", controlled ? "ok" : "warn"]);
   if (swap?.state && swap.state !== "idle") rows.push(["model swap", `${swap.state} ${swap.detail ?? ""}`]);
-  if (governor) rows.push(["governor", governor.rung ? governor.why : governor.distress || "nothing reduced", governor.rung ? "warn" : "ok"]);
+  if (shedding) rows.push(["load shedding", shedding.level ? shedding.why : shedding.distress || "none", shedding.level ? "warn" : "ok"]);
   for (const [name, scorer] of Object.entries(scorers ?? {})) rows.push([name, scorer.model ?? "asked"]);
   if (checkpoint) rows.push(["checkpoint", Object.values(checkpoint).filter((v) => typeof v === "string").join(", ")]);
   pairs("health", rows);

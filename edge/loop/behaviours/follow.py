@@ -154,7 +154,7 @@ class FollowBehaviour:
     def gather(self) -> Sequence[Instance]:
         """Return the unconfirmed objects that an ambiguous name may mean."""
         found = [self._map.tracker.get(number) for number in self._unsure]
-        return [one for one in found if one is not None and one.state == "seen"]
+        return [one for one in found if one is not None and one.state == "tentative"]
 
     def plan(self, context: PolicyInput, images: int) -> None:
         """Advance the task. Slow work is started in the background."""
@@ -307,7 +307,8 @@ class FollowBehaviour:
         if len(found) and ranged and seen.camera is not None:
             seen.hold()
             self._side.submit(
-                ObjectMapUpdate(found, self._objects, perception.lift_max_range_m), ObjectMapUpdate
+                ObjectMapUpdate(found, self._objects, perception.back_projection_max_range_m),
+                ObjectMapUpdate,
             )
 
     def _ask(
@@ -464,7 +465,7 @@ class FollowBehaviour:
         here.sort(key=lambda one: (one.id != number, one.distance_m(pose.x_m, pose.y_m)))
         thing = self._map.tracker.get(number)
         found = next((one for one in here if self._map.tracker.confirmed(one)), None)
-        away = thing is not None and thing.state != "refuted" and not here
+        away = thing is not None and thing.state != "rejected" and not here
         if thing is not None and away and not self._map.tracker.confirmed(thing):
             away_m = thing.distance_m(pose.x_m, pose.y_m)
             text = f"{label} {number} is {away_m:.1f} m away: too far to verify, accepted"

@@ -11,6 +11,7 @@ from edge.mission.language.clause_parts import (
 )
 from edge.mission.language.conditions import take_happening
 from edge.mission.language.lexicon import AVOIDING
+from edge.mission.language.naming import refuse_missing_name
 from edge.mission.language.noun_phrases import (
     Antecedents,
     NounPhrase,
@@ -114,7 +115,7 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
     elif clause.returns and memory.asked and clause.negated:
         clause.things = memory.asked  # "never go back"
     elif not clause.negated or not clause.verb.startswith("stop"):
-        reader.refuse("expected the name of a thing here", reader.peek())
+        refuse_missing_name(reader)
     if clause.verb.startswith(_ANYWHERE) and not clause.verb.endswith("near"):
         clause.elsewhere = clause.mood != "can"
 

@@ -14,6 +14,7 @@ from edge.mission.language.clause_parts import (
     take_mood,
 )
 from edge.mission.language.conditions import another_participle, take_condition
+from edge.mission.language.naming import refuse_missing_name
 from edge.mission.language.noun_phrases import (
     Antecedents,
     NounPhrase,
@@ -283,7 +284,7 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
         clause.each = 1
         return
     if not starts_noun_phrase(reader):
-        reader.refuse("expected the name of a thing here")
+        refuse_missing_name(reader)
     if token.kind == "without" and reader.peek().text in ("both", "both of"):
         reader.refuse_finally(
             "unclear: none of them, or not both? say it for each one", reader.peek()

@@ -12,6 +12,7 @@ from edge.mission.language.clause_parts import (
     take_count,
     take_mood,
 )
+from edge.mission.language.naming import refuse_missing_name
 from edge.mission.language.noun_phrases import (
     Antecedents,
     NounPhrase,
@@ -64,7 +65,7 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
         reader.skip("verb")
         skip_particles(reader, says)
         if not starts_noun_phrase(reader):
-            reader.refuse("expected the name of a thing here")
+            refuse_missing_name(reader)
         condition.things = take_noun_phrase(reader, memory)
         while participle and another_participle(reader):
             skip_particles(reader, says)

@@ -24,6 +24,9 @@ _PLACES = tuple(sorted(PHRASES["place"], key=len, reverse=True))
 _OF_NO_NAME = {"of", "between", "against"}
 _STORIES = {"floor", "floors", "story", "level", "room", "landmark", "door", "street", "building"}
 _AFTER_LETTER = {*AFTER_VERB, ",", ".", "and", "or", "then", "before", "after", "until"}
+_PHRASE_STARTS = {
+    words[0] for words, kind in TABLE.items() if kind not in ("filler", "addressed", "word")
+}
 _CUT_OFF = nouns.listed("don doesn didn isn aren wasn can won shouldn mustn couldn")
 """First part of a contraction whose `t` lost the apostrophe."""
 _VERBS_TOO = """
@@ -79,7 +82,7 @@ def delexicalise_text(text: str) -> DelexicalisedText:
             than `MOST_NAMES` objects.
 
     Example:
-        >>> lift("Go to the bed, then to the sofa.").words
+        >>> delexicalise_text("Go to the bed, then to the sofa.").words
         ('go', 'to', '<0>', ',', 'then', 'to', '<1>', '.')
     """
     pieces = _pieces(text)
@@ -214,7 +217,9 @@ def _is_letter(pieces: list[_Piece], at: int, among_letters: bool) -> bool:
     after = pieces[at + 1] if at + 1 < len(pieces) else _Piece(".", 0)
     if after.quoted or (len(after.text) > 1 and _known_length(pieces, at + 1)):
         return False
-    return after.text in _AFTER_LETTER or among_letters
+    return after.text in _AFTER_LETTER or (
+        among_letters and (len(after.text) == 1 or after.text in _PHRASE_STARTS)
+    )
 
 
 def _names_letters(pieces: list[_Piece]) -> bool:

@@ -28,8 +28,8 @@ PARTS = {
         everything [around|in] [here|there])
         """,
     "look": """
-        (explore|explore (me|us)|exploring|scout|scout out|scan|survey|map|map out|discover|
-        sweep|investigate|get to know|
+        (explore|explore (me|us)|exploring|inspect|scout|scout out|scan|survey|map|map out|discover|
+        investigate|get to know|
         [make|do] [an|the] exploration [of]|go exploring [in]|look through|search through|
         (look|drive|go|wander|roam|cruise|(have|take|make) a [good|quick] (look|wander|peek|tour)|
         do a (tour|scan)|make a map) [all] (around|round|about) [in|inside|of|at]|
@@ -40,13 +40,14 @@ PARTS = {
         """,
     "time": "[, [only|for|during] <span> [long]] [again|once more|one more time|"
             "before (we|i|they) (start|begin|leave|open|close)]*",
+    "where": "(at|in|by|near|inside|next to|in front of)",
     "patrol": """
         [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|
         [go|be] on patrol|[do|doing|make|making] [your|the|some] rounds|go round|
         [go|drive|run|keep going|move|walk] back and forth|
         (do|run|drive|make) (laps|loops|circles)|
         circle|loop|cycle|shuttle|alternate|
-        (drive|go|run|move|walk) (around|round))
+        (drive|go|run|move|walk) (around|round|up and down)|(go|drive|walk) between)
         [between|of|in|through|around|from|at|to|on]
         """,
     "rounds": "(times|rounds|laps|loops|circles|circuits|tours|turns|trips|round|lap|time)",

@@ -43,13 +43,14 @@ MAX_ROUNDS = 10
 
 _CHECKS = compiled(
     """
-    {then} {drive} {over} (in|into|to|inside) <into> and [then] {check}
+    {then} {drive} {over} (in|into|to|inside|down|along|through) <into> and [then] {check}
             ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
     {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <thing> (is|are)
             {still} (there|in there)
     {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
     {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
     {then} {goes} {check} {if} <thing> (is|are) {at}
+    {then} {goes} {check} {if} (i|we) [have] (left|put|forgot|forgotten|dropped) <thing> {at}
     {then} {goes} {check} {if} you [can] see <thing> {at} [there|around|here]
     {then} {goes} {check} [if] (is|are) [there] <thing> {at} [there]
     {then} {goes} check for <thing> {at}
@@ -60,19 +61,22 @@ _CHECKS = compiled(
 )
 _SEARCHES = compiled(
     """
-    (search|scan|look in|look through|look around) <room> for <thing>
-    look around in <room> for <thing>
+    (search|scan|look in|look through|look around|look around in|
+            (have|take) a [good|quick|little|proper|close]* look [around|round]
+            (in|at|inside|through)) <room> for <thing>
+    (search|look) {whole} for <thing>
     """,
     PARTS,
 )
 _EXPLORES = compiled(
     """
-    {goes} ({look}|look|inspect) {whole} [{whole}] [and|then] [map|scan|look at|explore]
+    {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
             [everything] {time}
     {goes} {look} <stops> {time}
     {goes} {look} <room> [, (only|just) (this|that) (room|one)] {time}
     give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
-            (once-over|look|scan|sweep|look over|check|going over|look-over|inspection) {time}
+            (once-over|once over|look|scan|sweep|look over|check|going over|look-over|inspection)
+            {time}
     (have|take|make) a [good|proper|quick|close]* look (round|around|in|at|inside) (<room>|{whole})
             {time}
     """,
@@ -115,16 +119,17 @@ _STARTS = compiled(
     PARTS,
 )
 _BACK_TO = compiled(
-    "{then} (return|(come|go|get|drive|head|run|move|be) [straight|right] back|back) to <thing>",
+    "{then} (return|[come|go|get|drive|head|run|move|be] [straight|right] back) to <thing>",
     PARTS,
 )
 _CALLS = compiled("(come|drive|get|move|roll) [over|right|up]* (here|to me|to us|over here)", PARTS)
 _BACKS = compiled("{then} {back}", PARTS)
 _WAITS = compiled(
     """
+    {then} {hold} [for] <span> {where} <thing>
     {then} {hold} {there} [for] <span> [there|here]
-    {then} {hold} (at|in|by|near|inside|next to|in front of) <thing> [for] <span>
-    {then} wait [for (me|us)] (at|in|by|near|inside|next to|in front of) <thing>
+    {then} {hold} {where} <thing> [for] <span>
+    {then} wait [for (me|us)] {where} <thing>
     {then} stay [for (me|us)] (at|by|near|next to|in front of) <thing>
     {then} (wait|stay) (there|here|in there) [for me|until i (come|am there|get there|call|say) ...]
     """,
@@ -137,10 +142,11 @@ _RELATED = re.compile(
     re.I,
 )
 _INTRODUCED = re.compile(
-    rf"^ (?:there (?:is|are)|(?:we|i) (?:need|want|lost|have lost|left|forgot|am looking for)) "
+    r"^ (?:there (?:is|are)|(?:we|i) (?:need|want|am looking for|can not find|"
+    r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten))) "
     rf"(?P<thing>{NAME})(?: {any_of('standing')})?(?: (?P<relation>{any_of('relation')}) "
-    rf"(?P<anchor>{NAME}))?[,.;!]+ (?:so |please |and )*(?P<order>[^,.;!?]*?) (?:it|them)"
-    r"(?=[,.;!?]|$)",
+    rf"(?P<anchor>{NAME}))?(?: somewhere)?(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
+    r"(?:so |please |and )*(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
     re.I,
 )
 _ROOM_WITH = re.compile(
@@ -152,6 +158,7 @@ _PERMITS = re.compile(
     rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
     re.I,
 )
+_ON_THE_WAY = re.compile(r'\bon (?:the|your) way,? (?:there,? )?(?:then )?go to "', re.I)
 _LOOSE = re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I)
 _ONLY_THERE = (
     "the robot can only check whether a thing is there; say for example 'check whether the stove "
@@ -159,7 +166,7 @@ _ONLY_THERE = (
 )
 _NOWHERE = nouns.listed(
     """way foot own order point least most floor floors last path road route place places spot area
-    position location side one ones"""
+    position location side one ones bit moment while"""
 )
 """Words that name no object in "at some point", "on the way", "a place near the door"."""
 _STOP = rf",? (?:and then|and|then|to|or) |, | (?={MARK}|the )"
@@ -179,6 +186,8 @@ _NUMBERED = re.compile(
     re.I,
 )
 _PLAINER = (
+    (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
+    (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
      r"\1 you have visited"),
@@ -187,12 +196,14 @@ _PLAINER = (
 )  # fmt: skip
 """Changes before all others: lists of numbered rooms, and other words for known ones."""
 _IN_ROOM_AND = re.compile(
-    rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})),? and(?= (?:find|look for) )", re.I
+    rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})),? and"
+    rf"(?= (?:find|look (?:for|at)|inspect|examine|{any_of('work')}) )",
+    re.I,
 )
 _DANGLING = re.compile(
     rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*"(?:,| and then| and| or| then)+ (?:{ARTICLE} |")'
     rf'|"[^"]* [^"]*" (?:and|or) {any_of("relation")} '
-    rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) {ARTICLE} ',
+    rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) (?:{ARTICLE}|{any_of("room")}) ',
     re.I,
 )
 _GOES_TO = re.compile(
@@ -262,6 +273,8 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     if dangling := _DANGLING.search(text):
         hint = "unclear what to do with the second one; say it in a sentence of its own"
         raise UnclearError(f"instruction: {dangling[0].strip()}: {hint}", dangling[0].strip())
+    if _ON_THE_WAY.search(text):
+        raise UnclearError("instruction: 'on the way': name what comes first, first")
     if room := _SOME_ROOM.search(text):
         raise UnclearError(f"instruction: {room[0]!r}: unclear which room; name it", room[0])
     if loose := _LOOSE.search(text):
@@ -297,9 +310,10 @@ def _introduced(found: re.Match[str]) -> str | None:
 
 
 def _searched(found: re.Match[str]) -> str | None:
-    if not is_room(bare(found["room"])) or is_vague(found["thing"]):
+    room = found.groupdict().get("room") or ""
+    if (room and not is_room(bare(room))) or is_vague(found["thing"]):
         return None
-    where = _where("in", found["room"])
+    where = _where("in", room)
     return None if where is None else f' find "{bare(found["thing"])}{where}"'
 
 
@@ -308,11 +322,12 @@ def _checked(found: re.Match[str]) -> str | None:
     thing = bare(found["thing"])
     if is_vague(thing) or thing in ("it", "them"):
         return None
-    plain_look = not slots.get("relation") and found[0].rstrip().endswith(found["thing"])
-    if plain_look and (
-        is_room(thing) or thing.startswith("rooms ") or thing.split()[-1] in _NOWHERE
-    ):
-        return None  # "check the kitchen" is no check of a thing
+    if not slots.get("relation") and found[0].rstrip().endswith(found["thing"]):
+        known = is_marked(thing) or nouns.unknown_in(thing.split()) is None
+        named = known or re.match(r"(?!any|some)\w+ ", found["thing"][: -len(thing)])
+        nowhere = thing.startswith("rooms ") or thing.split()[-1] in _NOWHERE
+        if is_room(thing) or nowhere or not named:
+            return None  # "check the kitchen" is no check of a thing, nor "check for any messages"
     if slots.get("into") and not is_room(bare(slots["into"])):
         return None
     if slots.get("room") or slots.get("into"):
@@ -405,9 +420,10 @@ def _rounds(found: re.Match[str]) -> str | None:
     if rounds is not None and 1 <= rounds <= MAX_ROUNDS:
         return " " + ", then ".join(f"go to {_articled(stop)}" for stop in stops * rounds)
     if found.start() or found.string[found.end() :].strip(" .!?"):
+        order = "send what comes before it first" if found.start() else "send the rest afterwards"
         raise UnclearError(
             "instruction: a patrol for some time, or with more than "
-            f"{MAX_ROUNDS} rounds, must be the whole instruction; send the rest afterwards"
+            f"{MAX_ROUNDS} rounds, must be the whole instruction; {order}"
         )
     end = f"{rounds} times" if rounds is not None else "until told"
     end = f"for {_length(seconds_of(slots['span']))}" if slots.get("span") else end

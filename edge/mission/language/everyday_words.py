@@ -17,20 +17,25 @@ _ROWS: dict[str, str] = {
     "hesitation": "uh; um; er; erm; hmm; hm; uhm; mm; eh",
     "opening": """
         hey; hi; hello; yo; ok; okay; so; well; now; please; robot; oh; right; alright; all right;
-        listen; dear; ah; and; then; good morning; good evening; attention; quick; quickly; yes;
+        listen; dear; ah; and; then; carefully; good morning; good evening; attention; quick;
+        quickly; yes;
         yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you go;
         buddy; sorry; just; kindly; from now; from now on; for now; first; today;
         (my|) (dear|love|darling|friend|sweetheart|sweetie);
         (could|can|would|will) you (just|maybe|perhaps|kindly|quickly|);
         (could|can|would|will) you (be so kind|be so good) (as|) to; (would|do) you mind;
-        i (want|need|would like|expect) (that|) you to; i (want|need) that you;
+        i (want|need|would like|expect) (that|) you to; i (want|need|would like|would prefer)
+        that you;
         (that is|this is) enough; that will do;
         (we|i) (want|need|would like) (the|) robot to; i want to ask you to; you (must|should|shall)
         to;
         you (must|should|shall|have to|need to|are to); it would be (nice|great|lovely) if you
-        (could|would); be a (dear|pal|darling|sweetheart|good robot) and; do me a favour and;
+        (could|would); be (a|an) (dear|pal|darling|sweetheart|love|angel|star|good
+        (robot|boy|girl)) and; do me a favour and;
         do me a favor and; go ahead and; make sure (to|you|that you); be sure to; try to; let us;
-        i wonder if you could; time to; in your memory; hurry up and; hurry and;
+        mind (that|) you;
+        i wonder if you could; why do not you; why do n't you; time to; in your memory;
+        hurry up and; hurry and;
         as far as you (know|remember); be the guard and; be a guard and; come on;
         follow the plan and; please to
     """,
@@ -38,17 +43,20 @@ _ROWS: dict[str, str] = {
         please; thanks; thank you; thank you very much; dear; love; buddy; robot; okay; ok; mate;
         pal; (would|will|could|can) you; for me; now; right now; right away; at once; immediately;
         honey; darling; sweetie; my dear; my friend; my love; sweetheart;
-        as (fast|quickly|soon) as you can; quickly; quick; fast; hurry; hurry up; thanks a lot;
+        as (fast|quickly|soon) as you can; (really|very|super|) (quickly|quick|fast); sharpish;
+        hurry; hurry up; thanks a lot; (just|) so you know; for your information; log it; you can
+        find;
         if you (please|do not mind); when you (have|get) (time|a moment|a minute|a chance);
-        in case you did not know; for now; today; (you have|try|please) to remember (that|it|);
-        remember (that|it|);
-        please remember (that|it|); do not forget (that|it|); got it; did you get that; you hear;
+        in case you did not know; for now; today; do not forget (that|it|); got it; did you get
+        that; you hear;
         will you please; all right; alright; for us; sir; friend; be careful; and be careful;
-        carefully; come on; good robot; from now on; there is a good (boy|robot); to charge;
+        carefully; come on; good robot; from now on; there is a good
+        (boy|robot|lad|girl|chap|fellow); to charge;
         for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
         (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
         (about|around); will (ya|you); would ya; off you go; with you; little (one|robot|friend);
-        do remember (that|it); as far as you (know|remember);
+        (to|do|try to|you have to|) (remember|memorize|memorise) (it|that|);
+        as far as you (know|remember);
         every (bit|part|inch|corner) of it;
         like a (guard|policeman|robot|spy)
     """,
@@ -107,10 +115,14 @@ _ROWS: dict[str, str] = {
         (yourself|) (at|in|on|by|near|next to); present yourself at; position yourself (at|in|by);
         place yourself (at|in|by); put yourself (at|in|by); get (over|back|) to; go and stand
         (in|at|by|near|next to); go (stand|sit|wait|be|sleep|park) (in|at|by|near|next to);
-        go visit; pay a visit to; take a trip to; go have a look at; take yourself to
+        go visit; pay a visit to; take a trip to; go have a look at;
+        (take|get|bring|off) yourself (off|down|up|along) to;
+        (go|move|drive|get|come) (close|closer|next|up) to; (move|drive|get|come) near
     """,
     "find": """
         track down; hunt (for|down|out); seek; seek out; spot; look out for; go find; go and find;
+        go around and find; go around and (look|search) for;
+        (find|look) for (me|us);
         search; search for; go search for; go and search for; go look for; go and look for; locate;
         go locate; try to find; try and find; help (me|us) find; help (me|us) look for; find me;
         find us; see if you can find; see if you can spot; keep an eye out for; i am looking for;
@@ -127,7 +139,7 @@ _ROWS: dict[str, str] = {
     """,
     # Verbs of work at a thing: the robot drives there.
     "work": """
-        open; close; shut; lock; unlock; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
+        sweep; open; close; shut; lock; unlock; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
         feed; iron; water; empty; fill; (switch|turn) (on|off|up|down); knock; fix; repair; sort
     """,
     "talk": """
@@ -185,6 +197,8 @@ def any_of(kind: str) -> str:
 
 _WORD = (
     r"(?:(?:trash|garbage|rubbish|watering|paint|soda|beer) can"
+    rf"|(?:bottle|glass|cup|mug|bowl|plate|box|bag|pack|packet|roll|jar|tin|stack|pile) of "
+    rf"(?!{AFTER_A_NAME}\b)\w+"
     rf"|(?!{AFTER_A_NAME}\b)\w[\w'.-]*(?<![.]))"
 )
 MARK = "[\ue000-\uf8ff]"

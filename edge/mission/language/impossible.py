@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from edge.mission.language.everyday_words import PLAIN_NAME, any_of, bare, is_room
+from edge.mission.language.everyday_words import ARTICLE, PLAIN_NAME, any_of, bare, is_room
 from edge.mission.language.tokens import UnclearError
 
 _OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just |now )?"
@@ -19,8 +19,14 @@ _DRIVES = (
 _CANNOT = (
     (rf"{_OPENS_CLAUSE}{any_of('follow')}\b", "the robot cannot follow or lead; say where to go"),
     (
-        rf"{_OPENS_CLAUSE}{any_of('carry')}\b{_DRIVES}",
+        rf"{_OPENS_CLAUSE}(?:{any_of('carry')}\b{_DRIVES}"
+        rf"|(?:bring|fetch|carry|hand|take) (?:over|up|in|out|down|back) {ARTICLE}\b)",
         "the robot has no arms; it can drive to things, so say for example 'find the mug'",
+    ),
+    (
+        rf"\balong {ARTICLE} (?!(?:\w+ )?(?:way|route|path|line|road|street|aisle|lane|hall|"
+        r"hallway|corridor|passage)\b)",
+        "the robot cannot drive along a thing; say where to go",
     ),
     (rf"{_OPENS_CLAUSE}{any_of('talk')}\b", "the robot answers here in text, and does no more"),
     (rf"\b{any_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),

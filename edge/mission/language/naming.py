@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NoReturn
 
 from edge import names
 from edge.mission.language import nouns
@@ -48,7 +49,7 @@ def take_name(reader: TokenReader) -> str:
         return reader.tokens[_advance(reader)].text
     words = _words(reader, article)
     if not words:
-        reader.refuse("expected the name of a thing here", start)
+        refuse_missing_name(reader, start)
     _check(reader, words)
     if reader.sees("article"):
         reader.refuse("unknown word", words[0])
@@ -56,11 +57,22 @@ def take_name(reader: TokenReader) -> str:
     return _canonical(reader, text, words[0])
 
 
+def refuse_missing_name(reader: TokenReader, start: Token | None = None) -> NoReturn:
+    """Refuse an instruction without a name at `start`, by default the next token."""
+    start = start or reader.peek()
+    if start.text == "the robot":
+        reader.refuse_finally("this is the robot itself; say 'a robot' for another one", start)
+    reader.refuse("expected the name of a thing here", start)
+
+
 def _words(reader: TokenReader, article: bool) -> list[Token]:
     """Take the words of a name; after an article it may begin with a verb."""
     words: list[Token] = []
     while reader.sees("word", "group") and not is_letter(reader.peek()):
-        if reader.peek().text in AFTER_VERB or _says_number(reader):
+        particle = reader.peek().text in AFTER_VERB and not (
+            article and not words and nouns.is_noun(reader.peek(1).text)
+        )  # "the back door"
+        if particle or _says_number(reader):
             break
         words.append(reader.tokens[_advance(reader)])
     if words:
@@ -119,10 +131,12 @@ def _goes_on(reader: TokenReader) -> bool:
 
 
 def _hardly_a_name(reader: TokenReader) -> bool:
-    """Return True if `a` probably begins "a walk": no other letter is a name."""
+    """Return True if `a` is probably an article, as in "a walk": no other letter is a name."""
     if reader.peek(-1).text == "be":  # "be a dear"
         return True
-    if not reader.sees("verb", "times", "immediately", ahead=1):
+    if not reader.sees("verb", "times", "immediately", "filler", "addressed", ahead=1):
+        return False
+    if reader.peek(1).text.startswith("at "):  # "avoid a at all costs"
         return False
     return not any(is_letter(token) and token.text != "a" for token in reader.tokens)
 

@@ -75,7 +75,7 @@ _EVERYDAY = """
     feeder filing|tray fire|alarm fire|engine fire|truck first|aid|kit fish fishbowl fishing|rod
     flask flipper flippers flip|chart flour flowerpot flute foil folder food food|cart football
     footrest forceps forklift|truck frisbee frog fryer funnel fuse|box gamepad gauge gauze generator
-    giftbox glove|box glue glue|stick goggles golf|ball golf|club gown grater gravy groceries
+    giftbox glove|box glue gloves glue|stick goggles golf|ball golf|club gown grater gravy groceries
     grocery|bag gurney hairbrush hairpin ham hammock hamster handcart handkerchief handrail
     hand|cart hand|sanitiser hand|sanitizer hand|truck hard|hat harness harp headband headphones
     headset hearing|aid hearing|aids heart|monitor hedgehog helicopter highchair hole|punch hoodie
@@ -108,8 +108,9 @@ _EVERYDAY = """
     safety|vest safe|box salad sandal sandals sandbox sandpaper satchel sauce saucepan saucer
     sausage saxophone scalpel scanner scarf schoolbag school|bag scoop scratching|post scrubber
     seesaw sewing|machine shampoo shark|toy sharps|bin sharps|container shaver shawl shears shield
-    shin shipping|box shopping|bag shopping|basket shopping|cart shopping|trolley shorts shovel
-    shower|chair shower|curtain shower|head shrink|wrap sieve silverware skate skates skipping|rope
+    shin shipping|box shoes shopping|bag shopping|basket shopping|cart shopping|trolley shorts
+    shovel shower|chair shower|curtain shower|head shrink|wrap sieve silverware skate skates
+    skipping|rope
     skirt sled sledge sleeping|bag slide sling slipper slippers smoke|alarm smoke|detector snack
     snake snorkel snowman snow|globe soccer|ball socket socks soda soldering|iron spade sparkler
     spatula spectacles sphygmomanometer spice|rack spider spill|kit spinner spool spray spray|bottle

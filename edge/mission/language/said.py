@@ -146,7 +146,11 @@ def _may_be_in_a_mission(one: Said) -> bool:
 
 
 def _plain(text: str) -> str:
-    """Return the text without commas; a stop within it is a word of its own, which no slot has."""
+    """Return the text without commas; a stop within it is a word of its own, which no slot has.
+
+    "There is a mug?" becomes "is there a mug": without its question mark, it is no question.
+    """
+    text = re.sub(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", r"\1 there", text, flags=re.I)
     text = re.sub(r"[.;:!?]+(?= )", " .", re.sub(r"[.,;:!?]+$|,(?= )", "", text))
     return " ".join(text.split())
 

@@ -26,7 +26,9 @@ _MORE = {
     "whichever's": "whichever is", "everything's": "everything is",
 }  # fmt: skip
 _IS = re.compile(
-    rf"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone)\b|"
+    r"(?<=\d)'s (?=\w+ed\b)|"
+    r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|"
+    r"finished|done|coming|going|backing|blocked|busy)\b|"
     rf"{any_of('relation')} )",
     re.I,
 )
@@ -42,17 +44,17 @@ _RESTART = re.compile(
     r"\b((?:where|what|go|is|did|can|could|find|look)(?: [\w']+){1,3}),?(?: \1\b)+", re.I
 )
 _LIKE = re.compile(
-    r"\b(?:like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )you know),? "
+    r"\b(?:(?<!would )like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )you know),? "
     rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})",
     re.I,
 )
 _MARK = rf"[ ,.]*\b{any_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 _CORRECTS = re.compile(_MARK, re.I)
 _OPENING = re.compile(
-    rf"(?:(?:{any_of('opening')}\b(?! see\b)|"
+    rf"(?:(?:{any_of('opening')}\b(?!(?<=you) see\b)|"
     r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
     r"you (?!got|may|can|are|will|must|should|have|could|were)|"
-    r"do (?=(?:go|come|find|check|look|have|please|you mind)\b))[ ,.!]*)+",
+    r"do (?=(?:go|come|find|check|look|have|please|you mind|stop|wait)\b))[ ,.!]*)+",
     re.I,
 )
 _CLOSING = re.compile(rf"(?:[ ,.!?]*\b{any_of('closing')})+[ .!?]*$", re.I)
@@ -97,8 +99,8 @@ def tidied(said: str) -> TidySpeech:
         TranslationError: it corrects itself, and which words it replaces is not clear.
 
     Example:
-        >>> tidied("Um, could you go to the kitchen, no sorry, the bathroom, please?").text
-        'go to the bathroom'
+        >>> tidied("Um, could you go to the kitchen, no sorry, the bathroom, please.").text
+        'go to the bathroom.'
     """
     if len(said) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"

@@ -31,6 +31,7 @@ REASONS = {
 """Reasons to refuse tokens, by kind."""
 
 _DRIVEN = ("car", "vehicle")
+_ARTICLES = ("a", "an", "any", "my", "our", "your", "some", "another")
 _ACTS = ("must", "can", "verb", "not", "do", "always")
 HESITATIONS = ("uh", "um", "er", "erm", "hmm")
 _NAMES = re.compile(r"[\s,]*(?:to )?(?:the|an?|my) ", re.IGNORECASE)
@@ -111,7 +112,9 @@ def tokenise(text: str) -> list[Token]:
         if length:
             phrase = tuple(w.text for w in words[i : i + length])
             end = words[i + length - 1].end
-            kind = "word" if length == 1 and _numbers(words, i) else TABLE[phrase]
+            kind = TABLE[phrase]
+            if length == 1 and (_numbers(words, i) or _is_object(words, i)):
+                kind = "word"
             robot = tokens[-1] if tokens else None
             if phrase == ("visits",) and robot and (robot.kind == "you" or robot.text == "it"):
                 kind = "verb"  # "the robot visits the bed": a verb, no count
@@ -165,6 +168,17 @@ def _numbers(words: Sequence[Token], i: int) -> bool:
     numbered = words[i + 1].text in nouns.NUMBERED
     beyond = words[i + 2].text if len(words) > i + 2 else ""
     return numbered and names.number([beyond]) is None
+
+
+def _is_object(words: Sequence[Token], i: int) -> bool:
+    """Return True for the "robot" of "find a little robot", which addresses nobody."""
+    if TABLE[(words[i].text,)] not in ("filler", "addressed") or not nouns.is_noun(words[i].text):
+        return False
+    first = i
+    while first and words[first - 1].text in nouns.QUALITIES:
+        first -= 1
+    article = words[first - 1].text if first else ""
+    return article in _ARTICLES or (article == "the" and first < i)
 
 
 def _phrase_at(words: Sequence[Token], i: int) -> int:

@@ -9,18 +9,21 @@ PARTS = {
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
         yet|by now|by any chance|again|on your (map|way|tour|rounds|trip)|in your memory|
         this (morning|afternoon|evening)|(when|while|as) you (were|was|drove|went|looked) ...|
-        [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)]*
+        [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
+        (got|gone|run off) to|ended up|[do] you (know|remember)|have you]*
         [(did|have) you [seen|see] (it|them|her|him|one)]
         """,
     "seen": """
         (see|seen|saw|spot|spotted|find|found|notice|noticed|come across|came across|remember|put|
-        leave|left|discover|discovered|pass|passed)
+        leave|left|discover|discovered|pass|passed|meet|met|clock|clocked|
+        (run|ran|come|came|bump|bumped) (across|into))
         """,
     "you": "[did|have|had|has|do] (you|the robot|anyone|anybody) "
            "[have|had|did|ever|already|just|last|recently|by [any] chance|maybe|happen to]*",
     "tell": """
         [can you|could you] [please] (tell me|say|show me|do you (know|remember)|you know|
-        [i wonder|any idea|i want to know|remind me|you remember])
+        [i wonder|any idea|i want to know|remind me|you remember|do you happen to know|
+        have you any idea])
         """,
     "in": "[anywhere|somewhere|still|left]* [on your map|in your memory|<relation> <anchor>]",
     # Orders to learn.
@@ -33,9 +36,14 @@ PARTS = {
     "keep": "(remember|save|store|note|mark|call|name|learn|label|register|memorize|memorise|set|"
             "keep in mind|know) [that|down]",
     "go": """
-        [to|even|also] (go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
+        [to|even|also]
+            (use|access|go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
         wander|get|getting|be|run|back|inside|into|in) [never|ever|back]
         [in|into|inside|to|over|near|at|on|through]*
+        """,
+    "away": """
+        (stay|staying|keep|keeping|remain|steer) [well|far|always|right] (out|away|off|clear|
+        outside)
         """,
     "may": """
         [again|now|and|so|okay]* [you|robot|the robot] (may|can|could|are allowed [to]|
@@ -46,7 +54,8 @@ PARTS = {
         (must|may|can|should|shall|will) not|not [may|can|should]|
         (are|have) not (allowed|supposed|permitted|welcome)|are (forbidden|banned)
             [from]|no [more]|
-        it is (forbidden|prohibited|not allowed) [for you]|forbidden|(i|we) do not want you)
+        it is (forbidden|prohibited|not allowed) [for you]|forbidden|(i|we) do not want you|
+        (i|we) would (rather|prefer) [that] you (did not|do not|not))
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
         """,
     "while": """
@@ -61,14 +70,18 @@ PARTS = {
     # Control.
     "there": "[please|right|there|here|now|just|it|still|a bit|for me|for now|at once|immediately|"
              "moving|driving|everything|where you are|what you are doing|the robot|robot|okay]*",
-    "halt": "(stop|halt|freeze|hold|pause|do not move [again|anymore|any more|a muscle])",
+    "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
+            "[again|anymore|any more|a muscle])",
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
-            "your rounds|your round|your errand|your job|your work|your way|mission|what i said]",
+            "your rounds|your round|your errand|your job|your work|your way|mission|"
+            "what i [just] said|(that|the|my) [last] (order|command|instruction|task|job|errand)]",
+    "quit": "(cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} "
+            "[about (it|that)]",
     "reason": """
         [, [and] ((until|while|because|so) (i|we|he|she|they|it|someone|somebody|you hear) ...|
         for (me|us|him|her|them)|until (further notice|then)|then (go on|continue)|
-        (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would) ...|
+        (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would|come|go) ...|
         there (is|are) ...)]
         """,
 }  # fmt: skip
@@ -96,7 +109,7 @@ QUESTIONS = {
         {tell} (what|which things|which objects|what things|what objects) [all|else] {you}
             [all|everything] {seen} {in} [out there|in there|there|with your camera|all]* {last}
         (what|which things|which objects) [all|else] [you have|you did|have you] {seen} {in} {last}
-        what (is|was|are) [there] (in|inside) <room> {last}
+        (what|which things|what things|which objects) (is|was|are) [there] (in|inside) <room> {last}
         {tell} [me] (what|all|everything) [that|what] you [have|did|all]* {seen} {in} {last}
         (list|name) [me] (what|all|everything) [that] you [have|did]* {seen} {in} {last}
         what do you (know|remember) [about this place|so far]
@@ -107,10 +120,12 @@ QUESTIONS = {
             [the (nearest|closest)] <thing> [is|are|was|were] {last}
         {tell} where <thing> (is|are|was|were|has|have) {last}
         {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
-        {tell} where (did|have|had) (i|we) (put|leave|left|lost|forget|drop|dropped) <thing> {last}
+        {tell} where [on earth|in the world|ever] [did|have|had] (i|we) [have|had|did]
+            (put|leave|left|lost|forget|drop|dropped)
+            <thing> {last}
         {tell} where (can|could|do|should|would|will|might) (i|we) (find|see|get|look for|go for)
             <thing>
-        {tell} [in] (which|what) room (is|are|was|were) <thing> [in] {last}
+        {tell} [in] (which|what) room [there] (is|are|was|were) <thing> [in] {last}
         {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
         (i|we) [seem to] [have] (can not find|do not find|lost|mislaid|misplaced|am looking for|
             are looking for|miss) <thing> , (where (is|are) (it|they)|
@@ -124,17 +139,20 @@ QUESTIONS = {
             {in} {last}
         seen [any|of|already]* <thing> {in} {last}
         {tell} [is|was|are|were] there <thing> {in} {last}
-        [do you know if|do you know whether|so] there (is|are) <thing> {in} {last}
+        (do you know if|do you know whether) there (is|are) <thing> {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
             <thing> {in} {last}
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
-        (exists|exist) [there] <thing> {in} {last}
+        [it] (exists|exist) [there] <thing> {in} {last}
         (have (we|you)|you) got <thing> {in} {last}
         {tell} (is|are) <thing> [still|already|really] <relation> <anchor> {last}
         {tell} (is|are) <thing> [still|already|really|there|here|around]* {last}
         do you (know|remember) if there (is|are) <thing> {in} {last}
         how many <thing> {you} {seen} {in} {last}
         how many <thing> are there {in} {last}
+        you have not {seen} [any|my]* <thing> {in} {last}
+        any (sign|trace) of <thing> {in} {last}
+        how many <thing> (do|have) (we|you) (have|got|know) {in} {last}
     """,
 }
 """Topic of `MemoryQuestion` → its templates."""
@@ -147,16 +165,19 @@ ORDERS = {
             drive out of) ({this_room}|<room>) {while}
     """,
     "keep_out": """
-        [you|must|should|have to|need to|to|always|better]* (stay|staying|keep|keeping|remain|steer)
-            [well|far|always|right] (out|away|off|clear|outside) [of|from] <room> {while}
+        [you|must|should|have to|need to|to|always|better]* {away} [of|from] <room> {while}
         [you|must|should|have to]* avoid [going|to go] [to|into|in|through] <room> {while}
         {not} {go} <room> {while}
+        (in|into|to|inside) <room> {not} (go|enter|drive|be|come) {while}
+        <room> (is|are|has|have|was|were) ... ({away} [out] [of it|from it|there]|
+            {not} {go} [there|it|in there|in it|down there|inside]) {while}
         <room> (is|are) [now] (off limits|forbidden|out of bounds|closed|taboo|prohibited|
             not allowed|closed off|private|a no go zone|a no go area) [for you|to you|for robots]
             {while}
     """,
     "open": """
-        it is (okay|ok|fine|alright|all right|allowed|safe) [for you] [now|again]* to {go} <room>
+        it is [quite|perfectly|absolutely]* (okay|ok|fine|alright|all right|allowed|safe) [for you]
+            [now|again]* to {go} <room>
             [again|now]*
         {may} {go} again [in|into|to]* <room> [now]
         {may} {go} <room> (again|freely|as before|as you like) [now|again]*
@@ -167,6 +188,7 @@ ORDERS = {
             [go|drive|come|enter|get|be|back]* (there|in there|in it|in|it|inside) again
         <room> (is|are) (no longer|not) (off limits|forbidden|closed) [for you|anymore|any
             more|now]*
+        ... in <room> {may} [go|drive|come|enter|get|be|back]* (there|in there|in|inside) again
         {may} (leave|go out of|exit) ({this_room}|<room>) [again|now|anymore]*
         you (do not have|do not need) to (stay|keep) (out of|away from|in|inside)
             ({this_room}|<room>)
@@ -177,6 +199,8 @@ ORDERS = {
             [the (place|room|zone|spot|name)] [called|named]
             <site> [from your (map|memory|list)|from the map|from memory|as a place|from (your|the)
             (places|list|memory|map)] {while}
+        [you] (need not|do not have to|do not need to) (remember|know) [the (place|room)] <site>
+            {while}
     """,
     "room": """
         ({this_room}|it|here|this|we|you) [here] (is|are|is called|are standing) [in|now|called]*
@@ -188,7 +212,8 @@ ORDERS = {
         we call {here} <room>
     """,
     "place": """
-        {keep} {here} [is|as|to be|by the name] [called|named] <name>
+        {keep} {here} [down] [is|as|to be|by the name] [called|named] <name>
+        the name of {here} is <name>
         {keep} , {here} (is|is called) <name>
         {here} , {keep} it [as|like] <name>
         {here} (is|is called|is named|will be|shall be) [now|called|from now on] <name>
@@ -202,23 +227,25 @@ CONTROL = {
     "resume": """
         [[it] is (ok|okay|fine|good) [now]] , [you|robot|the robot] [can|may|should|could]
             [now|to|please]*
-            (go on|carry on|continue|resume|keep going|keep on|keep moving|keep driving|get
-            moving|get going|go ahead|
-            proceed|move on|drive on|start again|move again|go again|drive again|unpause)
+            (go on|carry on|crack on|press on|continue|resume|keep going|keep on|keep moving|
+            keep driving|get moving|get going|go ahead|
+            off you go|proceed|move on|drive on|start again|move again|go again|drive again|unpause)
             [now|then|again|please|with|as before|what you (were|was) doing [before]|
             where you left off|where you stopped|from where you stopped|doing that|driving|
             searching|looking]* {task}
+        [you|robot|the robot] (can|may) [now] (move|drive) [now|again]
     """,
     "cancel": """
-        (cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} [about
-            (it|that)]
-        [you (can|may)] forget (it|that|about it|about that|everything|what i said|
-            the mission|the task)
-        (stop|end) (searching|looking|exploring|patrolling|the|your)
+        {quit} [{quit}]* [, (i|we) (need|want) you (elsewhere|here|somewhere else)]
+        do nothing (more|else|further)
+        [you (can|may)] forget [about] {task}
+        [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
             [search|mission|task|patrol|tour|errand|rounds|job|for it]
     """,
     "pause": """
-        (stop|halt|freeze|hold it|hold on|hold still|hold|pause|stand still|whoa|enough|do not move|
+        [wait|hold on|hang on]* (a|one|half a) (moment|second|sec|tick) {there} {reason}
+        (stop|halt|freeze|hold it|hold on|hold up|hold still|hold|pause|stand still|whoa|enough|do
+            not move|
             stay (where you are|there|still|put|right there)|stop|hold your horses|not move|brake|
             keep still|you can stop|be still|stand there|emergency stop|not so fast|
             do not (go|drive) (on|any further|further|anywhere)|remain (there|where you are)|
@@ -244,6 +271,10 @@ REASONS = """
             do not|did not|can not|finished|moved|do|did|hear|see) ...
     [it|that] [is|makes] (all|no)* [the] (same|one|difference) [for me|for us|to me|to us]
     (no worries|no problem|no hurry|no rush|as you like|as you wish)
+    do not (mind|worry about|bother about) (me|us|him|her|it|them)
+    (i|we) [have] changed (my|our) mind
+    <thing> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
+    you are doing (well|great|fine|good) ...
     [it] does not matter [to me|to us] [which|which one]
     you (pick|choose|decide)
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*

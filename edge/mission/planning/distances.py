@@ -10,9 +10,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from edge.geometry import Grid
+from edge.jit import jit
 
 # Integer step costs: 17/12 is sqrt(2) within 0.2 %.
 STRAIGHT, DIAGONAL = 12, 17
@@ -125,7 +125,7 @@ def _ends(state: np.ndarray, points: np.ndarray, reach: float) -> np.ndarray:
     return np.concatenate(found)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def coarsen(cells, factor, state):
     """Write the states of blocks of cells: closed if one is an obstacle, else free if one is free.
 
@@ -153,7 +153,7 @@ def coarsen(cells, factor, state):
             state[row + 1, col + 1] = max(value, CLOSED)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def nearest_cell(state, x, y, radius):
     """Return the enterable cell whose centre is nearest to a point; free cells before unknown ones.
 
@@ -181,7 +181,7 @@ def nearest_cell(state, x, y, radius):
     return found
 
 
-@njit(nogil=True, cache=True)
+@jit
 def around(state, x, y, cell):
     """Return the cells around a point that are connected to the nearest cell.
 
@@ -224,7 +224,7 @@ def around(state, x, y, cell):
     return out[:n]
 
 
-@njit(nogil=True, cache=True)
+@jit
 def wavefront(state, step, starts, distance, buckets, queue):
     """Write Dijkstra's distances from several cells, with one bucket per cost (Dial's algorithm).
 

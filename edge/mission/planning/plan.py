@@ -122,7 +122,7 @@ def explain(
         knowledge: see `MissionKnowledge`.
         text: formats a cost.
 
-    >>> known = Knowledge(detected=frozenset({"sofa"}))
+    >>> known = MissionKnowledge(detected=frozenset({"sofa"}))
     >>> explain("sofa", [("sofa", 1.01), ("chair", 2.0)], known, "{:.2f}".format)
     'sofa was seen: 1.01 to the end; chair would have to be found: 2.00'
     """

@@ -8,7 +8,8 @@ the robot's current position. Costs are integers, so ties are exact and sums do 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from edge.jit import jit
 
 SCALE = 1_000_000
 """Integer cost of a weight of 1."""
@@ -17,13 +18,13 @@ FAILED = np.int64(1 << 48)
 UNREACHABLE = np.int64(2**63 - 1)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _place_after(letter, place, n_places, nothing):
     """Return the robot's place after a step; a step that reaches nothing does not move it."""
     return place if letter == nothing else min(letter, n_places - 1)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def cost_to_go(delta, accepting, order, weight, cost, steps):
     """Write the least cost to acceptance from every node (ViTL eq. 2), then the fewest steps.
 
@@ -61,7 +62,7 @@ def cost_to_go(delta, accepting, order, weight, cost, steps):
                         changed = True
 
 
-@njit(nogil=True, cache=True)
+@jit
 def first_step_costs(delta, weight, cost, steps, state, place, out_cost, out_steps):
     """Write cost and steps of the best path that begins with each letter.
 
@@ -84,7 +85,7 @@ def first_step_costs(delta, weight, cost, steps, state, place, out_cost, out_ste
             out_cost[c], out_steps[c] = weight[c, place] + cost[t, q], steps[t, q] + 1
 
 
-@njit(nogil=True, cache=True)
+@jit
 def follow(delta, accepting, weight, cost, steps, state, place, first, path):
     """Write the best path that begins with the letter `first`; ties go to the first letter.
 

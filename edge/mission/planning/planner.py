@@ -50,7 +50,7 @@ def make_planner(
         >>> from edge.mission.logic.automaton import compile_formula
         >>> from edge.mission.logic.ltl import parse
         >>> planner = make_planner(PlannerVitl(), compile_formula(parse("F (bed | sofa)")))
-        >>> planner.plan(0, Knowledge(detected=frozenset({"sofa"}))).target
+        >>> planner.plan(0, MissionKnowledge(detected=frozenset({"sofa"}))).target
         'sofa'
     """
     if isinstance(config, PlannerPlugin):

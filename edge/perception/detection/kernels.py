@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from edge.jit import jit
 
 ROUNDING = np.float32(1e-3)
 """Tolerance of a score outside 0 to 1: onnxruntime's own sigmoid returns up to 1 + 2**-23."""
@@ -11,7 +12,7 @@ RIM = 0.01
 """Distance to the image border, as a share of its side, below which a box counts as cut off."""
 
 
-@njit(nogil=True, cache=True)
+@jit
 def to_planes(rgb, scale, top, left, out):
     """Write an image into planes: out[c, top + y, left + x] = rgb[y, x, c] * scale.
 
@@ -31,7 +32,7 @@ def to_planes(rgb, scale, top, left, out):
             blue[left + x] = rgb[y, x, 2] * scale
 
 
-@njit(nogil=True, cache=True)
+@jit
 def is_sound(boxes, scores, i, far_px):
     """Return True if the box and all scores of anchor `i` are valid.
 
@@ -49,7 +50,7 @@ def is_sound(boxes, scores, i, far_px):
     return sound
 
 
-@njit(nogil=True, cache=True)
+@jit
 def count_unsound(boxes, scores, far_px):
     """Return the number of anchors that are not valid; see `is_sound`."""
     n = 0
@@ -58,7 +59,7 @@ def count_unsound(boxes, scores, far_px):
     return n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def iou(boxes, i, j):
     """Return the intersection over union of rows i and j of `boxes`; 0 if either is empty.
 
@@ -74,7 +75,7 @@ def iou(boxes, i, j):
     return inter / ((ax1 - ax0) * (ay1 - ay0) + (bx1 - bx0) * (by1 - by0) - inter)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def best_per_class(scores, thing, out):
     """Write the best score of each thing over its columns; NaN if any of them is NaN.
 
@@ -98,7 +99,7 @@ def best_per_class(scores, thing, out):
             last = k
 
 
-@njit(nogil=True, cache=True)
+@jit
 def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
     """Collect every target and context label of every anchor that scores at least `tau`.
 
@@ -135,7 +136,7 @@ def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
     return m, invalid
 
 
-@njit(nogil=True, cache=True)
+@jit
 def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep):
     """Do greedy non-maximum suppression among the labels in [first, end).
 
@@ -172,7 +173,7 @@ def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep
     return n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def competing_scores(
     boxes, scores, competes, tau, top, anchor, label, keep, n, cut, iou_max, out
 ):  # fmt: skip
@@ -194,18 +195,18 @@ def competing_scores(
     """
     scored = np.flatnonzero(top)  # most anchors have no score
     for k in range(n):
-        i, rivals = anchor[keep[k]], competes[1 if cut[k] else 0, label[keep[k]]]
+        i, others = anchor[keep[k]], competes[1 if cut[k] else 0, label[keep[k]]]
         best = np.float32(0.0)
         for j in scored:
             if top[j] <= best or (j != i and iou(boxes, i, j) <= iou_max):
                 continue
             for c in range(scores.shape[1]):
-                if rivals[c] and scores[j, c] >= tau and scores[j, c] > best:
+                if others[c] and scores[j, c] >= tau and scores[j, c] > best:
                     best = scores[j, c]
         out[k] = best
 
 
-@njit(nogil=True, cache=True)
+@jit
 def to_image(boxes, anchor, keep, n, scale, top, left, width, height, out, cut):
     """Map boxes from the network's input to the image, clipped to it; drop empty ones.
 
@@ -242,7 +243,7 @@ def to_image(boxes, anchor, keep, n, scale, top, left, width, height, out, cut):
     return k
 
 
-@njit(nogil=True, cache=True)
+@jit
 def object_boxes(ids, depth, box, pixels, distance):
     """Write the extent, size and mean distance of every object in an image of object ids.
 

@@ -115,9 +115,9 @@ class OnnxDetector:
     Each prompt keeps its own boxes, even if another prompt scores higher at the same place: code
     that weighs many images needs the weaker scores, too. Background words (`config.background`) are
     the context; of context boxes that overlap, only the one with the best score is kept. The best
-    score of a competing thing at the place of a box is its `Detections.rival`. Words for the same
-    thing (chair, armchair) do not compete. A thing is looked for under all names that the text
-    encoder has for it; see `TextClasses`.
+    score of a competing thing at the place of a box is its `Detections.competing_score`. Words for
+    the same thing (chair, armchair) do not compete. A thing is looked for under all names that the
+    text encoder has for it; see `TextClasses`.
 
     Args:
         detector: names the card, the providers and the background.
@@ -234,7 +234,7 @@ class OnnxDetector:
             score=asked.score[mine],
             class_id=asked.label[mine],
             prompts=asked.prompts,
-            rival=self._against[: len(mine)].copy(),
+            competing_score=self._against[: len(mine)].copy(),
             context=ContextBoxes(
                 around.xyxy_px.copy(),
                 asked.score[others],
@@ -318,7 +318,9 @@ class OnnxDetector:
         return _Placement(width_px, height_px, scale, top, left, resized)
 
     def _pick(self, asked: _Asked, boxes: np.ndarray, scores: np.ndarray) -> tuple[_Kept, _Kept]:
-        """Return the boxes of targets and of the context; the targets' rivals go to `_against`.
+        """Return the boxes of targets and of the context.
+
+        The scores that compete with the targets go to `_against`.
 
         Args:
             asked: the current prompts.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from edge.jit import jit
 
 _SHORT_M = 0.25
 """Length at the end of a line of sight that is not checked: it may lie in the object itself."""
 
 
-@njit(nogil=True, cache=True)
+@jit
 def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, thing_m, row, weight, n_things, radius_m, out):
     """Write the confidence that each kind of thing is near each place and in sight of it.
 
@@ -43,7 +43,7 @@ def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, thing_m, row, weight, n_things, ra
                 out[i, k] = weight[j]
 
 
-@njit(nogil=True, cache=True)
+@jit
 def in_sight(wall, x0_m, y0_m, cell_m, x_m, y_m, dx_m, dy_m):
     """Return True if no wall lies on the line (dx_m, dy_m) from a place, except at its end."""
     h, w = wall.shape

@@ -26,7 +26,7 @@ MAX_BYTES = 1 << 18
 
 A longer message is cut off and so refused; most systems do not even send it."""
 END_OF_HEADER = b"\n"
-_BOX_BYTES = 28  # four float32 corners, score, class and rival of four bytes each
+_BOX_BYTES = 28  # four float32 corners, score, class and competing score of four bytes each
 _STATES = get_args(get_type_hints(Health)["state"])
 SHARED_MEMORY = Path("/dev/shm")
 PIXELS_AT = 64
@@ -57,22 +57,27 @@ def encode_answer(seq: int, found: Detections, health: Health, invalid_boxes: in
     header = {
         "seq": seq,
         "n": len(found),
-        "rival": found.rival is not None,
+        "competing_score": found.competing_score is not None,
         "prompts": found.prompts,
         "context": None if around is None else {"n": len(around), "words": around.words},
         "health": health,
         "invalid_boxes": invalid_boxes,
     }
-    block = _packed(found, found.rival)
+    block = _packed(found, found.competing_score)
     if around is not None:
         block += _packed(around, None)
     return encode(**header) + END_OF_HEADER + block
 
 
-def _packed(boxes: Detections | ContextBoxes, rival: np.ndarray | None) -> bytes:
-    if rival is None:
-        rival = np.zeros(len(boxes), np.float32)
-    arrays = ((boxes.xyxy_px, "<f4"), (boxes.score, "<f4"), (boxes.class_id, "<i4"), (rival, "<f4"))
+def _packed(boxes: Detections | ContextBoxes, competing_score: np.ndarray | None) -> bytes:
+    if competing_score is None:
+        competing_score = np.zeros(len(boxes), np.float32)
+    arrays = (
+        (boxes.xyxy_px, "<f4"),
+        (boxes.score, "<f4"),
+        (boxes.class_id, "<i4"),
+        (competing_score, "<f4"),
+    )
     return b"".join(np.ascontiguousarray(a, dtype).tobytes() for a, dtype in arrays)
 
 
@@ -105,13 +110,13 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
             f"{len(block)} bytes for {bounded_repr(n, 40)} and {bounded_repr(m, 40)} boxes of "
             f"{_BOX_BYTES}"
         )
-    xyxy, score, class_id, rival = _unpacked(block[: n * _BOX_BYTES], n, prompts)
+    xyxy, score, class_id, competing_score = _unpacked(block[: n * _BOX_BYTES], n, prompts)
     context = None
     if around is not None:
         context = ContextBoxes(*_unpacked(block[n * _BOX_BYTES :], m, words)[:3], tuple(words))
     found = Detections(
-        None, xyxy, score, class_id, tuple(prompts), rival if header.get("rival") is True else None,
-        context,
+        None, xyxy, score, class_id, tuple(prompts),
+        competing_score if header.get("competing_score") is True else None, context,
     )  # fmt: skip
     return DetectorReply(found, decode_health(header), invalid)
 
@@ -124,15 +129,19 @@ def _check_words(what: str, words: Any) -> None:
 def _unpacked(
     block: bytes, n: int, words: list[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return boxes, scores, classes and rivals of `n` boxes, each checked."""
+    """Return boxes, scores, classes and competing scores of `n` boxes, each checked."""
     reals = np.frombuffer(block, "<f4").astype(np.float32)
-    xyxy, score, rival = reals[: 4 * n].reshape(n, 4), reals[4 * n : 5 * n], reals[6 * n :]
+    xyxy, score, competing_score = (
+        reals[: 4 * n].reshape(n, 4),
+        reals[4 * n : 5 * n],
+        reals[6 * n :],
+    )
     class_id = np.frombuffer(block, "<i4")[5 * n : 6 * n].astype(np.int32)
-    if fault := invalid_boxes_reason(xyxy, score, rival):
+    if fault := invalid_boxes_reason(xyxy, score, competing_score):
         raise ValueError(fault)
     if not ((class_id >= 0) & (class_id < len(words))).all():
         raise ValueError(f"classes that are not among {len(words)} prompts")
-    return xyxy, score, class_id, rival
+    return xyxy, score, class_id, competing_score
 
 
 def decode_health(header: dict[str, Any]) -> Health:

@@ -41,12 +41,12 @@ def log_progress(health: Health) -> None:
 
 
 def invalid_boxes_reason(
-    xyxy_px: np.ndarray, score: np.ndarray, rival: np.ndarray | None = None
+    xyxy_px: np.ndarray, score: np.ndarray, competing_score: np.ndarray | None = None
 ) -> str:
     """Return the fault of a detector's boxes and scores; "" if there is none."""
     if not np.isfinite(xyxy_px).all():
         return "boxes that are not finite"
-    for scores in (score, *(() if rival is None else (rival,))):
+    for scores in (score, *(() if competing_score is None else (competing_score,))):
         if not ((scores >= 0) & (scores <= 1)).all():  # NaN is neither
             return "scores that are not in 0 to 1"
     return ""

@@ -120,7 +120,7 @@ def unsound(detector: Detector, before: int, found: Detections) -> str:
     """
     if (invalid := detector.invalid_boxes - before) > 0:
         return f"it returns {invalid} boxes of an image that are {UNSOUND}"
-    faults = [invalid_boxes_reason(found.xyxy_px, found.score, found.rival)]
+    faults = [invalid_boxes_reason(found.xyxy_px, found.score, found.competing_score)]
     if found.context is not None:
         faults.append(invalid_boxes_reason(found.context.xyxy_px, found.context.score))
     return next((f"it returns {fault}" for fault in faults if fault), "")
@@ -135,7 +135,7 @@ def boxes_found_again(
 ) -> tuple[int, int]:
     """Count the boxes of the running model, and those that the other finds, too, over all samples.
 
-    Boxes of at least `tau` with no higher-scoring rival count. A box is found again if the prompt
+    Boxes of at least `tau` that are not suppressed count. A box is found again if the prompt
     is the same, the IoU at least `MATCH_IOU`, and the score at least `MATCH_SCORE` of the old one.
     Samples with other prompts than the runs do not count.
 

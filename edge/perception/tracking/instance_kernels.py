@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from edge.jit import jit
 
 NEAR_M = 0.25
 """Points of two views that are at most this far apart belong to one surface."""
@@ -15,7 +16,7 @@ STRAY, LEAST_RADIUS_M = 1.6, 0.3
 dropped: they belong to what is in front of or behind the object."""
 
 
-@njit(nogil=True, cache=True)
+@jit
 def merge_points(old, support, new, voxel_m, cap):
     """Merge two point sets into one point per voxel, at most `cap` in all.
 
@@ -68,7 +69,7 @@ def merge_points(old, support, new, voxel_m, cap):
     return points, views
 
 
-@njit(nogil=True, cache=True)
+@jit
 def core_points(points, support):
     """Return the well-supported points, without stray ones.
 
@@ -93,7 +94,7 @@ def core_points(points, support):
     return core, center, farthest(core, center[0], center[1])
 
 
-@njit(nogil=True, cache=True)
+@jit
 def farthest(points, x, y):
     """Return the greatest planar distance from (x, y) to (n, 3) points."""
     most = 0.0
@@ -103,7 +104,7 @@ def farthest(points, x, y):
     return np.sqrt(most)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def nearest(points, x, y):
     """Return the least planar distance from (x, y) to (n, 3) points; inf if there are none."""
     least = np.inf
@@ -113,7 +114,7 @@ def nearest(points, x, y):
     return np.sqrt(least)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def least_gap(points, others):
     """Return the least planar distance between (n, 3) and (m, 3) points; inf if a set is empty."""
     least = np.inf

@@ -39,13 +39,13 @@ GONE = 0.5
 """An instance that is not confirmed is forgotten once its score is below GONE * `tau_det`."""
 FORGET_VIEWS = 100
 """After this many views the counts for confirmation are halved, so that old views fade."""
-REFUTE_VIEWS = 30
-"""After this many views an instance is refuted if its mean rival score is above its own."""
+REJECT_VIEWS = 30
+"""After this many views an instance is rejected if its mean competing score is above its own."""
 SURER = 1.6
-"""Factor on the evidence against a confirmed instance before it is doubted.
+"""Factor on the evidence against a confirmed instance before it is contested.
 
 From near by the object is only partly in view, and what stands in front of it fills the image."""
-_PROTECTED = ("confirmed", "refuted", "reached")
+_PROTECTED = ("confirmed", "rejected", "reached")
 _STATES: tuple[InstanceState, ...] = get_args(InstanceState)
 # Checkpoint columns: of an instance, and of the evidence of its track.
 _COLUMNS = (
@@ -54,8 +54,8 @@ _COLUMNS = (
 )  # fmt: skip
 _EVIDENCE = (
     ("evidence_ns", np.int64), ("good_hits", np.int64), ("views", np.float64),
-    ("good_ns", np.int64), ("target_sum", np.float64), ("rival_sum", np.float64),
-    ("doubted", np.bool_),
+    ("good_ns", np.int64), ("target_sum", np.float64), ("competing_sum", np.float64),
+    ("contested", np.bool_),
 )  # fmt: skip
 
 
@@ -85,16 +85,16 @@ class _Track:
         name: canonical form of the label.
         good_hits: number of frames from near by with a score of `confirm_score` or more.
         views: number of views from near by that should show it; a partial view counts less.
-            `target_sum` and `rival_sum` are the weighted sums of the scores of the target and of
-            its best rival in them.
-        now_target, now_rival: scores in the current frame.
+            `target_sum` and `competing_sum` are the weighted sums of the scores of the target and
+            of its best competing class in them.
+        now_target, now_competing: scores in the current frame.
         evidence_ns: newest stamp of any detection there, weak ones included.
         good_ns: stamp of the newest frame in `good_hits`.
         x_m, y_m, z_m: the centre in `map`, as plain numbers.
         radius_m: largest planar distance of a surface point from the centre.
         points_m, support: all surface points, and the number of views that support each. The
             instance has only the well-supported ones (`core_points`).
-        doubted: True if another object explains the place better (`ObjectTracker.doubts`).
+        contested: True if another object explains the place better (`ObjectTracker.doubts`).
     """
 
     instance: Instance
@@ -104,16 +104,16 @@ class _Track:
     views: float = 0.0
     good_ns: int = -1
     target_sum: float = 0.0
-    rival_sum: float = 0.0
+    competing_sum: float = 0.0
     now_target: float = 0.0
-    now_rival: float = 0.0
+    now_competing: float = 0.0
     x_m: float = 0.0
     y_m: float = 0.0
     z_m: float = 0.0
     radius_m: float = 0.0
     points_m: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.float32))
     support: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))
-    doubted: bool = False
+    contested: bool = False
 
     def distance_m(self, x_m: float, y_m: float) -> float:
         return math.hypot(self.x_m - x_m, self.y_m - y_m)
@@ -153,7 +153,7 @@ class InstanceTracker:
 
     @property
     def all(self) -> list[Instance]:
-        """All instances, refuted ones included, oldest first."""
+        """All instances, rejected ones included, oldest first."""
         return [track.instance for track in self._tracks.values()]
 
     def get(self, instance_id: int) -> Instance | None:
@@ -163,7 +163,7 @@ class InstanceTracker:
     def of(self, label: str, sure: bool = False, doubted: bool = True) -> list[Instance]:
         """Return the instances of a label (or a synonym) that are worth driving to, best first.
 
-        They were detected in at least `min_hits` images and are not refuted.
+        They were detected in at least `min_hits` images and are not rejected.
 
         Args:
             label: a prompt.
@@ -187,10 +187,10 @@ class InstanceTracker:
             track.instance
             for track in self._tracks.values()
             if track.name == name
-            and track.instance.state != "refuted"
+            and track.instance.state != "rejected"
             and track.instance.hits >= self.config.min_hits
             and (not sure or self.confirmed(track.instance))
-            and (doubted or not track.doubted)
+            and (doubted or not track.contested)
         ]
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
 
@@ -204,11 +204,11 @@ class InstanceTracker:
         seen = lifted.detections
         pose = seen.observation.pose
         words = [names.canonical(prompt) for prompt in seen.prompts]
-        unrivalled = seen.not_suppressed()
+        unsuppressed = seen.not_suppressed()
         hit: set[int] = set()
         for i in np.flatnonzero(lifted.valid).tolist():
             class_id, score = int(seen.class_id[i]), float(seen.score[i])
-            strong = score > self.config.tau_det and bool(unrivalled[i])
+            strong = score > self.config.tau_det and bool(unsuppressed[i])
             points = lifted.surface_m(i)
             x_m, y_m, _ = lifted.center_m[i].tolist()
             track = self._match(words[class_id], x_m, y_m)
@@ -220,12 +220,14 @@ class InstanceTracker:
                 if strong:
                     self._grow(track, points)
                 continue
-            elif unrivalled[i]:
+            elif unsuppressed[i]:
                 self._merge(track, points, score, stamp_ns)
             track.evidence_ns = max(track.evidence_ns, stamp_ns)
             if score > track.now_target:
                 track.now_target = score
-                track.now_rival = 0.0 if seen.rival is None else float(seen.rival[i])
+                track.now_competing = (
+                    0.0 if seen.competing_score is None else float(seen.competing_score[i])
+                )
             if strong:
                 hit.add(track.instance.id)
                 self._confirm(track, points, score, pose, stamp_ns)
@@ -236,8 +238,8 @@ class InstanceTracker:
     def expire(self, observation: Observation, prompts: Sequence[str]) -> list[int]:
         """Lower the score of instances that this observation should show and does not.
 
-        Call it after `update` with the same observation. Refuted and reached instances stay, and so
-        do those of labels that the detector did not look for.
+        Call it after `update` with the same observation. Rejected and reached instances stay, and
+        so do those of labels that the detector did not look for.
 
         Args:
             observation: an image's camera, pose and depth.
@@ -252,27 +254,27 @@ class InstanceTracker:
         T = invert(observation.T_map_base @ observation.T_base_camera)
         view = view_of(camera)
         depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
-        far_m = min(1.5 * self.config.confirm_range_m, self.config.lift_max_range_m)
+        far_m = min(1.5 * self.config.confirm_range_m, self.config.back_projection_max_range_m)
         pose, near_m = observation.pose, self.config.confirm_range_m
         asked = {names.canonical(prompt) for prompt in prompts}
         gone = []
         for track in list(self._tracks.values()):
             instance = track.instance
-            if instance.state in ("refuted", "reached") or track.name not in asked:
+            if instance.state in ("rejected", "reached") or track.name not in asked:
                 continue
             points = instance.points_m
             look = visibility(
                 track.x_m, track.y_m, track.z_m, points, len(points), T, view, depth, far_m
             )
             if look == HIDDEN:
-                track.now_target = track.now_rival = 0.0
+                track.now_target = track.now_competing = 0.0
                 continue
             self._doubt(track)
             near = track.distance_m(pose.x_m, pose.y_m) <= near_m + track.radius_m
             if near:
                 # A partial view is weaker evidence, for and against.
                 self._count_view(track, 1.0 if look == WHOLE else PARTIAL)
-            track.now_target = track.now_rival = 0.0
+            track.now_target = track.now_competing = 0.0
             if look == AT_EDGE or track.evidence_ns >= observation.stamp_ns:
                 continue
             instance.score *= DECAY
@@ -288,21 +290,21 @@ class InstanceTracker:
         return instance.state in ("confirmed", "reached")
 
     def reject(self, instance_id: int) -> None:
-        """Refute an instance: it is not the target and is never chased again.
+        """Reject an instance: it is not the target and is never chased again.
 
-        Instances of the same name within `refute_radius_m` are removed, and no new one starts
+        Instances of the same name within `reject_radius_m` are removed, and no new one starts
         there.
         """
         track = self._tracks.get(instance_id)
         if track is None:
             return
-        track.instance.state = "refuted"
+        track.instance.state = "rejected"
         for other in list(self._tracks.values()):
             if (
                 other is not track
                 and other.instance.state != "reached"
                 and other.name == track.name
-                and other.distance_m(track.x_m, track.y_m) <= self.config.refute_radius_m
+                and other.distance_m(track.x_m, track.y_m) <= self.config.reject_radius_m
             ):
                 del self._tracks[other.instance.id]
 
@@ -347,7 +349,7 @@ class InstanceTracker:
         rows = {(*each, "label", "state", "n_points"): 1 << 13}
         rows[("points_m", "support")] = MAX_POINTS << 13
         most = {"state": len(_STATES) - 1, "n_points": MAX_POINTS, "score": 2}
-        most |= dict.fromkeys(("views", "target_sum", "rival_sum"), FARTHEST_M)
+        most |= dict.fromkeys(("views", "target_sum", "competing_sum"), FARTHEST_M)
         check_arrays(state, self.state_dict(), rows, most, ("id",))
         n_points, end = state["n_points"], np.cumsum(state["n_points"])
         if (n_points == 0).any() or n_points.sum() != len(state["points_m"]):
@@ -406,34 +408,34 @@ class InstanceTracker:
     def forget_verdicts(self) -> None:
         """Reset the verdicts of the last mission.
 
-        A reached instance becomes a confirmed one; a refuted one is forgotten and may be found
+        A reached instance becomes a confirmed one; a rejected one is forgotten and may be found
         again.
         """
         for track in list(self._tracks.values()):
             if track.instance.state == "reached":
                 track.instance.state = "confirmed"
-            elif track.instance.state == "refuted":
+            elif track.instance.state == "rejected":
                 del self._tracks[track.instance.id]
 
     def forget_rejected(self, label: str) -> None:
-        """Forget the refuted instances of a label (or a synonym): they may be found again."""
+        """Forget the rejected instances of a label (or a synonym): they may be found again."""
         name = names.canonical(label)
         for track in list(self._tracks.values()):
-            if track.name == name and track.instance.state == "refuted":
+            if track.name == name and track.instance.state == "rejected":
                 del self._tracks[track.instance.id]
 
     def _match(self, name: str, x_m: float, y_m: float) -> _Track | None:
         """Return the instance that a detection belongs to, or None.
 
-        A refuted instance near the detection comes first.
+        A rejected instance near the detection comes first.
         """
         best, best_m = None, self.config.merge_m
         for track in self._tracks.values():
             if track.name != name:
                 continue
             apart_m = track.distance_m(x_m, y_m)
-            if track.instance.state == "refuted":
-                if apart_m <= self.config.refute_radius_m:
+            if track.instance.state == "rejected":
+                if apart_m <= self.config.reject_radius_m:
                     return track
                 continue
             if apart_m - track.radius_m >= best_m:
@@ -462,7 +464,7 @@ class InstanceTracker:
 
     def _merge(self, track: _Track, points: np.ndarray, score: float, stamp_ns: int) -> None:
         track.evidence_ns = max(track.evidence_ns, stamp_ns)
-        if track.instance.state == "refuted":
+        if track.instance.state == "rejected":
             return
         instance = track.instance
         weight = RISE if score > instance.score else FALL
@@ -474,7 +476,7 @@ class InstanceTracker:
 
     def _grow(self, track: _Track, points: np.ndarray) -> None:
         """Add surface points, one per voxel, at most MAX_POINTS spread over all of them."""
-        if track.instance.state != "refuted":
+        if track.instance.state != "rejected":
             self._place(track, points)
 
     def _adopt(self, instance: Instance, points_m: np.ndarray, support: np.ndarray) -> _Track:
@@ -503,7 +505,7 @@ class InstanceTracker:
         self, track: _Track, points: np.ndarray, score: float, pose: SE2, now_ns: int
     ) -> None:
         c, instance = self.config, track.instance
-        if instance.state in ("refuted", "reached") or score < c.confirm_score:
+        if instance.state in ("rejected", "reached") or score < c.confirm_score:
             return
         if kernels.nearest(points, pose.x_m, pose.y_m) > c.confirm_range_m:
             return
@@ -515,12 +517,12 @@ class InstanceTracker:
     def _count_view(self, track: _Track, weight: float) -> None:
         track.views += weight
         track.target_sum += weight * track.now_target
-        track.rival_sum += weight * track.now_rival
+        track.competing_sum += weight * track.now_competing
         if track.views >= FORGET_VIEWS:
             track.views *= 0.5
             track.good_hits //= 2
             track.target_sum *= 0.5
-            track.rival_sum *= 0.5
+            track.competing_sum *= 0.5
         self._judge(track)
 
     def _judge(self, track: _Track) -> None:
@@ -529,48 +531,48 @@ class InstanceTracker:
         An instance is confirmed if all of these hold:
         - it had at least `confirm_hits` good hits;
         - its mean score over all near views is at least `confirm_mean`;
-        - its mean score is at least `confirm_lead` times that of its rivals;
-        - it is not doubted (`_doubt`).
+        - its mean score is at least `confirm_lead` times that of its competing classes;
+        - it is not contested (`_doubt`).
 
         So neither a rare false positive nor a bed that is also a fair sofa is confirmed. A
         confirmed instance needs no lead to stay confirmed: from near by the object is only partly
         in view, and the lead shrinks.
         """
         c, instance = self.config, track.instance
-        if instance.state not in ("seen", "confirmed"):
+        if instance.state not in ("tentative", "confirmed"):
             return
         lead = 1.0 if instance.state == "confirmed" else c.confirm_lead
         sure = (
             track.good_hits >= c.confirm_hits
             and track.target_sum >= c.confirm_mean * track.views
-            and track.target_sum >= lead * track.rival_sum
+            and track.target_sum >= lead * track.competing_sum
             and not self._doubt(track)
         )
-        instance.state = "confirmed" if sure else "seen"
-        if track.views >= REFUTE_VIEWS and track.rival_sum > track.target_sum:
+        instance.state = "confirmed" if sure else "tentative"
+        if track.views >= REJECT_VIEWS and track.competing_sum > track.target_sum:
             self.reject(instance.id)
 
     def _doubt(self, track: _Track) -> bool:
-        """Update and return `doubted`: True if another object explains the place better."""
+        """Update and return `contested`: True if another object explains the place better."""
         if self._sightings is not None:
             instance = track.instance
             surer = SURER if instance.state == "confirmed" else 1.0
-            track.doubted = self._sightings.doubts(
+            track.contested = self._sightings.doubts(
                 track.name, instance.points_m, track.radius_m, surer
             )
-        return track.doubted
+        return track.contested
 
     def _unite(self, instance_id: int) -> None:
         """Merge instances of one label that overlap by now; the older one stays."""
         track = self._tracks.get(instance_id)
-        if track is None or track.instance.state in ("refuted", "reached"):
+        if track is None or track.instance.state in ("rejected", "reached"):
             return
         for other in list(self._tracks.values()):
             if other is track or other.name != track.name:
                 continue
             if other.instance.id not in self._tracks:
                 continue
-            if other.instance.state in ("refuted", "reached") or not self._overlap(track, other):
+            if other.instance.state in ("rejected", "reached") or not self._overlap(track, other):
                 continue
             older = other.instance.id < track.instance.id
             old, new = (other, track) if older else (track, other)
@@ -595,7 +597,7 @@ class InstanceTracker:
         old.good_hits = max(old.good_hits, new.good_hits)
         old.views += new.views
         old.target_sum += new.target_sum
-        old.rival_sum += new.rival_sum
+        old.competing_sum += new.competing_sum
         self._judge(old)
         self._grow(old, b.points_m)
 

@@ -110,7 +110,7 @@ class BackProjector:
             np.zeros(n, np.bool_),
         )
         if n and self._liftable(seen):
-            camera, by_cloud = seen.camera, self.config.lift == "cloud"
+            camera, by_cloud = seen.camera, self.config.back_projection == "cloud"
             masks = _NO_MASKS if detections.mask is None else detections.mask
             cell_px = self._project(seen, camera) if by_cloud else 0
             view = (
@@ -120,8 +120,8 @@ class BackProjector:
             floor_z_m = float(seen.T_map_base[2, 3]) + floor_over_base_m + kernels.FLOOR_M
             kernels.back_project_boxes(
                 view, boxes, masks, word, seen.T_map_base @ seen.T_base_camera,
-                floor_z_m, self.config.lift_max_range_m, self.config.lift_min_points, self._scratch,
-                out,
+                floor_z_m, self.config.back_projection_max_range_m,
+                self.config.back_projection_min_points, self._scratch, out,
             )  # fmt: skip
         others = (
             None if around is None else BackProjectedBoxes(around, *(array[k:] for array in out))
@@ -142,10 +142,10 @@ class BackProjector:
         camera, depth = seen.camera, seen.depth_m
         if camera is None:
             return "no camera model"
-        if self.config.lift == "cloud":
-            return "no cloud (perception.lift: cloud)" if seen.cloud_m is None else ""
+        if self.config.back_projection == "cloud":
+            return "no cloud (perception.back_projection: cloud)" if seen.cloud_m is None else ""
         if depth is None:
-            return "no depth (perception.lift: depth)"
+            return "no depth (perception.back_projection: depth)"
         if depth.shape != (camera.height_px, camera.width_px):
             return (
                 f"depth {depth.shape} does not fit the {camera.height_px}x{camera.width_px} camera"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from edge.jit import jit
 
 BINS = 128
 SIDE = 24
@@ -38,7 +39,7 @@ FLOOR_M = 0.06
 """Points lower than this over the floor count only if the box shows nothing else."""
 
 
-@njit(nogil=True, cache=True)
+@jit
 def cloud_raster(cloud, T_camera_cloud, fx, fy, cx, cy, cell_px, raster, points):
     """Find the nearest cloud point of every image cell.
 
@@ -77,7 +78,7 @@ def cloud_raster(cloud, T_camera_cloud, fx, fy, cx, cy, cell_px, raster, points)
             raster[r, c] = i
 
 
-@njit(nogil=True, cache=True)
+@jit
 def sample_depth(depth, fx, fy, cx, cy, x0, y0, x1, y1, max_range, samples):
     """Sample the points of a box of a depth image, in the optical frame, at most SIDE × SIDE.
 
@@ -99,7 +100,7 @@ def sample_depth(depth, fx, fy, cx, cy, x0, y0, x1, y1, max_range, samples):
     return n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def sample_raster(raster, points, cell_px, x0, y0, x1, y1, max_range, samples):
     """Sample like `sample_depth`, from a raster of `cloud_raster`."""
     h, w = raster.shape
@@ -120,7 +121,7 @@ def sample_raster(raster, points, cell_px, x0, y0, x1, y1, max_range, samples):
     return n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def drop_floor(samples, n, T, floor_z):
     """Move samples above `floor_z` (in `map`) to the front; keep all if too few are above.
 
@@ -143,7 +144,7 @@ def drop_floor(samples, n, T, floor_z):
     return k
 
 
-@njit(nogil=True, cache=True)
+@jit
 def drop_unmasked(samples, n, view, boxes, masks, mine):
     """Move the samples that lie on their box's mask to the front.
 
@@ -175,7 +176,7 @@ def drop_unmasked(samples, n, view, boxes, masks, mine):
     return k if k >= MASKED * n else n
 
 
-@njit(nogil=True, cache=True)
+@jit
 def drop_others(samples, n, view, boxes, word, mine, depth, claim):
     """Move the samples that no box of another word claims to the front.
 
@@ -221,7 +222,7 @@ def drop_others(samples, n, view, boxes, word, mine, depth, claim):
     return left
 
 
-@njit(nogil=True, cache=True)
+@jit
 def surfaces(samples, n, max_range, histogram, found):
     """Split the samples of a box into surfaces: objects are separated by a gap of GAP_M in depth.
 
@@ -255,7 +256,7 @@ def surfaces(samples, n, max_range, histogram, found):
     return k
 
 
-@njit(nogil=True, cache=True)
+@jit
 def surface_points(samples, n, low, high, T, points, scratch):
     """Compute the median point and a spread-out subset of the samples with depth in [low, high].
 
@@ -291,7 +292,7 @@ def surface_points(samples, n, low, high, T, points, scratch):
     )  # fmt: skip
 
 
-@njit(nogil=True, cache=True)
+@jit
 def sample(view, x0, y0, x1, y1, max_range, samples):
     """Sample a box of a view (see `back_project_boxes`) by `sample_raster` or `sample_depth`."""
     depth, raster, points, cell_px, fx, fy, cx, cy = view
@@ -300,7 +301,7 @@ def sample(view, x0, y0, x1, y1, max_range, samples):
     return sample_depth(depth, fx, fy, cx, cy, x0, y0, x1, y1, max_range, samples)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def sample_beside(view, box, max_range, beside, n):
     """Sample a strip next to each side of a box.
 
@@ -328,7 +329,7 @@ def sample_beside(view, box, max_range, beside, n):
         n[side] = sample(view, u0, v0, u1, v1, max_range, beside[side])
 
 
-@njit(nogil=True, cache=True)
+@jit
 def share_beyond_box(beside, n, low, high, T, floor_z):
     """Return how far a surface goes on beyond the box: its mean share of the samples in the strips.
 
@@ -348,7 +349,7 @@ def share_beyond_box(beside, n, low, high, T, floor_z):
     return total / sides if sides else 0.0
 
 
-@njit(nogil=True, cache=True)
+@jit
 def count_between(samples, n, low, high):
     """Count the first `n` samples with depth in [low, high]."""
     count = 0
@@ -357,7 +358,7 @@ def count_between(samples, n, low, high):
     return count
 
 
-@njit(nogil=True, cache=True)
+@jit
 def choose_surface(view, box, samples, n, T, floor_z, max_range, scratch):
     """Choose the surface of the object among those in its box.
 
@@ -399,7 +400,7 @@ def choose_surface(view, box, samples, n, T, floor_z, max_range, scratch):
     return found[chosen, 0], found[chosen, 1], claim
 
 
-@njit(nogil=True, cache=True)
+@jit
 def back_project_boxes(
     view, boxes, masks, word, T_map_camera, floor_z, max_range, min_points, scratch, out
 ):

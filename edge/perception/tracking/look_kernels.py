@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from edge.geometry import CameraModel
+from edge.jit import jit
 
 LOOK_MIN_M, LOOK_RIM, OCCLUDED_M = 1.0, 0.1, 0.4
 """Limits of a reliable view.
@@ -28,14 +28,14 @@ def view_of(camera: CameraModel) -> np.ndarray:
     return np.array((c.fx_px, c.fy_px, c.cx_px, c.cy_px, c.width_px, c.height_px), np.float64)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def ahead_m(T_camera_map, x, y, z):
     """Return the depth of a place in `map`, along the camera's axis."""
     T = T_camera_map
     return T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
 
 
-@njit(nogil=True, cache=True)
+@jit
 def visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
     """Return the visibility of an object: HIDDEN, AT_EDGE, IN_PART or WHOLE.
 
@@ -72,7 +72,7 @@ def visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
     return WHOLE
 
 
-@njit(nogil=True, cache=True)
+@jit
 def share_in_view(points, n, T_camera_map, view):
     """Return the share of the first `n` > 0 points that are in the image.
 

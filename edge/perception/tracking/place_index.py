@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from edge.jit import jit
 
 CELL_M = 2.0
 """Side of a cell."""
@@ -30,17 +31,17 @@ def make_index(capacity: int) -> PlaceIndex:
     )
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _cell(x):
     return math.floor(max(-_FARTHEST, min(_FARTHEST, x / CELL_M)))
 
 
-@njit(nogil=True, cache=True)
+@jit
 def _bucket(ix, iy):
     return ((ix * 73856093) ^ (iy * 19349663)) & (_BUCKETS - 1)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def insert(index, row, x, y):
     """Add a row that is not in the index, by the centre (x, y) in metres."""
     first, following, cell = index
@@ -50,7 +51,7 @@ def insert(index, row, x, y):
     first[bucket] = row
 
 
-@njit(nogil=True, cache=True)
+@jit
 def remove(index, row):
     """Remove a row that is in the index."""
     first, following, cell = index
@@ -64,7 +65,7 @@ def remove(index, row):
     following[at] = following[row]
 
 
-@njit(nogil=True, cache=True)
+@jit
 def move(index, row, x, y):
     """Set the centre of a row."""
     cell = index[2]
@@ -73,7 +74,7 @@ def move(index, row, x, y):
         insert(index, row, x, y)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def rebuild(index, centers, n):
     """Index the first `n` rows of (capacity, 2 or 3) centres, and no others."""
     index[0][:] = _END
@@ -81,7 +82,7 @@ def rebuild(index, centers, n):
         insert(index, row, centers[row, 0], centers[row, 1])
 
 
-@njit(nogil=True, cache=True)
+@jit
 def rows_near(index, n, x, y, within_m, out):
     """Write the rows whose cells lie within a distance of a place; return their number.
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from edge.jit import jit
 from edge.perception.tracking.look_kernels import HIDDEN, WHOLE, ahead_m, visibility
 from edge.perception.tracking.place_index import rows_near
 
@@ -26,7 +26,7 @@ PRIOR = 0.5
 """Weight of the prior confidence of 0: one view is not enough."""
 
 
-@njit(nogil=True, cache=True)
+@jit
 def match(centers, points, n_points, reach, word, rows, of_word, x, y, merge_m):
     """Return the record of a word that is nearest to a place, -1 if none is within `merge_m`.
 
@@ -58,7 +58,7 @@ def match(centers, points, n_points, reach, word, rows, of_word, x, y, merge_m):
     return best
 
 
-@njit(nogil=True, cache=True)
+@jit
 def reach_of(centers, points, n_points, i):
     """Return the largest planar distance of record `i`'s points from its centre, rounded up."""
     most = 0.0
@@ -68,7 +68,7 @@ def reach_of(centers, points, n_points, i):
     return np.sqrt(most) + 1e-3
 
 
-@njit(nogil=True, cache=True)
+@jit
 def drifted(index, centers, word, n, now, near_m, rows):
     """Find two records of one word whose centres are closer than `near_m`.
 
@@ -99,7 +99,7 @@ def drifted(index, centers, word, n, now, near_m, rows):
     return -1, -1
 
 
-@njit(nogil=True, cache=True)
+@jit
 def add_points(points, n_points, cursor, i, surface, n_surface, voxel_m):
     """Add some points of a new view to record `i`, one a voxel; beyond POINTS, replace the oldest.
 
@@ -131,7 +131,7 @@ def add_points(points, n_points, cursor, i, surface, n_surface, voxel_m):
         n_points[i] = min(n_points[i] + 1, POINTS)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def weight_of(x, y, z, points, n_points, T_camera_map, view, depth, near_m, far_m):
     """Return the weight of a view of an object; 0 if its centre is not in view.
 
@@ -146,7 +146,7 @@ def weight_of(x, y, z, points, n_points, T_camera_map, view, depth, near_m, far_
     return share if how == WHOLE else PARTIAL * share
 
 
-@njit(nogil=True, cache=True)
+@jit
 def fuse(
     centers, points, n_points, word, n, now, asked, T_camera_map, view, depth, near_m, far_m,
     weight, total, confidence,
@@ -192,7 +192,7 @@ def fuse(
         now[i] = 0.0
 
 
-@njit(nogil=True, cache=True)
+@jit
 def competing_confidence(
     surface, centers, points, n_points, word, confidence, rows, against, reach_m
 ):  # fmt: skip

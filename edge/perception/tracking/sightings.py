@@ -170,7 +170,7 @@ class ObjectTracker:
         # Confidence and place at the last generation.
         self._counted = np.zeros((cap, 4), np.float32)
         self._number: dict[str, int] = {}
-        self._rivals: dict[str, np.ndarray] = {}
+        self._competing: dict[str, np.ndarray] = {}
         self._asked = np.zeros(0, np.bool_)
         self._asked_for: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
         self._columns: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int16),) * 2
@@ -238,12 +238,12 @@ class ObjectTracker:
         at = self._match(word, x_m, y_m, merge_m + radius_m)
         if at >= 0:
             mine = float(s.confidence[at])
-        rival = kernels.competing_confidence(
+        against = kernels.competing_confidence(
             surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence,
             self._rows_near(x_m, y_m, merge_m + radius_m),
-            self._rivals_of(name) * self._asked, merge_m + radius_m,
+            self._competing_with(name) * self._asked, merge_m + radius_m,
         )  # fmt: skip
-        return rival > surer * mine
+        return against > surer * mine
 
     def _rows_near(self, x_m: float, y_m: float, within_m: float) -> np.ndarray:
         """Return the rows with a centre near a place, and others; valid until the next call."""
@@ -259,12 +259,12 @@ class ObjectTracker:
             )
         )
 
-    def _rivals_of(self, name: str) -> np.ndarray:
+    def _competing_with(self, name: str) -> np.ndarray:
         """Return the weight of each word's confidence against an object, (words,) float32."""
-        known = self._rivals.get(name, _NONE)
+        known = self._competing.get(name, _NONE)
         if len(known) < len(self._all.words):
             more = [_against(word, name) for word in self._all.words[len(known) :]]
-            known = self._rivals[name] = np.append(known, np.array(more, np.float32))
+            known = self._competing[name] = np.append(known, np.array(more, np.float32))
         return known
 
     def clear(self) -> None:
@@ -491,7 +491,7 @@ class ObjectTracker:
 
     def _fuse(self, observation: Observation) -> None:
         s, c, camera = self._all, self.config, observation.camera
-        far_m = min(2.0 * c.confirm_range_m, c.lift_max_range_m)
+        far_m = min(2.0 * c.confirm_range_m, c.back_projection_max_range_m)
         depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
         kernels.fuse(
             s.xyz_m, s.points_m, s.n_points, s.word, s.n, self._now, self._asked,

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
 from edge.geometry import Grid
+from edge.jit import jit
 from edge.mapping import regions
 from edge.mission.planning import distances as dist
 from exporters.training.prior.house import CELL_M, Plan
@@ -160,7 +160,7 @@ def _targets(edge: np.ndarray) -> np.ndarray:
     return np.array(out, np.int64).reshape(-1, 2)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def reveal(wall, y, x, yaw, half, reach, known):
     """Mark the cells in view as known, walls included."""
     h, w = wall.shape
@@ -177,7 +177,7 @@ def reveal(wall, y, x, yaw, half, reach, known):
                 break
 
 
-@njit(nogil=True, cache=True)
+@jit
 def clear(wall, x, y, to_x, to_y, short, cell_m):
     """Return True if no wall stands between two points [m], up to `short` before the second."""
     length = math.hypot(to_x - x, to_y - y)
@@ -190,7 +190,7 @@ def clear(wall, x, y, to_x, to_y, short, cell_m):
     return True
 
 
-@njit(nogil=True, cache=True)
+@jit
 def detect(
     wall, x, y, yaw, half, cell_m, thing_m, half_m, range_m, luck, near, far, seen, seen_m
 ):  # fmt: skip
@@ -210,7 +210,7 @@ def detect(
         seen_m[i, 0], seen_m[i, 1] = x + f * dx, y + f * dy
 
 
-@njit(nogil=True, cache=True)
+@jit
 def gains(known, wall, cells, reach, out):
     """Count the unknown cells in sight of each cell; known walls block the view."""
     h, w = known.shape
@@ -229,7 +229,7 @@ def gains(known, wall, cells, reach, out):
                     out[i] += 1.0
 
 
-@njit(nogil=True, cache=True)
+@jit
 def descend(distance, y, x):
     """Return the cells from the one with distance 0 to a cell: (m, 2) int64."""
     h, w = distance.shape

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from edge.jit import jit
 from edge.mapping import regions
 from edge.perception.prior import rooms
 from edge.perception.prior.cooccurrence import NEAR_M
@@ -156,7 +156,7 @@ def _rooms(label: np.ndarray, room: np.ndarray, n_rooms: int) -> np.ndarray:
     return np.where(count.any(1), count.argmax(1), -1)
 
 
-@njit(nogil=True, cache=True)
+@jit
 def stands_near(wall, cell_m, xy_m, thing_m, half_m, row, radius_m, out):
     """Mark the kinds of objects that stand near a place, with no wall between."""
     for i in range(len(xy_m)):

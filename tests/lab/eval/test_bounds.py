@@ -76,7 +76,7 @@ def test_in_a_known_room_it_searches_and_to_it_the_shortest_way_leads(world):
 @pytest.mark.parametrize("kind", [PLACE, ROOM])
 def test_evaluations_drive_with_the_truth(tmp_path, kind):
     config = small_house(tmp_path, mission={"time_limit_s": 60.0})
-    (column,) = make_arms(config, {"bound": {"policy": {"kind": kind, "look_round": True}}})
+    (column,) = make_arms(config, {"bound": {"policy": {"kind": kind, "spin": True}}})
     (episode,) = plan(config, [], ["bed"], 1, 0, 4.0)
     outcome = run_episode(column, episode, in_process)
     assert outcome.success, outcome.reason

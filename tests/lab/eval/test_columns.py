@@ -38,7 +38,7 @@ def test_the_id_tells_of_all_that_a_column_decides(tmp_path, change, same):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"policy": {"kind": "hvll"}}, r"column x: policy.kind: unknown 'hvll'"),
+        ({"policy": {"kind": "hvll"}}, r"arm x: policy.kind: unknown 'hvll'"),
         ({"policyy": {}}, "unknown key"),
         ({"config": "nowhere.yaml"}, "no such file"),
     ],
@@ -50,7 +50,7 @@ def test_what_makes_no_configuration_is_refused_at_once(tmp_path, settings, mess
 
 @pytest.mark.parametrize("setting", ["policy.kind", "=3", "a..b=1", "a={"])
 def test_words_that_are_no_settings_are_refused(setting):
-    with pytest.raises(ConfigError, match="--column a"):
+    with pytest.raises(ConfigError, match="--arm a"):
         parse_arm(["a", setting])
 
 

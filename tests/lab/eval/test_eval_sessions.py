@@ -73,7 +73,7 @@ def test_each_goal_begins_where_the_last_one_ended(outcomes):
 def test_the_first_goal_is_the_same_and_only_memory_helps_the_second(outcomes):
     (first, _), (known_first, known_second) = outcomes
     assert first.trail == known_first.trail
-    assert (first.column, known_first.column) == ("search, no memory", "search")
+    assert (first.arm, known_first.arm) == ("search, no memory", "search")
     assert known_second.first_sight_path_m is not None
     assert known_second.path_m < 1.2 * known_second.shortest_m
     assert {kind for *_, kind in known_second.goal_xy} == {"instance"}  # it knows where the sofa is

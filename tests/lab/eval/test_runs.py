@@ -154,9 +154,7 @@ def test_a_run_goes_on_where_it_was_broken_off(config, tmp_path):
     rest = run_all(columns, episodes, out, tell=lambda *news: told.append(news))
     assert len({news[2] if i == 0 else news[2].key for i, news in enumerate(told)}) == 4
     assert len(first) == 1
-    assert [(o.episode, o.column) for o in rest] == [
-        (e.id, c.name) for e in episodes for c in columns
-    ]
+    assert [(o.episode, o.arm) for o in rest] == [(e.id, c.name) for e in episodes for c in columns]
     assert read(out / "episodes.jsonl") == episodes
     run_all(columns, episodes, out, tell=lambda *news: pytest.fail("run again"))
 
@@ -173,8 +171,8 @@ def test_a_column_that_was_changed_is_run_anew_and_a_crash_as_well(config, tmp_p
     (other,) = make_arms(config, {"it": {"policy": {"kind": "nearest_frontier"}}})
     assert changed([column], out) == {}
     assert changed([other], out) == {"it": 1}
-    (anew,) = run_all([other], episodes, out)
-    assert anew.column_id == other.id != good.column_id
+    (other_run,) = run_all([other], episodes, out)
+    assert other_run.arm_id == other.id != good.arm_id
 
 
 def test_a_mission_of_several_things_is_judged_at_each(config):
@@ -211,7 +209,7 @@ def test_the_simple_use_prints_a_table(yaml_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("  1/2 ok   hvl")
     assert lines[3:5] == ["Columns", lines[4]]
-    assert lines[4].split()[:4] == ["column", "n", "SR,", "%"]
+    assert lines[4].split()[:4] == ["arm", "n", "SR,", "%"]
     assert lines[5].split()[:3] == ["hvl", "2", "100.0"]
     assert {"By target", "Failures", "On the way"} <= set(lines)
 
@@ -222,11 +220,11 @@ def test_a_plan_is_written_and_run_in_columns(yaml_path, tmp_path, capsys):
     assert main([*COMMAND, yaml_path, *asked]) == 0
     assert capsys.readouterr().out == f"{file}: 2 episodes\n"
     run = [*COMMAND, yaml_path, "--episodes", str(file), "--limit", "1", "--out", str(out)]
-    columns = ["--column", "hvl", "--column", "near", "policy.kind=nearest_frontier"]
+    columns = ["--arm", "hvl", "--arm", "near", "policy.kind=nearest_frontier"]
     assert main([*run, *columns]) == 0
-    assert [o.column for o in OutcomeFile(out).known.values()] == ["hvl", "near"]
+    assert [o.arm for o in OutcomeFile(out).known.values()] == ["hvl", "near"]
     capsys.readouterr()
-    assert main([*run, "--column", "hvl", "policy.w_dist=1.5"]) == 0
+    assert main([*run, "--arm", "hvl", "policy.w_dist=1.5"]) == 0
     printed = capsys.readouterr().out
     assert "hvl: settings changed; 1 earlier outcomes are ignored" in printed
 
@@ -235,8 +233,8 @@ def test_a_plan_is_written_and_run_in_columns(yaml_path, tmp_path, capsys):
     ("options", "message"),
     [
         (["--targets", " , "], "--targets: name at least one"),
-        (["--column", "a", "--column", "a"], "--column a: this name is used twice"),
-        (["--column", "a", "policy.kind=b"], "unknown 'b'"),
+        (["--arm", "a", "--arm", "a"], "--arm a: this name is used twice"),
+        (["--arm", "a", "policy.kind=b"], "unknown 'b'"),
         (["--episodes", "nowhere.jsonl"], "nowhere.jsonl"),
         (["--worlds", "demo"], "--worlds demo: not understood"),
         (["--goals", "2", "--targets", "bed"], "no world has 2 of the targets"),

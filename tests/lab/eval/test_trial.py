@@ -112,7 +112,7 @@ def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, mon
     """It calls the car a mailbox, and says that it is yellow."""
     folder = write(tmp_path / "sequence", points=20_000)
     chain = {"kind": "own_chain:make", "options": {"box": [35, 15, 65, 50]}}
-    monkeypatch.setenv("EDGE__TASKS__CHAIN", json.dumps(chain))
+    monkeypatch.setenv("EDGE__TASKS__PIPELINE", json.dumps(chain))
     options = "--config", "kitti", "--objects", "detector"
     code, out = trajectory(tmp_path, str(folder), "go to the mailbox", *options)
     said = capsys.readouterr()
@@ -126,19 +126,19 @@ def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, mon
 @pytest.mark.parametrize(
     ("chain", "line"),
     [
-        ({"kind": "mine"}, "tasks.chain.kind: expected module:Class"),
-        ({"kind": "own_chain:nothing"}, "tasks.chain.kind: 'own_chain:nothing': AttributeError"),
-        ({"kind": "own_chain:make"}, "tasks.chain.options: missing a required argument: 'box'"),
-        ({"kind": "own_chain:made_of_nothing"}, "own_chain:made_of_nothing is no chain"),
+        ({"kind": "mine"}, "tasks.pipeline.kind: expected module:Class"),
+        ({"kind": "own_chain:nothing"}, "tasks.pipeline.kind: 'own_chain:nothing': AttributeError"),
+        ({"kind": "own_chain:make"}, "tasks.pipeline.options: missing a required argument: 'box'"),
+        ({"kind": "own_chain:made_of_nothing"}, "own_chain:made_of_nothing is no pipeline"),
         (
             {"kind": "own_chain:make", "options": {"box": [0, 0, 9, 9], "fails": "no\nmemory"}},
-            "tasks.chain: own_chain:make: boxes: RuntimeError: no memory",
+            "tasks.pipeline: own_chain:make: boxes: RuntimeError: no memory",
         ),
     ],
 )
 def test_a_chain_that_is_none_is_one_line(tmp_path, capsys, monkeypatch, chain, line):
     folder = write(tmp_path / "sequence")
-    monkeypatch.setenv("EDGE__TASKS__CHAIN", json.dumps(chain))
+    monkeypatch.setenv("EDGE__TASKS__PIPELINE", json.dumps(chain))
     options = "--config", "kitti", "--objects", "detector"
     assert trajectory(tmp_path, str(folder), "go to the mailbox", *options)[0] != os.EX_OK
     said = capsys.readouterr().err

@@ -90,7 +90,7 @@ def detections(stamp_ns: int, rng: np.random.Generator, target_score: float) -> 
     return Detections(seen, boxes, score, np.array([0, 1], np.int32), ("chair", "sofa"), "demo", 9)
 
 
-def instance(number: int, label: str, score: float, state: str = "seen") -> Instance:
+def instance(number: int, label: str, score: float, state: str = "tentative") -> Instance:
     x0, y0, x1, y1 = FURNITURE[label]
     along = np.linspace(0, 1, 12, dtype=np.float32)
     front = np.stack([x0 + along * (x1 - x0), np.full(12, y0), np.full(12, 0.4)], axis=1)
@@ -199,7 +199,7 @@ def story_of(
         for t_s, kind, label, text in steps
     )
     return replace(
-        facts(), brief=brief, state=automaton.run(word), word=word, plan=DEAD, steps=told
+        facts(), brief=brief, state=automaton.run(word), trace=word, plan=DEAD, steps=told
     )
 
 
@@ -209,7 +209,7 @@ def mission_run() -> RunRecord:
     asked = "Go to the chair or the sofa, then to the tv."
     story = story_of(FORMULA, ("sofa", "tv"), STORY, asked)
     things = [
-        instance(k, label, 0.9 - 0.1 * k, "reached" if label in ("sofa", "tv") else "seen")
+        instance(k, label, 0.9 - 0.1 * k, "reached" if label in ("sofa", "tv") else "tentative")
         for k, label in enumerate(("chair", "sofa", "tv", "bed"))
     ]
     texts = [(t_s, text) for t_s, _, _, text in STORY]

@@ -13,7 +13,7 @@ import numpy as np
 
 from edge.errors import FileError, UserError
 from edge.host.files import read_regular
-from edge.lab.eval.outcome import FAILURES, MAX_BYTES
+from edge.lab.eval.outcome import FAILURES, MAX_BYTES, present_names
 from edge.text import one_line, read_json_object
 
 OTHER = "other"
@@ -117,7 +117,7 @@ def read(path: Path) -> list[Record]:
     for number, line in enumerate(content.split(b"\n")[:-1], start=1):
         if line.strip():
             try:
-                records.append(_checked(read_json_object(line)))
+                records.append(_checked(present_names(read_json_object(line))))
             except (KeyError, TypeError, ValueError) as error:
                 what = f"no {error}" if isinstance(error, KeyError) else one_line(error)
                 raise UserError(f"{path}: line {number}: not an outcome: {what}") from None
@@ -130,7 +130,7 @@ def _checked(record: Record) -> Record:
     Raises:
         KeyError, TypeError, ValueError: a field is missing or wrong.
     """
-    for key in ("episode", "column", "world", "kind"):
+    for key in ("episode", "arm", "world", "kind"):
         if not isinstance(record[key], str):
             raise ValueError(f"{key}: expected a text")
     if not (math.isfinite(float(record["shortest_m"])) and record["shortest_m"] >= 0):
@@ -152,9 +152,9 @@ def gather(records: Iterable[Record]) -> Outcomes:
         UserError: two arms have different targets or shortest paths for one episode.
     """
     records = [record for record in records if record.get("goal") != 1]
-    settings = {r["column"]: r.get("column_id") for r in records}
-    kept = [r for r in records if r.get("column_id") == settings[r["column"]]]
-    newest = {(r["column"], r["episode"]): r for r in kept}
+    settings = {r["arm"]: r.get("arm_id") for r in records}
+    kept = [r for r in records if r.get("arm_id") == settings[r["arm"]]]
+    newest = {(r["arm"], r["episode"]): r for r in kept}
     columns = tuple(dict.fromkeys(column for column, _ in newest))
     episodes = tuple(sorted({episode for _, episode in newest}, key=natural))
     at = {(columns.index(c), episodes.index(e)): r for (c, e), r in newest.items()}
@@ -191,8 +191,8 @@ def _agree(one: Record, other: Record) -> None:
         if one and one.get(key) != other.get(key):
             raise UserError(
                 f"episode {one_line(other['episode'])}: its {key} is {one_line(one.get(key))} in "
-                f"column {one_line(one['column'])} and {one_line(other.get(key))} in "
-                f"{one_line(other['column'])}: these are different episodes; run both on one file"
+                f"arm {one_line(one['arm'])} and {one_line(other.get(key))} in "
+                f"{one_line(other['arm'])}: these are different episodes; run both on one file"
             )
 
 
@@ -238,5 +238,5 @@ def baseline_of(outcomes: Outcomes, name: str | None) -> int:
     if name is None:
         return 0
     if name not in columns:
-        raise UserError(f"--baseline: no column {name!r}; there are: {', '.join(columns)}")
+        raise UserError(f"--baseline: no arm {name!r}; there are: {', '.join(columns)}")
     return columns.index(name)

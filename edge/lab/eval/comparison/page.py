@@ -35,7 +35,7 @@ def html(
     """
     outcomes = comparison.outcomes
     n, worlds = len(outcomes.episodes), len(set(outcomes.world.tolist()))
-    words = f"{n} episodes in {worlds} worlds, {len(outcomes.columns)} columns"
+    words = f"{n} episodes in {worlds} worlds, {len(outcomes.columns)} arms"
     body = (
         f'<header><h1>{escape(title)}</h1><p class="reason">{words}</p></header>',
         *(tables.html(table) for table in tables.tables(comparison)),

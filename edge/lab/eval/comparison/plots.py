@@ -47,10 +47,10 @@ def differences(comparison: Comparison) -> Figure:
     """Plot the paired differences of SPL against the baseline."""
     outcomes, pairs = comparison.outcomes, comparison.pairs
     figure, (axes,) = canvas.plots((WIDTH_IN, 1.1 + 0.34 * len(pairs)), DPI, 1)
-    rows = [outcomes.columns.index(pair.column) for pair in pairs]
+    rows = [outcomes.columns.index(pair.arm) for pair in pairs]
     axes.axvline(0.0, color=palette.INFLATED, linewidth=1.2, zorder=1)
     _forest(axes, [pair.spl for pair in pairs], rows, 1.0, 3, "+")
-    _names(axes, [f"{shorten(p.column, MAX_NAME)} (n {p.n})" for p in pairs])
+    _names(axes, [f"{shorten(p.arm, MAX_NAME)} (n {p.n})" for p in pairs])
     base = shorten(outcomes.columns[comparison.baseline], MAX_NAME)
     _title(axes, f"SPL minus that of {base}, same episodes")
     return figure
@@ -131,8 +131,8 @@ def _bins(shortest_m: np.ndarray) -> list[np.ndarray]:
 
 
 PLOTS: dict[str, tuple[Callable[[Comparison], Figure], str]] = {
-    "rates": (rates, "SPL and success rate of each column, with 95 % intervals"),
-    "differences": (differences, "SPL of each column minus the baseline's, on the same episodes"),
+    "rates": (rates, "SPL and success rate of each arm, with 95 % intervals"),
+    "differences": (differences, "SPL of each arm minus the baseline's, on the same episodes"),
     "distances": (distances, "SPL over the length of the shortest path"),
     "budget": (budget, "Share of episodes that succeed within a path budget"),
 }

@@ -78,8 +78,8 @@ def text(comparison: Comparison) -> str:
     parts.append(tables.unit_words(comparison))
     if comparison.outcomes.passed_over:
         parts.append(
-            f"{comparison.outcomes.passed_over} older outcomes are ignored: earlier settings of a "
-            "column, or run again since"
+            f"{comparison.outcomes.passed_over} older outcomes are ignored: earlier settings of an "
+            "arm, or run again since"
         )
     return "\n\n".join(parts)
 

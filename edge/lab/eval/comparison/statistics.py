@@ -124,7 +124,7 @@ class PairedDifference(NamedTuple):
     """An arm against the baseline, on the episodes that both ran.
 
     Attributes:
-        column: name of the arm.
+        arm: name of the arm.
         n: number of these episodes.
         missing: number of episodes that only one of the two ran; they are left out.
         sr: mean difference of success, arm minus baseline.
@@ -138,7 +138,7 @@ class PairedDifference(NamedTuple):
         lost: number of episodes with lower SPL.
     """
 
-    column: str
+    arm: str
     n: int
     missing: int
     sr: Interval

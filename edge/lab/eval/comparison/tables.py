@@ -66,7 +66,7 @@ def summary(comparison: Comparison, name: str) -> ReportTable:
     """Return a table of the metrics of one of SUMMARIES, one row for each arm."""
     title, wanted = SUMMARIES[name]
     keys = [key for key in wanted if _measured(comparison, key)]
-    head = ["column", "n", *(METRICS[key].title for key in keys)]
+    head = ["arm", "n", *(METRICS[key].title for key in keys)]
     rows = []
     for column, figures in comparison.figures.items():
         cells = [_figure(METRICS[key], figures[key], key in BOUNDED) for key in keys]
@@ -96,13 +96,13 @@ def unit_words(comparison: Comparison) -> str:
 
 def paired(comparison: Comparison) -> ReportTable:
     """Return a table of each arm against the baseline, on the same episodes."""
-    head = ("column", "n", "SR, % points", "SPL", "SPL ratio", "soft SPL", "better",
+    head = ("arm", "n", "SR, % points", "SPL", "SPL ratio", "soft SPL", "better",
             "worse", "both", "path ratio", "time ratio")  # fmt: skip
     rows = [_pair_row(pair) for pair in comparison.pairs]
-    left_out = [f"{p.column} {p.missing}" for p in comparison.pairs if p.missing]
+    left_out = [f"{p.arm} {p.missing}" for p in comparison.pairs if p.missing]
     base = _column(comparison, comparison.baseline)
     note = (
-        "Differences of means (column minus baseline), and ratios of means, on the n episodes that "
+        "Differences of means (arm minus baseline), and ratios of means, on the n episodes that "
         "both ran. Better, worse: episodes with higher and lower SPL. Both: episodes in which both "
         "succeeded, used for path and time."
     )
@@ -113,7 +113,7 @@ def paired(comparison: Comparison) -> ReportTable:
 
 def _pair_row(pair: PairedDifference) -> list[str]:
     return [
-        one_line(pair.column), str(pair.n),
+        one_line(pair.arm), str(pair.n),
         bounded(pair.sr, 1, 100.0, "+"), bounded(pair.spl, 3, 1.0, "+"),
         bounded(pair.spl_ratio, 3), bounded(pair.soft_spl, 3, 1.0, "+"),
         str(pair.won), str(pair.lost), str(pair.both),
@@ -129,12 +129,12 @@ def failures(comparison: Comparison) -> ReportTable:
         ran = int(comparison.outcomes.ran[c].sum())
         failed = sum(counts.values())
         rows.append([one_line(name), str(ran), str(failed), *(str(counts[k]) for k in kinds)])
-    return ReportTable("failures", "Failures", ("column", "n", "failed", *kinds), rows)
+    return ReportTable("failures", "Failures", ("arm", "n", "failed", *kinds), rows)
 
 
 def losses(comparison: Comparison) -> ReportTable:
     """Return a table that decomposes the lost SPL, one row for each arm."""
-    head = ("column", "n", "SPL", "failures", "search", "approach", "search excess, m",
+    head = ("arm", "n", "SPL", "failures", "search", "approach", "search excess, m",
             "approach excess, m")  # fmt: skip
     rows = [
         [one_line(name), str(loss.n), f"{loss.spl:.3f}", f"{loss.failures:.3f}",
@@ -218,7 +218,7 @@ def to_csv(comparison: Comparison) -> bytes:
     """Return one line for each figure, of all episodes and of every group."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(("group", "column", "metric", "n", "value", "low", "high"))
+    writer.writerow(("group", "arm", "metric", "n", "value", "low", "high"))
     for name, key, figure in _all_figures(comparison):
         numbers = ["" if math.isnan(x) else f"{x:.6g}" for x in figure.interval]
         writer.writerow((*name, key, figure.n, *numbers))
@@ -245,8 +245,8 @@ def to_json(comparison: Comparison) -> bytes:
         "episodes": len(outcomes.episodes),
         "worlds": len(set(outcomes.world.tolist())),
         "passed_over": outcomes.passed_over,
-        "columns": comparison.figures,
-        "paired": {pair.column: pair for pair in comparison.pairs},
+        "arms": comparison.figures,
+        "paired": {pair.arm: pair for pair in comparison.pairs},
         "failures": comparison.failures,
         "losses": comparison.losses,
         "groups": comparison.groups,

@@ -7,8 +7,8 @@ problem.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from edge.jit import jit
 from edge.lab.eval.planning.executor import DONE, NOTHING, PlannerInput, PlanningProblem
 from edge.mission.planning.vitl import working_order
 
@@ -56,7 +56,7 @@ def solvable(problem: PlanningProblem) -> bool:
     return (problem.automaton.n_states * (others + 1)) << problem.n_propositions <= MAX_VALUES
 
 
-@njit(nogil=True, cache=True)
+@jit
 def least_costs(delta, accepting, order, p_obs, value, best):
     """Compute the least expected cost to acceptance and the next target, by knowledge and state.
 

@@ -140,7 +140,7 @@ def _config(args: argparse.Namespace) -> TasksConfig:
             raise UserError("--model: give its server with --url, too")
         return TasksConfig()
     planner = {"kind": "model", "url": args.url, "time_limit_s": args.time_limit,
-               "rounds": args.rounds}  # fmt: skip
+               "max_attempts": args.rounds}  # fmt: skip
     if args.model is not None:
         planner["model"] = args.model
     try:

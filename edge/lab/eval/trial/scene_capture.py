@@ -81,8 +81,8 @@ def capture_kitti(
     if words is None:
         scene, by = kitti.scene_of(frames, kitti.label_pipeline(frames), clearance_m), "the labels"
     else:
-        with detector_pipeline(config, words) as (chain, by):
-            scene = kitti.scene_of(frames, chain, clearance_m, by_labels=False)
+        with detector_pipeline(config, words) as (pipeline, by):
+            scene = kitti.scene_of(frames, pipeline, clearance_m, by_labels=False)
     last = frames[-1].observation
     cloud_m = np.concatenate([_in_map(frame.observation) for frame in frames])
     name = f"{folder.resolve().name}, frame{'s'[: len(numbers) > 1]} {', '.join(map(str, numbers))}"
@@ -120,9 +120,9 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
     kinds = tuple(dict.fromkeys(ground.label for ground in drawn.grounds))
     truth = Segmentation(camera.ids, labels)
 
-    def look(chain: PerceptionPipeline) -> Scene:
+    def look(pipeline: PerceptionPipeline) -> Scene:
         clearance_m = config.tasks.trajectory.clearance_m
-        survey = SceneBuilder(chain, config.mapping, clearance_m, kinds)
+        survey = SceneBuilder(pipeline, config.mapping, clearance_m, kinds)
         survey.add(seen, _ground_kind(drawn, kinds, cloud_m))
         return survey.scene()
 
@@ -130,10 +130,10 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
         scene, by = look(_oracle(truth)), "the simulator"
     else:
         with detector_pipeline(config, (*words, *dict.fromkeys(labels)), lambda _: truth) as (
-            chain,
+            pipeline,
             by,
         ):
-            scene = look(chain)
+            scene = look(pipeline)
     return SceneCapture(drawn.name, by, scene, cloud_m, 0.0)
 
 
@@ -144,15 +144,18 @@ def detector_pipeline(
     """Yield the detection pipeline of the configured detector, or a plugin, and its name.
 
     Args:
-        config: names the detector and the segmenter, or a plugin in `tasks.chain`.
+        config: names the detector and the segmenter, or a plugin in `tasks.pipeline`.
         words: names to look for, in addition to the detector's `background`.
         truth: ground truth for a simulated detector; None: the pictures are real.
 
     Raises:
         UserError: there is no detector, or nothing to look for.
     """
-    if config.tasks.chain is not None:
-        yield _own_chain(config, config.tasks.chain, tuple(words)), config.tasks.chain.kind
+    if config.tasks.pipeline is not None:
+        yield (
+            _plugin_pipeline(config, config.tasks.pipeline, tuple(words)),
+            config.tasks.pipeline.kind,
+        )
         return
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
@@ -166,17 +169,19 @@ def detector_pipeline(
         raise SceneCaptureError(
             f"{config.at('perception.detector.background')}: empty; give names of objects to find"
         )
-    with open_pipeline(config.perception, words, truth) as chain:
-        yield chain, detector.model if detector.kind == "onnx" else "the simulated detector"
+    with open_pipeline(config.perception, words, truth) as pipeline:
+        yield pipeline, detector.model if detector.kind == "onnx" else "the simulated detector"
 
 
-def _own_chain(config: Config, own: PipelinePlugin, words: tuple[str, ...]) -> PerceptionPipeline:
-    """Return the plugin pipeline of `tasks.chain`; its errors become `SceneCaptureError`."""
-    where = config.at("tasks.chain")
+def _plugin_pipeline(
+    config: Config, own: PipelinePlugin, words: tuple[str, ...]
+) -> PerceptionPipeline:
+    """Return the plugin pipeline of `tasks.pipeline`; its errors become `SceneCaptureError`."""
+    where = config.at("tasks.pipeline")
     given: dict[str, Any] = {"perception": config.perception, "words": words}
     needs = ("tags", "boxes", "masks", "captions", "embeddings")
     make = component_factory(
-        "chain", own.kind, own.options, {}, where, needs, tuple(given), functions=True
+        "pipeline", own.kind, own.options, {}, where, needs, tuple(given), functions=True
     )
     made = make(**given)
 

@@ -152,8 +152,9 @@ def describe(view: MarkedView) -> str:
 
     >>> import numpy as np
     >>> from edge.types import Observation
-    >>> seen = (Sighting("bed", 0.5, 2.14),)
-    >>> print(describe(View(Observation(0, 0, np.eye(4)), "lamp", (Mark(7, 0, 0, 0, 3),), seen)))
+    >>> seen = (DetectedObject("bed", 0.5, 2.14),)
+    >>> marks = (Mark(7, 0, 0, 0, 3),)
+    >>> print(describe(MarkedView(Observation(0, 0, np.eye(4)), "lamp", marks, seen)))
     The robot sees:
     - bed, left, 2.1 m
     It can go on in these directions:

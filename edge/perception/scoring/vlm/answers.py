@@ -76,7 +76,7 @@ def answer_token_ids(vocabulary: Sequence[str], answers: Sequence[str]) -> list[
     Returns:
         For each answer, the ids of its tokens, (k,) int64; k may be 0.
 
-    >>> [ids.tolist() for ids in spellings(["A", "b", " A", "B", "yes"], ("A", "B", "Yes"))]
+    >>> [ids.tolist() for ids in answer_token_ids(["A", "b", " A", "B", "yes"], ("A", "B", "Yes"))]
     [[0, 2], [3], [4]]
     """
     place = {_key(answer): i for i, answer in enumerate(answers)}

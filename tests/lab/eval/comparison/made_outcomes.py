@@ -10,10 +10,10 @@ import numpy as np
 FAILED = ("never seen", "seen, not confirmed", "wrong thing", "stuck", "budget", "crashed")
 
 
-def record(episode: str = "house-0/bed/0", column: str = "hvl", **changes: Any) -> dict[str, Any]:
+def record(episode: str = "house-0/bed/0", arm: str = "hvl", **changes: Any) -> dict[str, Any]:
     """Return a success in 10 m with an optimum of 5 m; `changes` replace its fields."""
     fields: dict[str, Any] = {
-        "episode": episode, "column": column, "column_id": "c0ffee", "world": "house-0",
+        "episode": episode, "arm": arm, "arm_id": "c0ffee", "world": "house-0",
         "kind": "procthor", "target": "bed", "instruction": None, "start": [1.0, 1.0, 0.0],
         "shortest_m": 5.0, "success": True, "reason": "reached", "failure": None, "path_m": 10.0,
         "elapsed_s": 30.0, "wall_s": 1.5, "distance_m": 0.8, "left_m": 0.0, "collisions": 0,
@@ -25,13 +25,13 @@ def record(episode: str = "house-0/bed/0", column: str = "hvl", **changes: Any) 
     return {**fields, **changes}
 
 
-def failure(episode: str = "house-0/bed/0", column: str = "hvl", **changes: Any) -> dict[str, Any]:
+def failure(episode: str = "house-0/bed/0", arm: str = "hvl", **changes: Any) -> dict[str, Any]:
     """One that used its path up and never saw the thing."""
     fields = {
         "success": False, "reason": "path limit", "failure": "never seen", "path_m": 40.0,
         "distance_m": 4.0, "left_m": 5.0, "first_sight_s": None, "first_sight_path_m": None,
     }  # fmt: skip
-    return record(episode, column, **{**fields, **changes})
+    return record(episode, arm, **{**fields, **changes})
 
 
 def many(

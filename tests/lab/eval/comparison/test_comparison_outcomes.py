@@ -16,6 +16,7 @@ from edge.lab.eval.comparison.outcomes import (
     read,
     with_rooms,
 )
+from edge.lab.eval.outcome import NAME, RENAMED, OutcomeFile
 
 
 def written(tmp_path, *lines) -> list[dict]:
@@ -84,10 +85,10 @@ def test_arrays_have_a_row_a_column_and_nan_for_what_was_not_said():
 def test_the_newest_of_a_column_counts():
     outcomes = gather(
         [
-            record("one", "a", column_id="old", path_m=1.0),
-            record("two", "a", column_id="old", path_m=1.0),
-            record("one", "a", column_id="new", path_m=2.0),
-            record("one", "a", column_id="new", path_m=3.0),
+            record("one", "a", arm_id="old", path_m=1.0),
+            record("two", "a", arm_id="old", path_m=1.0),
+            record("one", "a", arm_id="new", path_m=2.0),
+            record("one", "a", arm_id="new", path_m=3.0),
         ]
     )
     assert outcomes.episodes == ("one",)
@@ -98,4 +99,14 @@ def test_the_newest_of_a_column_counts():
 @pytest.mark.parametrize("changes", [{"shortest_m": 6.0}, {"target": "sofa"}])
 def test_columns_on_different_episodes_of_one_name_are_not_compared(changes):
     with pytest.raises(UserError, match="these are different episodes"):
-        gather([record(column="a"), record(column="b", **changes)])
+        gather([record(arm="a"), record(arm="b", **changes)])
+
+
+@pytest.mark.parametrize("old", RENAMED)
+def test_a_file_with_an_old_name_of_a_field_is_read(tmp_path, old):
+    line = record()
+    (tmp_path / NAME).write_text(json.dumps(line) + "\n")
+    new = OutcomeFile(tmp_path).known, read(tmp_path / NAME)
+    line[old] = line.pop(RENAMED[old])
+    (tmp_path / NAME).write_text(json.dumps(line) + "\n")
+    assert (OutcomeFile(tmp_path).known, read(tmp_path / NAME)) == new

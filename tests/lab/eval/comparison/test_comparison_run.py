@@ -52,7 +52,7 @@ def test_a_folder_is_compared(folder, capsys):
     assert page.count('id="w0"') == 1
     assert page.count('href="#w0"') == 4
     assert page.count("<article") == 2
-    assert (folder / "results.csv").read_text().startswith("group,column,metric")
+    assert (folder / "results.csv").read_text().startswith("group,arm,metric")
     assert (folder / "rates.png").exists()
     assert (folder / "budget.svg").exists()
 
@@ -84,5 +84,5 @@ def test_what_is_told_after_a_run():
 
 
 def test_older_outcomes_are_passed_over_aloud():
-    comparison = run.compare(run.records.gather([record(column_id="old"), record()]), resamples=50)
+    comparison = run.compare(run.records.gather([record(arm_id="old"), record()]), resamples=50)
     assert "1 older outcomes are ignored" in run.text(comparison)

@@ -68,7 +68,7 @@ def test_columns_are_compared_on_the_episodes_that_both_ran():
     ]  # fmt: skip
     outcomes = gather(records)
     found = pair(outcomes, 1, 0, FEW)
-    assert (found.column, found.n, found.missing, found.both) == ("new", 2, 2, 1)
+    assert (found.arm, found.n, found.missing, found.both) == ("new", 2, 2, 1)
     assert found.sr.value == pytest.approx(0.5)
     assert found.spl.value == pytest.approx(0.5)  # 1.0 - 0.5, and 0.5 - 0
     assert found.spl_ratio.value == pytest.approx(1.5 / 0.5)
@@ -76,7 +76,7 @@ def test_columns_are_compared_on_the_episodes_that_both_ran():
     assert found.time_ratio.value == pytest.approx(15.0 / 30.0)
     assert (found.won, found.lost) == (2, 0)
     assert compare(outcomes, "base", resamples=FEW).pairs[0].n == 2
-    assert [p.column for p in compare(outcomes, "new", resamples=FEW).pairs] == ["base"]
+    assert [p.arm for p in compare(outcomes, "new", resamples=FEW).pairs] == ["base"]
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 14), st.sets(st.integers(0, 27), max_size=9))
@@ -128,5 +128,5 @@ def test_excess_is_the_searchs_or_the_approachs(path, sight, left, search, appro
 
 
 def test_an_unknown_baseline():
-    with pytest.raises(UserError, match="no column 'c'"):
+    with pytest.raises(UserError, match="no arm 'c'"):
         compare(gather([record()]), "c")

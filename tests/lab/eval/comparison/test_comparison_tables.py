@@ -60,7 +60,7 @@ def test_text_stays_text():
 
 def test_csv_has_every_figure(comparison):
     rows = list(csv.DictReader(io.StringIO(tables.to_csv(comparison).decode())))
-    spl = [r for r in rows if (r["group"], r["column"], r["metric"]) == ("all", "new", "spl")]
+    spl = [r for r in rows if (r["group"], r["arm"], r["metric"]) == ("all", "new", "spl")]
     figure = comparison.figures["new"]["spl"]
     assert float(spl[0]["value"]) == pytest.approx(figure.interval.value, abs=1e-5)
     assert {r["group"] for r in rows} >= {"all", "target: bed", "rooms: 2"}
@@ -68,8 +68,8 @@ def test_csv_has_every_figure(comparison):
 
 def test_json_has_everything(comparison):
     data = json.loads(tables.to_json(comparison))
-    assert data["columns"]["new"]["sr"]["n"] == 48
-    assert data["columns"]["new"]["revisited_m2"]["interval"]["value"] is None
+    assert data["arms"]["new"]["sr"]["n"] == 48
+    assert data["arms"]["new"]["revisited_m2"]["interval"]["value"] is None
     assert data["paired"]["new"]["spl"]["low"] > 0
     assert data["losses"]["new"]["spl"] == pytest.approx(comparison.losses["new"].spl)
     assert (data["baseline"], data["resampled"], data["worlds"]) == ("base", "world", 12)

@@ -11,9 +11,9 @@ from test_load_shedder import Bench
 from edge.loop import load_shedder
 
 
-def test_governor_step(benchmark, monkeypatch):
+def test_load_shedder_step(benchmark, monkeypatch):
     """A new image before each step; a tenth of the steps look back on a second."""
-    benchmark.extra_info["budget"] = "governor_step"
+    benchmark.extra_info["budget"] = "load_shedder_step"
     monkeypatch.setattr(load_shedder, "_check_here", lambda name: None)
     bench = Bench()
 
@@ -21,7 +21,7 @@ def test_governor_step(benchmark, monkeypatch):
         bench.see()
         return (bench.now_ns,), {}
 
-    benchmark.pedantic(bench.governor.step, setup=see, rounds=600, warmup_rounds=60)
-    assert bench.governor.status()["state"] == "steady"
+    benchmark.pedantic(bench.shedder.step, setup=see, rounds=600, warmup_rounds=60)
+    assert bench.shedder.status()["state"] == "steady"
     assert bench.reads > 0
     bench.close()

@@ -1,0 +1,57 @@
+"""Actions of the commands that send requests to a running service.
+
+Light to import, so that the command line can take its arguments from here.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from edge.cli.options import CONFIG, lazy_handler
+
+ANSWER_S = 5.0
+
+
+def add_action(actions: Any, name: str, text: str, module: str) -> argparse.ArgumentParser:
+    """Add an action that takes a configuration, and return its parser.
+
+    Args:
+        actions: parsers of the command's actions.
+        name: name of the action.
+        text: its help.
+        module: module whose function `run` handles it.
+    """
+    action: argparse.ArgumentParser = actions.add_parser(name, help=text)
+    action.add_argument("config", help=CONFIG)
+    action.set_defaults(handler=lazy_handler(module, "run"))
+    return action
+
+
+@contextmanager
+def connected(
+    config: str, patience_s: float = ANSWER_S, what: str = "service"
+) -> Iterator[Callable[..., dict]]:
+    """Connect to the service of a configuration; yield `ask(topic, request)`.
+
+    Args:
+        config: path or name of the configuration.
+        patience_s: how long to wait for the connection, and for each answer.
+        what: name of the command, for error messages.
+
+    Raises:
+        RequestError: no service is there, it does not answer, or it refuses.
+        ConfigError: the configuration cannot be read.
+    """
+    from edge.bus import client
+    from edge.config import load
+
+    settings = load(config).zenoh
+    with client.connect(settings, patience_s, what) as session:
+
+        def ask(topic: Any, request: dict) -> dict:
+            return client.send_request(session, settings.key(topic), request, patience_s, what)
+
+        yield ask
