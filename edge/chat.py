@@ -260,7 +260,7 @@ class ChatClient:
 
     def _late(self) -> ChatTimeoutError:
         return ChatTimeoutError(
-            f"{self.url}: no whole answer within {self.time_limit_s:g} s; raise time_limit_s or "
+            f"{self.url}: no complete answer within {self.time_limit_s:g} s; raise time_limit_s or "
             "use a faster model"
         )
 

@@ -225,10 +225,10 @@ class Instance:
         return float(np.sqrt((d * d).sum(axis=1).min()))
 
 
-# "look": no candidate is left; the robot turns on the spot, goes to a viewpoint for a better look,
+# "spin": no candidate is left; the robot turns on the spot, goes to a viewpoint for a better look,
 # or stands still. "trajectory": a task's goal, which moves ahead of the robot on its trajectory, or
 # turns it on the spot. "place": a named place that the mission goes to.
-CandidateKind = Literal["frontier", "instance", "look", "trajectory", "place"]
+CandidateKind = Literal["frontier", "instance", "spin", "trajectory", "place"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ import psutil
 import pytest
 from live_patience import PATIENCE_S
 
+from edge.cli.main import main
 from edge.host.ports import free_port
 
 # Only a failing test waits this long: for a mission to end, and for a process that is told to end,
@@ -24,6 +25,7 @@ STOP_S = PATIENCE_S
 
 # As fast as the machine can, and the same on a slow one.
 LOCKSTEP = {"EDGE__LOOP__LOCKSTEP": "true", "EDGE__SIM__LOCKSTEP": "true"}
+LOCKED = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}}
 
 
 class Edge:
@@ -127,3 +129,16 @@ def edge(tmp_path) -> Iterator[Callable[..., Edge]]:
     yield start
     for process in started:
         process.kill()
+
+
+@pytest.fixture
+def command(capsys, monkeypatch) -> Callable[..., tuple[int, str]]:
+    """Run a command in this process without changing its signal handlers; its code and output."""
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+
+    def run(*words: object) -> tuple[int, str]:
+        code = main([str(word) for word in words])
+        said = capsys.readouterr()
+        return code, said.out or said.err
+
+    return run

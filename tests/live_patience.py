@@ -6,5 +6,5 @@ from functools import partial
 
 import patience
 
-PATIENCE_S = 60.0  # only a failing test waits this long
+PATIENCE_S = 180.0  # only a failing test waits this long
 eventually = partial(patience.eventually, patience_s=PATIENCE_S)

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-PATIENCE_S = 20.0  # only a failing test waits this long
+PATIENCE_S = 60.0  # only a failing test waits this long
 
 
 def eventually(

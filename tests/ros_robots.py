@@ -1,4 +1,4 @@
-"""The robots of the ready configurations: their frames, as their makers publish them.
+"""The robots of the built-in configurations: their frames, as their makers publish them.
 
 Each edge is (parent, child, metres, roll, pitch and yaw in degrees).
 """
@@ -66,8 +66,8 @@ ODOM_IN_MAP = SE2(1.0, -0.5, 0.0)
 """Pose of the odometry's frame in `map`, from localization."""
 
 
-def ready(name: str, **sections: Any) -> dict[str, Any]:
-    """Return a ready configuration's data with these keys laid over its sections."""
+def builtin_data(name: str, **sections: Any) -> dict[str, Any]:
+    """Return a built-in configuration's data with these keys laid over its sections."""
     data = read_yaml(resources.find_config(name))
     for section, changes in sections.items():
         before = data.get(section)
@@ -75,8 +75,8 @@ def ready(name: str, **sections: Any) -> dict[str, Any]:
     return data
 
 
-def ready_config(name: str) -> Config:
-    return parse(ready(name), name)
+def builtin_config(name: str) -> Config:
+    return parse(builtin_data(name), name)
 
 
 def transforms_of(tree: tuple[Edge, ...]) -> bytes:

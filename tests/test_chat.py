@@ -144,7 +144,7 @@ def test_the_limit_is_for_the_whole_answer(behave):
         with pytest.raises(ChatError) as raised:
             ChatClient(server.url, "m", time_limit_s=0.5).ask(HELLO)
         assert_ended(request_threads() - before)
-    wanted = f"{server.url}: no whole answer within 0.5 s; raise time_limit_s"
+    wanted = f"{server.url}: no complete answer within 0.5 s; raise time_limit_s"
     assert str(raised.value).startswith(wanted)
 
 
@@ -153,7 +153,7 @@ def test_a_server_that_accepts_no_connection_is_given_up(scheme):
     before = request_threads()
     with socket.create_server(("127.0.0.1", 0)) as listening:  # as far as the kernel goes
         url = f"{scheme}://127.0.0.1:{listening.getsockname()[1]}"
-        with pytest.raises(ChatError, match=r"no whole answer within 0\.5 s"):
+        with pytest.raises(ChatError, match=r"no complete answer within 0\.5 s"):
             ChatClient(url, "m", time_limit_s=0.5).ask(HELLO)
         assert_ended(request_threads() - before)
 
@@ -161,7 +161,7 @@ def test_a_server_that_accepts_no_connection_is_given_up(scheme):
 @pytest.mark.parametrize("left_s", [0.0, -1.0])
 def test_no_time_left_asks_nothing_and_names_the_limit(left_s):
     with serving(saying("F chair")) as server:
-        with pytest.raises(ChatError, match="no whole answer within 30 s"):
+        with pytest.raises(ChatError, match="no complete answer within 30 s"):
             ChatClient(server.url, "m", time_limit_s=30.0).ask(HELLO, left_s=left_s)
         assert server.requests == []
 

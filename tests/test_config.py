@@ -28,7 +28,7 @@ from edge.geometry import MIN_FOCAL
 from edge.host import resources
 from edge.mapping.grid import RollingMap
 
-READY = sorted(resources.data_dir("config").glob("*.yaml"))
+BUILT_IN = sorted(resources.data_dir("config").glob("*.yaml"))
 
 
 @pytest.fixture
@@ -60,13 +60,13 @@ def test_the_schema_requires_the_detector():
     assert schema["$defs"]["PerceptionConfig"]["required"] == ["detector"]
 
 
-@pytest.mark.parametrize("path", READY, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", BUILT_IN, ids=lambda p: p.stem)
 def test_ready_configurations_load_by_path_and_by_name(path):
     assert load(str(path), {}) == load(path.stem, {})
 
 
 def test_there_are_ready_configurations():
-    assert "demo" in [path.stem for path in READY]
+    assert "demo" in [path.stem for path in BUILT_IN]
 
 
 SIM = {"perception": {"detector": {"kind": "sim"}}}
@@ -616,15 +616,15 @@ def test_objects_keep_as_far_away_as_what_is_read():
 
 
 def test_a_dumped_configuration_loads_as_itself(write):
-    for path in READY:
+    for path in BUILT_IN:
         loaded = load(str(path), {})
         again = load(write(loaded.model_dump_json(exclude={"path"})), {})
         assert again.model_dump(exclude={"path"}) == loaded.model_dump(exclude={"path"})
 
 
-def test_every_key_of_the_ready_files_is_used():
-    """A ready file says what differs from the defaults, in keys that exist."""
-    for path in READY:
+def test_every_key_of_the_built_in_files_is_used():
+    """A built-in file says what differs from the defaults, in keys that exist."""
+    for path in BUILT_IN:
         assert set(yaml.safe_load(path.read_text())) <= set(config.Config.model_fields)
 
 

@@ -86,7 +86,9 @@ class ConnectInterrupted(Stopped):
     """
 
     def __init__(self, address: str, refused: str | None, unknown: str | None = None) -> None:
-        while_what = f"nobody was at {address}" if refused is None else f"refused at {address}"
+        while_what = (
+            f"no server answered at {address}" if refused is None else f"refused at {address}"
+        )
         super().__init__(f"zenoh.endpoint: stopped while {while_what}")
         self.refused, self.unknown = refused, unknown
 

@@ -13,9 +13,7 @@ from edge.errors import UnavailableError
 
 Handler = Callable[[argparse.Namespace], int]
 
-CONFIG = (
-    "YAML file, or the name of a configuration that comes with edge, such as demo or turtlebot4"
-)
+CONFIG = "YAML file, or the name of a built-in configuration, such as demo or turtlebot4"
 WHERE = (
     "a configuration whose section zenoh reaches the fleet's router; or the router's endpoint, "
     "such as tcp/10.0.0.1:7447, if the robots' prefixes are robots/NAME"
@@ -69,6 +67,12 @@ def dispatch_on_option(
 
     parser.set_defaults(handler=handler)
     return handler
+
+
+def trust_option(command: argparse.ArgumentParser) -> None:
+    """Add `--trust-cache`."""
+    text = "do not verify the hash of model files that have not changed since the last check"
+    command.add_argument("--trust-cache", action="store_true", help=text)
 
 
 def require_lab() -> None:

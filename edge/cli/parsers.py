@@ -12,16 +12,15 @@ from pathlib import Path
 from typing import NoReturn
 
 from edge import __version__
-from edge.cli import eval_parsers, memory, mission, model_parsers, room, site
+from edge.cli import eval_parsers, lab_parsers, memory, mission, model_parsers, room, site
 from edge.cli.options import (
     CONFIG,
     WHERE,
-    count,
     dispatch_on_option,
     lazy_handler,
     port,
     positive,
-    seed,
+    trust_option,
     unit_name,
 )
 from edge.errors import EXIT_CODES
@@ -56,10 +55,10 @@ def make_parser() -> argparse.ArgumentParser:
         _record,
         _replay,
         _ros2_adapter,
-        _trajectory,
-        _bench,
+        lab_parsers.add_trajectory,
+        lab_parsers.add_bench,
         eval_parsers.add,
-        _soak,
+        lab_parsers.add_soak,
         _doctor,
     ):
         add(commands)
@@ -90,7 +89,7 @@ def _run(commands) -> None:  # type: ignore[no-untyped-def]
         metavar="DIR",
         help="write a report (page and picture) to this folder at the end",
     )
-    _trust(run)
+    trust_option(run)
     _with_parent(run)
     install = run.add_argument_group("install as a systemd service that starts at boot")
     install.add_argument(
@@ -144,12 +143,7 @@ def _live(command: argparse.ArgumentParser) -> None:
         "Ctrl-C, on this port (default: http.port, else 7480, or a free port if that is in "
         "use)",
     )  # fmt: skip
-    _trust(command)
-
-
-def _trust(command: argparse.ArgumentParser) -> None:
-    text = "do not verify the hash of model files that have not changed since the last check"
-    command.add_argument("--trust-cache", action="store_true", help=text)
+    trust_option(command)
 
 
 def _sim(commands) -> None:  # type: ignore[no-untyped-def]
@@ -316,129 +310,6 @@ def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
         help="only print the path of the file for `ros2 launch`",
     )
     adapter.set_defaults(handler=lazy_handler("edge.ros2_adapter.process", "run"))
-
-
-def _trajectory(commands) -> None:  # type: ignore[no-untyped-def]
-    trajectory = commands.add_parser(
-        "trajectory", help="make a trajectory from camera, LiDAR and an instruction"
-    )
-    option = trajectory.add_argument
-    option(
-        "place", metavar="PLACE", help="folder of a SemanticKITTI sequence, or street:N, the "
-        "built-in street number N"
-    )  # fmt: skip
-    option("instruction", metavar="WORDS", help="the task in words, such as 'go past the left of "
-           "the van, then stop at the bench'")  # fmt: skip
-    option(
-        "--frames", type=int, nargs="+", default=[], metavar="N",
-        help="frames of the sequence; the robot is at the last one (default: the first frame)",
-    )  # fmt: skip
-    option(
-        "--objects", choices=("labels", "detector"), default="labels", help="source of the "
-        "objects: labels of the data, or the configured detector (default: %(default)s)"
-    )  # fmt: skip
-    option("--config", default="street", help=f"{CONFIG} (default: %(default)s)")
-    option(
-        "--url",
-        help="let a model on this OpenAI-compatible server write the trajectory: http://HOST:PORT/v1",
-    )
-    option("--model", metavar="NAME", help="name of the model on the server")
-    option(
-        "--out", default="trajectory", metavar="DIR",
-        help="folder for pictures, page and trajectory (default: ./%(default)s)",
-    )  # fmt: skip
-    trajectory.set_defaults(handler=lazy_handler("edge.lab.eval.trial.command", "run", lab=True))
-
-
-def _bench(commands) -> None:  # type: ignore[no-untyped-def]
-    bench = commands.add_parser(
-        "bench", help="measure the latency of the service, or compare models"
-    )
-    bench.add_argument("config", nargs="?", default="cpu", help=f"{CONFIG} (default: cpu)")
-    bench.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the numbers to this file, too"
-    )
-    service = bench.add_argument_group("the service")
-    service.add_argument(
-        "--seconds",
-        type=positive,
-        default=60.0,
-        metavar="N",
-        help="duration (default: %(default)g)",
-    )
-    service.add_argument(
-        "--enforce", action="store_true", help="exit with 1 if a number is over its budget"
-    )
-    service.add_argument(
-        "--calibrate", action="store_true", help="only measure the speed of this computer; budgets "
-        "are then scaled to it"
-    )  # fmt: skip
-    service.add_argument(
-        "--recording", metavar="FILE", help="MCAP file to play; default: a simulated run, made on "
-        "first use"
-    )  # fmt: skip
-    service.add_argument(
-        "--swap",
-        metavar="NAME",
-        help="switch to this model halfway, to measure the cost for the loop",
-    )
-    _trust(bench)
-    models = bench.add_argument_group("compare models on the same images").add_argument
-    models(
-        "--models", nargs="?", const="", metavar="FAMILY",
-        help="compare the models of this family; default: that of the configured detector",
-    )  # fmt: skip
-    models(
-        "--images",
-        type=Path,
-        metavar="DIR",
-        help="folder of images; default: images of a simulated house",
-    )
-    models(
-        "--frames",
-        type=count,
-        default=50,
-        metavar="N",
-        help="number of images (default: %(default)s)",
-    )
-    models(
-        "--providers",
-        metavar="LIST",
-        help="execution providers, comma-separated; default: all available",
-    )
-    models("--threads", type=count, metavar="N", help="CPU threads; default: as configured")
-    models("--update-cards", action="store_true", help="write the numbers into the model cards")
-    of_models = ("--images", "--providers", "--threads", "--update-cards")
-    of_service = ("--enforce", "--calibrate", "--recording", "--swap", "--trust-cache")
-    compare, service_ = (
-        lazy_handler("edge.lab.bench.compare", "run"),
-        lazy_handler("edge.lab.bench.service", "run"),
-    )
-    dispatch_on_option(bench, "--models", compare, of_models, service_, of_service)
-
-
-def _soak(commands) -> None:  # type: ignore[no-untyped-def]
-    soak = commands.add_parser(
-        "soak",
-        help="run service and simulated robot for hours with injected faults, and check them",
-    )
-    soak.add_argument("config", nargs="?", default="soak", help=f"{CONFIG} (default: %(default)s)")
-    option = soak.add_argument
-    option(
-        "--minutes", type=positive, default=120.0, metavar="N", help="duration (default: 120)"
-    )  # fmt: skip
-    option(
-        "--seed", type=seed, default=0, help="seed of faults and missions (default: %(default)s)"
-    )
-    option(
-        "--faults", metavar="NAME,NAME,…", help="inject only these faults (default: all of "
-        "docs/soak.md that the configuration allows)"
-    )  # fmt: skip
-    option(
-        "--out", type=Path, default=Path("soak"), metavar="FOLDER",
-        help="folder for record, logs and page (default: ./%(default)s)",
-    )  # fmt: skip
-    soak.set_defaults(handler=lazy_handler("edge.lab.eval.soak.run", "run", lab=True))
 
 
 def _doctor(commands) -> None:  # type: ignore[no-untyped-def]

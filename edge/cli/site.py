@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         raise SiteError(f"{path}: no such file")
     request = _request(args)
     if path is not None and args.do == "import":
-        request["site"] = read_site(path).geojson()
+        request["site"] = read_site(path, imported=True).geojson()
     with connected(args.config) as ask:
         answer = ask(topics.SITE_REQUEST, request)
     site = site_of(answer["site"], "the service's answer")

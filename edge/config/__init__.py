@@ -1,6 +1,6 @@
 """The configuration: one YAML file is read into frozen, validated objects.
 
-`load` takes the name of a ready configuration, or the path of a YAML file. A variable of the
+`load` takes the name of a built-in configuration, or the path of a YAML file. A variable of the
 environment overrides one key: `EDGE__POLICY__KIND=nearest_frontier` sets `policy.kind`. All values
 are checked here, once; the loop checks nothing.
 

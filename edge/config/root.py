@@ -227,7 +227,7 @@ def load(
     """Read a configuration, apply the overrides of the environment, and validate it.
 
     Args:
-        name_or_path: a YAML file, or the name of a ready configuration (`demo`).
+        name_or_path: a YAML file, or the name of a built-in configuration (`demo`).
         environ: environment with the overrides; None: the environment of this process.
         options: command line options that set a variable of `environ`, by variable.
 

@@ -17,7 +17,7 @@ from edge.bus.verbs import CANCELLED
 from edge.fleet.roster import OVER, Robot, StatusReply
 from edge.text import one_line
 
-DUPLICATE_REASON = "another robot is at it"
+DUPLICATE_REASON = "another robot is working on it"
 """Reason for the cancellation of a part that two robots had. It is not a failure: the robot may get
 the part again."""
 MAX_TRIES = 3

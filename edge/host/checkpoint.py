@@ -134,7 +134,7 @@ class CheckpointFormat(Generic[State]):
             raise ValueError(f"more than {self.max_bytes} bytes")
         head = re.match(re.escape(self.begins) + _HEAD, content)
         if head is None:
-            raise ValueError(f"not a whole {self.title}")
+            raise ValueError(f"not a complete {self.title}")
         if not OLDEST_VERSION <= (version := int(head[1])) <= VERSION:
             raise ValueError(
                 f"version {version}, this program reads versions {OLDEST_VERSION} to {VERSION}"
@@ -143,7 +143,7 @@ class CheckpointFormat(Generic[State]):
             raise ValueError("damaged: its checksum does not match")
         about = re.compile(_ABOUT).match(content, head.end(), head.end() + MAX_STATE_BYTES)
         if about is None:
-            raise ValueError(f"not a whole {self.title}")
+            raise ValueError(f"not a complete {self.title}")
         arrays = _arrays(content[about.end() :])
         if version < VERSION:
             arrays = {self._renamed.get(name, name): array for name, array in arrays.items()}

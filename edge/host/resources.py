@@ -1,4 +1,4 @@
-"""Folders of ready configurations, model cards, and the cache."""
+"""Folders of built-in configurations, model cards, and the cache."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ def data_dir(kind: str) -> Path:
 
 
 def find_config(name_or_path: str) -> Path:
-    """Return a configuration file by path, or a ready one by name; raise ConfigError if none."""
+    """Return a configuration file by path, or a built-in one by name; raise ConfigError if none."""
     path = expand(name_or_path)
     if path.exists():
         return path
-    ready = data_dir("config") / f"{path.stem}.yaml"
-    if ready.exists():
-        return ready
+    builtin = data_dir("config") / f"{path.stem}.yaml"
+    if builtin.exists():
+        return builtin
     names = ", ".join(sorted(p.stem for p in data_dir("config").glob("*.yaml")))
-    raise ConfigError(f"{name_or_path}: no such file (configurations that come with edge: {names})")
+    raise ConfigError(f"{name_or_path}: no such file (built-in configurations: {names})")
 
 
 def expand(path: str | Path) -> Path:

@@ -142,7 +142,7 @@ def _candidates(moment: LiveSnapshot) -> list[dict[str, Any]]:
         letter, p = moment.letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
         rows.append(
             {
-                "kind": _KINDS.get(int(kind), "look"),
+                "kind": _KINDS.get(int(kind), "spin"),
                 "id": int(i),
                 "xy_m": _numbers(xy_m),
                 "score": _number(score),

@@ -45,7 +45,7 @@ _POINT_SNAP_M, _SAME_POINT_M = np.array([0.08]), 0.6
 # The robot stops by this nearer to an object than it must.
 _STOP_SHORT_M = 0.05
 
-_KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "look")
+_KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "spin")
 
 Verdict = Literal["reached", "rejected", "out of reach"]
 
@@ -333,7 +333,7 @@ class GoalTracker:
     def _turn(self, context: PolicyInput) -> _Present | None:
         """Return a goal that turns the robot on the spot, if it may turn."""
         present = self._present
-        turning = present is not None and present.goal.kind == "look" and present.view is None
+        turning = present is not None and present.goal.kind == "spin" and present.view is None
         if not self._search.may_turn(turning, context.now_ns):
             return None
         if turning:
@@ -433,7 +433,7 @@ class GoalTracker:
             return
         if why := self._tracker.why(mission.target, instance):
             self._explained = mission.target, instance.id
-            self._event(f"{mission.target}: {instance.label} {instance.id} taken: {why}", now_ns)
+            self._event(f"{mission.target}: {instance.label} {instance.id} chosen: {why}", now_ns)
 
     def _warn_of_neighbours(self, goal: Goal, mission: MissionRun, now_ns: int) -> None:
         """Warn if a new goal is next to an object that must not be reached now.
@@ -578,7 +578,7 @@ class GoalTracker:
                 self._next_view.give_up()
             elif state == "reached":
                 self._next_view.came(images)
-        elif goal.kind == "look":
+        elif goal.kind == "spin":
             if state in ("reached", "failed"):
                 self._discard(now_ns)
         elif answer is not None and state == "failed":
@@ -696,7 +696,7 @@ class GoalTracker:
         if present is not None and present.view is not None:
             self._next_view.give_up()
             return
-        if present is not None and present.goal.kind == "look":
+        if present is not None and present.goal.kind == "spin":
             self._search.turned(now_ns)
             goal, until_ns = present.goal, now_ns + int(self._config.mission.discard_s * 1e9)
             self._pool.discard(LOOK, goal.candidate_id, goal.candidate_xy_m, until_ns)
@@ -722,4 +722,4 @@ def _blocked(grid: RollingMap) -> str:
 
 def _look(pose: SE2, now_ns: int, target: str) -> Goal:
     """Return a goal that is for no candidate: a turn on the spot, a viewpoint, or a stop."""
-    return Goal(now_ns, pose, "look", 0, (pose.x_m, pose.y_m), 0.0, target)
+    return Goal(now_ns, pose, "spin", 0, (pose.x_m, pose.y_m), 0.0, target)

@@ -124,14 +124,14 @@ class GoalClient:
     def arrived(self, goal: Goal, pose: SE2, now_ns: int) -> GoalStatus | None:
         """Return a status for a controller that sends none, when the robot stopped at the goal.
 
-        The heading is checked only for goals of kind `look`, because many controllers do not turn
+        The heading is checked only for goals of kind `spin`, because many controllers do not turn
         at the end.
 
         Returns:
             The status, once; None before that.
         """
         near = pose.distance_to(goal.pose.x_m, goal.pose.y_m) <= ARRIVED_M
-        if goal.kind == "look":
+        if goal.kind == "spin":
             near = near and _turned_rad(pose, goal.pose) <= ARRIVED_RAD
         if not self._arrival.update(pose, near, now_ns):
             return None

@@ -60,7 +60,7 @@ class InputLog:
         """
         decision = decide()
         if decision != usual:
-            self.note("decided", what=what, said=decision)
+            self.note("decision", name=what, value=decision)
         return decision
 
     def wrap(self, name: str, worker: Any) -> Any:
@@ -82,11 +82,11 @@ class _LoggedWorker:
 
     def submit(self, item: Any) -> None:
         if self._name != DETECTOR:  # the detector gets every image, so this is not logged
-            self._journal.note("asked", worker=self._name)
+            self._journal.note("request", worker=self._name)
         self._worker.submit(item)
 
     def poll(self) -> Any:
         found = self._worker.poll()
         if found is not None:
-            self._journal.note("found", worker=self._name, what=found)
+            self._journal.note("result", worker=self._name, result=found)
         return found

@@ -37,7 +37,7 @@ from edge.tasks.facts import StepState
 from edge.types import MissionPhase
 
 _STEP_STATES = get_args(StepState)
-_GOALS = ("none", "frontier", "instance", "look", "trajectory", "place")
+_GOALS = ("none", "frontier", "instance", "spin", "trajectory", "place")
 _MS = 1e-3
 
 
@@ -246,7 +246,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            _task_steps, ("state",)),
     MetricSpec("edge_goal_state", "state",
     "Kind of the current goal: a frontier, an instance of the "
-           "target, a look around, or a task's trajectory.",
+           "target, a spin, or a task's trajectory.",
            lambda s: "none" if s.goal is None else s.goal.kind, states=_GOALS),
     MetricSpec("edge_goal_age_seconds", "gauge", "Time since the current goal was chosen.",
            lambda s: None if s.goal is None

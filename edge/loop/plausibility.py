@@ -123,7 +123,7 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
     leaves: dict[str, Use] = {
         kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")
     }
-    frozen = "the same to the bit over {value:.1f} m of driving"
+    frozen = "no pixel has changed over {value:.1f} m of driving"
     uncover, restart = "uncover the camera, or restart its driver", "restart its driver"
     unit = "correct its unit (32FC1 is m, 16UC1 is mm) or the camera's mount"
     table = (
@@ -137,7 +137,7 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "camera/depth: values are {value:.0f} times the distance of the floor, so they "
                   "cannot be in metres", unit, "stand", highest=1.0, leaves=leaves["depth"]),
         DataCheck("depth_motion", lambda f: f.depth_misfit,
-                  "camera/depth: {value:.0%} of the points does not move as the pose does",
+                  "camera/depth: {value:.0%} of the points do not move as the pose does",
                   "check delay and stamps of the images, the odometry and the camera's mount",
                   "stand", highest=MISFIT, leaves=leaves["depth"]),
         DataCheck("cloud_empty", lambda f: f.cloud_points, "lidar: no point has a value",

@@ -178,9 +178,8 @@ class Service:
         if checkpoint is not None:
             saved, known = checkpoint.saved, checkpoint.map.loaded
         journal.note(
-            "start", translation=brief.translation, task=task_state(brief), saved=saved,
-            places=known,
-            idle=idle, site=self.site.site,
+            "start", translation=brief.translation, task=task_state(brief),
+            mission_checkpoint=saved, map_checkpoint=known, idle=idle, site=self.site.site,
         )  # fmt: skip
 
     # -- the tick ---------------------------------------------------------------------------
@@ -511,7 +510,7 @@ class Service:
 
     def on_goal_status(self, answer: GoalStatus) -> None:
         """Handle a goal status of the controller. A status for an old goal has no effect on it."""
-        self._journal.note("answer", answer=answer)
+        self._journal.note("goal_status", goal_status=answer)
         answer = self.goals.client.matched(answer)
         self._publisher.answers.append(answer)
         self.goals.answered(answer)

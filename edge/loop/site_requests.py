@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from edge.bus.verbs import Request, Verb, check_flag, check_text, shown
 from edge.errors import UserError
-from edge.memory import Place, RoomName, Site, Zone, item_of, merged, site_of
+from edge.memory import Place, RoomName, Site, Zone, item_of, merged, site_of, without_mapped
 from edge.memory.site import MAX_NAME_CHARS, ZONE_KINDS, Item, name_of
 from edge.text import bounded_repr, one_line
 
@@ -41,7 +41,10 @@ def _here(name: str, kind: str = "place") -> Item:
 
 
 def _import(fields: dict) -> dict:
-    return {"site": site_of(fields.get("site")), "replace": check_flag("replace", fields)}
+    return {
+        "site": site_of(without_mapped(fields.get("site"))),
+        "replace": check_flag("replace", fields),
+    }
 
 
 SITE_VERBS = {

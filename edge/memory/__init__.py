@@ -35,6 +35,7 @@ from edge.memory.site import (
     merged,
     read_site,
     site_of,
+    without_mapped,
     write_site,
 )
 
@@ -45,5 +46,5 @@ __all__ = [
     "SeenObjects", "Site", "SiteError", "SiteFile", "Zone", "described", "is_room_name", "item_of",
     "kind_of_room", "kinds_by_region", "known_objects", "memory_geojson", "merged",
     "objects_by_region", "outlined", "read_site", "similar_is", "site_of", "survey_rooms",
-    "where_is", "write_site",
+    "where_is", "without_mapped", "write_site",
 ]  # fmt: skip

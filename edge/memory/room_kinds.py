@@ -58,5 +58,6 @@ def is_room_name(word: str) -> bool:
     >>> is_room_name("the lounge"), is_room_name("room 3"), is_room_name("toilet")
     (True, True, False)
     """
-    kind, _, number = names.normalise(word).partition(" ")
-    return kind_of_room(word) is not None or (kind == "room" and names.number([number]) is not None)
+    kind, *number = names.normalise(word).split()
+    numbered = kind in ("room", "ward", "bay", "aisle") and number
+    return bool(kind_of_room(word) or (numbered and names.number(number) is not None))

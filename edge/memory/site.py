@@ -41,7 +41,7 @@ log = logging.getLogger(__name__)
 
 MAX_FEATURES = 500
 MAX_CORNERS = 500
-MAX_FILE_BYTES = 4 << 20
+MAX_FILE_BYTES = 16 << 20
 MAX_NAME_CHARS = 60
 START = "start"
 """A place that is always known: the first pose of this run."""
@@ -386,8 +386,31 @@ def site_of(geojson: object, where: str = "site") -> Site:
     return Site(items)
 
 
-def read_site(path: Path) -> Site:
+def without_mapped(geojson: object) -> object:
+    """Return a `FeatureCollection` without the objects and outlines of rooms that `edge` mapped.
+
+    So a file of `memory_geojson` can be imported: the robot maps objects and rooms itself.
+    """
+    features = geojson.get("features") if isinstance(geojson, dict) else None
+    if not isinstance(features, list):
+        return geojson
+    return {**geojson, "features": [one for one in features if not _is_mapped(one)]}
+
+
+def _is_mapped(feature: object) -> bool:
+    try:
+        kind, shape = feature["properties"]["kind"], feature["geometry"]["type"]  # type: ignore[index]
+    except (KeyError, TypeError):
+        return False
+    return kind == "object" or (kind, shape) == ("room", "Polygon")
+
+
+def read_site(path: Path, imported: bool = False) -> Site:
     """Return the site of a GeoJSON file; an empty one if there is no file.
+
+    Args:
+        path: of the file.
+        imported: True: leave out what a robot mapped; see `without_mapped`.
 
     Raises:
         SiteError: the file cannot be read, or is no such GeoJSON.
@@ -402,7 +425,7 @@ def read_site(path: Path) -> Site:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise SiteError(f"{one_line(path)}: no JSON: {one_line(error)}") from None
-    return site_of(data, one_line(path))
+    return site_of(without_mapped(data) if imported else data, one_line(path))
 
 
 def write_site(path: Path, site: Site) -> None:

@@ -29,12 +29,12 @@ class TravelCostEstimator:
     """
 
     def __init__(self, inline: bool) -> None:
-        self._worker = Worker("surveyor", lambda survey: survey(), inline=inline)
+        self._worker = Worker("travel_cost", lambda survey: survey(), inline=inline)
         self._asked_ns: int | None = None
 
     def through(self, wrap: Callable[[str, Any], Any]) -> None:
         """Wrap the worker so that its inputs and results are logged or replayed by `wrap`."""
-        self._worker = wrap("surveyor", self._worker)
+        self._worker = wrap("travel_cost", self._worker)
 
     def step(
         self,

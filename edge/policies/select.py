@@ -28,7 +28,7 @@ ENOUGH, MOST_POINTS = 0.2, 10
 """Surface points that must lie within the stopping distance: a share of all points, and an upper
 limit. Fewer points may belong to another object in front."""
 
-_GOAL_KIND: dict[int, CandidateKind] = {FRONTIER: "frontier", INSTANCE: "instance", LOOK: "look"}
+_GOAL_KIND: dict[int, CandidateKind] = {FRONTIER: "frontier", INSTANCE: "instance", LOOK: "spin"}
 
 Cell = tuple[float, float]
 InstanceOf = Callable[[int], Instance | None]
@@ -157,7 +157,7 @@ def _beats(
 
 def _index_of(goal: Goal, candidates: Candidates) -> int:
     """Return the index of a goal's candidate, or of the frontier that replaced it; -1 if none."""
-    if goal.kind == "look":
+    if goal.kind == "spin":
         return candidates.n - 1 if candidates.kind[candidates.n - 1] == LOOK else -1
     if goal.kind == "instance":
         return candidates.index_of(INSTANCE, goal.candidate_id)
@@ -170,7 +170,7 @@ def _serves(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
 
     The tolerance grows with the distance, so a far goal is not resent for small changes.
     """
-    if goal.kind == "look":
+    if goal.kind == "spin":
         return context.candidates.index_of(LOOK, goal.candidate_id) >= 0
     free = context.map.state_at(goal.pose.x_m, goal.pose.y_m) == 0
     allowed_m = max(_MOVE_M, _MOVE_SHARE * context.pose.distance_to(*cell))

@@ -31,13 +31,16 @@ from edge.mission.repetition import Repetition
 from edge.mission.translate import Translation
 from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies.base import ImageSimilarity
+from edge.recording.version1 import present_page
 from edge.tasks.legs import Leg
 from edge.tasks.refine import RefinedTrajectory
 from edge.tasks.write import PlanAttempt
 from edge.text import bounded_repr, read_json, redact
 from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
 
-FORMAT, VERSION = "edge-recording", 1
+FORMAT, VERSION = "edge-recording", 2
+VERSIONS = ("1", "2")
+"""Versions that can be read."""
 MAX_VALUES = 1 << 20
 """Most JSON values of one message; an array counts as one."""
 
@@ -47,14 +50,14 @@ class JournalPage:
     """One message of the journal.
 
     Attributes:
-        entries: inputs in order. The field `what` of `found` stays as JSON.
+        entries: inputs in order. The field `result` of `result` stays as JSON.
         observation: the observation without its arrays, as JSON; None: there was none.
-        said: decisions, which a replay compares; None: there were none.
+        decisions: what a replay compares; None: there were none.
     """
 
     entries: list[LoopInput]
     observation: dict[str, Any] | None
-    said: dict[str, Any] | None
+    decisions: dict[str, Any] | None
 
 
 def encode_page(
@@ -73,7 +76,7 @@ def encode_page(
             {"n": i.n, "kind": i.kind, **_ENCODE[i.kind](i.fields)} for i in inputs
         ],
         "observation": None if seen is None else _observation(seen, result.observation, rig),
-        "said": decisions_of(result),
+        "decisions": decisions_of(result),
     }  # fmt: skip
     return _JSON(page).encode()
 
@@ -87,18 +90,18 @@ def decode_page(payload: bytes) -> JournalPage:
     Raises:
         Exception: any, if the payload is damaged.
     """
-    page = read_json(payload, MAX_VALUES)
+    page = present_page(read_json(payload, MAX_VALUES))
     entries = []
     for entry in page["entries"]:
         n, kind = entry.pop("n"), entry.pop("kind")
         entries.append(LoopInput(n, kind, _DECODE[kind](entry)))
-    return JournalPage(entries, page["observation"], _said(page["said"]))
+    return JournalPage(entries, page["observation"], _checked(page["decisions"]))
 
 
 _NOWHERE = {"pose": (0.0, 0.0, 0.0), "score": 0.0, "kind": "", "id": 0, "target": ""}
 
 
-def _said(said: dict[str, Any] | None) -> dict[str, Any] | None:
+def _checked(said: dict[str, Any] | None) -> dict[str, Any] | None:
     """Check decisions of `decisions_of`, which will be compared and printed."""
     if said is None:
         return None
@@ -228,10 +231,10 @@ def _translation_of(said: dict[str, Any]) -> Translation:
 
 
 def _start(fields: dict[str, Any]) -> dict[str, Any]:
-    saved, known = fields["saved"], fields["places"]
+    saved, known = fields["mission_checkpoint"], fields["map_checkpoint"]
     files = {
-        "saved": None if saved is None else MISSION.encode(Checkpoint(saved)),
-        "places": None if known is None else MAP.encode(known),
+        "mission_checkpoint": None if saved is None else MISSION.encode(Checkpoint(saved)),
+        "map_checkpoint": None if known is None else MAP.encode(known),
     }
     return {
         **fields,
@@ -242,7 +245,7 @@ def _start(fields: dict[str, Any]) -> dict[str, Any]:
 
 
 def _start_of(said: dict[str, Any]) -> dict[str, Any]:
-    files = {name: _file_of(said[name]) for name in ("saved", "places")}
+    files = {name: _file_of(said[name]) for name in ("mission_checkpoint", "map_checkpoint")}
     site = site_of(said["site"]) if "site" in said else Site()
     return {**said, "translation": _translation_of(said["translation"]), "site": site, **files}
 
@@ -270,8 +273,8 @@ def _boxes(found: Detections) -> dict[str, Any]:
 
 
 def detections_of(said: dict[str, Any], observation: Observation) -> Detections:
-    """Decode detections of this observation; older recordings call the competing score `rival`."""
-    c, competing = said["context"], said.get("competing_score", said.get("rival"))
+    """Decode detections of this observation."""
+    c, competing = said["context"], said["competing_score"]
     return Detections(
         observation, _array_of(said["xyxy_px"]), _array_of(said["score"]),
         _array_of(said["class_id"]), tuple(said["prompts"]),
@@ -400,15 +403,15 @@ def survey_of(said: dict[str, Any]) -> np.ndarray:
     return _array_of(said["distance_m"])
 
 
-_FOUND: dict[str, Callable[[Any], dict[str, Any]]] = {
-    "detector": _boxes, "surveyor": _survey, "rooms": _rooms, "similarity": _similarity,
+_RESULT: dict[str, Callable[[Any], dict[str, Any]]] = {
+    "detector": _boxes, "travel_cost": _survey, "rooms": _rooms, "similarity": _similarity,
     "choice": _choice, "task": _draft,
 }  # fmt: skip
 
 
 def _answer_of(said: dict[str, Any]) -> dict[str, Any]:
     blocked = said.pop("blocked")
-    return {"answer": GoalStatus(**said, blocked=None if blocked is None else tuple(blocked))}
+    return {"goal_status": GoalStatus(**said, blocked=None if blocked is None else tuple(blocked))}
 
 
 def config_text(config: Config) -> dict[str, Any]:
@@ -427,13 +430,13 @@ _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     "start": _start,
     "tick": _SAME,
     "images": lambda fields: {"done": fields["done"]},
-    "asked": _SAME,
-    "found": lambda fields: {
-        "worker": fields["worker"], "what": _FOUND[fields["worker"]](fields["what"])
+    "request": _SAME,
+    "result": lambda fields: {
+        "worker": fields["worker"], "result": _RESULT[fields["worker"]](fields["result"])
     },
-    "decided": _SAME,
+    "decision": _SAME,
     "idle": lambda fields: {"now_ns": fields["now_ns"], "pose": _pose(fields["pose"])},
-    "answer": lambda fields: asdict(fields["answer"]),
+    "goal_status": lambda fields: asdict(fields["goal_status"]),
     "mission": lambda fields: {
         **fields, "translation": _translation(fields["translation"])
     },
@@ -447,7 +450,7 @@ _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
 _DECODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     **dict.fromkeys(_ENCODE, _SAME),
     "start": _start_of,
-    "answer": _answer_of,
+    "goal_status": _answer_of,
     "mission": lambda said: {**said, "translation": _translation_of(said["translation"])},
     "config": lambda said: {"config": config_of(said["config"])},
     "site": lambda said: {**said, "site": site_of(said["site"])},

@@ -40,7 +40,7 @@ from edge.recording.session import RecordedRun, RecordedStep
 from edge.text import one_line
 from edge.types import Detections, Observation
 
-_BY_THE_MAP = ("surveyor", "rooms")
+_BY_THE_MAP = ("travel_cost", "rooms")
 
 
 class ReplayError(UserError):
@@ -178,15 +178,15 @@ class _Run:
     def _start(
         self,
         translation: Any,
-        saved: bytes | None,
-        places: bytes | None,
+        mission_checkpoint: bytes | None,
+        map_checkpoint: bytes | None,
         idle: bool,
         site: Site,
         task: Any = None,
     ) -> None:
         config = self.config
         brief = restore_spec(config.mission, translation, task)
-        checkpoint = self._checkpoint(saved, places)
+        checkpoint = self._checkpoint(mission_checkpoint, map_checkpoint)
         detector: Detector = NullModel("replay")
         detect: Callable[[Observation], Detections] | None = None
         if self._detect:
@@ -297,7 +297,7 @@ def _alone(config: Config) -> Config:
 _DO: dict[str, Callable[..., None]] = {
     "tick": _Run._tick,
     "idle": _Run._idle,
-    "answer": lambda run, _, answer: run.service.on_goal_status(answer),
+    "goal_status": lambda run, _, goal_status: run.service.on_goal_status(goal_status),
     "mission": _Run._begin,
     "site": lambda run, _, site, now_ns: run.service.change_site(site, now_ns),
     "pause": lambda run, _, paused, now_ns: run.service.pause(paused, now_ns),
@@ -312,7 +312,7 @@ def _actions(entries: Sequence[LoopInput]) -> Iterator[tuple[LoopInput, list[Loo
     """Yield each input with the worker events and decisions that happened while it was handled."""
     action, events = None, []
     for entry in entries:
-        if entry.kind in ("asked", "found", "decided", "images"):
+        if entry.kind in ("request", "result", "decision", "images"):
             events.append(entry)
             continue
         if action is not None:
@@ -373,7 +373,7 @@ def replay(
 
 
 def _compare(outcome: ReplayResult, moment: RecordedStep, now: list[dict[str, Any]]) -> None:
-    then = [] if moment.page.said is None else [moment.page.said]
+    then = [] if moment.page.decisions is None else [moment.page.decisions]
     outcome.ticks += sum(entry.kind == "tick" for entry in moment.page.entries)
     outcome.goals_then += sum(len(said["sent"]) for said in then)
     outcome.goals_now += sum(len(said["sent"]) for said in now)

@@ -62,9 +62,11 @@ class ReplayTick:
     pictures: set[int] = field(default_factory=set)
 
     def begin(self, entries: Sequence[LoopInput]) -> None:
-        self.asked = {_worker_of(e) for e in entries if e.kind == "asked"}
-        self.found = {_worker_of(e): e.fields["what"] for e in entries if e.kind == "found"}
-        self.decided = {e.fields["what"]: e.fields["said"] for e in entries if e.kind == "decided"}
+        self.asked = {e.fields["worker"] for e in entries if e.kind == "request"}
+        self.found = {e.fields["worker"]: e.fields["result"] for e in entries if e.kind == "result"}
+        self.decided = {
+            e.fields["name"]: e.fields["value"] for e in entries if e.kind == "decision"
+        }
 
     def see(self, observation: Observation, picture: bool) -> None:
         self.frames[observation.seq] = observation
@@ -87,12 +89,6 @@ class ReplayTick:
     def _forget(self, seq: int) -> None:
         del self.frames[seq]
         self.pictures.discard(seq)
-
-
-def _worker_of(entry: LoopInput) -> str:
-    """Return the worker's name; in older recordings, the prior cut the map into rooms."""
-    name = entry.fields["worker"]
-    return "rooms" if name == "prior" else name
 
 
 def _bytes_of(observation: Observation) -> int:
@@ -148,7 +144,7 @@ class ReplaySource(InputLog):
         self._now, self._detect, self._own = now, detect, own
         self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._detections,
-            "surveyor": lambda said, asked: journal.survey_of(said),
+            "travel_cost": lambda said, asked: journal.survey_of(said),
             "rooms": lambda said, asked: journal.rooms_of(said),
             "similarity": self._similarity,
             "choice": self._choice,

@@ -15,7 +15,7 @@ from edge.config.section import plugin_kinds
 from edge.errors import ConfigError
 from edge.recording import channels, journal
 from edge.recording.file import McapReader, RecordedMessage, RecordingError
-from edge.recording.journal import FORMAT, VERSION, JournalPage
+from edge.recording.journal import FORMAT, VERSIONS, JournalPage
 from edge.recording.rolling import files_of
 from edge.text import one_line, read_json
 from edge.types import Observation
@@ -62,10 +62,11 @@ def read_header(path: Path) -> RecordingHeader:
             f"{path}: an MCAP file, but not of the sink `mcap`: it has no journal to replay; "
             "`edge play FILE CONFIG` plays the recording of any robot"
         )
-    if said.get("version") != str(VERSION):
+    if said.get("version") not in VERSIONS:
         raise RecordingError(
             f"{path}: recorded by edge {one_line(said.get('edge', '?'), 40)} in version "
-            f"{one_line(said.get('version', '?'), 20)} of the format; this one reads {VERSION}"
+            f"{one_line(said.get('version', '?'), 20)} of the format; this one reads "
+            f"{' and '.join(VERSIONS)}"
         )
     try:
         config = dict(read_json(said["config"], journal.MAX_VALUES).items())

@@ -39,7 +39,7 @@ def trace_of(spans: Iterable[Span]) -> dict[str, Any]:
             took_ns = max(0, end_ns - begin_ns)
             free_ns[thread] = begin_ns + took_ns
         events.append({
-            "name": name, "cat": "tick" if in_tick else "beside", "ph": "X",
+            "name": name, "cat": "tick" if in_tick else "background", "ph": "X",
             "ts": (begin_ns - first_ns) * _US, "dur": took_ns * _US, "pid": PID, "tid": thread,
         })  # fmt: skip
     return {"traceEvents": [*_names(threads), *events], "displayTimeUnit": "ms"}

@@ -252,5 +252,5 @@ def test_a_pull_goes_on_with_the_next_source(tmp_path, monkeypatch, capsys):
 def test_a_chat_with_such_a_server_ends(how):
     with serving(after_hearing({**HEADS, **BODIES}[how])) as address:
         client = ChatClient(f"http://{address}/v1", "m", time_limit_s=_SHORT_S)
-        with pytest.raises(ChatError, match=rf"{_TOO_MUCH}|no whole answer within {_SHORT_S} s"):
+        with pytest.raises(ChatError, match=rf"{_TOO_MUCH}|no complete answer within {_SHORT_S} s"):
             client.ask([{"role": "user", "content": "hello"}])

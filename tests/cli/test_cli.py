@@ -106,7 +106,7 @@ def test_without_the_extra_lab_a_command_that_needs_it_says_so_first(command, mo
 @pytest.mark.parametrize("command", ["run", "demo", "sim", "config", "bench", "doctor"])
 def test_a_configuration_that_is_not_there(command, capsys):
     error = fails(capsys, command, "nowhere.yaml", code=os.EX_CONFIG)
-    assert error.startswith("nowhere.yaml: no such file (configurations that come with edge: ")
+    assert error.startswith("nowhere.yaml: no such file (built-in configurations: ")
     assert "cpu, demo" in error
 
 

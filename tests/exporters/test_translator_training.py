@@ -12,7 +12,7 @@ import yaml
 
 torch = pytest.importorskip("torch")
 
-from edge.lab.eval.translate import TranslationCase  # noqa: E402
+from edge.lab.eval.translation_cases import TranslationCase  # noqa: E402
 from edge.mission.language.network import TranslationNetwork  # noqa: E402
 from edge.mission.language.prefix_notation import NAMES  # noqa: E402
 from edge.mission.logic.ltl import parse  # noqa: E402

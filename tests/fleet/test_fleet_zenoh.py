@@ -239,7 +239,7 @@ def test_a_robot_back_from_afar_is_told_that_another_is_at_it(port, robots, monk
     eventually(lambda: not bob.mission.done)
     anna.presence.announce()
     eventually(lambda: bob.mission.done)
-    assert bob.mission.reason == "another robot is at it"
+    assert bob.mission.reason == "another robot is working on it"
     anna.reach()
     assert sharing.ended() == {"bed": ("reached", "anna")}
 
@@ -376,8 +376,10 @@ def test_one_of_three_is_killed_in_the_middle(port, robots, carl, tmp_path):
     both = [robots(name) for name in ("anna", "bob")]
     command = Edge("mission", "new", "--fleet", f"tcp/127.0.0.1:{port}", THREE, "--share", "--json",
                    "--patience", "0.5", cwd=tmp_path)  # fmt: skip
+    # On a busy machine its answer may be late; then it is known by its state.
+    got = ("carl gets: ", "carl is working on it")
     try:
-        command.says("carl gets: ")
+        command.until(lambda: any(text in command.output for text in got), "carl got no part")
         carl.send_signal(signal.SIGKILL)
         command.says("carl is offline; another robot gets the part unless it is back within 0.5 s")
         for robot in both:

@@ -151,7 +151,7 @@ def test_arrays_of_an_older_version_get_their_present_names():
 
 
 DAMAGED = {
-    "head": (BEGINS, "not a whole note"),
+    "head": (BEGINS, "not a complete note"),
     "cut": (WHOLE[:-1], "checksum"),
     "half": (WHOLE[:300], "checksum"),
     "longer": (WHOLE + b"\n", "checksum"),
@@ -252,7 +252,7 @@ def test_damage_anywhere_is_found(data):
 
 @given(st.binary(max_size=300), st.binary(max_size=100))
 def test_any_bytes_are_no_checkpoint(content, state):
-    assert wrong(content) == "not a whole note"
+    assert wrong(content) == "not a complete note"
     assert wrong(forged(state, content))
     assert wrong(x_of(content))
 

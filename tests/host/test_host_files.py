@@ -16,7 +16,7 @@ from edge.host import checkpoint
 from edge.host.files import read_regular, replace_atomically, write_atomically
 from edge.lab.bench.frames import from_folder
 from edge.lab.eval.planning.file import read_tasks
-from edge.lab.eval.translate import lang2ltl_cases
+from edge.lab.eval.translation_cases import lang2ltl_cases
 from edge.lab.sim.house import load_house
 from edge.lab.sim.mesh import read_objects
 from edge.lab.sim.procthor import load_procthor

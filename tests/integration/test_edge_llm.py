@@ -89,5 +89,5 @@ def test_translations(url, capsys):
 
 def test_a_time_limit_that_is_too_short_is_named(url):
     settings = TranslatorLlm(url=url, constrain="gbnf", time_limit_s=0.001)
-    with pytest.raises(ChatError, match=r"no whole answer within 0\.001 s"):
+    with pytest.raises(ChatError, match=r"no complete answer within 0\.001 s"):
         make_translator(settings).translate("Go to the chair, then to the bed.")

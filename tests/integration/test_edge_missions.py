@@ -9,13 +9,12 @@ import socket
 from collections.abc import Callable
 
 import pytest
-from edge_processes import LOCKSTEP, write_config
+from edge_processes import LOCKED, LOCKSTEP, write_config
 
 from edge.cli.main import main
 
 WORDS = "Clean either the chair or the sofa, then turn on the tv; don't go to the bed before that."
 
-LOCKED = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}}
 THREE = (
     "Clean either the chair or the sofa, then turn on the tv, then go to the bed; "
     "don't go to the toilet before that."
@@ -91,14 +90,11 @@ def test_a_damaged_checkpoint_is_set_aside_and_the_mission_begins_anew(edge, end
 
 
 @pytest.fixture
-def request_of(capsys, monkeypatch) -> Callable[..., tuple[int, str]]:
-    """Asks by command, in this process, whose signal handlers it must leave alone."""
-    monkeypatch.setattr("signal.signal", lambda *_: None)
+def request_of(command) -> Callable[..., tuple[int, str]]:
+    """Run `edge mission` in this process."""
 
     def request(*arguments: object, timeout_s: float = 60) -> tuple[int, str]:
-        code = main(["mission", *map(str, arguments), "--timeout", str(timeout_s)])
-        said = capsys.readouterr()
-        return code, said.out or said.err
+        return command("mission", *arguments, "--timeout", timeout_s)
 
     return request
 

@@ -2,7 +2,7 @@
 
 Over rmw_zenoh, and behind a stand-in for zenoh-bridge-ros2dds.
 
-Each publishes the topics and frames of a ready configuration; its odometry is not in `map`.
+Each publishes the topics and frames of a built-in configuration; its odometry is not in `map`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import zenoh
 from edge_processes import write_config
 from nav2 import Nav2
 from ros_messages import from_ros, to_ros
-from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, ready, ready_config, transforms_of
+from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, builtin_config, builtin_data, transforms_of
 from ros_router import kept, ours, router
 from ros_sdk import Republisher, peers
 
@@ -42,7 +42,7 @@ class RosRobot:
     """Publishes what the simulator sends, and drives by its controller where Nav2 is told to."""
 
     def __init__(self, session: zenoh.Session, port: int, name: str, dialect: Dialect) -> None:
-        settings, body = ready_config(name).ros2, ROBOTS[name]
+        settings, body = builtin_config(name).ros2, ROBOTS[name]
         self._frames = {"odom": "odom", "lidar/scan": body.lidar}
         self._camera = body.camera
         sensors = [
@@ -142,7 +142,7 @@ SMALL = {"width_px": 320, "height_px": 240, "rate_hz": 10}
 def test_a_robot_on_ros2_is_driven_to_its_target(edge, tmp_path, name, via):
     with router() as port, ours(port) as session, peers(port):
         zenoh_section = {"endpoint": f"tcp/127.0.0.1:{port}", "mode": "client"}
-        data = ready(name, ros2={"via": via}, zenoh=zenoh_section)
+        data = builtin_data(name, ros2={"via": via}, zenoh=zenoh_section)
         data["sensors"]["camera"] |= SMALL
         data |= {"perception": {"detector": {"kind": "sim"}}, "mission": {"target": "television"}}
         (tmp_path / "robot").mkdir()

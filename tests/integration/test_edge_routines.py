@@ -5,26 +5,8 @@ from __future__ import annotations
 import json
 import os
 
-import pytest
-from edge_processes import write_config
+from edge_processes import LOCKED, write_config
 from live_patience import eventually
-
-from edge.cli.main import main
-
-LOCKED = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}}
-
-
-@pytest.fixture
-def command(capsys, monkeypatch):
-    """Run a command in this process, whose signal handlers it must leave alone."""
-    monkeypatch.setattr("signal.signal", lambda *_: None)
-
-    def run(*words: object) -> tuple[int, str]:
-        code = main([str(word) for word in words])
-        said = capsys.readouterr()
-        return code, said.out or said.err
-
-    return run
 
 
 def test_routines_by_command(edge, endpoint, tmp_path, command):

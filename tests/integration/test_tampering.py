@@ -84,7 +84,7 @@ def driven(edge: Callable[..., Edge], endpoint, tmp_path) -> Iterator[tuple[Edge
 @pytest.mark.parametrize(
     ("alter", "why"),
     [
-        (lambda: frozen(True), "the same to the bit"),
+        (lambda: frozen(True), "no pixel has changed"),
         pytest.param(backward, "no usable observations", marks=pytest.mark.slow),
     ],
     ids=["frozen", "backward"],

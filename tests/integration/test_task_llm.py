@@ -67,7 +67,7 @@ def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys
             assert "\n" not in said
             assert said.isprintable()
             # What a model said is kept; without any answer it was the server's fault.
-            assert rounds or "no whole answer" in said
+            assert rounds or "no complete answer" in said
         else:
             check(written.coarse, ground_of(scene, 0.3), config.trajectory)
             assert written.rounds == tuple(rounds)

@@ -184,7 +184,7 @@ class Case:
         """Return the next spin, which comes after one second without a candidate."""
         assert self.choose(pose=pose) is None
         goal = self.choose(pose=pose, after_s=1.1)
-        assert goal.kind == "look"
+        assert goal.kind == "spin"
         assert self.choose(pose=pose) is goal
         return goal
 
@@ -317,7 +317,7 @@ def test_with_nowhere_to_go_it_turns_three_times_and_what_turns_up_later_has_to_
     assert case.goals.exhausted
     case.goals.retarget(case.mission)
     assert not case.goals.exhausted
-    assert case.turn().kind == "look"
+    assert case.turn().kind == "spin"
 
 
 def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
@@ -335,7 +335,7 @@ def test_what_was_seen_badly_is_looked_at_again_from_one_view():
     case.turn_round()
     goal = case.tick()
     # A camera that looks aside is turned to the view.
-    assert (goal.pose.x_m, goal.pose.y_m, goal.kind) == (1.0, 2.0, "look")
+    assert (goal.pose.x_m, goal.pose.y_m, goal.kind) == (1.0, 2.0, "spin")
     assert goal.pose.yaw_rad == pytest.approx(0.5 - math.pi / 2)
     assert case.tick(images=50) is goal
     case.answer("reached")
@@ -348,7 +348,7 @@ def test_what_was_seen_badly_is_looked_at_again_from_one_view():
 @pytest.mark.parametrize(
     ("confirmed", "view_m2", "gain_m2", "expected"),
     [
-        (True, 4.0, 0.5, "look"),
+        (True, 4.0, 0.5, "spin"),
         # A frontier that shows more per metre comes first.
         (True, 1.0, 3.0, "frontier"),
         # A mistake tells nothing about known space.
@@ -397,7 +397,7 @@ def test_a_frontier_that_vanishes_time_and_again_is_left_alone(explored, chances
         assert case.tick() is None
     case.tick((3.0, 0.0))
     goal = case.tick((3.0, 0.0), after_s=2.5)
-    assert goal is None or goal.kind == "look"
+    assert goal is None or goal.kind == "spin"
     case.tick((3.0, 0.0), (-3.0, 0.0))
     goal = case.tick((3.0, 0.0), (-3.0, 0.0), after_s=2.5)
     assert goal.candidate_xy_m == (-3.0, 0.0)  # other places are not affected

@@ -208,7 +208,7 @@ def test_a_robot_whose_ticks_fail_is_stopped_as_if_it_saw_nothing(stage, monkeyp
     run.source.pose = closed.drive.motion.odometry
     monkeypatch.setattr(*BREAKS[stage](run), broken)
     run_out(run, seen)
-    assert [goal.kind for goal in closed.notes.goals[before:]] == ["look"]
+    assert [goal.kind for goal in closed.notes.goals[before:]] == ["spin"]
     assert closed.notes.goals[-1].pose == run.source.pose
     # One second after the last good tick, which was a tenth of a second before the first bad one.
     assert closed.notes.goals[-1].stamp_ns - closed.drive.motion.stamp_ns == pytest.approx(1e9, 2e8)

@@ -88,9 +88,9 @@ def late(frames: int) -> Callable[[], Tamper]:
 
 
 TAMPERED = {
-    "frozen": (frozen("rgb", "depth_m"), "camera/depth: the same to the bit"),
-    "depth frozen": (frozen("depth_m"), "camera/depth: the same to the bit"),
-    "colour frozen": (frozen("rgb"), "camera/rgb: the same to the bit"),
+    "frozen": (frozen("rgb", "depth_m"), "camera/depth: no pixel has changed"),
+    "depth frozen": (frozen("depth_m"), "camera/depth: no pixel has changed"),
+    "colour frozen": (frozen("rgb"), "camera/rgb: no pixel has changed"),
     "depth zero": (always(depth_m=lambda o: np.zeros_like(o.depth_m)), "camera/depth: only 0.0%"),
     "depth NaN": (always(depth_m=lambda o: o.depth_m * np.float32(np.nan)), "camera/depth: only"),
     "black": (always(rgb=lambda o: np.zeros_like(o.rgb)), "camera/rgb: the image has one colour"),
@@ -150,7 +150,7 @@ def test_images_that_are_late_under_new_stamps_are_noticed_by_the_motion(seed, b
             path_m += math.dist((pose.x_m, pose.y_m), (last.x_m, last.y_m))
         last = pose
     assert path_m < 1.2
-    assert any("does not move as the pose does" in event for event in loop.notes.events)
+    assert any("do not move as the pose does" in event for event in loop.notes.events)
 
 
 # -- one check at a time ---------------------------------------------------------------------------

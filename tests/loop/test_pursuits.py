@@ -50,7 +50,7 @@ def test_it_waits_as_long_as_it_was_told_without_moving(tmp_path):
     assert loop.service.status.phase == "reached"
     assert loop.service.status.reason == "waited 3 s"
     assert loop.seconds < 5
-    assert not [goal for goal in loop.notes.goals if goal.kind != "look"]
+    assert not [goal for goal in loop.notes.goals if goal.kind != "spin"]
 
 
 def test_a_wait_ends_when_a_person_says_so_and_has_no_limit(tmp_path):

@@ -77,5 +77,5 @@ def test_ticks_go_on_while_a_server_holds_an_image_and_after_it_is_gone(remote):
         eventually(lambda: worker.idle)
         said = status_message(run.service.result())["detector"]
         assert said["state"] == "degraded"
-        assert " is dead: " in said["detail"]
+        assert ": no connection: " in said["detail"]
         worker.close()

@@ -69,7 +69,7 @@ def test_every_goal_is_a_free_reachable_cell():
         before = len(loop.notes.goals)
         loop.step()
         for goal in loop.notes.goals[before:]:
-            if goal.kind != "look":
+            if goal.kind != "spin":
                 assert loop.service.map.grid.state_at(goal.pose.x_m, goal.pose.y_m) == 0
                 assert loop.service.map.grid.reach.distance_m(goal.pose.x_m, goal.pose.y_m) < 1e6
     assert loop.notes.goals
@@ -145,7 +145,7 @@ def driving(**mission) -> ClosedLoop:
 
 
 def assert_stops(goal: Goal, pose: SE2) -> None:
-    assert goal.kind == "look"
+    assert goal.kind == "spin"
     assert goal.pose.distance_to(pose.x_m, pose.y_m) < 1e-6
 
 
@@ -190,7 +190,7 @@ def test_a_missions_time_runs_from_its_first_observation_on(how, pose):
     for i in range(2, 600):
         service.idle(START_NS + i * TICK_NS, pose)
     assert (service.status.phase, service.status.elapsed_s) == ("searching", before_s)
-    assert [goal.kind for goal in loop.notes.goals[goals:]] in ([], ["look"])
+    assert [goal.kind for goal in loop.notes.goals[goals:]] in ([], ["spin"])
     now_ns = START_NS + 600 * TICK_NS
     service.tick(blank_observation(9, now_ns, SE2(0, 0, 0), loop), now_ns)
     assert (service.status.phase, service.status.elapsed_s) == ("searching", before_s)
@@ -212,7 +212,7 @@ def test_the_end_of_a_mission_stops_a_driving_robot_once(blind):
     assert len(loop.notes.goals) == before + 1
     if blind:
         assert_stops(loop.notes.goals[-1], loop.service.pose)
-    assert loop.notes.goals[-1].kind == "look"
+    assert loop.notes.goals[-1].kind == "spin"
     assert loop.service.goal is None
 
 
@@ -223,10 +223,10 @@ def test_a_goal_that_nothing_replaces_is_taken_back_after_a_while(ticks_without,
     loop.service.goals.choose = lambda *_: loop.service.goals.drop()
     for _ in range(ticks_without):
         loop.step()
-    assert [g.kind for g in loop.notes.goals[before:]] == ["look"] * stops
+    assert [g.kind for g in loop.notes.goals[before:]] == ["spin"] * stops
     loop.service.goals.choose = choose
     loop.step()
-    assert loop.notes.goals[-1].kind != "look"
+    assert loop.notes.goals[-1].kind != "spin"
     assert loop.service.goal is loop.notes.goals[-1]
 
 

@@ -34,6 +34,7 @@ def test_a_plain_name_has_no_relation(name):
         ("cup in the sink", DescribedThing("cup", "in", "sink")),
         ("mug in the kitchen", DescribedThing("mug", room="kitchen")),
         ("mug in room 3", DescribedThing("mug", room="room three")),
+        ("mug in room twelve", DescribedThing("mug", room="room 12")),
         ("second door", DescribedThing("door", nth=2)),
         ("2nd red chair in the kitchen", None),
         ("red chair in the living room", DescribedThing("red chair", room="living room")),

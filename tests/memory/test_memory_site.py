@@ -26,6 +26,7 @@ from edge.memory import (
     memory_geojson,
     read_site,
     site_of,
+    without_mapped,
     write_site,
 )
 
@@ -172,3 +173,25 @@ def test_an_export_has_places_zones_and_objects_with_what_is_known_of_them():
         },
         "geometry": {"type": "Point", "coordinates": [1.0, 2.0, 0.75]},
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("objects", "rooms"), [(0, []), (1, [KITCHEN, replace(KITCHEN, id=4)]), (5000, [KITCHEN])]
+)
+def test_every_export_can_be_imported(tmp_path, objects, rooms):
+    """Objects and outlines of rooms are left out: the robot maps them itself."""
+    path = tmp_path / "all.geojson"
+    mugs = [KnownObject(i, "mug", (1.0, 2.0, 0.75), 0.625, 3, 4.0) for i in range(objects)]
+    exported = memory_geojson(
+        ALL.geojson(), [one.to_json() for one in mugs], [room.to_json() for room in rooms]
+    )
+    path.write_text(json.dumps(exported, indent=1))
+    assert read_site(path, imported=True) == ALL == site_of(without_mapped(exported))
+    if objects:
+        with pytest.raises(SiteError, match="features"):
+            read_site(path)
+
+
+@pytest.mark.parametrize("data", [None, [], {"features": 3}, collection({"properties": 7}, 5)])
+def test_what_is_no_collection_of_features_stays_as_it_is(data):
+    assert without_mapped(data) == data

@@ -121,7 +121,7 @@ def test_both_attempts_share_one_time_limit(monkeypatch):
         send(handler, completion("nonsense ("))
 
     with serving(behave) as server:
-        with pytest.raises(ChatError, match="no whole answer within 30 s; raise time_limit_s"):
+        with pytest.raises(ChatError, match="no complete answer within 30 s; raise time_limit_s"):
             translate(server.url, time_limit_s=30.0)
         assert len(server.requests) == 1  # nothing is left for the second
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from edge.config import TranslatorAuto, TranslatorGrammar
-from edge.lab.eval.translate import TO_READ, TranslationScore, custom_cases, score
+from edge.lab.eval.translate import TranslationScore, score
+from edge.lab.eval.translation_cases import TO_READ, custom_cases
 from edge.mission.translate import make_translator
 
 SAID = Path(__file__).with_name("said.tsv")

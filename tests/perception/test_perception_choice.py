@@ -291,7 +291,7 @@ def test_with_no_room_for_a_letter_nothing_is_asked(make_observation):
         (lambda handler: send(handler, b"[]"), "no logprobs"),
         (lambda handler: send(handler, b"x" * 100_000), "more than 64 KB"),
         (lambda handler: send(handler, b"", 500), "HTTP 500"),
-        (lambda handler: handler.stopping.wait(), "no whole answer within 0.3 s"),
+        (lambda handler: handler.stopping.wait(), "no complete answer within 0.3 s"),
     ],
 )
 def test_a_server_that_lies_is_one_clear_line(make_observation, behave, expected):

@@ -157,7 +157,7 @@ def test_without_an_image_or_a_map_and_for_an_unknown_target_it_says_so(monkeypa
     image = np.zeros((*HW, 3), np.uint8)
     for rgb, says in ((None, "observation 3 has no camera image"), (image, "there is no map yet")):
         blind = MarkedView(Observation(3, 7, np.eye(4), rgb=rgb), "bed", (mark(1, 1.0),))
-        with pytest.raises(ModelError, match=f"cannot choose a direction: {says}"):
+        with pytest.raises(ModelError, match=says):
             scorer.look(blind)
     with pytest.raises(PromptError, match="unicorn"):
         scorer.answer(scorer.look(view(mark(1, 1.0), target="unicorn")))

@@ -150,7 +150,7 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
     assert (b.old.closed, b.new.closed) == (1, 0)
     assert b.said == [
         "model new: loading, old runs",
-        "model new: switched to, on probation for 5 images; median 5.0 ms on 2 images; "
+        "model new: runs now, on probation for 5 images; median 5.0 ms on 2 images; "
         "finds 2 of the 2 boxes of old",
         "model new: kept: 5 images, median 5.0 ms",
     ]
@@ -172,11 +172,11 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
         *((Fake(score=score), "it returns scores that are not in 0 to 1")
           for score in (float("inf"), NAN, 1e30, -0.5)),
         (Fake(ms=21), "too slow: median 21.0 ms on 2 images, perception.swap.budget_ms is 20; "
-                      "--force takes it all the same"),
-        (Fake(box=(40, 40, 60, 60)), "finds 0 of the 2 boxes of old, fewer than half; --force "
-                                     "takes it all the same"),
-        (Fake(score=0.29), "finds 0 of the 2 boxes of old, fewer than half; --force takes it "
-                           "all the same"),
+                      "add --force to use it anyway"),
+        (Fake(box=(40, 40, 60, 60)), "finds 0 of the 2 boxes of old, fewer than half; add "
+                                     "--force to use it anyway"),
+        (Fake(score=0.29), "finds 0 of the 2 boxes of old, fewer than half; add --force to use "
+                           "it anyway"),
     ],
 )  # fmt: skip
 def test_a_model_that_does_badly_beside_the_running_one_is_refused(bench, new, reason):

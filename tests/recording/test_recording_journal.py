@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
@@ -53,33 +54,30 @@ def test_all_that_the_loop_notes_is_written_and_documented():
     assert noted == set(journal._ENCODE) == told
 
 
+START = LoopInput(3, "start", {
+    "translation": prepare(small().mission).translation, "mission_checkpoint": None,
+    "map_checkpoint": None, "idle": False, "site": SITE,
+})  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("kind", "fields"),
     [
         ("tick", {"now_ns": 1}),
         ("images", {"done": 7}),
-        ("asked", {"worker": "choice"}),
-        ("decided", {"what": "elsewhere", "said": ""}),
+        ("request", {"worker": "choice"}),
+        ("decision", {"name": "elsewhere", "value": ""}),
         ("idle", {"now_ns": 1, "pose": SE2(0.1, 0.2, 0.3)}),
         ("idle", {"now_ns": 1, "pose": None}),
-        ("answer", {"answer": GoalStatus(1, "failed", "stuck\n", (0.1, 0.2))}),
-        ("answer", {"answer": GoalStatus(1, "reached")}),
+        ("goal_status", {"goal_status": GoalStatus(1, "failed", "stuck\n", (0.1, 0.2))}),
+        ("goal_status", {"goal_status": GoalStatus(1, "reached")}),
         ("pause", {"paused": True, "now_ns": 1}),
         ("fail", {"reason": "because", "now_ns": 1}),
         ("jump", {"now_ns": 1}),
         ("site", {"site": SITE, "now_ns": 1}),
         ("config", {"config": small()}),
         ("mission", {"translation": prepare(small().mission).translation, "id": "a", "now_ns": 1}),
-        (
-            "start",
-            {
-                "translation": prepare(small().mission).translation,
-                "saved": None,
-                "places": None,
-                "idle": False,
-                "site": SITE,
-            },
-        ),
+        ("start", START.fields),
     ],
 )
 def test_an_entry_comes_back(kind, fields):
@@ -105,8 +103,8 @@ def test_detections_come_back_to_the_last_bit(score, competing_score, masked):
         None if masked is None
         else np.random.default_rng(masked).random((n, MASK_SIDE, MASK_SIDE)) < 0.5,
     )  # fmt: skip
-    (entry,) = again(LoopInput(0, "found", {"worker": "detector", "what": found}))
-    back = journal.detections_of(entry.fields["what"], seen)
+    (entry,) = again(LoopInput(0, "result", {"worker": "detector", "result": found}))
+    back = journal.detections_of(entry.fields["result"], seen)
     for name in ("xyxy_px", "score", "class_id"):
         for one, other in ((found, back), (found.context, back.context)):
             assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
@@ -123,9 +121,9 @@ def test_recordings_of_before_there_were_masks_are_read():
     one = np.ones(1, np.float32)
     found = Detections(Observation(5, 7, np.eye(4)), np.ones((1, 4), np.float32), one,
                        np.zeros(1, np.int32), ("bed",))  # fmt: skip
-    (entry,) = again(LoopInput(0, "found", {"worker": "detector", "what": found}))
-    del entry.fields["what"]["mask"]
-    assert journal.detections_of(entry.fields["what"], found.observation).mask is None
+    (entry,) = again(LoopInput(0, "result", {"worker": "detector", "result": found}))
+    del entry.fields["result"]["mask"]
+    assert journal.detections_of(entry.fields["result"], found.observation).mask is None
 
 
 def test_what_was_found_beside_the_loop_comes_back():
@@ -136,16 +134,19 @@ def test_what_was_found_beside_the_loop_comes_back():
     rooms = survey_rooms(regions, NO_SURVEY)._replace(lost=(LostRoom(7, 0.1, 0.2),))
     pose, stamp = SE2(0.1, 0.2, 0.3), 5
     what = {
-        "surveyor": values,
+        "travel_cost": values,
         "rooms": rooms,
         "similarity": ("asked", ImageSimilarity(stamp, pose, ("a", "b"), values[:2])),
         "choice": ("asked", FrontierChoice(stamp, "a", (3, 1), values[:2], 0.25, 0.5)),
     }
     entries = again(
-        *(LoopInput(i, "found", {"worker": w, "what": f}) for i, (w, f) in enumerate(what.items()))
+        *(
+            LoopInput(i, "result", {"worker": w, "result": f})
+            for i, (w, f) in enumerate(what.items())
+        )
     )
-    back = {entry.fields["worker"]: entry.fields["what"] for entry in entries}
-    assert journal.survey_of(back["surveyor"]).tobytes() == values.tobytes()
+    back = {entry.fields["worker"]: entry.fields["result"] for entry in entries}
+    assert journal.survey_of(back["travel_cost"]).tobytes() == values.tobytes()
     again_rooms = journal.rooms_of(back["rooms"])
     assert again_rooms.regions.grid.origin_xy_m == (0.1, -0.2)
     for one, other in zip(regions[1:], again_rooms.regions[1:], strict=True):
@@ -174,16 +175,16 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
     (entry,) = again(
         LoopInput(
             0,
-            "found",
+            "result",
             {
                 "worker": "task",
-                "what": PlanResult(
+                "result": PlanResult(
                     refined, mistakable=(3, 5), stops_at=(3, "van"), stops=STOPS, upto=2
                 ),
             },
         )
     )
-    draft = journal.draft_of(entry.fields["what"])
+    draft = journal.draft_of(entry.fields["result"])
     assert (draft.stops_at, draft.upto, draft.mistakable) == ((3, "van"), 2, (3, 5))
     assert draft.stops == STOPS
     back = draft.refined
@@ -211,3 +212,38 @@ def test_where_the_sensors_are_is_told_when_it_changes():
         assert back.T_base_camera.tobytes() == mount.tobytes()
         assert (back.camera, back.pose_age_ns) == (camera, 7 * k)
     assert told == [True, False, True]
+
+
+GOAL = {"pose": [0.0, 1.0, 2.0], "score": 0.5, "kind": "spin", "id": 0, "target": "bed"}
+VERSION_1 = [
+    ({"kind": "asked", "worker": "surveyor"}, "request", {"worker": "travel_cost"}),
+    ({"kind": "asked", "worker": "prior"}, "request", {"worker": "rooms"}),
+    ({"kind": "found", "worker": "choice", "what": {"p": 1}}, "result",
+     {"worker": "choice", "result": {"p": 1}}),
+    ({"kind": "found", "worker": "detector", "what": {"rival": None}}, "result",
+     {"worker": "detector", "result": {"competing_score": None}}),
+    ({"kind": "decided", "what": "use", "said": "map"}, "decision",
+     {"name": "use", "value": "map"}),
+    ({"kind": "answer", "stamp_ns": 1, "state": "failed", "reason": "", "blocked": None},
+     "goal_status", {"goal_status": GoalStatus(1, "failed")}),
+    ({"kind": "tick", "now_ns": 1}, "tick", {"now_ns": 1}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "kind", "fields"), VERSION_1)
+def test_an_entry_of_version_1_is_read(old, kind, fields):
+    page = {"entries": [{"n": 7, **old}], "observation": None, "said": None}
+    assert decode_page(json.dumps(page).encode()).entries == [LoopInput(7, kind, fields)]
+
+
+def test_a_start_and_decisions_of_version_1_are_read():
+    (page,) = [json.loads(encode_page([START], result(), None, {}))]
+    (start,) = page["entries"]
+    for new, old in (("mission_checkpoint", "saved"), ("map_checkpoint", "places")):
+        start[old] = start.pop(new)
+    page["said"] = {"target": "bed", "phase": "searching", "goal": {**GOAL, "kind": "look"},
+                    "sent": [{**GOAL, "kind": "look"}]}  # fmt: skip
+    del page["decisions"]
+    back = decode_page(json.dumps(page).encode())
+    assert back.entries[0].fields.keys() == START.fields.keys()
+    assert (back.decisions["goal"], back.decisions["sent"]) == (GOAL, [GOAL])

@@ -148,7 +148,7 @@ def test_all_that_can_come_into_the_loop(tmp_path):
         "start",
         "tick",
         "idle",
-        "answer",
+        "goal_status",
         "mission",
         "pause",
         "fail",
@@ -235,7 +235,7 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
 
     def noted(journal: InputLog, kind: str, **fields: object) -> None:
         note(journal, kind, **fields)
-        if kind == "found":
+        if kind == "result":
             came[fields["worker"]] += 1
 
     monkeypatch.setattr(InputLog, "note", noted)
@@ -248,15 +248,17 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
         if ticks % 7 == 4 and thinks.thinks:
             thinks.told.release()
             eventually(lambda: not thinks.thinks)
-        workers = came.keys() >= {"detector", "surveyor", "rooms", "choice"}
-        return ticks >= 40 and workers and came["choice"] >= 2
+        workers = came.keys() >= {"detector", "travel_cost", "rooms", "choice"}
+        return workers and came["choice"] >= 2
 
+    for _ in range(40):
+        all_came()
     eventually(all_came, lambda: f"{ticks} ticks, of the workers came {dict(came)}")
     workers = Counter(
         entry.fields["worker"]
         for moment in RecordedRun(recording.close()).moments()
         for entry in moment.page.entries
-        if entry.kind == "found"
+        if entry.kind == "result"
     )
     assert workers == came
     same(files_of(tmp_path)[0], ticks)
@@ -290,9 +292,10 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     checkpoint.close()
     recorded = files_of(tmp_path / "run")[0]
     same(recorded, 10)
-    monkeypatch.setattr("edge.host.checkpoint.VERSION", 5)
+    monkeypatch.setattr("edge.host.checkpoint.VERSION", 7)
+    monkeypatch.setattr("edge.host.checkpoint.OLDEST_VERSION", 6)
     with pytest.raises(
-        ReplayError, match=r"in the recording .* version 4, this program reads version 5"
+        ReplayError, match=r"in the recording .* version 5, this program reads versions 6 to 7"
     ):
         replay(RecordedRun(recorded))
 
@@ -340,7 +343,7 @@ def test_a_run_that_takes_up_its_map(tmp_path, monkeypatch, localised, boot, els
     monkeypatch.setattr("edge.loop.map_checkpoint.boot_id", lambda: "a desk")
     recorded = files_of(tmp_path / "run")[0]
     entries = [e for m in RecordedRun(recorded).moments() for e in m.page.entries]
-    assert [e.fields["said"] for e in entries if e.kind == "decided"] == elsewhere
+    assert [e.fields["value"] for e in entries if e.kind == "decision"] == elsewhere
     same(recorded, 11)
 
 
@@ -413,7 +416,7 @@ def test_another_goal_then_is_a_difference_at_its_tick(drive, tmp_path, capsys):
     def change(told):
         seen.append(told)
         if len(seen) == 8:
-            told["said"]["goal"]["pose"][0] += 1e-12
+            told["decisions"]["goal"]["pose"][0] += 1e-12
 
     path = copied(drive, tmp_path / "edge-a.mcap", page(change))
     outcome = replay(RecordedRun(path))
@@ -446,8 +449,8 @@ def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, wh
     ("metadata", "payload", "why"),
     [
         ({}, b"{}", "an MCAP file, but not of the sink `mcap`"),
-        ({"edge-recording": {"version": "2", "edge": "9.0"}}, b"{}",
-         "recorded by edge 9.0 in version 2 of the format; this one reads 1"),
+        ({"edge-recording": {"version": "3", "edge": "9.0"}}, b"{}",
+         "recorded by edge 9.0 in version 3 of the format; this one reads 1 and 2"),
         ({"edge-recording": {"version": "1", "edge": "1"}}, b"{}", "damaged"),
         ({"edge-recording": {"version": "1", "edge": "1", "session": "a", "part": "0",
                              "config": '{"nonsense": 1}'}}, b"{}",
@@ -455,7 +458,7 @@ def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, wh
         ("good", b'{"entries": [{"n": 0, "kind": "spell"}]}', "damaged journal: KeyError"),
         ("good", b"[]", "damaged journal: TypeError"),
         ("good", b'{"entries": [{"n": 0, "kind": "jump", "now_ns": 1}], "observation": null, '
-                 b'"said": null}', "does not begin with a start"),
+                 b'"decisions": null}', "does not begin with a start"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_replayed_is_one_line(drive, tmp_path, metadata, payload, why):

@@ -1,4 +1,4 @@
-"""Simulated ROS 2 robots of the ready configurations that drive to their target.
+"""Simulated ROS 2 robots of the built-in configurations that drive to their target.
 
 Their topics go through DDS, the adapter and Zenoh.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from edge_processes import edge, endpoint, write_config  # noqa: F401, fixtures
 from processes import running
-from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, ready, ready_config, transforms_of
+from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, builtin_config, builtin_data, transforms_of
 
 from edge.config import load
 from edge.host.ports import free_port
@@ -24,7 +24,7 @@ SMALL = {"width_px": 320, "height_px": 256, "hfov_deg": 75, "rate_hz": 5}
 
 def plan_of(name: str, endpoint: str) -> str:  # noqa: F811
     """Return the input of `ros_robot.py`."""
-    body, settings = ROBOTS[name], ready_config(name).ros2
+    body, settings = ROBOTS[name], builtin_config(name).ros2
     frames = dict.fromkeys(("camera/rgb", "camera/depth", "camera/info"), body.camera)
     frames |= {"odom": "odom"} | ({"lidar/scan": body.lidar} if body.lidar else {})
     return json.dumps({
@@ -41,7 +41,9 @@ def test_a_robot_of_ros_is_driven_to_its_target(
     ros_python, ros_environ, edge, endpoint, tmp_path, name  # noqa: F811
 ):  # fmt: skip
     """With a detector that looks at pictures: no topic of ROS carries the simulator's truth."""
-    data = ready(name, ros2={"adapter": {"python": ros_python}}, zenoh={"endpoint": endpoint})
+    data = builtin_data(
+        name, ros2={"adapter": {"python": ros_python}}, zenoh={"endpoint": endpoint}
+    )
     data["sensors"]["camera"] |= SMALL
     perception = load("demo").perception.model_dump(mode="json")
     data |= {"perception": perception, "mission": {"target": "television"}}

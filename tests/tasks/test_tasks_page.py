@@ -76,4 +76,4 @@ def test_a_chain_of_ones_own_sees():
 
     names = {"my_detector": my_detector}
     exec(code, names)
-    assert run_pipeline(names["my_chain"](("sofa",)), picture).caption == ("a person",)
+    assert run_pipeline(names["my_pipeline"](("sofa",)), picture).caption == ("a person",)

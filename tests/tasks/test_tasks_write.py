@@ -194,7 +194,7 @@ def fails(handler):
 @pytest.mark.parametrize(
     ("behave", "message"),
     [
-        (stalls, "no whole answer within 0.3 s; raise time_limit_s or use a faster model"),
+        (stalls, "no complete answer within 0.3 s; raise time_limit_s or use a faster model"),
         (sends_100_mb, "the answer has more than 256 KB; is it a chat server?"),
         (fails, "answered HTTP 500: out of memory [2J"),
         (lambda h: send(h, b"<html>welcome</html>"), "the answer is not JSON"),
@@ -237,7 +237,7 @@ def test_all_rounds_share_one_time_limit(monkeypatch):
         send(handler, completion(THROUGH))
 
     with serving(behave) as server:
-        with pytest.raises(ChatError, match="no whole answer within 120 s; raise time_limit_s"):
+        with pytest.raises(ChatError, match="no complete answer within 120 s; raise time_limit_s"):
             write_trajectory(INSTRUCTION, SCENE, by_model(server))
         assert len(server.requests) == 2
 

@@ -23,7 +23,7 @@ MAX_LABEL = 60
 GOAL_STYLES = {
     "frontier": (palette.FRONTIER, "D", 120),
     "instance": (palette.TARGET, "*", 190),
-    "look": (palette.MUTED, "o", 28),
+    "spin": (palette.MUTED, "o", 28),
     "place": (palette.TARGET, "s", 100),
 }
 

@@ -15,7 +15,6 @@ from edge.mission.language.errand_parts import PARTS
 from edge.mission.language.everyday_words import (
     AFTER_A_NAME,
     ARTICLE,
-    MARK,
     NAME,
     any_of,
     bare,
@@ -33,7 +32,7 @@ from edge.mission.language.places import (
     restore_places,
 )  # fmt: skip
 from edge.mission.language.spans import number_of, seconds_of
-from edge.mission.language.templates import END, compiled
+from edge.mission.language.templates import END, STOP, compiled
 from edge.mission.language.tokens import UnclearError
 from edge.mission.language.unsupported import BEYOND_NAMES
 
@@ -61,9 +60,8 @@ _CHECKS = compiled(
 )
 _SEARCHES = compiled(
     """
-    (search|scan|look in|look through|look around|look around in|
-            (have|take) a [good|quick|little|proper|close]* look [around|round]
-            (in|at|inside|through)) <room> for <thing>
+    (search|scan|look|(have|take) a [good|quick|little|proper|close]* look)
+            [around|round|in|at|inside|through]* <room> for <thing>
     (search|look) {whole} for <thing>
     """,
     PARTS,
@@ -169,7 +167,6 @@ _NOWHERE = nouns.listed(
     position location side one ones bit moment while"""
 )
 """Words that name no object in "at some point", "on the way", "a place near the door"."""
-_STOP = rf",? (?:and then|and|then|to|or) |, | (?={MARK}|the )"
 _RELATIONS = {
     "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
     "beside of": "beside", "behind of": "behind",
@@ -195,9 +192,9 @@ _PLAINER = (
     (re.compile(r",? (?:and|then|and then) stop (?:right )?there(?=[.!]*$)", re.I), ""),
 )  # fmt: skip
 """Changes before all others: lists of numbered rooms, and other words for known ones."""
-_IN_ROOM_AND = re.compile(
-    rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})),? and"
-    rf"(?= (?:find|look (?:for|at)|inspect|examine|{any_of('work')}) )",
+_THERE_AND = re.compile(
+    rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})|find {NAME}),? and"
+    rf"(?= (?:(?P<finds>find|look for)|look at|inspect|examine|{any_of('work')}) )",
     re.I,
 )
 _DANGLING = re.compile(
@@ -206,17 +203,11 @@ _DANGLING = re.compile(
     rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) (?:{ARTICLE}|{any_of("room")}) ',
     re.I,
 )
-_GOES_TO = re.compile(
-    rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) ){any_of('go to')} (?P<name>\"[^\"]*\"|{NAME})",
-    re.I,
-)
-_GOES_ROOM = re.compile(
-    rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then)) )(?:go|drive|come) (?P<name>{NAME})", re.I
-)
+_LEAD = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
+_GOES_TO = re.compile(rf"{_LEAD}{any_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
+_GOES_ROOM = re.compile(rf"{_LEAD}(?:go|drive|come) (?P<name>{NAME})", re.I)
 _IN_TURN = compiled("go to <stops>", {})
-_FINDS = re.compile(
-    rf"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) ){any_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I
-)
+_FINDS = re.compile(rf"{_LEAD}{any_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _COMPOUND = re.compile(rf" (?P<name>{NAME})(?= {AFTER_A_NAME}\b|[,.;!?]|$)", re.I)
 
 
@@ -256,7 +247,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         ([_GOES_TO], lambda found: f"{found['lead']}go to {_the(found['name'])}"),
         (_IN_TURN, _in_turn),
         ([_FINDS], lambda found: f"{found['lead']}find {found['name']}"),
-        ([_IN_ROOM_AND], _in_room_and),
+        ([_THERE_AND], _there_and),
         ([_COMPOUND], _compound),
         (_STARTS, lambda found: _go_to(START, found)),
         (_BACK_TO, _back_to),
@@ -408,7 +399,7 @@ def _rounds(found: re.Match[str]) -> str | None:
         UnclearError: a patrol that repeats is not the whole instruction.
     """
     slots = found.groupdict()
-    stops = [bare(stop) for stop in re.split(_STOP, found["stops"])]
+    stops = [bare(stop) for stop in re.split(STOP, found["stops"])]
     if re.search(r"\bor\b", found["stops"]) or any(is_vague(stop) for stop in stops):
         return None
     if len(stops) < 2:
@@ -418,7 +409,7 @@ def _rounds(found: re.Match[str]) -> str | None:
     if often and rounds is None:
         return None
     if rounds is not None and 1 <= rounds <= MAX_ROUNDS:
-        return " " + ", then ".join(f"go to {_articled(stop)}" for stop in stops * rounds)
+        return _in_order(stops * rounds)
     if found.start() or found.string[found.end() :].strip(" .!?"):
         order = "send what comes before it first" if found.start() else "send the rest afterwards"
         raise UnclearError(
@@ -427,7 +418,7 @@ def _rounds(found: re.Match[str]) -> str | None:
         )
     end = f"{rounds} times" if rounds is not None else "until told"
     end = f"for {_length(seconds_of(slots['span']))}" if slots.get("span") else end
-    return f" {', then '.join(f'go to {_articled(stop)}' for stop in stops)}; repeat {end}"
+    return f"{_in_order(stops)}; repeat {end}"
 
 
 def _errands_and_back(found: re.Match[str]) -> str | None:
@@ -435,8 +426,7 @@ def _errands_and_back(found: re.Match[str]) -> str | None:
     times = number_of((slots.get("count") or slots.get("often") or "").lower())
     if times is None or not 1 <= times <= MAX_ROUNDS:
         return None
-    stop = f'go to {_articled(bare(found["thing"]))}, then go to "{HERE}"'
-    return " " + ", then ".join([stop] * times)
+    return _in_order([bare(found["thing"]), f'"{HERE}"'] * times)
 
 
 def _related(found: re.Match[str]) -> str | None:
@@ -477,9 +467,10 @@ def _which_room(found: re.Match[str]) -> str:
     return f' "{which} room"'
 
 
-def _in_room_and(found: re.Match[str]) -> str | None:
-    """Put "then" between going to a room and finding something, as people mean it."""
-    return f"{found['go']}, then" if is_room(bare(found["room"])) else None
+def _there_and(found: re.Match[str]) -> str | None:
+    """Put "then" between going to a room, or finding a thing, and what is to be done there."""
+    in_order = is_room(bare(found["room"])) if found["room"] else not found["finds"]
+    return f"{found['go']}, then" if in_order else None
 
 
 def _goes_room(found: re.Match[str]) -> str | None:
@@ -492,14 +483,16 @@ def _goes_room(found: re.Match[str]) -> str | None:
 
 def _in_turn(found: re.Match[str]) -> str | None:
     """Return a list of stops that comes back to one as a sequence: "kitchen, hall, kitchen"."""
-    stops = [bare(stop) for stop in re.split(_STOP, found["stops"])]
+    stops = [bare(stop) for stop in re.split(STOP, found["stops"])]
     if len(set(stops)) == len(stops) or re.search(r"\bor\b", found["stops"]):
         return None
-    return " " + ", then ".join(f"go to {_articled(stop)}" for stop in stops)
+    return _in_order(stops)
 
 
-def _articled(name: str) -> str:
-    return name if is_marked(name) else f"the {name}"
+def _in_order(stops: Sequence[str]) -> str:
+    """Return the order to go to each of the stops, one after the other."""
+    names = (stop if is_marked(stop) or stop[0] == '"' else f"the {stop}" for stop in stops)
+    return " " + ", then ".join(f"go to {name}" for name in names)
 
 
 def _the(name: str) -> str:
@@ -515,6 +508,8 @@ def _compound(found: re.Match[str]) -> str | None:
     articled = bare(name) != name.lower()
     if len(words) < 2 or nouns.unknown_in(words) is None:
         return None
+    if words[1] == "of" and articled:
+        return f' "{" ".join(words)}"'
     head = nouns.is_noun(words[-1]) and not nouns.is_plural(words[-1])
     if not is_room(" ".join(words)) and not (articled and head):
         return None

@@ -241,6 +241,7 @@ _STATES = nouns.listed(
 )
 _UNNAMED = {
     "no", "other", "another", "same", "every", "each", "all", "both", "anything", "something",
+    "very", "really", "quite",
 }  # fmt: skip
 
 

@@ -479,11 +479,16 @@ LONGEST = max(map(len, TABLE))
 
 CONTRACTIONS = {
     "can't": "can not",
-    "ur": "your", "pls": "please", "plz": "please", "gotta": "have to",
-    "untill": "until", "anytime": "any time",
-    "isnt": "is not", "thru": "through", "dont": "do not", "cant": "can not", "wont": "will not",
-    "cannot": "can not", "won't": "will not", "shan't": "shall not",
-    "let's": "let us", "it's": "it is", "that's": "that is", "i'd": "i would",
+    "ur": "your", "pls": "please", "plz": "please", "gotta": "have to", "wanna": "want to",
+    "gonna": "going to", "lemme": "let me", "untill": "until", "'til": "until",
+    "anytime": "any time", "thru": "through", "isnt": "is not", "dont": "do not",
+    "didnt": "did not", "cant": "can not", "wont": "will not", "cannot": "can not",
+    "won't": "will not", "shan't": "shall not", "let's": "let us", "i'm": "i am", "im": "i am",
+    "ive": "i have", "youre": "you are", "where'd": "where did",
+    "everything's": "everything is",
+    **{f"{word}{end}": f"{word} is" for word in ("where", "what", "there", "that")
+       for end in ("s", "'s")},
+    **{f"{word}'s": f"{word} is" for word in ("it", "he", "she", "here", "how", "who")},
 }  # fmt: skip
 _NUMERAL = re.compile(r"(\d{1,2})(?:st|nd|rd|th)")
 _COMPOUND = re.compile(rf"({'|'.join(names.TENS)})-({'|'.join(names.SMALL_NUMBERS[1:10])})")

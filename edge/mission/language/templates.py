@@ -20,12 +20,14 @@ from edge.mission.language.spans import COUNT, SPAN
 
 _TOKEN = re.compile(r"<(?P<slot>\w+)>|\{(?P<part>\w+)\}|(?P<rest>\.\.\.)|(?P<mark>[()\[\]|*,])"
                     r"|(?P<word>[^\s()\[\]|*,<{]+)")  # fmt: skip
+STOP = rf"(?:,? (?:and then|and|then|to|or) |, | (?={MARK}|the ))"
+"""Regular expression for what separates the names of a list."""
 _SLOTS = {
     "span": SPAN,
     "count": COUNT,
     "often": r"(?:once|twice|thrice)",
     "relation": any_of("relation"),
-    "stops": rf"{NAME}(?:(?:,? (?:and then|and|then|to|or) |, | (?={MARK}|the )){NAME})+",
+    "stops": rf"{NAME}(?:{STOP}{NAME})+",
 }
 _MARKS = {"(": "(?:", ")": ")", "[": "(?:", "]": ")?", "|": "|", "*": "*", ",": ",?"}
 _REST = r"(?: (?!(?:then|and|or|but|find|instead|first)\b)\S+)*"

@@ -16,15 +16,7 @@ from edge.mission.language.utterances import ASSENTS, REASONS, STATES
 
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
-_MORE = {
-    "where's": "where is", "what's": "what is", "who's": "who is", "there's": "there is",
-    "where'd": "where did", "it's": "it is", "he's": "he is", "she's": "she is", "im": "i am",
-    "i'm": "i am", "youre": "you are", "its": "it is", "wanna": "want to", "gonna": "going to",
-    "whats": "what is", "wheres": "where is", "didnt": "did not", "that's": "that is",
-    "here's": "here is", "ive": "i have", "lemme": "let me", "theres": "there is", "till": "until",
-    "thats": "that is", "id": "i would", "'til": "until", "how's": "how is",
-    "whichever's": "whichever is", "everything's": "everything is",
-}  # fmt: skip
+_SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is"}
 _IS = re.compile(
     r"(?<=\d)'s (?=\w+ed\b)|"
     r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|"
@@ -128,7 +120,7 @@ def tidied(said: str) -> TidySpeech:
 
 def _expanded(found: re.Match[str]) -> str:
     word = found[0]
-    if plain := _MORE.get(word.lower()):
+    if plain := _SPOKEN.get(word.lower()):
         return plain
     parts = expanded(word.lower())
     return " ".join(parts) if len(parts) > 1 else word

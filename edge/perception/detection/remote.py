@@ -27,7 +27,7 @@ T = TypeVar("T")
 class RemoteDetector:
     """A detector (`Detector`) that encodes prompts and selects boxes; a server runs the network.
 
-    A server that is dead, slow, lying or refusing costs the current image. It is asked again after
+    A server that gives no usable answer costs the current image. It is asked again after
     `PAUSE_S`; the pause doubles after each failure in a row, up to `MAX_PAUSE_S`. Images during a
     pause fail at once. The constructor does not ask the server: the robot may start before it.
 
@@ -129,5 +129,7 @@ class RemoteDetector:
         self._failures += 1
         self._next_s = self._clock() + pause_s
         self._health = Health("degraded", str(error))
-        if getattr(error, "kind", "lying") == "lying":  # the server may run another model by now
+        if (
+            getattr(error, "kind", "invalid answer") == "invalid answer"
+        ):  # the server may run another model by now
             self._invalid_before, self._inner = self.invalid_boxes, None

@@ -36,19 +36,18 @@ MOST_BYTES = 16 << 20
 """Largest answer; boxes and scores of a large detector and 200 words are 7 MB."""
 _DATATYPES = {FLOAT: "FP32", INT64: "INT64"}
 
-Kind = Literal["dead", "slow", "lying", "refusing"]
+Fault = Literal["no connection", "timeout", "invalid answer", "refused"]
 
 
 class ServerError(ModelError):
     """A server that gave no usable answer: one line with the server, the fault and what to do.
 
     Attributes:
-        kind: `dead` (no connection), `slow` (no answer in time), `lying` (an invalid answer) or
-            `refusing` (an HTTP error).
+        kind: kind of the fault; `refused` is an HTTP error.
     """
 
-    def __init__(self, model: str, url: str, kind: Kind, what: str) -> None:
-        super().__init__(f"model {model}: the server {redact(url)} is {kind}: {what}")
+    def __init__(self, model: str, url: str, kind: Fault, what: str) -> None:
+        super().__init__(f"model {model}: server {redact(url)}: {kind}: {what}")
         self.kind = kind
 
 
@@ -106,7 +105,7 @@ class KServeSession:
                 length = reply.headers.get(messages.HEADER_LENGTH)
                 found = messages.infer_answer(reply.body, length, shapes)
         except ServerError as error:
-            self._hang_up(at_work=error.kind == "slow")
+            self._hang_up(at_work=error.kind == "timeout")
             raise
         return [found[name] for name in shapes]
 
@@ -157,7 +156,7 @@ class KServeSession:
         exchange = CancellableRequest(line.connection)
         with self._lock:
             if self._closed:
-                raise self._error("dead", "it is no longer asked")
+                raise self._error("no connection", "it was closed")
             self._under_way = exchange
         try:
             if left_s <= 0.0:
@@ -168,32 +167,37 @@ class KServeSession:
             )  # fmt: skip
             reply = exchange.send(line.client, request, MOST_BYTES, left_s)
         except RequestCancelledError:
-            raise self._error("dead", "it is no longer asked") from None
+            raise self._error("no connection", "it was closed") from None
         except (TimeoutError, httpx.TimeoutException):
             limit_s = self._server.time_limit_s
-            what = f"no whole answer within {limit_s:g} s; use a faster one, or raise time_limit_s"
-            raise self._error("slow", what) from None
+            what = (
+                f"no complete answer within {limit_s:g} s; use a faster server, or raise "
+                "time_limit_s"
+            )
+            raise self._error("timeout", what) from None
         except Exception as error:  # httpx wraps most, but not all, socket errors
-            raise self._error("dead", failure_reason(error)) from None
+            raise self._error("no connection", failure_reason(error)) from None
         finally:
             with self._lock:
                 self._under_way = None
         if len(reply.body) > MOST_BYTES:
-            raise self._error("lying", f"it answers more than {MOST_BYTES >> 20} MB; see what runs")
+            raise self._error(
+                "invalid answer", f"over {MOST_BYTES >> 20} MB; check what runs there"
+            )
         if reply.status != 200:
-            raise self._error("refusing", _refusal(reply))
+            raise self._error("refused", _refusal(reply))
         return reply
 
     @contextlib.contextmanager
     def _lies(self) -> Iterator[None]:
-        """Turn a ValueError within the block into a ServerError of kind `lying`."""
+        """Turn a ValueError within the block into a ServerError of kind `invalid answer`."""
         try:
             yield
         except ValueError as error:
-            what = f"{one_line(error)}; see what runs there"
-            raise self._error("lying", what) from None
+            what = f"{one_line(error)}; check what runs there"
+            raise self._error("invalid answer", what) from None
 
-    def _error(self, kind: Kind, what: str) -> ServerError:
+    def _error(self, kind: Fault, what: str) -> ServerError:
         return ServerError(self.name, self._server.url, kind, what)
 
     def _hang_up(self, at_work: bool) -> None:

@@ -213,7 +213,7 @@ class ModelSwap(Generic[Model]):
             elif verdict:
                 self._end(attempt, "kept", verdict, now_ns)
         elif not attempt.fault and attempt.switch():
-            line = f"switched to, on probation for {attempt.probation}; {attempt.finding}"
+            line = f"runs now, on probation for {attempt.probation}; {attempt.finding}"
             self._report(f"model {attempt.name}: {line}", now_ns, logging.INFO)
         elif fault := attempt.fault or self._overdue(attempt):
             self._end(attempt, "refused", f"{fault}; {previous.name} goes on", now_ns)

@@ -80,7 +80,7 @@ class _ChoiceAttempt(SwapAttempt[Scorer, Question]):
         enough = self._answers >= PROBATION
         if self.fault or not (enough or idle):
             return ""
-        short = "" if enough else ", and no mission that needs more"
+        short = "" if enough else ", and no mission runs that needs more"
         return f"{self._answers} answers{short}; {self.finding}"
 
     def _try(self) -> None:

@@ -22,7 +22,7 @@ MIN_RECALL = 0.5
 _WARM_UPS = 2
 _ROUNDS = 3
 
-_FORCE = "--force takes it all the same"
+_FORCE = "add --force to use it anyway"
 
 
 class UnfitModelError(UserError):

@@ -13,13 +13,8 @@ import torch
 from torch import Tensor
 
 from edge.lab.eval.equivalence import distinguishing_trace, with_weak_untils
-from edge.lab.eval.translate import (
-    CLEAN_UP,
-    LANG2LTL,
-    TranslationCase,
-    clean_up_cases,
-    lang2ltl_cases,
-)
+from edge.lab.eval.translate import CLEAN_UP, LANG2LTL
+from edge.lab.eval.translation_cases import TranslationCase, clean_up_cases, lang2ltl_cases
 from edge.mission.language.delexicalisation import delexicalise_text
 from edge.mission.language.network import (
     END,

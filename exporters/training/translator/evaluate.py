@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from edge.lab.eval.translate import OUTCOMES, TranslationCase, score
+from edge.lab.eval.translate import OUTCOMES, score
+from edge.lab.eval.translation_cases import TranslationCase
 from edge.mission.language.model import NeuralTranslator
 from edge.mission.language.network import TranslationNetwork
 from edge.mission.translate import Translator, combined_backend, small_model_backend

@@ -15,8 +15,9 @@ from edge.chat import ChatError
 from edge.cli.parsers import make_parser
 from edge.config import TranslatorGrammar
 from edge.errors import UserError
-from edge.lab.eval import translate
+from edge.lab.eval import translate, translation_cases
 from edge.lab.eval.equivalence import distinguishing_trace, satisfiable
+from edge.lab.eval.translation_cases import MAY_REFUSE, TO_READ
 from edge.mission.logic.automaton import NOTHING, CompileError, compile_formula
 from edge.mission.logic.ltl import Formula, ap, conj, disj, neg, parse
 from edge.mission.translate import Translation, make_translator
@@ -101,13 +102,13 @@ def test_a_silent_end_is_many_steps_of_nothing(f: Formula, g: Formula, word: lis
     ],
 )
 def test_prefix(text: str, infix: str) -> None:
-    assert translate.from_prefix(text) == parse(infix)
+    assert translation_cases.from_prefix(text) == parse(infix)
 
 
 @pytest.mark.parametrize("text", ["", "& a", "a b", "F a F"])
 def test_what_is_no_prefix(text: str) -> None:
     with pytest.raises(ValueError, match=r"lacks an operand|expected one formula"):
-        translate.from_prefix(text)
+        translation_cases.from_prefix(text)
 
 
 TABLE = """pattern_type,props,utterance,ltl_formula
@@ -123,7 +124,7 @@ past_avoidance,"['a', 'b']",a must be visited before b,& F a F b
 def test_outcomes(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text(TABLE)
-    cases, left_out = translate.lang2ltl_cases(path)
+    cases, left_out = translation_cases.lang2ltl_cases(path)
     assert left_out == Counter(patrolling=1)
     translator = make_translator(TranslatorGrammar())
     scores = [translate.score(case, translator) for case in cases]
@@ -149,16 +150,16 @@ OWN = """sentence\tright
 def test_sentences_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "own.tsv"
     path.write_text(OWN, encoding="utf-8")
-    cases, left_out = translate.custom_cases(path)
-    assert left_out == Counter({translate.TO_READ: 1})
-    assert [case.part for case in cases] == [translate.TO_READ] * 3 + [translate.MAY_REFUSE]
+    cases, left_out = translation_cases.custom_cases(path)
+    assert left_out == Counter({TO_READ: 1})
+    assert [case.part for case in cases] == [TO_READ] * 3 + [MAY_REFUSE]
     translator = make_translator(TranslatorGrammar())
     outcomes = [translate.score(case, translator).outcome for case in cases]
     assert outcomes == ["right", "right", "wrong", "refused"]
     for text in ("sentence\nno json", 'x\n"a"\t["F ("]', 'x\n"a"\t3', 'x\n"a"'):
         path.write_text(text)
         with pytest.raises(UserError, match="not readable as a table of sentences"):
-            translate.custom_cases(path)
+            translation_cases.custom_cases(path)
 
 
 def _run(*argv: str) -> int:
@@ -230,7 +231,7 @@ def test_what_cannot_be_compared_is_no_refusal(monkeypatch: pytest.MonkeyPatch) 
         raise CompileError("more than 10 states")
 
     monkeypatch.setattr(translate, "distinguishing_trace", too_large)
-    case = translate.benchmark_cases(1)[0]
+    case = translation_cases.benchmark_cases(1)[0]
     with pytest.raises(CompileError):
         translate.score(case, make_translator(TranslatorGrammar()))
 
@@ -245,10 +246,10 @@ def test_another_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "other.csv"
     path.write_bytes(content)
     with pytest.raises(UserError, match=r"other\.csv: not readable"):
-        translate.lang2ltl_cases(path)
+        translation_cases.lang2ltl_cases(path)
 
 
 @pytest.mark.skipif(not LANG2LTL.exists(), reason="needs ../shared/nl2ltl")
 def test_what_missions_can_express_of_lang2ltl() -> None:
-    cases, left_out = translate.lang2ltl_cases(LANG2LTL)
+    cases, left_out = translation_cases.lang2ltl_cases(LANG2LTL)
     assert (len(cases), left_out) == (1031, Counter(patrolling=125))

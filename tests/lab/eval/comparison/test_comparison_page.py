@@ -51,7 +51,7 @@ def test_nothing():
 
 def test_a_trail_is_drawn_where_it_was_driven():
     trail = [[1.0, 1.0], [1.25, 1.0], [1.5, 1.0], [1.5, 1.0], [1.5, 0.75], [1.25, 0.75]]
-    goals = [[2.0, 1.0, "frontier"], [2.5, 2.0, "instance"], [0.0, 4.0, "look"]]
+    goals = [[2.0, 1.0, "frontier"], [2.5, 2.0, "instance"], [0.0, 4.0, "spin"]]
     one = record(world="w", trail=trail, first_sight_path_m=0.5, goal_xy=goals)
     reader = Reader(page_of([one], {"w": DRAWING}))
     pieces = [points(a["d"]) for a in reader.all("path", "t")]

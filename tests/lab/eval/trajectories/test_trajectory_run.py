@@ -100,7 +100,7 @@ def test_an_answer_that_comes_too_late_is_a_failure(tmp_path):
         config = TasksConfig(planner=WriterModel(url=server.url, time_limit_s=0.2))
         (outcome,) = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path), config)
     assert (outcome.refused, outcome.success) == ("too late", False)
-    assert "no whole answer within 0.2 s" in outcome.reason
+    assert "no complete answer within 0.2 s" in outcome.reason
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,10 @@
-"""The ready configurations of robots name what these publish, and mount sensors as tf does."""
+"""The built-in configurations of robots name what these publish, and mount sensors as tf does."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from ros_robots import ROBOTS, ready, ready_config, transforms_of
+from ros_robots import ROBOTS, builtin_config, builtin_data, transforms_of
 
 from edge.config import parse
 from edge.sources.synchronizer import streams_of
@@ -31,7 +31,7 @@ TOPICS = {
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_topics_are_those_of_the_drivers(name):
-    settings = ready_config(name).ros2
+    settings = builtin_config(name).ros2
     topics = {**TOPICS[name], "tf": "/tf", "tf_static": "/tf_static"}
     topics["navigate_to_pose"] = "/navigate_to_pose"
     assert {topic: settings.topic(topic) for topic in topics} == topics
@@ -39,7 +39,7 @@ def test_topics_are_those_of_the_drivers(name):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_sensors_sit_where_tf_says(name):
-    config, body = ready_config(name), ROBOTS[name]
+    config, body = builtin_config(name), ROBOTS[name]
     frames = RobotFrames(config)
     frames.take(transforms_of(body.tree), static=True)
     mounted = config.sensors.camera.T_base_camera()
@@ -52,9 +52,9 @@ def test_sensors_sit_where_tf_says(name):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_depth_maps_unless_a_lidar_is_told_to(name):
-    assert list(streams_of(ready_config(name))) == ["depth_m", "rgb"]
+    assert list(streams_of(builtin_config(name))) == ["depth_m", "rgb"]
 
 
 def test_the_turtlebot_may_map_with_its_lidar():
-    config = parse(ready("turtlebot4", mapping={"input": "cloud"}))
+    config = parse(builtin_data("turtlebot4", mapping={"input": "cloud"}))
     assert list(streams_of(config)) == ["cloud_m", "depth_m", "rgb"]
