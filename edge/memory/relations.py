@@ -176,7 +176,7 @@ class DescribedTargets:
             return None
         return [instance for instance, _ in self._ranked(thing, of, last)]
 
-    def why(self, label: str, instance: Instance, of: InstancesOf) -> str:
+    def reason_for(self, label: str, instance: Instance, of: InstancesOf) -> str:
         """Return why an instance is the one that a label describes; "" for a plain name."""
         thing = self.thing(label)
         found = () if thing is None else self._ranked(thing, of, last=True)

@@ -195,7 +195,7 @@ class RoomMemory:
         self._table, self._chance = table, kinds.object_given_room(table)
         self._log_ratio = np.log(self._chance / (kinds.room_prior(table) @ self._chance))
         self._index = SeenObjectIndex(words)
-        self._held = np.zeros((1, len(table.things)), np.float32)
+        self._confidence = np.zeros((1, len(table.things)), np.float32)
         self._belief = kinds.room_prior(table)[None]
         self._objects = SeenObjects(
             np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32)
@@ -226,7 +226,7 @@ class RoomMemory:
         self._is_due, self._generation, self._updated_ns = False, sightings.generation, now_ns
         self.version += 1
         regions, objects = self.survey.regions, self._index.of(sightings)
-        held = self._held = objects_by_region(regions, objects, len(self._table.things))
+        held = self._confidence = objects_by_region(regions, objects, len(self._table.things))
         self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
         self._belief = kinds_by_region(self._table, self._chance, regions.border, held)
         shapes, named = self.survey.shapes, self._named()
@@ -253,7 +253,7 @@ class RoomMemory:
         region = int(self.survey.regions.at(np.array([[x_m, y_m]], np.float32))[0])
         return self.room(int(self.survey.ids[region])) if region else None
 
-    def where(self, x_m: float, y_m: float) -> str:
+    def room_phrase(self, x_m: float, y_m: float) -> str:
         """Return the room of a point in words, such as "in the kitchen"; "" if there is none."""
         room = self.room_at(x_m, y_m)
         return "" if room is None else f"in {room.phrase}"
@@ -274,7 +274,7 @@ class RoomMemory:
         shape = next((one for one in self.survey.shapes if one.id == room_id), None)
         return room_id if shape is not None and depth_m >= shape.inside_m else 0
 
-    def called(self, name: str) -> list[MappedRoom]:
+    def find(self, name: str) -> list[MappedRoom]:
         """Return the rooms that a name means: by a person's name, else by number, else by kind."""
         named = [room for room in self.rooms if room.name and is_same(room.name, name)]
         numbered = [room for room in self.rooms if is_same(f"room {room.id}", name)]
@@ -337,7 +337,7 @@ class RoomMemory:
 
     # -- frames and checkpoints ----------------------------------------------------------------
 
-    def forget(self) -> None:
+    def on_pose_jump(self) -> None:
         """Forget all rooms: the frame has changed. Ids go on."""
         self.survey = NO_SURVEY._replace(next_id=self.survey.next_id)
         self._visited.clear()

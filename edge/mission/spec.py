@@ -324,7 +324,7 @@ def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) ->
 
 def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) -> None:
     """Raise a MissionError if the mission only forbids something that cannot be forbidden."""
-    for letter in set(automaton.letters).difference(automaton.possible):
+    for letter in set(automaton.propositions).difference(automaton.possible):
         destination = destinations.get(letter)
         chosen = isinstance(destination, RoomTarget) and destination.which != "called"
         if chosen or isinstance(destination, (CheckTarget, ExploreTarget, WaitTarget)):
@@ -361,11 +361,11 @@ def spec_of_task(
     return MissionSpec(translation, chain, Diagnosis((), True, ()), targets, targets, steps)
 
 
-def task_state(brief: MissionSpec) -> dict[str, Any] | None:
+def task_state(spec: MissionSpec) -> dict[str, Any] | None:
     """Return the arguments of `spec_of_task` that the translation lacks, or None for a mission."""
-    if brief.steps is None:
+    if spec.steps is None:
         return None
-    return {"targets": brief.targets, "steps": [asdict(step) for step in brief.steps]}
+    return {"targets": spec.targets, "steps": [asdict(step) for step in spec.steps]}
 
 
 def restore_spec(
@@ -388,11 +388,11 @@ def _check_number(config: MissionConfig, targets: int) -> None:
 
 def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
     """Remove propositions that make no difference, so that the planner never searches for them."""
-    if letters == automaton.letters:
+    if letters == automaton.propositions:
         return automaton
-    columns = [automaton.letters.index(letter) for letter in letters]
-    delta = np.ascontiguousarray(automaton.delta[:, [*columns, len(automaton.letters)]])
-    return replace(automaton, letters=letters, delta=delta)
+    columns = [automaton.propositions.index(letter) for letter in letters]
+    delta = np.ascontiguousarray(automaton.delta[:, [*columns, len(automaton.propositions)]])
+    return replace(automaton, propositions=letters, delta=delta)
 
 
 def _unified(formula: Formula, destinations: Collection[str]) -> Formula:

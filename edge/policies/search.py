@@ -26,7 +26,7 @@ class SearchPolicy:
 
     def __init__(self, config: PolicySearch) -> None:
         self.config = config
-        self._lift = np.ones(0, np.float32)
+        self._ratio = np.ones(0, np.float32)
 
     def score(self, context: PolicyInput) -> np.ndarray:
         """See `Policy.score`."""
@@ -36,10 +36,10 @@ class SearchPolicy:
         score = np.sqrt(np.maximum(candidates.gain_m2[:n], 0.0)) / (START_M + path_m)
         frontiers = int(np.count_nonzero(kind == FRONTIER))
         if context.prior is not None:
-            if len(self._lift) < len(candidates.id):
-                self._lift = np.ones(len(candidates.id), np.float32)
-            context.prior.lift(context.target, candidates.xy_m, frontiers, self._lift)
-            score[:frontiers] *= self._lift[:frontiers]
+            if len(self._ratio) < len(candidates.id):
+                self._ratio = np.ones(len(candidates.id), np.float32)
+            context.prior.likelihood_ratio(context.target, candidates.xy_m, frontiers, self._ratio)
+            score[:frontiers] *= self._ratio[:frontiers]
         return np.where(kind == INSTANCE, self._of_instances(context), score)
 
     def _of_instances(self, context: PolicyInput) -> np.ndarray:
@@ -49,7 +49,7 @@ class SearchPolicy:
         xy_m, path_m = candidates.xy_m[:n], candidates.path_m[:n]
         straight_m = np.hypot(xy_m[:, 0] - pose.x_m, xy_m[:, 1] - pose.y_m)
         way_m = np.where(np.isfinite(path_m), path_m, straight_m)
-        chance = np.where(candidates.sure[:n], SURE, np.sqrt(candidates.confidence[:n]))
+        chance = np.where(candidates.confirmed[:n], SURE, np.sqrt(candidates.confidence[:n]))
         return chance / (START_M + way_m)
 
     def reset(self, why: Why) -> None:

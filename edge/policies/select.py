@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.geometry import SE2
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates, PolicyInput
+from edge.policies.base import FRONTIER, INSTANCE, SNAP_M, SPIN, Candidates, PolicyInput
 from edge.types import CandidateKind, Goal, Instance
 
 # A frontier within this distance of a vanished one replaces it.
@@ -28,7 +28,7 @@ ENOUGH, MOST_POINTS = 0.2, 10
 """Surface points that must lie within the stopping distance: a share of all points, and an upper
 limit. Fewer points may belong to another object in front."""
 
-_GOAL_KIND: dict[int, CandidateKind] = {FRONTIER: "frontier", INSTANCE: "instance", LOOK: "spin"}
+_GOAL_KIND: dict[int, CandidateKind] = {FRONTIER: "frontier", INSTANCE: "instance", SPIN: "spin"}
 
 Cell = tuple[float, float]
 InstanceOf = Callable[[int], Instance | None]
@@ -40,12 +40,12 @@ class CurrentGoal(NamedTuple):
     Attributes:
         goal: the goal.
         peak: best score of the goal's candidate so far.
-        fickle: returns True if the robot has often left this candidate before it arrived.
+        often_left: returns True if the robot has often left this candidate before it arrived.
     """
 
     goal: Goal
     peak: float
-    fickle: Callable[[], bool]
+    often_left: Callable[[], bool]
 
 
 def ranked(
@@ -75,7 +75,7 @@ def ranked(
     # An instance is never too close: the mission verifies it at its position.
     far = (dx * dx + dy * dy > delta_reached_m**2) | (kind[:n] != FRONTIER)
     alive = np.flatnonzero(far & ~candidates.blocked[:n])
-    doubtful = ~candidates.sure[alive] & confirmed_first
+    doubtful = ~candidates.confirmed[alive] & confirmed_first
     order = np.lexsort((candidates.id[alive], -score[alive], doubtful, kind[alive] != INSTANCE))
     return alive[order]
 
@@ -144,21 +144,21 @@ def _beats(
     back. It also completes its approach to a frontier that it left often: the path there may lead
     past places where another frontier scores better.
     """
-    kind, sure = context.candidates.kind, context.candidates.sure
+    kind, sure = context.candidates.kind, context.candidates.confirmed
     instances = kind[index] == INSTANCE, kind[present] == INSTANCE
     if instances[0] != instances[1] or sure[index] > sure[present]:
         return True
-    if kind[present] == LOOK:
+    if kind[present] == SPIN:
         return False
     if kind[index] == INSTANCE:
         return bool(score[index] > (1.0 + margin) * held.peak)
-    return bool(score[index] > (1.0 + margin) * score[present]) and not held.fickle()
+    return bool(score[index] > (1.0 + margin) * score[present]) and not held.often_left()
 
 
 def _index_of(goal: Goal, candidates: Candidates) -> int:
     """Return the index of a goal's candidate, or of the frontier that replaced it; -1 if none."""
     if goal.kind == "spin":
-        return candidates.n - 1 if candidates.kind[candidates.n - 1] == LOOK else -1
+        return candidates.n - 1 if candidates.kind[candidates.n - 1] == SPIN else -1
     if goal.kind == "instance":
         return candidates.index_of(INSTANCE, goal.candidate_id)
     same = candidates.index_of(FRONTIER, goal.candidate_id)
@@ -171,7 +171,7 @@ def _serves(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
     The tolerance grows with the distance, so a far goal is not resent for small changes.
     """
     if goal.kind == "spin":
-        return context.candidates.index_of(LOOK, goal.candidate_id) >= 0
+        return context.candidates.index_of(SPIN, goal.candidate_id) >= 0
     free = context.map.state_at(goal.pose.x_m, goal.pose.y_m) == 0
     allowed_m = max(_MOVE_M, _MOVE_SHARE * context.pose.distance_to(*cell))
     return free and goal.pose.distance_to(*cell) < allowed_m
@@ -181,7 +181,7 @@ def _cell(context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: flo
     """Return the reachable free cell for a candidate; None if there is none."""
     candidates, pose = context.candidates, context.pose
     kind, xy_m = int(candidates.kind[index]), candidates.xy_m[index]
-    if kind == LOOK:
+    if kind == SPIN:
         return pose.x_m, pose.y_m
     if kind == INSTANCE:
         instance = instance_of(int(candidates.id[index]))
@@ -189,7 +189,7 @@ def _cell(context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: flo
             return None
         enough = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
         for within_m, points in ((stop_m, enough), *((within_m, 1) for within_m in STOP_M)):
-            found = context.map.approach(instance.points_m, within_m, points)
+            found = context.map.stopping_point(instance.points_m, within_m, points)
             if found is not None:
                 return found[0], found[1]
         surface_m = instance.points_m[:, :2]

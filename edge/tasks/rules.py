@@ -310,8 +310,8 @@ def _middle(step: InstructionStep, functions: ScriptFunctions) -> Point:
     """Return the point half way between the outlines of two objects."""
     a, b = step.things
     angle_rad = functions.heading(centre_m(a), centre_m(b))
-    (px, py) = functions.ground.outline(a).beside(angle_rad, 0.0)
-    (qx, qy) = functions.ground.outline(b).beside(angle_rad + math.pi, 0.0)
+    (px, py) = functions.ground.outline(a).point_at(angle_rad, 0.0)
+    (qx, qy) = functions.ground.outline(b).point_at(angle_rad + math.pi, 0.0)
     return 0.5 * (px + qx), 0.5 * (py + qy)
 
 

@@ -193,7 +193,7 @@ def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> Non
         objects.vote(label, points, 1)
         objects.vote(label, points_m[which[~own]], -1)
         if thing is not None:
-            objects.doubt(thing, points_m[_beside(found, label, cloud_m, T_base_cloud)])
+            objects.vote_against(thing, points_m[_beside(found, label, cloud_m, T_base_cloud)])
 
 
 def scene_of_map(

@@ -78,13 +78,13 @@ def test_rooms_are_listed_named_and_closed(in_kitchen):
         "zone: keep out of canteen zone ("
     )
     loop.step()
-    assert loop.service.map.grid.zones.holds(*KITCHEN)
-    assert not loop.service.map.grid.zones.holds(*LIVING)
+    assert loop.service.map.grid.zones.contains(*KITCHEN)
+    assert not loop.service.map.grid.zones.contains(*LIVING)
     for name in ("canteen zone", "canteen"):
         ask(loop, do="remove", name=name)
     loop.step()
     assert loop.service.map.rooms.room(2).title == "kitchen"
-    assert not loop.service.map.grid.zones.holds(*KITCHEN)
+    assert not loop.service.map.grid.zones.contains(*KITCHEN)
 
 
 @pytest.mark.parametrize(
@@ -114,14 +114,14 @@ def test_a_forbidden_room_is_closed_until_the_mission_ends(in_kitchen):
         service.begin(prepare(mission, instruction), in_kitchen.drive.motion.stamp_ns)
         in_kitchen.step()
         forbidden = "never" in instruction
-        assert service.map.grid.zones.holds(*LIVING) == forbidden
-        assert not service.map.grid.zones.holds(*KITCHEN)
+        assert service.map.grid.zones.contains(*LIVING) == forbidden
+        assert not service.map.grid.zones.contains(*KITCHEN)
     service.begin(prepare(mission, "never enter room 1 and find the bed"), 0)
     in_kitchen.step()
-    assert service.map.grid.zones.holds(*LIVING)
+    assert service.map.grid.zones.contains(*LIVING)
     service.fail("enough", 0)
     in_kitchen.step()
-    assert not service.map.grid.zones.holds(*LIVING)
+    assert not service.map.grid.zones.contains(*LIVING)
 
 
 def test_the_next_room_is_one_that_was_not_visited():

@@ -125,10 +125,10 @@ def test_the_choice_is_explained():
     def of(name):
         return [one for one in MAP if one.label == name]
 
-    assert targets.why("chair", MAP[1], of) == ""
-    assert targets.why("chair next to the desk", MAP[1], of) == "0.6 m from desk 1"
-    assert targets.why("chair next to the desk", MAP[2], of) == ""
-    why = targets.why("second chair next to the desk", MAP[3], of)
+    assert targets.reason_for("chair", MAP[1], of) == ""
+    assert targets.reason_for("chair next to the desk", MAP[1], of) == "0.6 m from desk 1"
+    assert targets.reason_for("chair next to the desk", MAP[2], of) == ""
+    why = targets.reason_for("second chair next to the desk", MAP[3], of)
     assert why == "number 2 in the order of seeing, 1.1 m from desk 1"
 
 

@@ -76,12 +76,12 @@ def briefed(instruction: str):
 def test_a_place_is_a_target_that_the_detector_does_not_look_for(
     instruction, formula, places, prompts
 ):
-    brief = briefed(instruction)
-    assert str(brief.automaton.formula) == formula
-    assert list(brief.translation.destinations) == places
-    assert brief.prompts == prompts
-    assert brief.translation.instruction == instruction
-    assert '"' not in brief.translation.english.replace('"loading bay two"', "")
+    spec = briefed(instruction)
+    assert str(spec.automaton.formula) == formula
+    assert list(spec.translation.destinations) == places
+    assert spec.prompts == prompts
+    assert spec.translation.instruction == instruction
+    assert '"' not in spec.translation.english.replace('"loading bay two"', "")
 
 
 def test_a_pose_that_is_not_known_yet_is_left_open():

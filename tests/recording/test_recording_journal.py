@@ -179,13 +179,13 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
             {
                 "worker": "task",
                 "result": PlanResult(
-                    refined, mistakable=(3, 5), stops_at=(3, "van"), stops=STOPS, upto=2
+                    refined, ambiguous=(3, 5), stops_at=(3, "van"), stops=STOPS, n_done=2
                 ),
             },
         )
     )
     draft = journal.draft_of(entry.fields["result"])
-    assert (draft.stops_at, draft.upto, draft.mistakable) == ((3, "van"), 2, (3, 5))
+    assert (draft.stops_at, draft.n_done, draft.ambiguous) == ((3, "van"), 2, (3, 5))
     assert draft.stops == STOPS
     back = draft.refined
     assert back.heading_rad == heading_rad

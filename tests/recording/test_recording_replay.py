@@ -47,7 +47,7 @@ def same(path: Path, ticks: int) -> None:
     outcome = replay(session)
     assert (outcome.first, outcome.differing, outcome.ticks) == (None, 0, ticks)
     assert outcome.goals_then == outcome.goals_now
-    assert (session.gap, session.cut) == ("", "")
+    assert (session.gap, session.truncation) == ("", "")
 
 
 @pytest.fixture(scope="module")
@@ -91,8 +91,8 @@ def test_a_patrol_that_waits_and_checks_until_a_person_ends_it(tmp_path):
     service, closed = recording.service, recording.closed
     place = Site((Place.at("near", closed.drive.motion.pose),))
     patrol = 'G F near & G F "wait 1 s" & G F "check sofa" & G F wait'
-    brief = prepare(service.config.mission, formula=patrol, site=place)
-    service.begin(brief, closed.drive.motion.stamp_ns)
+    spec = prepare(service.config.mission, formula=patrol, site=place)
+    service.begin(spec, closed.drive.motion.stamp_ns)
     ticks = 7
     while service.mission.target != "wait":
         recording.steps(1)
@@ -176,13 +176,13 @@ URL = "http://127.0.0.1:9/v1"
 
 def test_what_the_goal_is_judged_by_is_the_same(drive, tmp_path, monkeypatch):
     """The number of detector images decides when a search is abandoned."""
-    judge, images = GoalTracker.judge, []
+    judge, images = GoalTracker.check_progress, []
 
     def spy(self, grid, pose, mission, done, *rest):
         images.append(done)
         return judge(self, grid, pose, mission, done, *rest)
 
-    monkeypatch.setattr(GoalTracker, "judge", spy)
+    monkeypatch.setattr(GoalTracker, "check_progress", spy)
     path = Recording(tmp_path, small(loop={"lockstep": True})).steps(10).close()
     then, images[:] = tuple(images), []
     same(path, 10)
@@ -199,7 +199,7 @@ class Thinks:
         self.told = threading.Semaphore(0)
         self.thinks = False
 
-    def look(self, view):
+    def prepare(self, view):
         return view
 
     def answer(self, view):
@@ -229,7 +229,7 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
     thinks = Thinks()
     monkeypatch.setattr(
         "edge.lab.eval.closed_loop.make_scorers",
-        lambda config, targets: Scorers(None, thinks, feeds=config.value_source),
+        lambda config, targets: Scorers(None, thinks, value_source=config.value_source),
     )
     note, came = InputLog.note, Counter()
 
@@ -574,9 +574,9 @@ def test_detecting_anew(drive, tmp_path):
     onnx = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "threads": 1}
     other = small(perception={"detector": onnx})
     outcome = replay(RecordedRun(drive), other, detect=True)
-    assert (outcome.ticks, outcome.unseen) == (30, 0)
+    assert (outcome.ticks, outcome.n_unrecorded) == (30, 0)
     without = Recording(tmp_path, rgb_hz=0.0).steps(3).close()
-    assert replay(RecordedRun(without), other, detect=True).unseen == 3
+    assert replay(RecordedRun(without), other, detect=True).n_unrecorded == 3
 
 
 def test_a_recording_holds_no_secret(tmp_path):

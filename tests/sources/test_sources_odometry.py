@@ -154,7 +154,7 @@ def test_a_ring_of_one_is_refused():
 def test_stamps_let_in_rise_but_for_resets(stamps):
     guard, newest = StampGuard(), -1
     for stamp_ns in stamps:
-        verdict = guard.judge(stamp_ns)
+        verdict = guard.check(stamp_ns)
         assert (verdict == "ok") == (stamp_ns > newest)
         assert (verdict == "repeated") == (stamp_ns == newest)
         if verdict in ("ok", "clock_reset"):

@@ -35,7 +35,7 @@ def driven(instruction, scene=SCENE):
     ground = GROUND if scene is SCENE else ground_of(scene, LIMITS.clearance_m)
     functions = ScriptFunctions(ground, LIMITS)
     steps = plan_by_rules(instruction, functions)
-    return "; ".join(map(str, steps)), functions.given
+    return "; ".join(map(str, steps)), functions.trajectory
 
 
 @pytest.mark.parametrize(
@@ -498,9 +498,9 @@ def test_what_is_carried_out_is_checked(text):
     try:
         plan_by_rules(text, functions)
     except (TranslationError, TrajectoryError):
-        assert functions.given is None
+        assert functions.trajectory is None
         return
-    way = functions.given.points_m
+    way = functions.trajectory.points_m
     assert np.hypot(*np.diff(way, axis=0).T).max(initial=0.0) <= LIMITS.max_jump_m
     assert all(GROUND.is_free(x, y) for x, y in way.tolist())
 

@@ -68,24 +68,24 @@ class Pursuit(Generic[Kind]):
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
 
     @property
-    def _thing(self) -> str:
+    def _target_label(self) -> str:
         """The thing to go to: a name, or a description by a relation."""
         return self._mission.target
 
     def gather(self) -> Sequence[Instance]:
         """Return the objects that are candidates for this target."""
-        sure, doubted = not self._map.config.policy.instances, self._goals.searched
-        return self._map.tracker.of(self._thing, sure, doubted=doubted)
+        sure, doubted = not self._map.config.policy.instances, self._goals.candidates_exhausted
+        return self._map.tracker.of(self._target_label, sure, doubted=doubted)
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         """Check the goal, then the end of the target; see `Behaviour.plan`."""
-        turns = self._mission.turns
+        turns = self._mission.retargets
         if self._since_ns is None:
             self._since_ns = context.observation.stamp_ns
-        self._goals.judge(
+        self._goals.check_progress(
             self._map.grid, context.pose, self._mission, images, context.now_ns, self._is_reached
         )
-        if self._mission.turns == turns and not self._mission.done and self._goals.exhausted:
+        if self._mission.retargets == turns and not self._mission.done and self._goals.exhausted:
             self.finish(context.now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
@@ -98,7 +98,9 @@ class Pursuit(Generic[Kind]):
 
     def finish(self, now_ns: int) -> None:
         """End the target: no candidate is left."""
-        self._mission.give_up(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
+        self._mission.abandon_target(
+            self._goals.failure_reason(self._mission, self._map.grid), now_ns
+        )
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Return the goal of this tick; see `Behaviour.select`."""
@@ -125,7 +127,7 @@ class ExplorePursuit(Pursuit[ExploreTarget]):
     def gather(self) -> Sequence[Instance]:
         return ()
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         mission, limit_s = self._mission, self._destination.limit_s
         if limit_s is not None:
             left_s = limit_s - mission.pursued_now_s
@@ -133,7 +135,7 @@ class ExplorePursuit(Pursuit[ExploreTarget]):
                 self.finish(context.now_ns)
                 return
             mission.activity = f"exploring, {_left(left_s)}"
-        super().judge(context, images)
+        super().check_progress(context, images)
 
     def finish(self, now_ns: int) -> None:
         known = f"{self._map.grid.known_m2:.0f} m² are known"
@@ -146,7 +148,7 @@ class WaitPursuit(Pursuit[WaitTarget]):
     def gather(self) -> Sequence[Instance]:
         return ()
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         mission, seconds = self._mission, self._destination.seconds
         self._goals.phase = "waiting"
         if seconds is None:
@@ -158,7 +160,7 @@ class WaitPursuit(Pursuit[WaitTarget]):
             mission.on_reached(f"waited {shown_s(seconds)}", context.now_ns)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
-        self._goals.rest()
+        self._goals.idle()
         return None
 
 
@@ -172,52 +174,52 @@ class CheckAnswer:
     """
 
     def __init__(self, check: CheckTarget, mission: MissionRun, here: SemanticMap) -> None:
-        self.thing = check.name
+        self.label = check.name
         self._room = f"in the {check.room}" if check.room else ""
         self._mission, self._map = mission, here
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
         self._before = ""  # what was known before
 
-    def seen(self, context: PolicyInput) -> list[Instance]:
+    def new_detections(self, context: PolicyInput) -> list[Instance]:
         """Return the confirmed objects that were detected since the first call."""
         if self._since_ns is None:
             self._since_ns = context.observation.stamp_ns
             self._before = self._remembered(context)
-        confirmed = self._map.tracker.of(self.thing, sure=True)
+        confirmed = self._map.tracker.of(self.label, only_confirmed=True)
         return [one for one in confirmed if one.last_seen_ns >= self._since_ns]
 
-    def yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
+    def answer_yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
         """Answer that these objects are there."""
         pose = context.pose
         at = min(seen, key=lambda one: one.distance_m(pose.x_m, pose.y_m))
         x_m, y_m, _ = at.center_m.tolist()
         others = f"; {len(seen)} in all" if len(seen) > 1 else ""
         where = f"at ({x_m:.1f}, {y_m:.1f}), {at.distance_m(pose.x_m, pose.y_m):.1f} m away{others}"
-        room = self._map.rooms.where(x_m, y_m) or self._room
-        answer = " ".join(filter(None, ("yes, there is a", self.thing, room, where)))
+        room = self._map.rooms.room_phrase(x_m, y_m) or self._room
+        answer = " ".join(filter(None, ("yes, there is a", self.label, room, where)))
         self._mission.on_reached(answer, context.now_ns, answer)
 
-    def no(self, reason: str, now_ns: int) -> None:
+    def answer_no(self, reason: str, now_ns: int) -> None:
         """Answer that there is none."""
         before = f"; seen before: {self._before}" if self._before else ""
-        none = " ".join(filter(None, ("no, there is no", self.thing, self._room)))
+        none = " ".join(filter(None, ("no, there is no", self.label, self._room)))
         answer = f"{none}: {reason}{before}"
         self._mission.on_reached(answer, now_ns, answer)
 
     def _remembered(self, context: PolicyInput) -> str:
         """Return where and when the thing was seen before, for people; "" if never."""
-        shown, least = self._map.sightings.shown, self._map.config.perception.min_hits
-        found = known_objects(shown, context.observation.stamp_ns, least, self.thing)[:1]
+        shown, least = self._map.objects.read_only, self._map.config.perception.min_hits
+        found = known_objects(shown, context.observation.stamp_ns, least, self.label)[:1]
         if not found:
             return ""
-        return where_is(self.thing, found, context.pose, True, self._map.rooms.where)
+        return where_is(self.label, found, context.pose, True, self._map.rooms.room_phrase)
 
     def time_is_over(self, now_ns: int) -> bool:
         """Answer no and return True if the search limit is over."""
         limit_s = self._mission.config.search_limit_s
         if limit_s is None or self._mission.pursued_now_s <= limit_s:
             return False
-        self.no(f"not found within {shown_s(limit_s)}", now_ns)
+        self.answer_no(f"not found within {shown_s(limit_s)}", now_ns)
         return True
 
 
@@ -234,22 +236,22 @@ class CheckPursuit(Pursuit[CheckTarget]):
         self._answer = CheckAnswer(destination, mission, here)
 
     @property
-    def _thing(self) -> str:
-        return self._answer.thing
+    def _target_label(self) -> str:
+        return self._answer.label
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         answer = self._answer
-        self._mission.activity = f"checking for the {answer.thing}"
-        if seen := answer.seen(context):
-            answer.yes(seen, context)
+        self._mission.activity = f"checking for the {answer.label}"
+        if seen := answer.new_detections(context):
+            answer.answer_yes(seen, context)
         elif not answer.time_is_over(context.now_ns):
-            super().judge(context, images)
+            super().check_progress(context, images)
 
     def finish(self, now_ns: int) -> None:
-        self._answer.no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
+        self._answer.answer_no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
-        """Return False: only a new detection counts, and `judge` handles those."""
+        """Return False: only a new detection counts, and `check_progress` handles those."""
         return False
 
 
@@ -267,11 +269,11 @@ class RoomPursuit(Pursuit[RoomTarget]):
     def gather(self) -> Sequence[Instance]:
         return ()
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         mission, room = self._mission, self._choose(context)
         if room is None:
             mission.activity = "exploring to find it"
-            super().judge(context, images)
+            super().check_progress(context, images)
             return
         number = f"room {room.id}"
         name = number if room.title == number else f"{room.title}, {number}"
@@ -279,11 +281,11 @@ class RoomPursuit(Pursuit[RoomTarget]):
         if self._is_final and self._kind is not None:
             why = f"room {room.id}, the most likely {self._kind}"
         if self._is_inside(room, context):
-            self._goals.drop()
+            self._goals.abandon()
             self.arrive(f"inside {why}", context.now_ns)
             return
         mission.activity = f"going to {why}"
-        super().judge(context, images)
+        super().check_progress(context, images)
 
     def arrive(self, evidence: str, now_ns: int) -> None:
         """Handle the arrival inside the room."""
@@ -373,14 +375,14 @@ class RoomPursuit(Pursuit[RoomTarget]):
         number = 0 if chosen is None else chosen.id
         if number != self._chosen:
             self._chosen = number
-            self._goals.drop()
+            self._goals.abandon()
         return chosen
 
     def _path_m(self, room: MappedRoom) -> float:
         """Return the driving distance to a room; inf if no path is known."""
         n, path_m = len(room.points_m), np.empty(len(room.points_m), np.float32)
         kind = np.zeros(n, np.int8)
-        self._map.grid.reach.path_lengths_m(room.points_m, kind, _ROOM_SNAP_M, n, path_m)
+        self._map.grid.travel_cost.path_lengths_m(room.points_m, kind, _ROOM_SNAP_M, n, path_m)
         return float(path_m.min(initial=np.inf))
 
 
@@ -399,14 +401,14 @@ class ExploreRoomPursuit(RoomPursuit):
         self._limit_s = destination.limit_s if isinstance(destination, ExploreTarget) else None
         self._inside: MappedRoom | None = None  # once the robot has been inside
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         if self._inside is not None:
             self._inside = self._map.rooms.room(self._inside.id) or self._inside
         left_s = math.inf if self._limit_s is None else self._limit_s - self._mission.pursued_now_s
         if left_s <= 0.0:
             self.end(context.now_ns)
         elif self._inside is None:
-            super().judge(context, images)
+            super().check_progress(context, images)
         else:
             left = "" if self._limit_s is None else f", {_left(left_s)}"
             self._mission.activity = f"{self._doing} the {self._name}{left}"
@@ -418,8 +420,8 @@ class ExploreRoomPursuit(RoomPursuit):
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         if self._inside is None:
             return super().select(context, scores, images)
-        if self._goals.searched:  # retries and second looks would lead elsewhere
-            self._goals.rest()
+        if self._goals.candidates_exhausted:  # retries and second looks would lead elsewhere
+            self._goals.idle()
             return None
         self._block_outside(self._inside)
         return self._goals.choose(context, self._map.grid, scores, images)
@@ -434,11 +436,11 @@ class ExploreRoomPursuit(RoomPursuit):
 
     def _judge_inside(self, context: PolicyInput, images: int) -> None:
         """Follow the goal; end the target when no candidate in the room is left."""
-        mission, turns = self._mission, self._mission.turns
-        self._goals.judge(
+        mission, turns = self._mission, self._mission.retargets
+        self._goals.check_progress(
             self._map.grid, context.pose, mission, images, context.now_ns, self._is_reached
         )
-        if mission.turns == turns and not mission.done and self._goals.searched:
+        if mission.retargets == turns and not mission.done and self._goals.candidates_exhausted:
             self.end(context.now_ns)
 
     def _is_in(self, xy_m: np.ndarray, room: MappedRoom) -> np.ndarray:
@@ -464,25 +466,25 @@ class CheckRoomPursuit(ExploreRoomPursuit):
         self._answer = CheckAnswer(destination, mission, here)
 
     @property
-    def _thing(self) -> str:
-        return self._answer.thing
+    def _target_label(self) -> str:
+        return self._answer.label
 
     def gather(self) -> Sequence[Instance]:
         return () if self._inside is None else self._in_room(Pursuit.gather(self), self._inside)
 
-    def judge(self, context: PolicyInput, images: int) -> None:
-        seen = self._answer.seen(context)
+    def check_progress(self, context: PolicyInput, images: int) -> None:
+        seen = self._answer.new_detections(context)
         found = [] if self._inside is None else self._in_room(seen, self._inside)
         if found:
-            self._answer.yes(found, context)
+            self._answer.answer_yes(found, context)
         elif not self._answer.time_is_over(context.now_ns):
-            super().judge(context, images)
+            super().check_progress(context, images)
 
     def end(self, now_ns: int) -> None:
-        self._answer.no("the room is explored", now_ns)
+        self._answer.answer_no("the room is explored", now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
-        """Return False: only a new detection counts, and `judge` handles those."""
+        """Return False: only a new detection counts, and `check_progress` handles those."""
         return False
 
     def _in_room(self, instances: Sequence[Instance], room: MappedRoom) -> list[Instance]:
@@ -518,7 +520,7 @@ def _left(left_s: float) -> str:
 
 def _found(here: SemanticMap, room: MappedRoom | None = None) -> str:
     """Return the names of the objects in the map, or in a room, the most frequent first."""
-    objects = known_objects(here.sightings.shown, 0, here.config.perception.min_hits)
+    objects = known_objects(here.objects.read_only, 0, here.config.perception.min_hits)
     if room is not None:
         xy_m = np.array([one.xyz_m[:2] for one in objects], np.float32).reshape(-1, 2)
         ids = here.rooms.survey.ids[here.rooms.survey.regions.at(xy_m)]

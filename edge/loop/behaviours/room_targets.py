@@ -17,8 +17,8 @@ class RoomKindPrior:
     def __init__(self, rooms: RoomMemory, kind: str) -> None:
         self._rooms, self._kind = rooms, kind
 
-    def lift(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
-        """See `TargetPrior.lift`; the target is the kind of room."""
+    def likelihood_ratio(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
+        """See `TargetPrior.likelihood_ratio`; the target is the kind of room."""
         np.clip(self._rooms.kind_ratio(self._kind, xy_m[:n]), LEAST, MOST, out=out[:n])
 
 
@@ -26,11 +26,11 @@ def rooms_of(target: RoomTarget, here: SemanticMap) -> list[MappedRoom]:
     """Return the known rooms that a target may mean, without the largest one."""
     rooms = here.rooms
     if target.which == "called":
-        return rooms.called(target.name)
+        return rooms.find(target.name)
     if target.which == "next":
         return [room for room in rooms.rooms if not room.is_visited]
     if target.which == "with":
-        shown, min_hits = here.sightings.shown, here.config.perception.min_hits
+        shown, min_hits = here.objects.read_only, here.config.perception.min_hits
         return rooms.with_thing(target.name, shown, min_hits)[:1]
     return []
 

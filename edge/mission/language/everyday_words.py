@@ -32,7 +32,8 @@ _ROWS: dict[str, str] = {
         you (must|should|shall|have to|need to|are to); it would be (nice|great|lovely) if you
         (could|would); be (a|an) (dear|pal|darling|sweetheart|love|angel|star|good
         (robot|boy|girl)) and; do me a favour and;
-        do me a favor and; go ahead and; make sure (to|you|that you); be sure to; try to; let us;
+        do me a (favor|kindness) and; oi; go ahead and; make sure (to|you|that you); be sure to;
+        try to; let us;
         mind (that|) you;
         i wonder if you could; why do not you; why do n't you; time to; in your memory;
         hurry up and; hurry and;

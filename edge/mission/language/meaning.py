@@ -282,7 +282,7 @@ def _asked(
             meaning.rules += held_until(after.names, before)
     if clause.only_way and reader.pick(reader.tokens[-1], 2) == 1:
         meaning.rules += held_until(things.names, NounPhrase(clause.route[-1].groups))
-    last = reader.sees("end") or reader.sees("end", ahead=1)
+    last = reader.is_at("end") or reader.is_at("end", ahead=1)
     alone = last and (clause.during or not times)
     for avoided in (*clause.avoiding, *clause.not_first):
         passed = {name for step in clause.route for name in step.names}

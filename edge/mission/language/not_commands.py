@@ -19,7 +19,7 @@ def refuse_questions(reader: TokenReader) -> None:
     "Can you go to the bed" is a request, and "have the robot go there" an order.
     """
     first = reader.peek()
-    denied = reader.sees("not", ahead=1)
+    denied = reader.is_at("not", ahead=1)
     subject = reader.peek(2 if denied else 1)
     asks = first.text in _ASKING
     if subject.kind == "you":
