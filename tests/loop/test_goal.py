@@ -538,7 +538,7 @@ def test_every_arrival_is_verified_afresh(between):
     assert "rejected" in [thing.state for thing in case.things.values()]
 
 
-def test_a_stop_beside_what_must_not_be_reached_is_told_once_before():
+def test_a_stop_next_to_what_must_not_be_reached_is_told_once_before():
     case, told = Case(), []
     point = np.array([[3.4, 0.0, 0.5]], np.float32)
     lamp = Instance(5, "lamp", point[0], point, 0.8, 3, 0, 0)

@@ -267,7 +267,7 @@ BY_SIGHT = PolicyHvl(heuristics=False)
 BOTH = ("chair", "sofa")
 
 
-def test_what_was_seen_first_stays_with_the_frontier_wherever_it_stands_in_the_list():
+def test_what_was_seen_first_stays_with_the_frontier_at_any_place_in_the_list():
     policy = make_policy(BY_SIGHT)
     first = candidates_of((FRONTIER, 2, 0), (FRONTIER, 2, 1), (FRONTIER, 2, -1))
     bearing = math.atan2(1, 2)
