@@ -107,7 +107,7 @@ def test_an_instruction_without_objects_asks_nobody(instruction):
 
 def test_a_server_that_fails_is_not_asked_again():
     with serving(lambda handler: send(handler, b"", 500)) as server:
-        with pytest.raises(ChatError, match=f"^{server.url}: answered HTTP 500"):
+        with pytest.raises(ChatError, match=f"^{server.url}: the server answered HTTP 500"):
             translate(server.url)
         assert len(server.requests) == 1
 

@@ -206,7 +206,7 @@ BAD = [
     (lambda h: h.send_json({"error": "out of\nmemory"}, 400), "refused",
      "HTTP 400: out of memory; see the server's log"),
     (lambda h: h.send(b"", 302, Location="http://a:b@elsewhere/?key=1"), "refused",
-     "HTTP 302, see http://elsewhere/?***; configure another URL"),
+     "the server redirects to http://elsewhere/?*** (HTTP 302); configure the right URL"),
     (lambda h: h.send(b"<html>"), "invalid answer", "not JSON; check what runs there"),
     (lambda h: h.send_json({"outputs": []}), "invalid answer", "it lacks the output 'boxes'"),
     (tensors(**(GOOD | {"boxes": (1, 1680, 5)})), "invalid answer",

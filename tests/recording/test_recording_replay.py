@@ -293,7 +293,7 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     monkeypatch.setattr("edge.host.checkpoint.VERSION", 7)
     monkeypatch.setattr("edge.host.checkpoint.OLDEST_VERSION", 6)
     with pytest.raises(
-        ReplayError, match=r"in the recording .* version 5, this program reads versions 6 to 7"
+        ReplayError, match=r"in the recording .* version 5 of the format; this edge"
     ):
         replay(RecordedRun(recorded))
 

@@ -66,7 +66,10 @@ def image_parts(stamp_ns: int, frame_id: str, array: np.ndarray) -> tuple[bytes,
     """Return the parts of `encode_image`. The second is a view of the array if possible."""
     encoding = _ENCODING_OF.get((array.dtype.name, array.ndim))
     if encoding is None or (array.ndim == 3 and array.shape[2] != 3):
-        raise ValueError(f"no image encoding for {array.dtype} {array.shape}")
+        raise ValueError(
+            f"no image encoding for an array of {array.dtype} {array.shape} "
+            f"(encodings: {', '.join(_ENCODING_OF.values())})"
+        )
     height, width = array.shape[:2]
     step = width * _LAYOUTS[encoding][0]
     writer = CdrWriter().header(stamp_ns, frame_id)
@@ -87,7 +90,9 @@ def decode_image_header(payload: bytes) -> ImageHeader:
     size, offset = reader.sequence(1)
     layout = _LAYOUTS.get(encoding)
     if layout is None:
-        raise DecodeError(f"image encoding {encoding[:20]!r} (known: {', '.join(_LAYOUTS)})")
+        raise DecodeError(
+            f"image encoding {encoding[:20]!r} is unknown (known: {', '.join(_LAYOUTS)})"
+        )
     row = width * layout[0]
     if height * row == size:  # no padding: the step is redundant, ignore a wrong one
         step = row
@@ -136,7 +141,7 @@ def decode_image_into(
     elif out.dtype == np.uint16 and encoding in ("16UC1", "mono16"):
         np.copyto(out, _pixels(payload, header, "u2"))
     else:
-        raise DecodeError(f"image encoding {encoding} where {out.dtype} pixels are expected")
+        raise DecodeError(f"image encoding is {encoding}, but {out.dtype} pixels are expected")
 
 
 def integers_into(

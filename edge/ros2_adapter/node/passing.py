@@ -185,8 +185,9 @@ def cdr_of(brought: Any, max_bytes: int) -> bytes:
     """Return a payload for ROS, which does not check it; raise ValueError if it is no CDR."""
     if brought is None or len(brought) > max_bytes:
         size = 0 if brought is None else len(brought)
-        raise ValueError(f"{size} bytes, at most {max_bytes} are allowed")
+        raise ValueError(f"the message has {size} bytes, at most {max_bytes} are allowed")
     data = brought.to_bytes()
     if data[:2] != _CDR:
-        raise ValueError(f"not little-endian CDR: begins {data[:4].hex() or 'empty'}")
+        begin = data[:4].hex() or "nothing"
+        raise ValueError(f"not little-endian CDR: the message begins with {begin}, expected 0001")
     return data
