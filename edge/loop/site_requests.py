@@ -95,7 +95,9 @@ def _zone_of(service: Service, fields: dict) -> Zone:
     if len(found) != 1:
         known = one_line(", ".join(room.title for room in service.map.rooms.rooms) or "none")
         number = "no room" if not found else f"{len(found)} rooms"
-        raise UserError(f"{number} called {bounded_repr(fields['room'])} (known: {known})")
+        raise UserError(
+            f"room: {number} called {bounded_repr(fields['room'])}, expected one (known: {known})"
+        )
     corners = tuple((round(x, 3), round(y, 3)) for x, y in found[0].polygon_m.tolist())
     return Zone(fields["name"], fields["kind"], corners)
 

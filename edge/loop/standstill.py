@@ -71,7 +71,11 @@ class StandstillMonitor:
             self._event(f"{where} by an obstacle in the map", now_ns)
             return
         closed = grid.bumps.close(pose, place, self._radius_m, now_ns)
-        done = "place closed in the map" if closed else "not closed, the robot drove there before"
+        done = (
+            "this place is now closed in the map"
+            if closed
+            else "this place stays open in the map, because the robot drove there before"
+        )
         self._event(f"{where}: {done}", now_ns)
 
     def _waits(self, place: tuple[float, float], now_ns: int) -> bool:

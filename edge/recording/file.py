@@ -264,7 +264,7 @@ def _opened(path: Path):  # type: ignore[no-untyped-def]
     try:
         file = open_regular(path)
     except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror}") from None
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     with file:
         yield file
 

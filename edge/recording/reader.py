@@ -69,18 +69,18 @@ def records(file: BinaryIO) -> Iterator[Record]:
         DamagedError: the file violates the format. Records yielded before are valid.
     """
     if _read(file, len(MAGIC)) != MAGIC:
-        raise DamagedError("no MCAP magic at the start of the file")
+        raise DamagedError("the first bytes are not those of MCAP")
     crc, kept, begun = zlib.crc32(MAGIC), _Kept(), False
     while True:
         head = _read(file, _HEAD.size)
         opcode, size = _HEAD.unpack(head)
         if not begun and opcode != Opcode.HEADER:
-            raise DamagedError("it does not begin with a header")
+            raise DamagedError("the file does not begin with a header")
         begun = True
         if opcode == Opcode.DATA_END:
             end = _parsed(DataEnd, _read(file, _checked(size)))
             if end.data_section_crc not in (0, crc):
-                raise DamagedError("the checksum of its data does not match")
+                raise DamagedError("the checksum of the file's data does not match")
             yield end
             return
         crc = zlib.crc32(head, crc)
@@ -204,5 +204,5 @@ def _most(opcode: int) -> int:
 
 def _checked(size: int, most: int = MAX_RECORD_BYTES) -> int:
     if size > most:
-        raise DamagedError(f"a record or chunk of {size} bytes, at most {most} are allowed")
+        raise DamagedError(f"a record or chunk has {size} bytes, at most {most} are allowed")
     return size

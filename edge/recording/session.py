@@ -59,13 +59,13 @@ def read_header(path: Path) -> RecordingHeader:
     said = reading.metadata.get(FORMAT)
     if said is None:
         raise RecordingError(
-            f"{path}: an MCAP file, but not of the sink `mcap`: it has no journal to replay; "
+            f"{path}: an MCAP file, but not of the sink `mcap`, so there is no journal to replay; "
             "`edge play FILE CONFIG` plays the recording of any robot"
         )
     if said.get("version") not in VERSIONS:
         raise RecordingError(
             f"{path}: recorded by edge {one_line(said.get('edge', '?'), 40)} in version "
-            f"{one_line(said.get('version', '?'), 20)} of the format; this one reads "
+            f"{one_line(said.get('version', '?'), 20)} of the format; this edge reads versions "
             f"{' and '.join(VERSIONS)}"
         )
     try:
@@ -113,8 +113,8 @@ class RecordedRun:
         except ConfigError as error:
             first = one_line(str(error).splitlines()[0], 400)
             raise RecordingError(
-                f"{self.head.path}: its configuration is of edge {self.head.edge} "
-                f"and cannot be used: {first}; give one with --config"
+                f"{self.head.path}: the configuration in it, of edge {self.head.edge}, cannot be "
+                f"used: {first}; give your own with --config"
             ) from None
         self.check(config)
         return config
@@ -218,7 +218,7 @@ def _moment(
 
 def _check_pixels(height: int, width: int) -> None:
     if not 0 <= height * width <= _MOST_PIXELS:
-        raise ValueError(f"a picture of {height}x{width} pixels")
+        raise ValueError(f"an image of {height}x{width} pixels, at most {_MOST_PIXELS} are allowed")
 
 
 def _latency(payload: bytes) -> dict[str, Any]:

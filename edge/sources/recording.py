@@ -232,7 +232,7 @@ def read(path: str | os.PathLike[str]) -> Iterator[BusMessage]:
                 yield BusMessage(topic, message.log_ns, message.payload)
         if not reading.cut:
             return
-    why = reading.cut or "cut off"
+    why = reading.cut or "the end is missing"
     raise RecordingError(
         f"{path}: not a complete MCAP file: {why}; repair it with `edge replay --recover`"
     )
@@ -291,7 +291,7 @@ def play(
         if not loop:
             break
         if first_ns is None:
-            raise RecordingError(f"{path}: no message of a sensor in it")
+            raise RecordingError(f"{path}: holds no message of a sensor")
     for publisher in publishers.values():
         publisher.undeclare()
     return PlaybackStats(sent, max_late_s)
@@ -387,7 +387,9 @@ def _play_command(args: argparse.Namespace) -> int:
     stop = stop_on_signals()
     with open_session(settings, "connect", stop) as session:
         if not wait_for_service(session, settings, args.wait, stop):
-            raise UnavailableError(f"{settings.address}: no service after {args.wait:g} s")
+            raise UnavailableError(
+                f"{settings.address}: no service within {args.wait:g} s; start one with `edge run`"
+            )
         played = play(session, settings, args.file, args.rate, args.loop, True, stop)
     print(f"{args.file}: {played.messages} messages, at most {played.max_late_s * 1e3:.1f} ms late")
     return 0
@@ -404,7 +406,12 @@ def main(argv: list[str] | None = None) -> int:
     plays.add_argument("file")
     plays.add_argument("--rate", type=float, default=1.0)
     plays.add_argument("--loop", action="store_true")
-    plays.add_argument("--wait", type=float, default=60.0, help="seconds to wait for the service")
+    plays.add_argument(
+        "--wait",
+        type=float,
+        default=60.0,
+        help="longest time to wait for the service, in s (default: 60)",
+    )
     plays.set_defaults(handler=_play_command)
     args = parser.parse_args(argv)
     try:

@@ -119,7 +119,7 @@ def test_an_errand_is_spelled_out(said, plain):
         ("find Anna's mug", "whose mug"),
         ("check if the stove is on", "check whether a thing is there"),
         ("go to the bed and check if there is a cat under it", "check whether a thing is there"),
-        ("explore the other room", "unclear which one"),
+        ("explore the other room", "unclear which room"),
         ("explore the house, then the dock", "unclear what to do with the second"),
         ("find the mug, then patrol the dock and the bed for 20 minutes", "before it first"),
         ("patrol the dock and the bed until I call, then wait", "rest afterwards"),

@@ -208,7 +208,7 @@ BAD = [
     (lambda h: h.send(b"", 302, Location="http://a:b@elsewhere/?key=1"), "refused",
      "the server redirects to http://elsewhere/?*** (HTTP 302); configure the right URL"),
     (lambda h: h.send(b"<html>"), "invalid answer", "not JSON; check what runs there"),
-    (lambda h: h.send_json({"outputs": []}), "invalid answer", "it lacks the output 'boxes'"),
+    (lambda h: h.send_json({"outputs": []}), "invalid answer", "the answer lacks the output 'box"),
     (tensors(**(GOOD | {"boxes": (1, 1680, 5)})), "invalid answer",
      "'boxes' has the shape [1, 1680, 5]"),
     (tensors(**(GOOD | {"boxes": (1, 1679, 4)})), "invalid answer",
@@ -339,9 +339,9 @@ def write_card(tmp_path, monkeypatch, url, **change) -> None:
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"file": "far.onnx", "sha256": None}, "file: a server runs the model: name no file"),
-        ({"server": None}, "file: missing: name it, or a server that runs the model"),
-        ({"server": None, "file": "far.onnx"}, "sha256: missing: null if FILE.json"),
+        ({"file": "far.onnx", "sha256": None}, "file: server is set, so this must be null"),
+        ({"server": None}, "file: missing: name the model's file, or a server that runs the model"),
+        ({"server": None, "file": "far.onnx"}, "sha256: missing: give the file's SHA-256, or null"),
         ({"server": {"url": "base:8000", "model": "m"}}, "not the URL of a model's server"),
         ({"server": {"url": "http://u:p@base", "model": "m"}}, "must not hold a password"),
         ({"server": {"url": "http://base", "model": "../m"}}, "string should match"),

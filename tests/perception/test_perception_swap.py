@@ -246,8 +246,8 @@ def test_force_does_not_take_what_is_not_finite(bench):
 @pytest.mark.parametrize(
     ("old", "related", "finding"),
     [
-        (Fake("old", score=0.2), True, "old found nothing there to compare with"),
-        (Fake("old", error=RuntimeError("dead")), True, "old found nothing there to compare with"),
+        (Fake("old", score=0.2), True, "old found nothing on these images"),
+        (Fake("old", error=RuntimeError("dead")), True, "old found nothing on these images"),
         (Fake("old", box=(50, 0, 60, 9)), False,
          "finds 0 of the 2 boxes of old (another family: no reason to refuse it)"),
     ],
@@ -265,7 +265,7 @@ def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
         b.swapper.request("old", False, 0)
     b.swapper.request("new", False, 0)
     with pytest.raises(
-        SwapError, match=r"^new is still (loading|checking); wait until that swap e"
+        SwapError, match=r"^the swap to new is still (loading|checking); wait until it e"
     ):
         b.swapper.request("other", False, 0)
     b.until("on probation")
@@ -359,7 +359,7 @@ def test_prompts_that_change_on_probation_reach_both(bench):
         (["sofa"], r"^prompt 'sofa': not in the vocabulary$"),
         (
             ["desk"],
-            r"^old, kept until new passes its probation: prompt 'desk': .*; try again after",
+            r"^old, which is kept until new passes .*: prompt 'desk': .*; try again after",
         ),
     ):
         with pytest.raises(PromptError, match=line):

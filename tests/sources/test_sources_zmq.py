@@ -134,7 +134,7 @@ BAD = [
     ((b"",), "expected two parts, header and pixels, got 1"),
     ((b"", b""), "empty|JSON"),
     ((b"\xff\x00" * 9, b""), "JSON|UTF"),
-    ((b"{" * 5000, b""), "the header has 5000 bytes, more than 4096"),
+    ((b"{" * 5000, b""), "header has 5000 bytes, at most 4096"),
     ((RGB, b"\0" * 5), "32x16 bgr8 is 1536 bytes, got 5"),
     (({**RGB, "height": 10**12}, b"\0" * 1536), "bgr8 is 96000000000000 bytes, got 1536"),
     (({**RGB, "height": -1}, b""), "height: expected a whole number, got -1"),

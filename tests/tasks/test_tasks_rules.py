@@ -441,7 +441,7 @@ def test_where_it_stops_at_a_thing_the_robot_faces_it_at_last(words, x_m, y_m):
 def test_a_way_straight_on_that_is_blocked_is_refused():
     with pytest.raises(TrajectoryError, match=r"the path straight on is blocked after 6\.0 m"):
         driven("go straight for 9 metres")
-    with pytest.raises(TrajectoryError, match=r"a path straight on has at most 1000 m$"):
+    with pytest.raises(TrajectoryError, match=r"is too long: at most 1000 m$"):
         driven("go straight for 1001 metres")
 
 

@@ -226,7 +226,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         'go to "check kettle in the kitchen", then go to "here"'
     """
     if permits := _PERMITS.match(text):
-        hint = "an order, or a permission? say 'go to …', or 'you may go to … again'"
+        hint = "unclear if an order or a permission; say 'go to …', or 'you may go to … again'"
         raise UnclearError(f"instruction: {permits[0]!r}: {hint}", permits[0])
     marked, known = mark_places(text, places)
     text = f" {marked}"
@@ -262,10 +262,12 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     text = restore_places(text, known)
     text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
     if dangling := _DANGLING.search(text):
-        hint = "unclear what to do with the second one; say it in a sentence of its own"
+        hint = "unclear what to do with the second thing; name it in a sentence of its own"
         raise UnclearError(f"instruction: {dangling[0].strip()}: {hint}", dangling[0].strip())
     if _ON_THE_WAY.search(text):
-        raise UnclearError("instruction: 'on the way': name what comes first, first")
+        raise UnclearError(
+            "instruction: 'on the way': unclear order; say first what the robot does first"
+        )
     if room := _SOME_ROOM.search(text):
         raise UnclearError(f"instruction: {room[0]!r}: unclear which room; name it", room[0])
     if loose := _LOOSE.search(text):
@@ -361,7 +363,7 @@ def _explored(found: re.Match[str]) -> str | None:
     if not all(is_room(room) for room in rooms if room) or (time and len(rooms) > 1):
         return None
     if vague := [room for room in rooms if room and is_vague(room)]:
-        raise UnclearError(f"instruction: {vague[0]!r}: unclear which one; name it", vague[0])
+        raise UnclearError(f"instruction: {vague[0]!r}: unclear which room; name it", vague[0])
     orders = [_go_to(f"{EXPLORED}{f' {room}' * bool(room)}{time}") for room in rooms]
     return orders[0] + "".join(
         j.rstrip() + order for j, order in zip(joints, orders[1:], strict=True)

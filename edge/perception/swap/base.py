@@ -245,7 +245,7 @@ class ModelSwap(Generic[Model]):
         """
         if self._attempt is not None:
             raise SwapError(
-                f"{self._attempt.name} is still {self.state}; wait until that swap ends"
+                f"the swap to {self._attempt.name} is still {self.state}; wait until it ends"
             )
         if name == self.running and not again:
             raise SwapError(f"{name} runs already")
