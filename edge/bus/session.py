@@ -288,18 +288,18 @@ class Ring:
     def __init__(self, session: zenoh.Session, key: str, kept: int) -> None:
         self.overruns = 0
         self._full = False
-        self._key, self._kept = key, kept
+        self._key, self._capacity = key, kept
         self._arriving = self._declare(session, key, zenoh.handlers.RingChannel(kept))
 
     def take(self) -> list[zenoh.Sample]:
         """Return the messages since the last poll, oldest first; at most `kept`."""
         samples: list[zenoh.Sample] = []
         # Not until the ring is empty: with a fast sender that would never end.
-        while len(samples) < self._kept:
+        while len(samples) < self._capacity:
             if (sample := self._arriving.try_recv()) is None:
                 break
             samples.append(sample)
-        was_full, self._full = self._full, len(samples) == self._kept > 1
+        was_full, self._full = self._full, len(samples) == self._capacity > 1
         if was_full and self._full:
             self._overrun()
         return samples
@@ -317,7 +317,7 @@ class Ring:
         if self.overruns == 1:
             log.warning("%s: messages arrive faster than they are read: only the newest %d of each "
                         "poll are kept (further such polls are only counted)",
-                        self._key, self._kept)  # fmt: skip
+                        self._key, self._capacity)  # fmt: skip
 
 
 class QueryRing(Ring):

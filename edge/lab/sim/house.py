@@ -127,7 +127,9 @@ def load_house(section: WorldHouse, config: Config) -> BoxWorld:
     path = built_in if built_in.is_file() else resources.expand(section.house)
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in HOUSES.glob("*.json")))
-        raise WorldError(f"{config.at('sim.world.house')}: no file {path} (built-in: {choices})")
+        raise WorldError(
+            f"{config.locate('sim.world.house')}: no file {path} (built-in: {choices})"
+        )
     return build_house(read_house(path), config)
 
 

@@ -57,7 +57,7 @@ def soak_config(config: Config, out: Path) -> Config:
         UserError: it runs in lockstep, and not in real time.
     """
     if config.loop.lockstep or config.sim.lockstep:
-        where = config.at("loop.lockstep", "sim.lockstep")
+        where = config.locate("loop.lockstep", "sim.lockstep")
         raise UserError(f"{where}, sim.lockstep: a soak runs in real time; set both to false")
     zenoh = {"endpoint": _endpoint(), "file": None, "client_file": None}
     http = {"host": "127.0.0.1", "port": free_port(), "token_file": None}

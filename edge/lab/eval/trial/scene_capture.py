@@ -105,7 +105,9 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
     sim = config.sim.model_copy(update={"world": WorldStreet(seed=seed), "start": None})
     config = config.model_copy(update={"sim": sim})
     if config.sensors.lidar is None:
-        raise SceneCaptureError(f"{config.at('sensors.lidar')}: a street needs a LiDAR: add one")
+        raise SceneCaptureError(
+            f"{config.locate('sensors.lidar')}: a street needs a LiDAR: add one"
+        )
     world = load_world(config)
     camera, lidar = CameraRig(config, world), LidarRig(config, world)
     camera.look(world.start)
@@ -160,14 +162,15 @@ def detector_pipeline(
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
         raise SceneCaptureError(
-            f"{config.at('perception.detector.kind')}: sim sees nothing in a real picture: choose "
-            "a model (onnx), or use --objects labels"
+            f"{config.locate('perception.detector.kind')}: sim sees nothing in a real picture: "
+            "choose a model (onnx), or use --objects labels"
         )
     # The detector always looks for its background, but it needs at least one word.
     words = tuple(words) or tuple(detector.background or ())[:1]
     if not words:
         raise SceneCaptureError(
-            f"{config.at('perception.detector.background')}: empty; give names of objects to find"
+            f"{config.locate('perception.detector.background')}: empty; "
+            "give names of objects to find"
         )
     with open_pipeline(config.perception, words, truth) as pipeline:
         yield pipeline, detector.model if detector.kind == "onnx" else "the simulated detector"
@@ -177,7 +180,7 @@ def _plugin_pipeline(
     config: Config, own: PipelinePlugin, words: tuple[str, ...]
 ) -> PerceptionPipeline:
     """Return the plugin pipeline of `tasks.pipeline`; its errors become `SceneCaptureError`."""
-    where = config.at("tasks.pipeline")
+    where = config.locate("tasks.pipeline")
     given: dict[str, Any] = {"perception": config.perception, "words": words}
     needs = ("tags", "boxes", "masks", "captions", "embeddings")
     make = component_factory(
