@@ -24,15 +24,16 @@ _IN_PLACE = "_base64"
 
 # TLS alerts of the peer: RFC 8446, section 6.2. OpenSSL puts the protocol before the name.
 _ALERTS = {
-    "CERTIFICATE_REQUIRED": "it requires a client certificate, and {file} names none "
+    "CERTIFICATE_REQUIRED": "the server requires a client certificate, and {file} names none "
     "(transport/link/tls: enable_mtls, connect_certificate, connect_private_key)",
-    "UNKNOWN_CA": "it does not trust the issuer of our certificate",
-    "DECRYPT_ERROR": "it does not trust the issuer of our certificate",
-    "BAD_CERTIFICATE": "it rejects our certificate",
-    "CERTIFICATE_EXPIRED": "our certificate is out of date, or the clock there is wrong ({file})",
+    "UNKNOWN_CA": "the server does not trust the issuer of our certificate",
+    "DECRYPT_ERROR": "the server does not trust the issuer of our certificate",
+    "BAD_CERTIFICATE": "the server rejects our certificate",
+    "CERTIFICATE_EXPIRED": "our certificate is out of date, or the clock of the server is wrong "
+    "({file})",
     "CERTIFICATE_REVOKED": "our certificate was revoked",
-    "CERTIFICATE_UNKNOWN": "it rejects our certificate",
-    "ACCESS_DENIED": "it rejects our certificate",
+    "CERTIFICATE_UNKNOWN": "the server rejects our certificate",
+    "ACCESS_DENIED": "the server rejects our certificate",
 }
 _OUT_OF_DATE = (9, 10)  # X509_V_ERR_CERT_NOT_YET_VALID, …_HAS_EXPIRED
 _NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
@@ -114,7 +115,7 @@ def _tls_refusal(
     try:
         context = _context(endpoint, found)
     except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
-        return f"its certificates cannot be used: {one_line(error)}"
+        return f"the certificates of {file} cannot be used: {one_line(error)}"
     try:
         with context.wrap_socket(plain, server_hostname=host) as secure:
             # With TLS 1.3 the server checks our certificate after our side of the handshake.
@@ -122,9 +123,9 @@ def _tls_refusal(
     except ssl.SSLCertVerificationError as error:
         if error.verify_code in _OUT_OF_DATE:
             said = one_line(error.verify_message)
-            return f"its certificate is out of date, or the clock here is wrong ({said})"
+            return f"the server's certificate is out of date, or the clock here is wrong ({said})"
         return (
-            f"its certificate is not trusted ({one_line(error.verify_message)}); "
+            f"the server's certificate is not trusted ({one_line(error.verify_message)}); "
             f"see transport/link/tls/root_ca_certificate in {file}"
         )
     except ssl.SSLError as error:
@@ -133,8 +134,8 @@ def _tls_refusal(
             if reason.endswith(alert):
                 return says.format(file=file)
         if reason in _NO_TLS:
-            return "it does not speak TLS: give its endpoint as tcp/…"
-        return f"TLS is not agreed on ({one_line(reason or error)})"
+            return "the server does not speak TLS: give its endpoint as tcp/…"
+        return f"client and server agree on no kind of TLS ({one_line(reason or error)})"
     except OSError:  # no answer yet, as from a Zenoh that waits for us, or connection closed
         pass
     return _NOT_TAKEN_IN_TLS.format(file=file)

@@ -124,8 +124,8 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
         kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")
     }
     frozen = "no pixel has changed over {value:.1f} m of driving"
-    uncover, restart = "uncover the camera, or restart its driver", "restart its driver"
-    unit = "correct its unit (32FC1 is m, 16UC1 is mm) or the camera's mount"
+    uncover, restart = "uncover the camera, or restart its driver", "restart the driver"
+    unit = "correct the unit of the depth (32FC1 is m, 16UC1 is mm), or the camera's mount"
     table = (
         DataCheck("depth_empty", lambda f: f.depth_valid,
                   "camera/depth: only {value:.1%} of the pixels have a value",
@@ -138,7 +138,7 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "cannot be in metres", unit, "stand", highest=1.0, leaves=leaves["depth"]),
         DataCheck("depth_motion", lambda f: f.depth_misfit,
                   "camera/depth: {value:.0%} of the points do not move as the pose does",
-                  "check delay and stamps of the images, the odometry and the camera's mount",
+                  "check delay and stamps of the images, the odometry, and the camera's mount",
                   "stand", highest=MISFIT, leaves=leaves["depth"]),
         DataCheck("cloud_empty", lambda f: f.cloud_points, "lidar: no point has a value",
                   "uncover the LiDAR, or restart its driver",
@@ -158,8 +158,8 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "sensors: frames arrive {value:.1f} s later than the pose of the same time",
                   "speed up the driver or the link", "stand", highest=blind_s, leaves="map"),
         DataCheck("camera_axis", lambda f: f.axis_z,
-                  "camera: it looks up or down (z {value:+.2f} in the base frame)",
-                  "check that its frame is optical (z forward, x right)",
+                  "camera: its axis points up or down (z {value:+.2f} in the base frame)",
+                  "check that the camera's frame is an optical one (z forward, x right)",
                   "warn", lowest=-0.9, highest=0.7),
         DataCheck("floor", lambda f: f.floor_lost,
                   "map: no floor near the base, but ground far below; nothing is mapped",

@@ -106,7 +106,7 @@ def describe_item(item: Item) -> str:
     """Return one line about a place, zone or room name."""
     name = one_line(item.name)
     if isinstance(item, RoomName):
-        return f"room: {name} is the one around ({item.xy_m[0]:.2f}, {item.xy_m[1]:.2f})"
+        return f"room: {name} is the room around ({item.xy_m[0]:.2f}, {item.xy_m[1]:.2f})"
     if isinstance(item, Zone):
         words = "keep out of" if item.kind == "keep_out" else "stay inside"
         return f"zone: {words} {name} ({len(item.corners_m)} corners)"

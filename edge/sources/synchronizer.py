@@ -195,7 +195,7 @@ class TimeSynchronizer:
         if reason != "superseded" and (topic, reason) not in self._logged:
             self._logged.add((topic, reason))
             said = f"({detail}) " if detail else ""
-            log.warning("%s: message dropped: %s %s(further ones are only counted)", topic, reason,
+            log.warning("%s: dropped: %s %s(further ones are only counted)", topic, reason,
                         said)  # fmt: skip
 
     def _count_old(self, leader: SensorFrame, joined: _Joined) -> None:

@@ -29,7 +29,7 @@ from edge.tasks.trajectory import (
     point,
     shown,
 )
-from edge.text import one_line
+from edge.text import bounded_repr, one_line
 from edge.trajectory.smoothing import resample
 
 MOST_CAPTION_CHARS = 200
@@ -221,7 +221,7 @@ class ScriptFunctions:
         if type(id) is not int or id not in self._scene.objects:
             raise CallError(
                 f"id: expected the id of an object ({_choices(self._scene.objects)}), "
-                f"got {shown(id)}"
+                f"got {bounded_repr(id, 40)}"
             )
         return self._scene.objects[id]
 
@@ -232,7 +232,8 @@ class ScriptFunctions:
         for region in regions:
             if type(region) is not int or region not in known:
                 raise CallError(
-                    f"regions: expected ids of regions ({_choices(known)}), got {shown(region)}"
+                    f"regions: expected ids of regions ({_choices(known)}), "
+                    f"got {bounded_repr(region, 40)}"
                 )
         return frozenset(regions)
 

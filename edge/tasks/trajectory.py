@@ -116,7 +116,7 @@ def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryL
     # NaN fails this comparison too.
     if speed_mps is not None and not CREEP_MPS <= speed_mps <= limits.max_speed_mps:
         raise TrajectoryError(
-            f"speed_mps: {speed_mps:g} is not within {CREEP_MPS:g} to {limits.max_speed_mps:g}"
+            f"speed_mps: {speed_mps:g} is not within {CREEP_MPS:g} to {limits.max_speed_mps:g} m/s"
         )
     way = np.vstack([(scene.pose.x_m, scene.pose.y_m), coarse.points_m])
     steps_m = np.hypot(*np.diff(way, axis=0).T)

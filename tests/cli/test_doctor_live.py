@@ -112,7 +112,7 @@ AGO_NS = 3_600_000_000_000
         (put("rgb", np.zeros_like), "fail", "camera/rgb: the image has one colour"),
         (put("rgb", lambda a: np.broadcast_to(np.arange(64, dtype=np.uint8)[:, None], a.shape)),
          "fail", "camera/rgb: no pixel has changed"),
-        (put("T_base_camera", lambda T: BODY), "warn", "camera: it looks up or down (z +1.00"),
+        (put("T_base_camera", lambda T: BODY), "warn", "camera: its axis points up or down (z"),
         (put("stamp_ns", lambda ns: ns - AGO_NS), "warn", "stamps: frames are 3600.0"),
     ],
     ids=["millimetres", "low floor", "no depth", "covered", "frozen", "body frame", "clock"],

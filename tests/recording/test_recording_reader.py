@@ -68,7 +68,7 @@ BOMBS = {
     "lz4, cut off": (chunk(lz4.frame.compress(SMALL)[:-8], len(SMALL), "lz4"), NOT_THE_SIZE),
     "none": (chunk(SMALL, 1000), NOT_THE_SIZE),
     "another codec": (chunk(SMALL, len(SMALL), "xz"), "unknown compression xz"),
-    "a size of all": (chunk(zstd(SMALL), 1 << 62, "zstd"), f"chunk of {1 << 62} bytes, at most"),
+    "a size of all": (chunk(zstd(SMALL), 1 << 62, "zstd"), f"chunk has {1 << 62} bytes, at most"),
     "checksum": (chunk(SMALL, len(SMALL), crc=zlib.crc32(SMALL) ^ 1), "checksum of a chunk"),
     "a long record": (
         chunk(struct.pack("<BQ", Opcode.MESSAGE, 1 << 62) + b"x", 10),

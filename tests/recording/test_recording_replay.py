@@ -355,7 +355,7 @@ def test_a_run_in_several_files(tmp_path):
     Recording(tmp_path / "other").steps(1).close()
     assert RecordedRun(files[0]).files == files
     same(files[0], 4)
-    with pytest.raises(RecordingError, match=r"begins in the middle of a run \(it is file 3\)"):
+    with pytest.raises(RecordingError, match=r"file 3 of a run: replay the first file"):
         replay(RecordedRun(files[2]))
     files[2].unlink()
     assert RecordedRun(files[0]).files == files[:2]
@@ -454,11 +454,11 @@ def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, wh
         ({"edge-recording": {"version": "1", "edge": "1"}}, b"{}", "damaged"),
         ({"edge-recording": {"version": "1", "edge": "1", "session": "a", "part": "0",
                              "config": '{"nonsense": 1}'}}, b"{}",
-         "its configuration is of edge 1 and cannot be used"),
+         "of edge 1, cannot be used"),
         ("good", b'{"entries": [{"n": 0, "kind": "spell"}]}', "damaged journal: KeyError"),
         ("good", b"[]", "damaged journal: TypeError"),
         ("good", b'{"entries": [{"n": 0, "kind": "jump", "now_ns": 1}], "observation": null, '
-                 b'"decisions": null}', "does not begin with a start"),
+                 b'"decisions": null}', "does not begin with the service"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_replayed_is_one_line(drive, tmp_path, metadata, payload, why):

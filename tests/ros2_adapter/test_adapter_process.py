@@ -131,7 +131,7 @@ def test_a_file_that_is_not_there_is_told(key):
 def test_without_ros_it_says_what_to_do_and_does_not_try_again(monkeypatch, capfd):
     """This Python has no rclpy, or had better not use it here."""
     monkeypatch.setenv("PYTHONPATH", "")
-    with pytest.raises(UnavailableError, match="the node cannot run here"):
+    with pytest.raises(UnavailableError, match="node cannot run here"):
         process.supervise(adapted({"python": bare_python()}), threading.Event())
     assert "no rclpy" in capfd.readouterr().err
 

@@ -143,7 +143,7 @@ BAD = [
     (({**RGB, "encoding": "jpeg"}, b""), r"encoding: unknown 'jpeg' \(choices: rgb8"),
     (({**RGB, "topic": []}, b""), r"topic: unknown \[\] \(choices"),
     (({**RGB, "encoding": {}}, b""), r"encoding: unknown \{\} \(choices"),
-    (({**RGB, "topc": 1}, b""), r"unknown 'topc' \(choices: topic, stamp"),
+    (({**RGB, "topc": 1}, b""), r"unknown field 'topc' \(choices: topic, stamp"),
     (({**RGB, "intrinsics": [1, 2]}, b"\0" * 1536), r"intrinsics: expected \[fx, fy, cx, cy\]"),
     (({**RGB, "intrinsics": [10**400] * 4}, b"\0" * 1536), r"intrinsics: expected"),
     (({**RGB, "intrinsics": [0, 0, 0, 0]}, b"\0" * 1536), "focal|camera|fx"),

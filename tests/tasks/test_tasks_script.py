@@ -58,7 +58,7 @@ def test_a_script_gives_a_trajectory(functions):
         ("x = 1 +", "line 1: Expected an expression"),
         ("\n\nfoo()", "line 3: NameError: name 'foo' is not defined"),
         ("offset(1, 'top')", "line 1: ValueError: offset: side: expected behind, left, "),
-        ("offset(1)", r"line 1: TypeError: offset: missing a required argument: 'side'; it is "
+        ("offset(1)", r"line 1: TypeError: offset: missing a required argument: 'side'; call it as "
                       r"offset\(id, side, distance_m=1.0, seen_from=None\)"),
         ("give_trajectory([(8, 0)])", "line 1: ValueError: point 1 of segment 1, .* is occupied"),
         ("import numpy", "line 1: ModuleNotFoundError: No module named 'numpy'"),
