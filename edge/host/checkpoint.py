@@ -230,7 +230,9 @@ def check_arrays(
             shape = (min((*state[group[0]].shape[:1], rows[group])), *shape[1:])
         is_text = array.dtype.kind == model.dtype.kind == "U"
         if array.shape != shape or not (is_text or array.dtype == model.dtype):
-            raise ValueError(f"{name}: {array.dtype} {array.shape}, expected {model.dtype} {shape}")
+            raise ValueError(
+                f"{name} is {array.dtype} {array.shape}, expected {model.dtype} {shape}"
+            )
         if is_text:
             _check_names(name, array)
         elif array.size and array.dtype.kind in "if":

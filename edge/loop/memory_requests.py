@@ -70,7 +70,7 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
         return _picture(service, request.fields["id"])
     name, room = request.fields.get("name", ""), request.fields.get("room", "")
     if room and not rooms.matching(room):
-        raise UserError(f"room: no room is known as {one_line(room)}")
+        raise UserError(f"room: no room called {one_line(room)} is known; `do: rooms` lists them")
     sightings, pose = service.map.objects.read_only, service.pose
     known = partial(
         known_objects, sightings, service.stamp_ns, service.config.perception.min_hits,

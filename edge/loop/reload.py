@@ -169,7 +169,9 @@ class Reloader:
             return
         self._swapping = None
         if swap["state"] != "kept":
-            raise ReloadError(f"perception.detector: {swap['state']}: {swap['detail']}")
+            raise ReloadError(
+                f"perception.detector: the new model was {swap['state']}: {swap['detail']}"
+            )
         self._switch(ready, now_ns)
 
     def _switch(self, ready: _Ready, now_ns: int) -> None:
@@ -214,7 +216,7 @@ def _check_at_rest(swapper: DetectorSwap, running: str) -> None:
     if swap["state"] not in ("idle", *FINAL_STATES):
         raise ReloadError(
             f"perception.detector: {swap['model']} is still {swap['state']}; "
-            "reload again when that is over"
+            "reload again after this swap"
         )
     if swapper.running != running:
         raise ReloadError(

@@ -99,7 +99,7 @@ def read_small(url: str, limits: DownloadLimits = LIMITS) -> bytes:
             for block in response.iter_raw():
                 content += block
                 if len(content) > limits.small_bytes:
-                    raise FetchError(f"is longer than {limits.small_bytes} bytes")
+                    raise FetchError(f"the file is longer than {limits.small_bytes} bytes")
     except FetchError as error:
         raise FetchError(f"{printable_url(url)}: {error}") from None
     return bytes(content)
@@ -225,7 +225,7 @@ def _answer(
                 _check_status(response)
                 yield response
     except (httpx.InvalidURL, httpx.UnsupportedProtocol) as error:
-        raise FetchError(f"is not a valid address ({one_line(error)})") from None
+        raise FetchError(f"not a valid address ({one_line(error)})") from None
     except (httpx.ConnectError, UnicodeError) as error:
         raise FetchError(failure_reason(error)) from None
     except httpx.HTTPError as error:

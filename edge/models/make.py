@@ -125,7 +125,7 @@ def load_single_file_card(name: str) -> FileCard:
             f"model {name!r}: has two files, {' and '.join(parts)}; name a model of one file"
         )
     if card.server is not None:
-        raise ModelError(f"model {name!r}: has no file here, {install_hint(card)}")
+        raise ModelError(f"model {name!r}: has no file here: {install_hint(card)}")
     return card
 
 

@@ -115,7 +115,8 @@ class _Kept:
             self._left -= size - known
         if self._left < 0 or len(self._sizes) > MAX_KEPT:
             raise DamagedError(
-                f"more than {MAX_KEPT} schemas, channels and metadata, or {MAX_KEPT_BYTES} bytes"
+                f"more than {MAX_KEPT} schemas, channels and metadata records, or more than "
+                f"{MAX_KEPT_BYTES} bytes of them"
             )
 
 
@@ -167,7 +168,7 @@ def _record(opcode: int, body: bytes, kept: _Kept) -> Record:
         kept.add(opcode, record, len(body))
         return record
     if len(body) < _MESSAGE.size:
-        raise DamagedError("a message without its times")
+        raise DamagedError("a message is too short to have its times")
     return Message(*_MESSAGE.unpack_from(body), body[_MESSAGE.size :])
 
 

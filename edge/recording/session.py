@@ -73,7 +73,7 @@ def read_header(path: Path) -> RecordingHeader:
         edge = one_line(said["edge"], 40)
         return RecordingHeader(path, said["session"], int(said["part"]), edge, config)
     except (KeyError, ValueError, AttributeError):
-        raise RecordingError(f"{path}: damaged: its metadata cannot be read") from None
+        raise RecordingError(f"{path}: damaged: the metadata cannot be read") from None
 
 
 class RecordedRun:

@@ -186,7 +186,8 @@ class _Ros2Tap:
                 elif name not in self._warned:
                     self._warned.add(name)
                     log.warning(
-                        "%s: not recorded: its type is %s, expected %s", subscription.topic,
+                        "%s: messages are not recorded: their type is %s, expected %s",
+                    subscription.topic,
                         type_name or "unknown", " or ".join(subscription.types),
                     )  # fmt: skip
 

@@ -196,7 +196,7 @@ class ZmqSource(ZenohSource):
         topic = one_line(self._address)
         try:
             if len(parts) != 2:
-                raise ValueError(f"expected two parts, header and pixels, got {len(parts)}")
+                raise ValueError(f"expected two message parts, header and pixels, got {len(parts)}")
             if len(parts[0]) > MAX_HEADER:
                 raise ValueError(
                     f"header has {len(parts[0])} bytes, at most {MAX_HEADER} are allowed"

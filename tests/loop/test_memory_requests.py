@@ -48,7 +48,7 @@ def test_filters_leave_out_objects(loop):
     newest = ask(loop, f'{{"do": "list", "since_s": {since_s + 0.06}}}')["objects"]
     assert 0 < len(newest) <= len(objects)
     assert all(one["age_s"] <= since_s + 0.06 for one in newest)
-    with pytest.raises(UserError, match="no room is known as crypt"):
+    with pytest.raises(UserError, match="no room called crypt is known"):
         ask(loop, '{"do": "list", "room": "crypt"}')
     rooms = ask(loop, '{"do": "rooms"}')["rooms"]
     for room in rooms:

@@ -58,7 +58,7 @@ def perception(similarity, **detector):
     ("name", "expected"),
     [
         ("by-nobody", r"'by-nobody': no such card \(choices: tiny-by-detector, tiny-clip-image\)"),
-        ("tiny-clip-image", r"'tiny-clip-image': is a model of task 'image', not 'similarity'"),
+        ("tiny-clip-image", r"'tiny-clip-image': is a model of task 'image'; name one of task"),
     ],
 )
 def test_an_unknown_card_is_one_clear_line(cards, name, expected):

@@ -261,7 +261,7 @@ def test_what_cannot_be_compared_is_not_held_against_it(bench, monkeypatch, old,
 
 def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
     b = bench()
-    with pytest.raises(SwapError, match=r"^old runs already$"):
+    with pytest.raises(SwapError, match=r"^model old runs already$"):
         b.swapper.request("old", False, 0)
     b.swapper.request("new", False, 0)
     with pytest.raises(
@@ -273,7 +273,7 @@ def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
         b.swapper.request("old", False, 0)
     b.until("kept")
     b.new = Fake(ms=99)
-    with pytest.raises(SwapError, match=r"^new runs already$"):
+    with pytest.raises(SwapError, match=r"^model new runs already$"):
         b.swapper.request("new", False, 0)
 
 
@@ -406,7 +406,7 @@ def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(benc
     b.clock_s = 9.5
     b.swapper.step(0)
     assert b.swapper.state == "refused"
-    with pytest.raises(SwapError, match=r"^new, which was refused, is still loading; try ag"):
+    with pytest.raises(SwapError, match=r"^model new, which was refused, is still loading; try ag"):
         b.swapper.request("new", False, 0)
     b.new.go.set()
     eventually(lambda: b.new.closed)

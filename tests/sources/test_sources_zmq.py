@@ -109,7 +109,10 @@ def test_colour_and_depth_become_an_observation_as_they_were_sent():
 @pytest.mark.parametrize(
     ("parts", "said"),
     [
-        ((b"",), "every message on camera/rgb ({0}) is dropped: malformed (expected two parts"),
+        (
+            (b"",),
+            "every message on camera/rgb ({0}) is dropped: malformed (expected two message parts",
+        ),
         ((RGB, bytes(1536)), "no message yet on camera/depth ({0}), camera/info ({0})"),
     ],
 )
@@ -131,7 +134,7 @@ def test_what_a_camera_lacks_is_named_with_its_address(parts, said):
 
 
 BAD = [
-    ((b"",), "expected two parts, header and pixels, got 1"),
+    ((b"",), "expected two message parts, header and pixels, got 1"),
     ((b"", b""), "empty|JSON"),
     ((b"\xff\x00" * 9, b""), "JSON|UTF"),
     ((b"{" * 5000, b""), "header has 5000 bytes, at most 4096"),

@@ -177,7 +177,7 @@ def decode_compressed_into(
     """
     if out.shape[:2] != (header.height, header.width):
         height, width = out.shape[:2]
-        raise DecodeError(f"image {header.width}x{header.height}, expected {width}x{height}")
+        raise DecodeError(f"image is {header.width}x{header.height}, expected {width}x{height}")
     colour = header.content == "colour"
     if out.dtype != (np.uint8 if colour else np.float32):
         raise DecodeError(

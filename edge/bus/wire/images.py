@@ -122,7 +122,7 @@ def decode_image_into(
     encoding = header.encoding
     if out.shape[:2] != (header.height, header.width):
         height, width = out.shape[:2]
-        raise DecodeError(f"image {header.width}x{header.height}, expected {width}x{height}")
+        raise DecodeError(f"image is {header.width}x{header.height}, expected {width}x{height}")
     if out.dtype == np.uint8 and encoding in ("rgb8", *_TO_RGB):
         pixels = _pixels(payload, header, "u1")
         if encoding == "rgb8":

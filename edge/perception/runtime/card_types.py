@@ -487,7 +487,9 @@ class ChoiceCard(BaseCard):
     @model_validator(mode="after")
     def _can_be_shown_images(self) -> ChoiceCard:
         if self.vision_encoder is not None and self.embed_tokens is None:
-            raise ValueError("vision_encoder: needs embed_tokens, whose rows its features replace")
+            raise ValueError(
+                "vision_encoder: set embed_tokens too: image features replace rows of its output"
+            )
         return self
 
     @property

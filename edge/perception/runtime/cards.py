@@ -108,7 +108,9 @@ def load_card_of(kind: type[C], name: str) -> C:
     if isinstance(card, kind):
         return card
     wanted = next(task for task, other in _BY_TASK.items() if other is kind)
-    raise ModelError(f"model {card.name!r}: is a model of task {card.task!r}, not {wanted!r}")
+    raise ModelError(
+        f"model {card.name!r}: is a model of task {card.task!r}; name one of task {wanted!r}"
+    )
 
 
 def all_cards() -> list[Card]:
@@ -174,7 +176,7 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
     """
     path = card.path
     if card.server is not None:
-        raise ModelError(f"model {card.name}: has no file here, {install_hint(card)}")
+        raise ModelError(f"model {card.name}: has no file here: {install_hint(card)}")
     if not card.is_here():
         raise ModelError(f"{path}: model {card.name} is not there; {install_hint(card)}")
     if not _has_its_hash(card, path, believe_cache):
@@ -246,7 +248,7 @@ def _hold_to(
     found = path.stat().st_size
     if size is not None and found != size:
         what = "truncated" if found < size else "longer than expected"
-        raise ModelError(f"{path}: {what}: {found} of {size} bytes; {install_hint(card)}")
+        raise ModelError(f"{path}: {what}: {found} bytes, not {size}; {install_hint(card)}")
     believed = believe_cache and trusts_cache() and known_sha256(path) == expected
     if not believed and fresh_sha256(path) != expected:
         raise ModelError(

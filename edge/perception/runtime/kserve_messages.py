@@ -157,7 +157,8 @@ def _binary_size(entry: dict[str, Any]) -> int | None:
 def _tensor(entry: dict[str, Any], block: memoryview | None, wanted: Shape) -> np.ndarray:
     name, shape = entry["name"], _sizes(entry.get("shape"))
     if entry.get("datatype") != "FP32":
-        raise ValueError(f"{name!r} is {one_line(entry.get('datatype'), 40)}, must be FP32")
+        kind = one_line(entry.get("datatype"), 40)
+        raise ValueError(f"{name!r} has the datatype {kind}, must be FP32")
     if shape is None or not _fits(shape, wanted):
         is_ = one_line(entry.get("shape"), 60)
         raise ValueError(f"{name!r} has the shape {is_}, must be {_shown(wanted)}")
@@ -169,7 +170,7 @@ def _tensor(entry: dict[str, Any], block: memoryview | None, wanted: Shape) -> n
     try:
         numbers = np.asarray(entry.get("data"))
     except (ValueError, RecursionError):  # lists of different lengths, or too deep
-        raise ValueError(f"the data of {name!r} is no array") from None
+        raise ValueError(f"the data of {name!r} is not an array of numbers") from None
     if numbers.dtype.kind not in "iuf" or numbers.size != n:
         raise ValueError(f"the data of {name!r} is not {n} numbers")
     with np.errstate(over="ignore"):

@@ -98,8 +98,8 @@ class Decoder:
                 )
                 if not (isinstance(n, int) and isinstance(d, int)):
                     raise ModelError(
-                        f"{self._files.folder}: model {self._files.name}: neither the decoder nor "
-                        "config.json gives num_key_value_heads and head_dim"
+                        f"{self._files.folder}: model {self._files.name}: num_key_value_heads and "
+                        "head_dim are neither in the decoder nor in config.json; add them there"
                     )
                 yield name, np.empty((1, n, 0, d), DTYPES[value.type])
 

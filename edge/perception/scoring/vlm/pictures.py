@@ -177,7 +177,9 @@ def _qwen2_vl(
     times = _size(settings, "temporal_patch_size", _MAX_FRAMES, 2)
     resample = Image.Resampling(settings.get("resample", 3))
     if patch * merge > MAX_EDGE_PX:
-        raise ValueError(f"patch_size times merge_size is {patch * merge}, not 1 to {MAX_EDGE_PX}")
+        raise ValueError(
+            f"patch_size times merge_size is {patch * merge}, expected 1 to {MAX_EDGE_PX}"
+        )
     size = settings.get("size") or {}
     least = int(settings.get("min_pixels") or size["shortest_edge"])
     most = int(settings.get("max_pixels") or size["longest_edge"])
