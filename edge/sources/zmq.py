@@ -235,7 +235,7 @@ class ZmqSource(ZenohSource):
         if not self._disconnect_warned:
             self._disconnect_warned = True
             log.warning(
-                "%s: the camera disconnected, or its message was over %g MB "
+                "%s: the camera disconnected, or sent more than %g MB "
                 "(source.max_message_mb); connecting again (further times are not logged)",
                 one_line(self._address), self._max_bytes / 1e6,
             )  # fmt: skip

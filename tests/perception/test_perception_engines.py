@@ -301,7 +301,9 @@ def test_what_tensorrt_refuses_is_one_line_with_its_reason(gpu, open_tiny):
     with pytest.raises(ModelError, match="cannot build an engine: no kernel for that"):
         open_tiny()
     gpu.faults = ["no importer registered\nfor op: Strange"]
-    with pytest.raises(ModelError, match="cannot read it: no importer registered for op") as error:
+    with pytest.raises(
+        ModelError, match="cannot read the model: no importer registered for op"
+    ) as error:
         open_tiny()
     assert "\n" not in str(error.value)
 

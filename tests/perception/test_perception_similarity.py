@@ -58,7 +58,7 @@ def perception(similarity, **detector):
     ("name", "expected"),
     [
         ("by-nobody", r"'by-nobody': no such card \(choices: tiny-by-detector, tiny-clip-image\)"),
-        ("tiny-clip-image", r"'tiny-clip-image': is a model of task 'image'; name one of task"),
+        ("tiny-clip-image", r"'tiny-clip-image': is a model of task 'image', not 'similarity'"),
     ],
 )
 def test_an_unknown_card_is_one_clear_line(cards, name, expected):
@@ -127,7 +127,7 @@ def test_without_its_text_file_the_vocabulary_serves_a_pair(pair, tmp_path, monk
     with pytest.raises(PromptError, match="not in the vocabulary"):
         pair(prompts=("heron",))
     np.savez(path, names=np.array(["chair"]), emb=np.eye(1, 512))
-    with pytest.raises(ModelError, match=r"image embeddings have length 16, .* 512"):
+    with pytest.raises(ModelError, match=r"embeddings of the image encoder have length 16, .* 512"):
         pair()
 
 

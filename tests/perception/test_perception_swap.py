@@ -246,8 +246,9 @@ def test_force_does_not_take_what_is_not_finite(bench):
 @pytest.mark.parametrize(
     ("old", "related", "finding"),
     [
-        (Fake("old", score=0.2), True, "old found nothing on these images"),
-        (Fake("old", error=RuntimeError("dead")), True, "old found nothing on these images"),
+        (Fake("old", score=0.2), True, "old found nothing on these images to compare with"),
+        (Fake("old", error=RuntimeError("dead")), True,
+         "old found nothing on these images to compare with"),
         (Fake("old", box=(50, 0, 60, 9)), False,
          "finds 0 of the 2 boxes of old (another family: no reason to refuse it)"),
     ],
@@ -269,7 +270,7 @@ def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
     ):
         b.swapper.request("other", False, 0)
     b.until("on probation")
-    with pytest.raises(SwapError, match=r"^new is still on probation"):
+    with pytest.raises(SwapError, match=r"^the swap to new is still on probation"):
         b.swapper.request("old", False, 0)
     b.until("kept")
     b.new = Fake(ms=99)

@@ -108,9 +108,7 @@ def load_card_of(kind: type[C], name: str) -> C:
     if isinstance(card, kind):
         return card
     wanted = next(task for task, other in _BY_TASK.items() if other is kind)
-    raise ModelError(
-        f"model {card.name!r}: is a model of task {card.task!r}; name one of task {wanted!r}"
-    )
+    raise ModelError(f"model {card.name!r}: is a model of task {card.task!r}, not {wanted!r}")
 
 
 def all_cards() -> list[Card]:
@@ -248,7 +246,7 @@ def _hold_to(
     found = path.stat().st_size
     if size is not None and found != size:
         what = "truncated" if found < size else "longer than expected"
-        raise ModelError(f"{path}: {what}: {found} bytes, not {size}; {install_hint(card)}")
+        raise ModelError(f"{path}: {what}: {found} of {size} bytes; {install_hint(card)}")
     believed = believe_cache and trusts_cache() and known_sha256(path) == expected
     if not believed and fresh_sha256(path) != expected:
         raise ModelError(
