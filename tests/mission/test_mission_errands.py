@@ -125,7 +125,7 @@ def test_an_errand_is_spelled_out(said, plain):
         ("move along the wall", "along a thing"),
         ("go to the kitchen stop go to the bedroom", "two sentences"),
         ("find the cuff in rooms 3 and 4", "unclear what to do with the second"),
-        ("go to the hall, and on the way check if the cart is there", "what comes first"),
+        ("go to the hall, and on the way check if the cart is there", "unclear order; say first"),
         ("call the nurse", "in text"),
         ("follow me", "cannot follow"),
         ("go upstairs", "change floors"),
