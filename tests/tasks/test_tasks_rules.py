@@ -135,7 +135,7 @@ def test_instructions_that_are_understood(instruction, understood):
         ("go to the blue car on the right", "on the right", "no such thing is there"),
         ("go to the car behind you", "behind you", "no such thing is there"),
         ("go to the gate near the blue car", "near the blue car", "no such thing is there"),
-        ("go to the 0th car", "0th car", "there is none"),
+        ("go to the 0th car", "0th car", "there is no such object"),
         ("go to the nearest leftmost car", "leftmost car", "two ways; say only one"),
         ("go to the car nearest to the tram", "tram", "no object here has that name"),
         ("go to object 9", "9", "no object has that number"),
