@@ -147,7 +147,7 @@ class ChatClient:
         with self._lock:
             self._closed, exchanges = True, tuple(self._under_way)
         for exchange in exchanges:
-            exchange.give_up(RequestCancelledError())
+            exchange.cancel(RequestCancelledError())
 
     def _reply(
         self, messages: list[dict[str, Any]], left_s: float | None, options: dict[str, Any]

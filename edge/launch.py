@@ -118,20 +118,20 @@ def open_service(
     make_policy = find_policy(config.policy, config.origin("policy"))
     if not any(sink.kind in ("zenoh", "ros2") or ":" in sink.kind for sink in config.sinks):
         log.warning("%s: no zenoh or ros2 sink: no motion controller receives goals; add one to "
-                    "drive a robot", config.at("sinks"))  # fmt: skip
+                    "drive a robot", config.locate("sinks"))  # fmt: skip
     with ExitStack() as stack:
-        mission, checkpoint, brief = config.mission, None, None
+        mission, checkpoint, spec = config.mission, None, None
         site = SiteFile(None if mission.site is None else resources.expand(mission.site))
         stack.callback(site.close)
         if mission.checkpoint is not None:
             named = next((text for text in (task, formula, asked) if text is not None), None)
             checkpoint = ServiceCheckpoint(config, resources.expand(mission.checkpoint), named)
             stack.callback(checkpoint.close)
-            brief = checkpoint.saved_spec()
-        idle = mission.on_request and brief is None and {asked, formula, task} == {None}
-        if brief is None:
+            spec = checkpoint.saved_spec()
+        idle = mission.on_request and spec is None and {asked, formula, task} == {None}
+        if spec is None:
             progress("understanding the mission")
-            brief = prepare_mission(config, task, site.known, formula=formula)
+            spec = prepare_mission(config, task, site.known, formula=formula)
         raise_if_stopped(stop)
         session = stack.enter_context(
             zenoh_session(
@@ -155,11 +155,11 @@ def open_service(
         lockstep = config.loop.lockstep
         masker = run_unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
         progress("loading the detector")
-        detector = _load(config, brief.prompts, make_ground_truth(config, session), stop, progress)
+        detector = _load(config, spec.prompts, make_ground_truth(config, session), stop, progress)
         worker = DetectorWorker(detector, lockstep, masker)
         stack.callback(worker.close)
         progress("loading the scorers")
-        scorers = run_unless_stopped(partial(make_scorers, config, brief.prompts), stop)
+        scorers = run_unless_stopped(partial(make_scorers, config, spec.prompts), stop)
         if scorers is not None:
             stack.callback(scorers.close)
         run_unless_stopped(partial(warm_up, config, progress), stop)
@@ -175,7 +175,7 @@ def open_service(
             }
 
         service = Service(
-            config, brief, worker, policy, every, checkpoint, scorers, overruns,
+            config, spec, worker, policy, every, checkpoint, scorers, overruns,
             calibration.load(), idle, inputs=getattr(source, "input_table", tuple), site=site,
         )  # fmt: skip
         stack.callback(service.close)

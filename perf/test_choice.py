@@ -63,7 +63,7 @@ def test_two_questions_against_two_prefills(benchmark, against, tmp_path, monkey
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     session = ort.InferenceSession(str(card.path_of(card.decoder)), options)
-    nothing = model._decoder.nothing.kept
+    nothing = model._decoder.nothing.arrays
 
     def read_whole() -> None:
         words = view(next(views))

@@ -33,7 +33,7 @@ def test_a_tick_that_nobody_looks_at(benchmark, closed):
     sink, result = LiveSink(), closed.service.result(1, closed.observe())
     benchmark.extra_info["budget"] = "live_tick_unseen"
     benchmark(sink.tick, result)
-    assert sink.moment is None
+    assert sink.snapshot is None
 
 
 def test_a_tick_that_is_looked_at(benchmark, closed):
@@ -45,7 +45,7 @@ def test_a_tick_that_is_looked_at(benchmark, closed):
     def fresh():
         nonlocal now_s
         now_s += PERIOD_S
-        sink.look()
+        sink.mark_watched()
         return (service.result(1, observation),), {}
 
     benchmark.extra_info["budget"] = "live_tick_seen"
@@ -54,7 +54,7 @@ def test_a_tick_that_is_looked_at(benchmark, closed):
 
 def test_what_is_asked_five_times_a_second(benchmark, closed):
     view = LiveView(closed.config, ServiceHealth(SystemdNotifier({})))
-    view.sink.look()
+    view.sink.mark_watched()
     view.sink.tick(closed.service.result(1, closed.observe()))
     benchmark.extra_info["budget"] = "live_now"
     assert len(benchmark(view.pages()["/live/now"]).body) > 500

@@ -46,7 +46,7 @@ def file_of(cells: int) -> bytes:
     copier, packed = TileCopier(), PackedTiles()
     grid.window.written[:] = True
     copier.step(grid.window, grid.planes, grid.window.written.size)
-    packed.update(copier.take()[1])
+    packed.update(copier.collect()[1])
     saved = state_of(parts_of(grid, c), NOW, "", ("bed",), "bed")
     tiles = packed.state_dict(saved.arrays["map/origin"], grid.window.n)
     arrays = {f"tiles/{name}": array for name, array in tiles.items()}
@@ -64,7 +64,7 @@ def test_copying_what_changed(benchmark, cells):
 
     def written() -> None:
         update()
-        copier.take()
+        copier.collect()
 
     def copy() -> None:
         assert copier.step(grid.window, grid.planes, MOST_PER_STEP + grid.tiles_of_update)

@@ -135,8 +135,8 @@ def test_unknown_ratio_of_200_candidates(benchmark):
 def test_reach_step_in_the_open(benchmark):
     benchmark.extra_info["budget"] = "reach_step"
     m = explored_map(1000)
-    benchmark.pedantic(m.reach.step, args=(SE2(0.0, 0.0, 0.0),), rounds=500, warmup_rounds=20)
-    assert m.reach.generation > 0
+    benchmark.pedantic(m.travel_cost.step, args=(SE2(0.0, 0.0, 0.0),), rounds=500, warmup_rounds=20)
+    assert m.travel_cost.generation > 0
 
 
 def test_where_the_detector_looked(benchmark):
@@ -149,7 +149,7 @@ def test_where_the_detector_looked(benchmark):
     )
 
     def step() -> None:
-        m.coverage.look(next(views), 3.0, 3)
+        m.coverage.on_image(next(views), 3.0, 3)
 
     benchmark.pedantic(step, rounds=500, warmup_rounds=20)
     assert m.coverage.looks.any()
@@ -159,7 +159,7 @@ def test_step_of_the_search_for_a_view(benchmark):
     """In an open hall of 50 m, where all can be reached and nothing was looked at: the dearest."""
     benchmark.extra_info["budget"] = "coverage_search_step"
     m = explored_map(1000)
-    while m.reach.generation == 0:
-        m.reach.step(SE2(0.0, 0.0, 0.0))
-    m.coverage.look(Observation(0, 0, np.eye(4), camera=CAMERA), 3.0, 3)
-    benchmark.pedantic(m.coverage.search, args=(m.reach,), rounds=100, warmup_rounds=5)
+    while m.travel_cost.generation == 0:
+        m.travel_cost.step(SE2(0.0, 0.0, 0.0))
+    m.coverage.on_image(Observation(0, 0, np.eye(4), camera=CAMERA), 3.0, 3)
+    benchmark.pedantic(m.coverage.search, args=(m.travel_cost,), rounds=100, warmup_rounds=5)

@@ -26,7 +26,7 @@ def unordered(k: int):
 
 
 def half_known(automaton) -> MissionKnowledge:
-    letters = automaton.letters
+    letters = automaton.propositions
     k = len(letters)
     metres = np.random.default_rng(0).uniform(1.0, 20.0, (k + 1, k))
     return MissionKnowledge(frozenset(letters[::2]), frozenset(), frozenset(), metres)
@@ -46,7 +46,7 @@ def test_replan(benchmark, name, config, k):
     automaton = unordered(k)
     assert automaton.n_states == 1 << k
     planner, knowledge = make_planner(config, automaton), half_known(automaton)
-    plan = benchmark(planner.plan, 0, knowledge, automaton.letters[-1])
+    plan = benchmark(planner.plan, 0, knowledge, automaton.propositions[-1])
     assert plan.feasible
     assert len(plan.steps) == k
 

@@ -78,7 +78,7 @@ def test_detect(benchmark, detector, against):
     benchmark.extra_info["budget"] = "detect_int8_cpu_256x320"
     seen = observe()
     detector.detect(seen)
-    against(detector._asked.bound.run, time.perf_counter)
+    against(detector._prompt_set.bound.run, time.perf_counter)
     benchmark.pedantic(detector.detect, (seen,), rounds=60, warmup_rounds=5)
 
 
@@ -87,11 +87,11 @@ def test_around_the_network(benchmark, detector):
     benchmark.extra_info["budget"] = "detect_pre_and_post"
     seen = observe()
     detector.detect(seen)
-    boxes, scores = detector._asked.bound.run()
+    boxes, scores = detector._prompt_set.bound.run()
 
     def around():
         detector._fill_input(seen.rgb)
-        return detector._pick(detector._asked, boxes[0], scores[0])
+        return detector._pick(detector._prompt_set, boxes[0], scores[0])
 
     benchmark(around)
 
@@ -144,7 +144,7 @@ def test_lift(benchmark, way):
     lifter = BackProjector(
         config.PerceptionConfig(detector=config.DetectorSim(), back_projection=way)
     )
-    out, _ = benchmark(lifter.lift, boxes_in(seen, 20))
+    out, _ = benchmark(lifter.back_project, boxes_in(seen, 20))
     assert out.valid.any()
 
 
@@ -154,9 +154,9 @@ def test_track(benchmark):
     perception = config.PerceptionConfig(detector=config.DetectorSim())
     tracker, lifter = InstanceTracker(perception), BackProjector(perception)
     for seed in range(20):
-        tracker.update(lifter.lift(boxes_in(observe(seed), 20, seed))[0], seed)
+        tracker.update(lifter.back_project(boxes_in(observe(seed), 20, seed))[0], seed)
     seen = observe()
-    lifted, _ = lifter.lift(boxes_in(seen, 8))
+    lifted, _ = lifter.back_project(boxes_in(seen, 8))
 
     def step():
         tracker.update(lifted, 1_000_000_000)
@@ -172,24 +172,29 @@ def test_sightings(benchmark):
     perception = config.PerceptionConfig(detector=config.DetectorSim())
     sightings, lifter = ObjectTracker(perception), BackProjector(perception)
     for seed in range(20):
-        lifted, _ = lifter.lift(boxes_in(observe(seed), 20, seed))
-        sightings.look(lifted, lifter.lift(boxes_in(observe(seed), 20, seed + 100, WORDS))[0])
+        lifted, _ = lifter.back_project(boxes_in(observe(seed), 20, seed))
+        sightings.update(
+            lifted, lifter.back_project(boxes_in(observe(seed), 20, seed + 100, WORDS))[0]
+        )
     seen = observe()
-    targets, _ = lifter.lift(boxes_in(seen, 8))
-    around, _ = lifter.lift(boxes_in(seen, 20, 2, WORDS))
-    benchmark(sightings.look, targets, around)
-    assert sightings.shown.n > 50
+    targets, _ = lifter.back_project(boxes_in(seen, 8))
+    around, _ = lifter.back_project(boxes_in(seen, 20, 2, WORDS))
+    benchmark(sightings.update, targets, around)
+    assert sightings.read_only.n > 50
 
 
 def test_five_thousand_objects(benchmark, against):
     """The same look in a memory of 5,000 objects on 3,600 m², and in one of 400 as dense."""
     benchmark.extra_info["budget"] = "sightings_look_5000"
     seen, lifter = observe(), BackProjector(config.PerceptionConfig(detector=config.DetectorSim()))
-    boxes = lifter.lift(boxes_in(seen, 8))[0], lifter.lift(boxes_in(seen, 20, 2, WORDS))[0]
+    boxes = (
+        lifter.back_project(boxes_in(seen, 8))[0],
+        lifter.back_project(boxes_in(seen, 20, 2, WORDS))[0],
+    )
     few, many = (full_of(n) for n in (400, 5000))
-    against(lambda: few.look(*boxes))
-    benchmark(many.look, *boxes)
-    assert many.shown.n > 4900
+    against(lambda: few.update(*boxes))
+    benchmark(many.update, *boxes)
+    assert many.read_only.n > 4900
 
 
 def full_of(n):

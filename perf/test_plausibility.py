@@ -40,6 +40,8 @@ def test_judging_an_observation(benchmark, against, budget, step_m):
     there_and_back = itertools.cycle((*frames, *frames[-2:0:-1]))
     now_ns = itertools.count(0, TICK_NS)
     benchmark.pedantic(
-        lambda: stage.judge(next(there_and_back), next(now_ns)), rounds=500, warmup_rounds=20
+        lambda: stage.permitted_use(next(there_and_back), next(now_ns)),
+        rounds=500,
+        warmup_rounds=20,
     )
     assert stage.failed == ()

@@ -60,9 +60,9 @@ def test_score_by_values_30(benchmark, kind):
     """Thirty frontiers, of which half are promising: the tour takes as many as it may."""
     benchmark.extra_info["budget"] = f"score_{kind}_30"
     m = explored_map(1000)
-    while m.reach.generation == 0:
-        m.reach.step(POSE)
-    m.values.begin(("chair",))
+    while m.travel_cost.generation == 0:
+        m.travel_cost.step(POSE)
+    m.values.set_targets(("chair",))
     m.values.weight[:] = 1
     high = np.random.default_rng(3).random(m.values.value.shape) < 0.03
     m.values.value[:] = np.where(high, 40000, 4000)
@@ -71,7 +71,7 @@ def test_score_by_values_30(benchmark, kind):
     pool.measure(m)
     policy = make_policy({"vlfm": config.PolicyVlfm, "adaptive": config.PolicyAdaptive}[kind]())
     context = PolicyInput(
-        detections(stamp_ns=1).observation, POSE, MapView(m), (0, 0, 0, 0), pool.shown, None,
+        detections(stamp_ns=1).observation, POSE, MapView(m), (0, 0, 0, 0), pool.read_only, None,
         ScorerOutputs(), ("chair",), "chair", 2,
     )  # fmt: skip
     score = benchmark.pedantic(policy.score, args=(context,), rounds=500, warmup_rounds=20)
@@ -83,8 +83,8 @@ def test_score_and_select_200(benchmark):
     """Every round looks with fresh candidates, so that eq. 3 is worked out for all in view."""
     benchmark.extra_info["budget"] = "score_and_select_200"
     m = explored_map(1000)
-    while m.reach.generation == 0:
-        m.reach.step(POSE)
+    while m.travel_cost.generation == 0:
+        m.travel_cost.step(POSE)
     pool = CandidatePool(CANDIDATES, 0.01)
     pool.update(around(CANDIDATES), [], 1, 1)
     settings = config.Config(perception=config.PerceptionConfig(detector=config.DetectorSim()))
@@ -97,7 +97,7 @@ def test_score_and_select_200(benchmark):
         POSE,
         MapView(m),
         (0, 0, 0, 0),
-        pool.shown,
+        pool.read_only,
         seen,
         ScorerOutputs(),
         ("chair",),
@@ -107,7 +107,7 @@ def test_score_and_select_200(benchmark):
 
     def fresh() -> None:
         policy.reset("mission")
-        goals.drop()
+        goals.abandon()
 
     def score_and_select():
         return goals.choose(context, m, scores_of(policy, context), 0)

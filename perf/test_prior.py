@@ -53,7 +53,7 @@ def test_nothing_new(benchmark, seen):
 
     def look() -> None:
         prior.step(regions, sightings)
-        prior.lift("television", places, PLACES, out)
+        prior.likelihood_ratio("television", places, PLACES, out)
 
     benchmark(look)
     assert out.std() > 0
@@ -67,7 +67,7 @@ def test_all_new(benchmark, seen):
 
     def look() -> None:
         sightings.generation += 1
-        prior.lift("television", places, PLACES, out)
+        prior.likelihood_ratio("television", places, PLACES, out)
 
     benchmark(look)
     assert out.std() > 0

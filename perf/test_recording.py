@@ -64,7 +64,7 @@ def test_record_a_tick_in_the_loop(benchmark, results):
 
     def one_pass():
         for result in ticks:
-            teller.take(result)
+            teller.capture(result)
 
     benchmark.extra_info["budget"] = "record_take_32"
     benchmark(one_pass)

@@ -208,7 +208,7 @@ def test_odometry_to_goal_through_the_adapter(benchmark, tmp_path):
             while robot.stdout.readline() != f"goal {stamp_ns}\n":
                 pass
 
-        eventually(send_goal.served)
+        eventually(send_goal.has_server)
         until_found(source, bring)
         measure(benchmark, "odometry_to_goal_adapter", see, trip)
         source.close()

@@ -30,7 +30,7 @@ class Idle:
 
     name = "idle"
 
-    def look(self, question: object) -> None:
+    def prepare(self, question: object) -> None:
         return None
 
     def answer(self, looked: object) -> None:
@@ -68,8 +68,8 @@ def test_choose_mini_house(benchmark, against):
     scorer = open_choice(config.ChoiceOnnx(card="mini-house-choice", threads=1))
     marks = tuple(Mark(i, 60.0 * i, 150.0, 0.5 - 0.3 * i, 2.0) for i in range(4))
     ways = MarkCosts(np.full(4, 2.5, np.float32), np.ones(4, np.float32), np.zeros(3, np.float32))
-    view = MarkedView(seen, "bed", marks, ways=ways)
-    choice = benchmark(lambda: scorer.answer(scorer.look(view)))
+    view = MarkedView(seen, "bed", marks, mark_costs=ways)
+    choice = benchmark(lambda: scorer.answer(scorer.prepare(view)))
     assert choice.ids == (0, 1, 2, 3)
     of_trunk = config.DetectorOnnx(model="mini-house-256x320-int8-cpu", threads=1)
     detector = OnnxDetector(of_trunk, ["bed"])
@@ -83,8 +83,8 @@ class Busy:
         self.name, self._scorer, self._over = scorer.name, scorer, threading.Event()
         self.runs = 0
 
-    def look(self, view: MarkedView) -> object:
-        return self._scorer.look(view)
+    def prepare(self, view: MarkedView) -> object:
+        return self._scorer.prepare(view)
 
     def answer(self, looked: object) -> None:
         while not self._over.is_set():

@@ -108,7 +108,7 @@ def test_four_channels_against_one_of_vlfm(benchmark):
     """All of it: from a depth image of 480 x 640 to the written map of 1000 x 1000 cells."""
     benchmark.extra_info["budget"] = "value_update_4_channels"
     m = explored_map(1000)
-    m.values.begin(TARGETS)
+    m.values.set_targets(TARGETS)
     theirs, views = VlfmValueMap(1), itertools.cycle(frames())
     took_s = []
 
@@ -123,7 +123,7 @@ def test_four_channels_against_one_of_vlfm(benchmark):
         took_s.append(time.thread_time() - began_s)
 
     def step() -> None:
-        m.values.write_view(m.values.sight(step.seen), TARGETS, SCORE)
+        m.values.write_view(m.values.range_profile(step.seen), TARGETS, SCORE)
 
     benchmark.pedantic(step, setup=reference, rounds=ROUNDS, warmup_rounds=10)
     benchmark.extra_info["reference_ms"] = 1e3 * statistics.median(took_s[-ROUNDS:])
@@ -134,12 +134,12 @@ def test_values_of_100_frontiers(benchmark):
     """Benchmark: cost of reading frontier values in a tick of a value policy."""
     benchmark.extra_info["budget"] = "value_best_100"
     m = explored_map(1000)
-    m.values.begin(TARGETS)
+    m.values.set_targets(TARGETS)
     for depth, _, pose in frames():
         seen = Observation(
             0, 0, pose.matrix(), depth_m=depth, camera=CAMERA, T_base_camera=T_BASE_CAMERA
         )
-        m.values.write_view(m.values.sight(seen), TARGETS, SCORE)
+        m.values.write_view(m.values.range_profile(seen), TARGETS, SCORE)
     xy_m = np.random.default_rng(1).uniform(-5, 5, (100, 2)).astype(np.float32)
     xy_m.flags.writeable = False
     out = np.zeros(100, np.float32)

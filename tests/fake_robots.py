@@ -41,11 +41,11 @@ class FakeService:
 
     def __init__(self, known: Mapping[str, float], blind_to: frozenset[str]) -> None:
         self.mission = MissionRun(prepare(LIMITS, formula="F nothing"), LIMITS)
-        self.mission.wait()
-        self.past: deque[dict[str, str]] = deque(maxlen=32)
+        self.mission.set_idle()
+        self.past_missions: deque[dict[str, str]] = deque(maxlen=32)
         self.blind_to = blind_to
         self.pose = SE2(0.0, 0.0, 0.0)
-        self.goals = SimpleNamespace(client=SimpleNamespace(heard=True), phase="searching")
+        self.goals = SimpleNamespace(client=SimpleNamespace(has_controller=True), phase="searching")
         self.config = SimpleNamespace(
             mission=MissionConfig(), perception=SimpleNamespace(min_hits=1)
         )
@@ -54,21 +54,21 @@ class FakeService:
             for label, away_m in known.items()
         ]
         self.map = SimpleNamespace(tracker=SimpleNamespace(all=things))
-        self.swapper = self.scorers = None
+        self.detector_swap = self.scorers = None
         self.behaviour = SimpleNamespace(facts=lambda: None)
         self.events: list[str] = []
-        self._journal = InputLog()
+        self._input_log = InputLog()
         self.begun = 0
 
     @property
     def status(self):  # type: ignore[no-untyped-def]
         return self.mission.status(self.goals.phase)
 
-    def begin(self, brief: MissionSpec, now_ns: int, id: str = "") -> None:
-        if blind := self.blind_to & set(brief.targets):
+    def begin(self, spec: MissionSpec, now_ns: int, id: str = "") -> None:
+        if blind := self.blind_to & set(spec.targets):
             raise UserError(f"the detector knows no {min(blind)}")
-        Service._remember(self, self.mission)
-        self.mission = MissionRun(brief, LIMITS, id=id)
+        Service._record_past(self, self.mission)
+        self.mission = MissionRun(spec, LIMITS, id=id)
         self.mission.start(now_ns)
         self.begun += 1
 
@@ -140,7 +140,7 @@ class FakeRobot:
             with self._lock:
                 self._server.serve(now_ns)
                 self.mission.observe(None, now_ns)
-                if (at := (self.mission, self.mission.turns)) != target:
+                if (at := (self.mission, self.mission.retargets)) != target:
                     target, since_s = at, time.monotonic()
                 if self.reaches_in_s is None or self.mission.done or self.mission.paused:
                     continue

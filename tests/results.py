@@ -43,14 +43,14 @@ def result(now_ns: int = 0, **fields: Any) -> TickResult:
     """Return a tick without events, but for the given fields."""
     status = fields.get("status", MissionStatus("chair", "searching"))
     nothing: dict[str, Any] = {
-        "observation": None, "pose": None, "status": status, "goal": None, "answer": None,
-        "controlled": False, "targets": (status.target,), "goals": (), "answers": (),
+        "observation": None, "pose": None, "status": status, "goal": None, "goal_status": None,
+        "has_controller": False, "targets": (status.target,), "goals": (), "goal_statuses": (),
         "events": (), "inputs": (), "detections": None, "mission": lambda: facts(status.target),
         "task": lambda: None,
         "instances": list, "objects": list, "rooms": (), "site": Site(), "zones": ZonePolygons(),
         "frontiers": lambda: np.zeros((0, 2), np.float32),
         "candidates": lambda: scored(Candidates(0), np.zeros(0, np.float32)),
-        "way": lambda: np.zeros((0, 2), np.float32), "choice": None, "layers": dict,
+        "path": lambda: np.zeros((0, 2), np.float32), "choice": None, "layers": dict,
         "known_m2": lambda: 0.0,
         "snapshot": lambda inflated=100: Grid(CELLS, (-1.0, 2.0), 0.05),
         "latency": LatencyRing().report, "spans": LatencyRing().spans, "health": health,

@@ -124,7 +124,7 @@ class RequestQueue:
 
     # -- called by transports ------------------------------------------------------------------
 
-    def take(self, payload: bytes, reply: Callable[[bytes, bool], None]) -> None:
+    def accept(self, payload: bytes, reply: Callable[[bytes, bool], None]) -> None:
         """Accept one query. It is answered exactly once in every case.
 
         Args:
@@ -145,7 +145,7 @@ class RequestQueue:
             return
         overtaken: list[Request] = []
         with self._lock:
-            if self._verbs[do].stops:
+            if self._verbs[do].stops_robot:
                 overtaken, self._second = self._second, []
             if (request := self._place(do, fields)) is not None:
                 request.queries.append(query)
@@ -158,7 +158,7 @@ class RequestQueue:
         if request is None:
             self._finish((query,), error_of(_BUSY), True)
 
-    def give_up(self) -> None:
+    def expire(self) -> None:
         """Answer queries that have waited too long with an error; call this periodically."""
         now_s, waiting = time.monotonic(), set[Query]()
         with self._lock:
@@ -201,12 +201,14 @@ class RequestQueue:
         lane = self._first if verb.prepare is None else self._second
         for request in reversed(lane):
             if (request.do, request.fields) == (do, fields):
-                return request if verb.stops or len(request.queries) < _SAME else None
+                return request if verb.stops_robot or len(request.queries) < _SAME else None
             other = self._verbs[request.do]
-            if not verb.stops or not (other.stops or other.reads):
+            if not verb.stops_robot or not (other.stops_robot or other.read_only):
                 break
         full = len(lane) >= _WAITING
-        if not verb.stops and (full or (verb.prepare and len(self._unready()) > _WAITING_NEW)):
+        if not verb.stops_robot and (
+            full or (verb.prepare and len(self._unprepared()) > _WAITING_NEW)
+        ):
             return None
         lane.append(Request(do, fields, self._finish, ready=verb.prepare is None))
         return lane[-1]
@@ -229,10 +231,10 @@ class RequestQueue:
     def _wait_for_work(self) -> Request | None:
         """Wait for the next request to prepare; None if the queue is closed."""
         with self._to_prepare:
-            self._to_prepare.wait_for(lambda: self._closed or self._unready())
-            return None if self._closed else self._unready()[0]
+            self._to_prepare.wait_for(lambda: self._closed or self._unprepared())
+            return None if self._closed else self._unprepared()[0]
 
-    def _unready(self) -> list[Request]:
+    def _unprepared(self) -> list[Request]:
         """Return the requests that need preparation; the first is in preparation."""
         return [request for request in self._second if not request.ready]
 
@@ -240,10 +242,12 @@ class RequestQueue:
         try:
             prepared = self._verbs[request.do].prepare(request.fields)
         except UserError as error:
-            self._drop(request, error)
+            self._drop_cancelled(request, error)
         except Exception as error:
             log.exception("request %s failed; please report it with this traceback", request.do)
-            self._drop(request, UserError(f"internal error: {type(error).__name__}: {error}"))
+            self._drop_cancelled(
+                request, UserError(f"internal error: {type(error).__name__}: {error}")
+            )
         else:
             with self._lock:
                 request.prepared, request.ready = prepared, True
@@ -251,7 +255,7 @@ class RequestQueue:
                 for query in request.queries:
                     query.until_s = until_s
 
-    def _drop(self, request: Request, error: UserError) -> None:
+    def _drop_cancelled(self, request: Request, error: UserError) -> None:
         with self._lock:
             if request in self._second:
                 self._second.remove(request)

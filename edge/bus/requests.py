@@ -87,7 +87,7 @@ class RequestServer:
             while not self._closing.wait(_RECEIVE_S):
                 for query in self._arrived(_MOST_PER_POLL):
                     self._receive(query)
-                self.queue.give_up()
+                self.queue.expire()
             self.queue.close()
             for query in self._arrived(2 * _ARRIVED):
                 self._receive(query)
@@ -117,7 +117,7 @@ class RequestServer:
         except ValueError as error:
             reply(error_of(str(error)), True)
         else:
-            self.queue.take(payload, reply)
+            self.queue.accept(payload, reply)
 
     def _reply(self, query: zenoh.Query, reply: bytes, is_error: bool) -> None:
         self._replies.put((query, reply, is_error))

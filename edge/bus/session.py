@@ -285,18 +285,18 @@ class Ring:
     def __init__(self, session: zenoh.Session, key: str, kept: int) -> None:
         self.overruns = 0
         self._full = False
-        self._key, self._kept = key, kept
+        self._key, self._capacity = key, kept
         self._arriving = self._declare(session, key, zenoh.handlers.RingChannel(kept))
 
     def take(self) -> list[zenoh.Sample]:
         """Return the messages since the last poll, oldest first; at most `kept`."""
         samples: list[zenoh.Sample] = []
         # Not until the ring is empty: with a fast sender that would never end.
-        while len(samples) < self._kept:
+        while len(samples) < self._capacity:
             if (sample := self._arriving.try_recv()) is None:
                 break
             samples.append(sample)
-        was_full, self._full = self._full, len(samples) == self._kept > 1
+        was_full, self._full = self._full, len(samples) == self._capacity > 1
         if was_full and self._full:
             self._overrun()
         return samples
@@ -313,7 +313,8 @@ class Ring:
         self.overruns += 1
         if self.overruns == 1:
             log.warning("%s: messages arrive faster than they are read: %d a poll, others are lost "
-                        "(further such polls are only counted)", self._key, self._kept)  # fmt: skip
+                        "(further such polls are only counted)",
+                        self._key, self._capacity)  # fmt: skip
 
 
 class QueryRing(Ring):

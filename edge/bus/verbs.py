@@ -29,9 +29,9 @@ class Verb:
         read: checks and converts the fields; raises ValueError with one line.
         prepare: slow part of the work: called with the fields on a thread of the server, one
             request at a time; raises UserError to refuse the request.
-        stops: True if it stops the robot: never refused for lack of room, and it refuses requests
+        stops_robot: True if it stops the robot: never refused for lack of room; it refuses requests
             that wait in the second lane of `RequestQueue`.
-        reads: True if it changes nothing.
+        read_only: True if it changes nothing.
         instead: returns the verb and the fields of the request that these fields mean, or None.
             So "stop", said as an instruction, is as urgent as the verb for it.
     """
@@ -39,8 +39,8 @@ class Verb:
     fields: tuple[str, ...] = ()
     read: Callable[[dict], dict] = dict
     prepare: Callable[[dict], object] | None = None
-    stops: bool = False
-    reads: bool = False
+    stops_robot: bool = False
+    read_only: bool = False
     instead: Callable[[dict], tuple[str, dict] | None] = lambda fields: None
 
 

@@ -72,11 +72,11 @@ class ReloadRequest:
 
     Attributes:
         reread: reads the configuration again.
-        asked: set when a reload is requested.
+        requested: set when a reload is requested.
     """
 
     reread: Callable[[], Config]
-    asked: threading.Event
+    requested: threading.Event
 
 
 def run_service(
@@ -156,11 +156,11 @@ def _serve(
     ):
         live.open({key: server.queue for key, server in running.servers.items()})
         if reload is not None:
-            running.reloader = Reloader(running.service, reload.reread, reload.asked)
+            running.reloader = Reloader(running.service, reload.reread, reload.requested)
         metrics.add_service(running, running.sinks)
         traced.spans = running.service.latency.spans
         mission = running.service.mission
-        doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)
+        doing = mission.reason if mission.idle else one_line(mission.spec.translation.instruction)
         log.info("ready: %s; Zenoh endpoint %s", doing, config.zenoh.address)
         vitals.ready()
         ended: RunResult | None = None
@@ -168,7 +168,7 @@ def _serve(
             running.clock = playback.clock
 
         def over() -> bool:
-            return running.service.status.done if playback is None else playback.over
+            return running.service.status.done if playback is None else playback.is_over
 
         def end() -> RunResult:
             result = running.service.result()

@@ -342,14 +342,14 @@ def check_mission(config: Config) -> Iterator[Finding]:
     from edge.mission.spec import prepare
 
     try:
-        brief = prepare(config.mission)
+        spec = prepare(config.mission)
         if config.mission.checkpoint is not None:
             CheckpointWriter(resources.expand(config.mission.checkpoint), MISSION).close()
     except UserError as error:
         what, todo = _split(error)
         yield Finding("fail", what, todo or "see `edge mission explain`")
     else:
-        translation = brief.translation
+        translation = spec.translation
         yield Finding("ok", f"mission: {translation.understood} [{one_line(translation.formula)}]")
 
 

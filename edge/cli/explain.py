@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     mission = load(args.config).mission
     text, formula = (None, args.text) if args.formula else (args.text, None)
     try:
-        brief = prepare(mission, text, formula, args.reading)
+        spec = prepare(mission, text, formula, args.reading)
     except AmbiguousInstructionError as error:
         several = len(error.readings) > 1
         ways = f"it can be read in {len(error.readings)} ways" if several else "it may mean:"
@@ -49,8 +49,8 @@ def run(args: argparse.Namespace) -> int:
         _list([reading.english for reading in error.readings])
         print(f"choose:      --reading {'N' if several else 1}{_default_reading(error.implied)}")
         return 0
-    translation = brief.translation
-    planner = make_planner(mission.planner, brief.automaton, translation.instruction)
+    translation = spec.translation
+    planner = make_planner(mission.planner, spec.automaton, translation.instruction)
     plan = planner.plan(0, MissionKnowledge())
     print(f"understood:  {translation.understood}")
     if translation.readings:
@@ -58,14 +58,14 @@ def run(args: argparse.Namespace) -> int:
         _list(translation.readings)
     print(f"formula:     {one_line(translation.formula)}")
     print(f"by:          {translation.backend}, {translation.seconds:.2f} s")
-    print(f"targets:     {one_line(', '.join(brief.targets), _LIST_CHARS)}")
-    print(f"automaton:   {brief.automaton.n_states} states")
+    print(f"targets:     {one_line(', '.join(spec.targets), _LIST_CHARS)}")
+    print(f"automaton:   {spec.automaton.n_states} states")
     steps = ", then ".join(step or "nothing" for step in plan.steps)
     print(f"first plan:  {one_line(steps, _LIST_CHARS)}")
-    for warning in brief.warnings:
+    for warning in spec.warnings:
         print(f"warning:     {warning}")
     if drawing is not None:
-        _draw(drawing, brief.automaton, plan.steps)
+        _draw(drawing, spec.automaton, plan.steps)
         print(drawing)
     return 0
 

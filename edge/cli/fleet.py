@@ -55,7 +55,7 @@ def show(args: argparse.Namespace) -> int:
     if args.watch:
         return _watch(args)
     with open_roster(fleet_settings(args.config)[0]) as roster:
-        robots = roster.look()
+        robots = roster.ask_status()
     if args.json:
         print(json.dumps([_data(robot) for robot in robots.values()], indent=2))
     else:
@@ -98,7 +98,7 @@ def _cells(robot: Robot) -> dict[str, str]:
 
 
 def _data(robot: Robot) -> dict[str, Any]:
-    return {"robot": robot.name, "problem": robot.problem, "answer": robot.answer}
+    return {"robot": robot.name, "problem": robot.problem, "answer": robot.reply}
 
 
 def _watch(args: argparse.Namespace) -> int:
@@ -108,7 +108,7 @@ def _watch(args: argparse.Namespace) -> int:
         before: dict[str, dict[str, str]] = {}
         online = True
         while not stop.is_set():
-            robots = roster.seen()
+            robots = roster.complete_list()
             if (robots is not None) != online:
                 online = robots is not None
                 _say(
@@ -157,7 +157,7 @@ def ask(args: argparse.Namespace) -> int:
         print(json.dumps([_data(robot) for robot in answers.values()], indent=2))
     else:
         for robot in answers.values():
-            answer = robot.problem if robot.answer is None else as_text(dict(robot.answer))
+            answer = robot.problem if robot.reply is None else as_text(dict(robot.reply))
             print(f"{one_line(robot.name)}:", answer.replace("\n", "\n  "), sep="\n  ")
     silent = [robot for robot in answers.values() if robot.status_reply is None]
     if not args.robots:
@@ -181,8 +181,8 @@ def new(args: argparse.Namespace) -> int:
     """
     zenoh, limits = fleet_settings(args.config)
     text = {"formula" if args.formula else "instruction": args.text}
-    brief = prepare(limits, **text)
-    if brief.translation.repeat is not None:
+    spec = prepare(limits, **text)
+    if spec.translation.repeat is not None:
         raise UserError(
             "fleet: a fleet cannot repeat a mission; send the mission to one robot, without --fleet"
         )
@@ -191,10 +191,10 @@ def new(args: argparse.Namespace) -> int:
         raise UserError(f"fleet: --to: got {ANY} and names; give either {ANY} or names of robots")
     with open_roster(zenoh) as roster:
         _check_names(named, roster.names())
-        mission = plan(brief, limits, roster.look(), named, args.share, args.restart)
-        _say(f"mission {mission.id}: {brief.translation.understood}")
-        if mission.why_whole:
-            _say(f"mission not divided: {mission.why_whole}; one robot gets the whole mission")
+        mission = plan(spec, limits, roster.ask_status(), named, args.share, args.restart)
+        _say(f"mission {mission.id}: {spec.translation.understood}")
+        if mission.unsplit_reason:
+            _say(f"mission not divided: {mission.unsplit_reason}; one robot gets the whole mission")
         dispatcher = Dispatcher(roster, mission, _say, args.patience or PATIENCE_S)
         try:
             outcomes = dispatcher.run()

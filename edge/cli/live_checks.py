@@ -75,7 +75,7 @@ class _Heard:
         if seen is None:
             return
         try:
-            self._checks.judge(seen, time.monotonic_ns())
+            self._checks.permitted_use(seen, time.monotonic_ns())
             for found in self._checks.failed:
                 self._failed.setdefault(found.name, found)
             self._age_s.append((time.time_ns() - seen.stamp_ns) * 1e-9)
@@ -145,7 +145,7 @@ def _input(row: InputStatus) -> Iterator[Finding]:
         yield Finding(level, f"{row}: no message", todo)
         return
     rate = f"{row}: {row.hz:g} Hz" if row.expected_hz else f"{row}: {row.received} messages"
-    if row.lacks:
+    if row.is_lacking:
         todo = "see docs/robot.md, step 5" if row.why else "restart the driver that sends it"
         yield Finding("fail", f"{rate}, {row.state}{row.why and f': {row.why}'}", todo)
         return

@@ -91,10 +91,10 @@ def check_mission(config: Config) -> None:
     by_server = translator.kind == "llm" or getattr(translator, "llm", None) is not None
     if mission.checkpoint is not None or (mission.instruction is not None and by_server):
         return
-    brief, detector = prepare_mission(config), config.perception.detector
+    spec, detector = prepare_mission(config), config.perception.detector
     if isinstance(detector, DetectorOnnx):
         card = load_card_of(DetectCard, detector.model)
-        make_text_encoder(card, detector.vocabulary).embed(brief.prompts)
+        make_text_encoder(card, detector.vocabulary).embed(spec.prompts)
 
 
 def _policy(config: Config) -> None:
@@ -103,7 +103,7 @@ def _policy(config: Config) -> None:
 
 def _planner(config: Config) -> None:
     if isinstance(config.mission.planner, PlannerPlugin):
-        find_own_planner(config.mission.planner, config.at("mission.planner"))
+        find_own_planner(config.mission.planner, config.locate("mission.planner"))
 
 
 def _bus(config: Config) -> None:
@@ -226,4 +226,4 @@ def _about(config: Config, key: str) -> Iterator[None]:
     try:
         yield
     except (ModelError, PromptError, ChatError) as error:
-        raise type(error)(f"{config.at(key)}: {error}") from None
+        raise type(error)(f"{config.locate(key)}: {error}") from None

@@ -28,17 +28,17 @@ class KeyOrigins(dict[tuple[str, ...], str]):
     All instances compare equal, so configurations with the same values are equal.
 
     Attributes:
-        made: sections that overrides added and the file does not have.
+        added_sections: sections that overrides added and the file does not have.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.made: set[tuple[str, ...]] = set()
+        self.added_sections: set[tuple[str, ...]] = set()
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, KeyOrigins)
 
-    def of(self, path: str, *keys: tuple[str, ...]) -> str:
+    def describe(self, path: str, *keys: tuple[str, ...]) -> str:
         """Return the sources to name in an error: the file, a variable, an option, or several.
 
         Args:
@@ -53,7 +53,9 @@ class KeyOrigins(dict[tuple[str, ...], str]):
         renamed = {old: (*new, *old[size:]) for old in self if old[:size] == key}
         for old, now in renamed.items():
             self[now] = self.pop(old)
-        self.made = {(*new, *old[size:]) if old[:size] == key else old for old in self.made}
+        self.added_sections = {
+            (*new, *old[size:]) if old[:size] == key else old for old in self.added_sections
+        }
 
     def _of(self, path: str, key: tuple[str, ...]) -> list[str]:
         starts = [key[:n] for n in range(len(key), 0, -1)]
@@ -62,7 +64,7 @@ class KeyOrigins(dict[tuple[str, ...], str]):
         # A key may be wrong because an override chose the kind of its section.
         kinds = {(*start, "kind") for start in starts}
         parts = [by for set_, by in self.items() if set_[: len(key)] == key or set_ in kinds]
-        return parts if key in self.made else [path, *parts]
+        return parts if key in self.added_sections else [path, *parts]
 
 
 def apply_overrides(
@@ -91,7 +93,7 @@ def apply_overrides(
             child = node.get(section)
             if not isinstance(child, dict):
                 child = node[section] = {}
-                origins.made.add(key[:n])
+                origins.added_sections.add(key[:n])
             node = child
         try:
             node[leaf] = parse_yaml(environ[name])

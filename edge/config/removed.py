@@ -60,7 +60,7 @@ def drop_removed_keys(
         dotted = ".".join(key)
         if dotted in REMOVED:
             if first_time((path, key)):
-                where = origins.of(path, key)
+                where = origins.describe(path, key)
                 log.warning(
                     "%s: %s: this key was removed, its value is ignored: delete it", where, dotted
                 )
@@ -69,8 +69,8 @@ def drop_removed_keys(
             _warn_of_old_name(path, origins, key, new)
             if new in section:
                 raise ConfigError(
-                    f"{origins.of(path, key)}: {dotted} is the old name of {new}, and both are "
-                    f"set: remove {name}"
+                    f"{origins.describe(path, key)}: {dotted} is the old name of {new}, and both "
+                    f"are set: remove {name}"
                 )
             origins.rename(key, new)
             name, key = new, (*above, new)
@@ -89,4 +89,4 @@ def drop_removed_keys(
 def _warn_of_old_name(path: str, origins: KeyOrigins, key: tuple[str, ...], new: str) -> None:
     if first_time((path, key)):
         old = ".".join(key)
-        log.warning("%s: %s is now called %s: rename it", origins.of(path, key), old, new)
+        log.warning("%s: %s is now called %s: rename it", origins.describe(path, key), old, new)

@@ -120,9 +120,9 @@ class Config(Section):
 
     def origin(self, *keys: str) -> str:
         """Return what set these keys, for errors: the file, a variable, an option, or several."""
-        return self._origins.of(self.path, *(tuple(key.split(".")) for key in keys))
+        return self._origins.describe(self.path, *(tuple(key.split(".")) for key in keys))
 
-    def at(self, key: str, *others: str) -> str:
+    def locate(self, key: str, *others: str) -> str:
         """Return the start of an error about a key: `FILE: KEY` or `environment VARIABLE: KEY`.
 
         Args:
@@ -173,7 +173,7 @@ class Config(Section):
         if isinstance(self.policy, PolicyHvl) and MAX_RADIUS_CELLS * cell_m < UNKNOWN_RADIUS_M:
             least_m = math.ceil(1e4 * UNKNOWN_RADIUS_M / MAX_RADIUS_CELLS) / 1e4
             raise ConfigError(
-                f"{self.at('mapping.resolution_m', 'policy.kind')}: {cell_m:g}: too fine for "
+                f"{self.locate('mapping.resolution_m', 'policy.kind')}: {cell_m:g}: too fine for "
                 f"policy.kind hvl, which counts unknown cells within {UNKNOWN_RADIUS_M:g} m: set "
                 f"mapping.resolution_m to at least {least_m:g}, or another policy.kind"
             )
@@ -190,8 +190,8 @@ class Config(Section):
         """
         if self.mission.site is not None and not self.source.localised:
             raise ConfigError(
-                f"{self.at('mission.site', 'source.localised')}: a file of places needs poses in a "
-                "map that lasts: set source.localised to true, or remove mission.site"
+                f"{self.locate('mission.site', 'source.localised')}: a file of places needs poses "
+                "in a map that lasts: set source.localised to true, or remove mission.site"
             )
 
     def check_policy(self) -> None:
@@ -204,7 +204,7 @@ class Config(Section):
         source, kind = self.value_source, self.policy.kind
         if source is not None and source not in self._scorers_there():
             raise ConfigError(
-                f"{self.at('policy.kind', f'perception.{source}')}: {kind} needs the {source} "
+                f"{self.locate('policy.kind', f'perception.{source}')}: {kind} needs the {source} "
                 f"scorer, and none is configured: set {_SCORER[source]}"
             )
         by_prior = {
@@ -214,7 +214,7 @@ class Config(Section):
         for key, value in by_prior.items():
             if value in ("prior", "cooccurrence") and self.perception.prior == "none":
                 raise ConfigError(
-                    f"{self.at(key, 'perception.prior')}: {value}: there is no prior: set "
+                    f"{self.locate(key, 'perception.prior')}: {value}: there is no prior: set "
                     "perception.prior to cooccurrence, rooms or both"
                 )
 
@@ -270,7 +270,7 @@ def parse(
         # An empty section, so that the error names the missing key, not the missing section.
         config = Config.model_validate({"perception": {}, **data, "path": path})
     except ValidationError as error:
-        raise ConfigError(explain_all(error, path, Config, origins.of)) from None
+        raise ConfigError(explain_all(error, path, Config, origins.describe)) from None
     config._origins = origins
     config.check_policy()
     config.check_site()

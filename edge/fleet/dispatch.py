@@ -42,17 +42,17 @@ class FleetPlan:
     Attributes:
         id: Id of the mission. The same mission gets another id when it is given again later.
         parts: Parts of the mission.
-        why_whole: Reason why the mission was not split; "" if it was split, or if no split was
+        unsplit_reason: Reason why the mission was not split; "" if it was split, or if no split was
             requested.
     """
 
     id: str
     parts: tuple[MissionPart, ...]
-    why_whole: str = ""
+    unsplit_reason: str = ""
 
 
 def plan(
-    brief: MissionSpec,
+    spec: MissionSpec,
     limits: MissionConfig,
     robots: Mapping[str, Robot],
     to: Sequence[str] = (),
@@ -64,7 +64,7 @@ def plan(
     If robots already work on such a mission, the parts get the ids that the robots know.
 
     Args:
-        brief: The mission.
+        spec: The mission.
         limits: Limits of missions, from the configuration.
         robots: Robots by name, with their status.
         to: Names of robots that each get the whole mission. Empty: any one robot gets it.
@@ -74,14 +74,14 @@ def plan(
     Raises:
         CompileError: See `edge.mission.split`.
     """
-    formula = brief.automaton.formula
+    formula = spec.automaton.formula
     cut = split(formula, limits) if share else None
     formulas = (formula,) * max(len(to), 1) if cut is None else cut.parts
     digest = _digest(formula, to, share)
     make = partial(_parts, formulas, to, limits)
     run = None if restart else _unfinished(digest, robots, make)
     id = f"{digest}.{run or secrets.token_hex(4)}"
-    return FleetPlan(id, make(id), cut.why_whole if cut is not None else "")
+    return FleetPlan(id, make(id), cut.unsplit_reason if cut is not None else "")
 
 
 def _parts(
@@ -166,7 +166,7 @@ class Dispatcher:
 
     def step(self) -> Orders | None:
         """Poll the robots once and carry out the orders; return None if the router is gone."""
-        robots = self._roster.seen()
+        robots = self._roster.complete_list()
         if robots is None:
             self._once("router", "the router is gone: robots continue and try to reconnect")
             self._offline_since.clear()
@@ -280,7 +280,7 @@ class Dispatcher:
     def _give(self, give: Assignment) -> None:
         request = {"do": "new", "formula": give.part.formula, "id": give.id, "if_free": True}
         try:
-            self._roster.tell(give.robot, request, GIVE_S)
+            self._roster.send(give.robot, request, GIVE_S)
         except RequestError as error:
             # A late robot may still have begun; the next poll shows that.
             self._refused[give.part.id, give.robot] += 1
@@ -295,7 +295,7 @@ class Dispatcher:
     def _cancel(self, cancel: Cancellation) -> None:
         request = {"do": "cancel", "id": cancel.id, "why": DUPLICATE_REASON}
         try:
-            self._roster.tell(cancel.robot, request, GIVE_S)
+            self._roster.send(cancel.robot, request, GIVE_S)
         except RequestError as error:
             self._print(one_line(error))
         else:

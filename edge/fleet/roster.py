@@ -90,13 +90,13 @@ class Robot:
         name: Last word of its prefix.
         account: Its status; None if there is no valid reply.
         problem: Reason why there is no valid reply; "" if there is one.
-        answer: The reply as received.
+        reply: The reply as received.
     """
 
     name: str
     status_reply: StatusReply | None = None
     problem: str = ""
-    answer: Mapping[str, Any] | None = None
+    reply: Mapping[str, Any] | None = None
 
     @property
     def busy_with(self) -> str:
@@ -126,7 +126,7 @@ class Roster:
         self._changed = threading.Event()
         self._before: Set[str] = set()
         self._pool = ThreadPoolExecutor(_ASKED_AT_ONCE, thread_name_prefix="robot")
-        self._heard = session.liveliness().declare_subscriber(
+        self._subscriber = session.liveliness().declare_subscriber(
             f"{self.pattern}/{topics.ALIVE}/*", lambda sample: self._changed.set()
         )
 
@@ -139,7 +139,7 @@ class Roster:
     def names(self) -> list[str]:
         return sorted(self._sessions())
 
-    def look(self) -> dict[str, Robot]:
+    def ask_status(self) -> dict[str, Robot]:
         """Ask every online robot for its status; return the robots by name.
 
         The call takes as long as the slowest robot, at most `ANSWER_S`.
@@ -155,12 +155,12 @@ class Roster:
                 robots[name] = replace(robots[name], status_reply=None, problem=problem)
         return robots
 
-    def seen(self) -> dict[str, Robot] | None:
-        """Return the same as `look`, or None if the list may lack robots that are online."""
+    def complete_list(self) -> dict[str, Robot] | None:
+        """Return the same as `ask_status`, or None if the list may lack robots that are online."""
         if not self.online:
             return None
         try:
-            robots = self.look()
+            robots = self.ask_status()
         except BusError:
             return None
         return robots if self.online else None
@@ -176,7 +176,7 @@ class Roster:
         for done in [self._pool.submit(call) for call in calls]:
             done.result()
 
-    def tell(self, name: str, request: Mapping[str, Any], timeout_s: float) -> dict:
+    def send(self, name: str, request: Mapping[str, Any], timeout_s: float) -> dict:
         """Send a request to one robot and return its reply.
 
         Raises:
@@ -191,7 +191,7 @@ class Roster:
         self._changed.clear()
 
     def close(self) -> None:
-        self._heard.undeclare()
+        self._subscriber.undeclare()
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _sessions(self) -> dict[str, set[str]]:
@@ -205,11 +205,11 @@ class Roster:
 
     def _ask(self, name: str, request: Mapping[str, Any], timeout_s: float) -> Robot:
         try:
-            answer = self.tell(name, request, timeout_s)
+            answer = self.send(name, request, timeout_s)
         except UserError as error:
             return Robot(name, problem=str(error).partition(": ")[2])
         try:
-            return Robot(name, _ACCOUNT.validate_python(answer), answer=answer)
+            return Robot(name, _ACCOUNT.validate_python(answer), reply=answer)
         except ValidationError as error:
             fault = error.errors(include_input=False, include_url=False)[0]
             where = ".".join(map(str, fault["loc"]))

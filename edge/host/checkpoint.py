@@ -311,7 +311,7 @@ class CheckpointWriter(Generic[State]):
     Args:
         path: file of the checkpoint.
         form: its format.
-        period_s: shortest time between periodic checkpoints (`due`).
+        period_s: shortest time between periodic checkpoints (`is_due`).
 
     Attributes:
         written: number of checkpoints on the disk.
@@ -337,7 +337,7 @@ class CheckpointWriter(Generic[State]):
         """True if no posted checkpoint is left to write."""
         return self._worker.idle
 
-    def due(self, now_ns: int) -> bool:
+    def is_due(self, now_ns: int) -> bool:
         """Return True if the last post is at least one period old."""
         return self._posted_ns is None or abs(now_ns - self._posted_ns) >= self._period_ns
 
@@ -346,7 +346,7 @@ class CheckpointWriter(Generic[State]):
 
         Args:
             make: returns the checkpoint; called on the writer's thread.
-            now_ns: time on the clock of `due`.
+            now_ns: time on the clock of `is_due`.
         """
         self._posted_ns = now_ns
         self._worker.submit(make)

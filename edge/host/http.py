@@ -67,12 +67,12 @@ class CancellableRequest:
             outcome = self._outcome.get(timeout=limit_s)
         except queue.Empty:
             outcome = TimeoutError()
-            self.give_up(outcome)
+            self.cancel(outcome)
         if isinstance(outcome, HttpReply):
             return outcome
         raise outcome
 
-    def give_up(self, why: Exception) -> None:
+    def cancel(self, why: Exception) -> None:
         """Cancel the request: the waiting caller gets this exception. Callable from any thread."""
         self._outcome.put(why)
         self.connection.cut()

@@ -39,7 +39,7 @@ class NonBlockingStream(io.TextIOBase):
         self._thread = start_detached_thread("stderr", self._pass_on)
 
     def write(self, text: str) -> int:
-        """Queue the text without blocking; after `end`, write it to the stream directly."""
+        """Queue the text without blocking; after `drain`, write it to the stream directly."""
         with self._hand:
             if not self._ends:
                 if len(self._waiting) < MOST_WAITING:
@@ -56,7 +56,7 @@ class NonBlockingStream(io.TextIOBase):
     def fileno(self) -> int:
         return self._descriptor
 
-    def end(self) -> None:
+    def drain(self) -> None:
         """Stop queueing, and wait at most 1 s until all text is written."""
         with self._hand:
             self._ends = True
@@ -101,5 +101,5 @@ def nonblocking_stderr() -> Iterator[None]:
     try:
         yield
     finally:
-        outlet.end()
+        outlet.drain()
         sys.stderr = stderr

@@ -48,7 +48,7 @@ class ProgressBar(tqdm):
             miniters=1, **options,
         )  # fmt: skip
 
-    def reach(self, done: int) -> None:
+    def set_done(self, done: int) -> None:
         """Set the total amount that is done."""
         self.update(done - self.n)
 

@@ -60,14 +60,14 @@ class HttpResponse:
 
     Attributes:
         body: content.
-        kind: media type.
+        media_type: media type.
         status: HTTP status.
         etag: version of the content. A client that has this version gets 304 without a body; "":
             no version.
     """
 
     body: bytes
-    kind: str
+    media_type: str
     status: HTTPStatus = HTTPStatus.OK
     etag: str = ""
 
@@ -273,12 +273,14 @@ class _Handler(BaseHTTPRequestHandler):
         except _RefusedError as refused:
             self._refuse(refused, close=True)
             return
-        stranger = self._stranger()
+        stranger = self._unauthorized_reason()
         if stranger is None or (path in site.public and stranger.status != _ELSEWHERE):
             make = site.pages.get(path)
-            self._answer(self._nothing() if make is None else self._made(path, make))
+            self._send_response(
+                self._send_empty() if make is None else self._build_response(path, make)
+            )
         elif path in site.probes:
-            self._answer(replace(self._made(path, site.pages[path]), body=b""))
+            self._send_response(replace(self._build_response(path, site.pages[path]), body=b""))
         else:
             self._refuse(stranger)
 
@@ -292,9 +294,9 @@ class _Handler(BaseHTTPRequestHandler):
         except _RefusedError as refused:
             self._refuse(refused, close=True)
         else:
-            self._answer(self._made(path, partial(take, body)))
+            self._send_response(self._build_response(path, partial(take, body)))
 
-    def _made(self, path: str, make: Callable[[], HttpResponse]) -> HttpResponse:
+    def _build_response(self, path: str, make: Callable[[], HttpResponse]) -> HttpResponse:
         """Build the response. If the handler raises, return status 500 with the reason."""
         try:
             return make()
@@ -308,7 +310,7 @@ class _Handler(BaseHTTPRequestHandler):
         site = self.server.site
         if path not in site.forms:
             raise _RefusedError(HTTPStatus.METHOD_NOT_ALLOWED, "POST is not supported here")
-        if (stranger := self._stranger()) is not None:
+        if (stranger := self._unauthorized_reason()) is not None:
             raise stranger
         if site.token is None:
             raise _RefusedError(
@@ -319,7 +321,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RefusedError(HTTPStatus.FORBIDDEN, "refused: sent by a page of another site")
         return site.forms[path]
 
-    def _stranger(self) -> _RefusedError | None:
+    def _unauthorized_reason(self) -> _RefusedError | None:
         """Return why the client is not authorized; None if it is."""
         site = self.server.site
         if site.token is None:
@@ -367,20 +369,20 @@ class _Handler(BaseHTTPRequestHandler):
         self.connection.settimeout(_PATIENCE_S)
         return bytes(body)
 
-    def _nothing(self) -> HttpResponse:
+    def _send_empty(self) -> HttpResponse:
         there = ", ".join(sorted(self.server.site.pages))
         return _page(f"no such page (pages: {there})", HTTPStatus.NOT_FOUND)
 
     def _refuse(self, refused: _RefusedError, close: bool = False) -> None:
         """Send the reason; with `close`, ignore the rest and close the connection."""
         self.close_connection |= close
-        self._answer(_page(str(refused), refused.status))
+        self._send_response(_page(str(refused), refused.status))
 
-    def _answer(self, page: HttpResponse) -> None:
+    def _send_response(self, page: HttpResponse) -> None:
         if page.etag and self.headers.get("If-None-Match") == f'"{page.etag}"':
             page = replace(page, body=b"", status=HTTPStatus.NOT_MODIFIED)
         self.send_response(page.status)
-        self.send_header("Content-Type", page.kind)
+        self.send_header("Content-Type", page.media_type)
         self.send_header("Content-Length", str(len(page.body)))
         for name, value in _HEADERS.items():
             self.send_header(name, value)
@@ -398,7 +400,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Send an error of the base class in the format of our pages."""
         status = HTTPStatus(code)
         self.close_connection, self.request_version = True, self.protocol_version
-        self._answer(_page(one_line(message or status.phrase), status))
+        self._send_response(_page(one_line(message or status.phrase), status))
 
     def log_message(self, format: str, *args: Any) -> None:
         log.debug("%s", one_line(format % args))

@@ -94,7 +94,7 @@ class Worker(Generic[Item, Result]):
         beat: Callable[[], object] | None = None,
     ) -> None:
         self.stats = WorkerStats()
-        self._what, self._work = what, work
+        self._name, self._work = what, work
         self._rest_s, self._pause_s = rest_s, pause_s
         self._drop, self._drop_result = drop, drop_result
         self._finishes, self._beat = finishes, beat
@@ -104,7 +104,7 @@ class Worker(Generic[Item, Result]):
         self._busy = self._closed = False
         self._serial = self._passes = 0
         self._round = self._begun = (
-            0  # number of `forget` calls: now, and when the present work began
+            0  # number of `discard_all` calls: now, and when the present work began
         )
         self._thread: threading.Thread | None = None
         if not inline:
@@ -136,7 +136,7 @@ class Worker(Generic[Item, Result]):
         if displaced is not None:
             self._drop(displaced)
 
-    def queue(self, item: Item) -> None:
+    def enqueue(self, item: Item) -> None:
         """Process this item after all waiting ones; beyond `MOST_QUEUED`, the oldest is dropped."""
         with self._changed:
             self._serial += 1
@@ -154,7 +154,7 @@ class Worker(Generic[Item, Result]):
             result, self._result = self._result, None
         return result
 
-    def forget(self) -> None:
+    def discard_all(self) -> None:
         """Drop all submitted items and their results, also that of the present item."""
         with self._changed:
             self._round += 1
@@ -193,13 +193,13 @@ class Worker(Generic[Item, Result]):
             return
         self.stats.submitted += 1
         self._begun = self._round
-        if not self._do(item) and self._pause_s:
+        if not self._process(item) and self._pause_s:
             self._passes = 2 ** min(self.stats.in_a_row, MAX_DOUBLINGS)
 
     def _run(self) -> None:
         while not self._closed or self._waiting:
             for item in self._take():
-                self._rest(self._rest_s if self._do(item) else self._pause())
+                self._pause_between(self._rest_s if self._process(item) else self._pause())
             if self._beat is not None:
                 try:
                     self._beat()
@@ -215,7 +215,7 @@ class Worker(Generic[Item, Result]):
             self._busy, self._begun = bool(self._waiting), self._round
             return [self._waiting.pop(key) for key in list(self._waiting)[:1]]
 
-    def _do(self, item: Item) -> bool:
+    def _process(self, item: Item) -> bool:
         """Process an item; return True if that did not raise."""
         begin_ns = perf_counter_ns()
         try:
@@ -238,7 +238,7 @@ class Worker(Generic[Item, Result]):
         if unread is not None:
             self._drop_result(unread)
 
-    def _rest(self, seconds: float) -> None:
+    def _pause_between(self, seconds: float) -> None:
         if seconds > 0.0:
             with self._changed:
                 self._changed.wait_for(lambda: self._closed, seconds)
@@ -261,4 +261,4 @@ class Worker(Generic[Item, Result]):
         stats.last_error = one_line(text, LONGEST_ERROR)
         stats.failures = {**stats.failures, kind: stats.failures.get(kind, 0) + 1}
         if stats.failures[kind] == 1 or (self._pause_s and stats.in_a_row == 1):
-            log.error("%s: %s (more of these are only counted)", self._what, stats.last_error)
+            log.error("%s: %s (more of these are only counted)", self._name, stats.last_error)

@@ -97,11 +97,11 @@ def make_automaton_graph(
     nodes, arrows = [], []
     for s in shown:
         ways = transitions_from(automaton, s)
-        dead = [] if automaton.dead(s) else _fatal(automaton, s)
-        hidden = [t for t in ways if t not in index and not automaton.dead(t)]
+        dead = [] if automaton.is_dead(s) else _fatal(automaton, s)
+        hidden = [t for t in ways if t not in index and not automaton.is_dead(t)]
         nodes.append(_node(automaton, s, s == state, dead, len(hidden)))
         for t, letters in ways.items():
-            if t not in index or (automaton.dead(t) and (s, t) not in roles):
+            if t not in index or (automaton.is_dead(t) and (s, t) not in roles):
                 continue
             arrows.append(_arrow(automaton, (s, t), letters, index, roles))
     return AutomatonGraph(tuple(nodes), tuple(arrows), _note(automaton, shown, nodes))
@@ -124,7 +124,7 @@ def _roles(
 def transitions_from(automaton: Automaton, state: int) -> dict[int, list[str]]:
     """Return next states with the letters that lead there, without letters that change nothing."""
     ways: dict[int, list[str]] = {}
-    for letter, to in zip((*automaton.letters, NOTHING), automaton.delta[state], strict=True):
+    for letter, to in zip((*automaton.propositions, NOTHING), automaton.delta[state], strict=True):
         if to != state:
             ways.setdefault(int(to), []).append(letter)
     return ways
@@ -133,7 +133,7 @@ def transitions_from(automaton: Automaton, state: int) -> dict[int, list[str]]:
 def _fatal(automaton: Automaton, state: int) -> list[str]:
     row = automaton.delta[state]
     lost = automaton.steps_left[row] < 0
-    return [a for a, bad in zip((*automaton.letters, NOTHING), lost, strict=True) if bad]
+    return [a for a, bad in zip((*automaton.propositions, NOTHING), lost, strict=True) if bad]
 
 
 def _shown(
@@ -156,7 +156,9 @@ def _shown(
     level = part[:1]
     while level:
         first = level == [here]
-        ways = (t for s in level for t in transitions_from(automaton, s) if not automaton.dead(t))
+        ways = (
+            t for s in level for t in transitions_from(automaton, s) if not automaton.is_dead(t)
+        )
         level = [t for t in dict.fromkeys(ways) if t not in part]
         while level and not _fits(automaton, [*part, *level]):
             level = level[:-1] if first else []  # show at least some of the next states
@@ -185,7 +187,7 @@ def _node(
     parts += [f"at least {left} to reach"] if left > 0 else []
     parts += [f"not {', '.join(map(_name, fatal))}"] if fatal else []
     parts += [f"{hidden} more next states, not shown"] if hidden else []
-    words = wrap(f"not {in_words(fatal, automaton.letters)}", CAPTION_LENGTH) if fatal else ()
+    words = wrap(f"not {in_words(fatal, automaton.propositions)}", CAPTION_LENGTH) if fatal else ()
     return StateNode(
         state, state == 0, accepting, left < 0, current, words, hidden, "; ".join(parts)
     )
@@ -203,7 +205,7 @@ def _arrow(
     if taken in letters and role != "other":  # name it, and first
         words = ", ".join(map(_name, dict.fromkeys((taken, *letters))))
     else:
-        words = in_words(letters, automaton.letters)
+        words = in_words(letters, automaton.propositions)
     return StateArrow(index[ends[0]], index[ends[1]], wrap(words), title, role)
 
 

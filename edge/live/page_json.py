@@ -42,10 +42,10 @@ def snapshot_json(moment: LiveSnapshot) -> dict[str, Any]:
         "task": None if moment.task is None else _task(moment.task, moment.n_tasks),
         "elapsed_s": round(status.elapsed_s, 1),
         "path_m": round(status.path_m, 2),
-        "controlled": result.controlled,
+        "controlled": result.has_controller,
         "site": moment.n_sites,
-        "goal": None if result.goal is None else _goal(result.goal, result.answer),
-        "way": points(moment.way),
+        "goal": None if result.goal is None else _goal(result.goal, result.goal_status),
+        "way": points(moment.path),
         "candidates": _candidates(moment),
         "instances": [
             {
@@ -139,7 +139,7 @@ def _goal(goal: Goal, answer: GoalStatus | None) -> dict[str, Any]:
 def _candidates(moment: LiveSnapshot) -> list[dict[str, Any]]:
     rows = []
     for kind, i, xy_m, score, path_m, blocked in zip(*moment.candidates, strict=True):
-        letter, p = moment.letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
+        letter, p = moment.mark_letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
         rows.append(
             {
                 "kind": _KINDS.get(int(kind), "spin"),
@@ -160,11 +160,11 @@ def log_json(moment: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
     result, mission = moment.result, moment.mission
     return {
         "targets": list(result.targets),
-        "mission": {**mission_of(mission), "warnings": list(mission.brief.warnings)},
+        "mission": {**mission_of(mission), "warnings": list(mission.spec.warnings)},
         "automaton": automaton_json(mission),
         "steps": [
             {"t_s": step.stamp_ns * _NS, "kind": step.kind, "label": step.label, "text": step.text}
-            for step in mission.steps[-MAX_STEPS:]
+            for step in mission.log[-MAX_STEPS:]
         ],
         "trail": points(moment.trail[:, :2]),
         "layers": list(moment.layers)[:MAX_LAYERS],
@@ -178,7 +178,7 @@ def log_json(moment: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
 def automaton_json(mission: MissionFacts) -> dict[str, Any]:
     """Return the automaton as a graph: see `edge.live.automaton_graph`."""
     scene = make_automaton_graph(
-        mission.brief.automaton, mission.state, mission.plan.steps, mission.trace
+        mission.spec.automaton, mission.state, mission.plan.steps, mission.trace
     )
     return {
         "nodes": [node._asdict() for node in scene.nodes],

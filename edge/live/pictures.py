@@ -51,7 +51,7 @@ def shot_json(shot: CameraShot) -> dict[str, Any]:
             }
             for box in shot.boxes
         ],
-        "letters": [[letter, round(u, 4), round(v, 4)] for letter, u, v in shot.letters],
+        "letters": [[letter, round(u, 4), round(v, 4)] for letter, u, v in shot.marks],
         "jpeg": _encoded(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
     }
 

@@ -50,10 +50,10 @@ class LiveSnapshot:
         site: places and zones.
         n_sites: version of `site`.
         candidates: candidates for the next goal.
-        way: (n, 2) path to the goal, metres.
+        path: (n, 2) path to the goal, metres.
         layers: grids to draw, by name.
         health: see `edge.loop.result.TickResult`.
-        letters: candidate id to its letter and the model's probability for it.
+        mark_letters: candidate id to its letter and the model's probability for it.
         trail: (n, 3) float64 poses of the driven path.
         beat_hz: ticks with an observation per second.
         events: the newest events.
@@ -71,10 +71,10 @@ class LiveSnapshot:
     site: Site
     n_sites: int
     candidates: ScoredCandidates
-    way: np.ndarray
+    path: np.ndarray
     layers: dict[str, Callable[[], Grid]]
     health: dict[str, Any]
-    letters: dict[int, tuple[str, float]]
+    mark_letters: dict[int, tuple[str, float]]
     trail: np.ndarray
     beat_hz: float
     events: tuple[Event, ...]
@@ -98,14 +98,14 @@ class CameraShot:
         seq: number of the image.
         rgb: (h, w, 3) uint8, a copy, subsampled if it was large.
         boxes: of targets and of other objects.
-        letters: (letter, u, v) of candidates that the choice scorer was asked about and that are in
+        marks: (letter, u, v) of candidates that the choice scorer was asked about and that are in
             view; u and v in fractions of the image's width and height.
     """
 
     seq: int
     rgb: np.ndarray
     boxes: tuple[Box, ...]
-    letters: tuple[tuple[str, float, float], ...]
+    marks: tuple[tuple[str, float, float], ...]
 
 
 class LiveSink:
@@ -115,14 +115,14 @@ class LiveSink:
         clock: seconds.
 
     Attributes:
-        moment: the newest state; None while nobody views the page.
+        snapshot: the newest state; None while nobody views the page.
         shot: the newest image; None if there was none, or nobody views the page.
         ticked_s: time of the loop's last tick, on the clock; None: never.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self.moment: LiveSnapshot | None = None
+        self.snapshot: LiveSnapshot | None = None
         self.shot: CameraShot | None = None
         self.ticked_s: float | None = None
         self._viewed_s = self._boxed_s = -math.inf
@@ -138,7 +138,7 @@ class LiveSink:
 
     # -- for any thread ------------------------------------------------------------------------
 
-    def look(self) -> float:
+    def mark_watched(self) -> float:
         """Record that somebody views the page; return the time on the sink's clock."""
         self._viewed_s = self._clock()
         return self._viewed_s
@@ -158,13 +158,13 @@ class LiveSink:
             since_s, ticks, _ = self._beat
             self._beat = (now_s, self._n_ticks, (self._n_ticks - ticks) / (now_s - since_s))
         if now_s - self._viewed_s > WATCHED_S:
-            self.moment = self.shot = None  # free the map that a moment holds
+            self.snapshot = self.shot = None  # free the map that a moment holds
             return
         if now_s >= self._due_s:
             self._due_s = now_s + PERIOD_S
-            self.moment = self._gather(result, now_s)
+            self.snapshot = self._gather(result, now_s)
         if now_s >= self._shot_due_s:
-            self._shoot(result, now_s)
+            self._copy_image(result, now_s)
 
     def close(self) -> None:
         """Do nothing; see `edge.loop.result.Sink`."""
@@ -190,17 +190,17 @@ class LiveSink:
             site=self._site,
             n_sites=self._n_sites,
             candidates=result.candidates(),
-            way=result.way(),
+            path=result.path(),
             layers=result.layers(),
             health=result.health(),
-            letters={} if choice is None else _letters(choice),
+            mark_letters={} if choice is None else _letters(choice),
             trail=self._trail.arrays()[0],
             beat_hz=self._beat[2],
             events=self._events,
             n_events=self._n_events,
         )
 
-    def _shoot(self, result: TickResult, now_s: float) -> None:
+    def _copy_image(self, result: TickResult, now_s: float) -> None:
         """Copy the image with boxes; without detections for a while, the newest image."""
         detections, boxes = result.detections, ()
         if detections is not None:

@@ -66,7 +66,7 @@ class LiveView:
         self._config, self._vitals = config, vitals
         self._queues: Mapping[str, RequestQueue] = {}
         self._lock = threading.Lock()  # one thread encodes, for all viewers
-        self._kept: dict[str, tuple[object, HttpResponse]] = {}
+        self._cached: dict[str, tuple[object, HttpResponse]] = {}
 
     def open(self, queues: Mapping[str, RequestQueue]) -> None:
         """Accept requests from now on, with a queue for each key."""
@@ -78,7 +78,7 @@ class LiveView:
         return {
             **{path: partial(_file, file) for path, file in _FILES.items()},
             "/live/now": self._now,
-            "/live/story": self._story,
+            "/live/story": self._mission_log,
             "/live/task": self._task,
             "/live/site": self._site,
             "/live/memory": self._memory,
@@ -94,8 +94,8 @@ class LiveView:
     # -- data ----------------------------------------------------------------------------------
 
     def _now(self) -> HttpResponse:
-        now_s = self.sink.look()
-        moment, shot, ticked_s = self.sink.moment, self.sink.shot, self.sink.ticked_s
+        now_s = self.sink.mark_watched()
+        moment, shot, ticked_s = self.sink.snapshot, self.sink.shot, self.sink.ticked_s
         why = self._vitals.problems()
         return _json(
             {
@@ -109,7 +109,7 @@ class LiveView:
             }
         )
 
-    def _story(self) -> HttpResponse:
+    def _mission_log(self) -> HttpResponse:
         moment = self._viewed_moment()
         if moment is None:
             return _json(None)
@@ -150,8 +150,8 @@ class LiveView:
         return self._once("camera", shot.seq, lambda: _json(shot_json(shot)))
 
     def _viewed_moment(self) -> LiveSnapshot | None:
-        self.sink.look()
-        return self.sink.moment
+        self.sink.mark_watched()
+        return self.sink.snapshot
 
     def _grid(self, name: str, take: Callable[[], Grid]) -> HttpResponse:
         grid = take()
@@ -163,11 +163,11 @@ class LiveView:
     def _once(self, name: str, version: object, make: Callable[[], HttpResponse]) -> HttpResponse:
         """Return a page that is encoded once per version, for all viewers."""
         with self._lock:
-            kept = self._kept.get(name)
+            kept = self._cached.get(name)
             if kept is None or kept[0] != version:
-                if len(self._kept) > MAX_LAYERS:  # layers of earlier missions
-                    self._kept.clear()
-                kept = self._kept[name] = version, make()
+                if len(self._cached) > MAX_LAYERS:  # layers of earlier missions
+                    self._cached.clear()
+                kept = self._cached[name] = version, make()
             return kept[1]
 
     # -- requests ------------------------------------------------------------------------------
@@ -179,7 +179,7 @@ class LiveView:
                 error_of(f"the service is {state}"), _JSON, HTTPStatus.SERVICE_UNAVAILABLE
             )
         answers: queue.SimpleQueue[tuple[bytes, bool]] = queue.SimpleQueue()
-        self._queues[key].take(body, lambda reply, is_error: answers.put((reply, is_error)))
+        self._queues[key].accept(body, lambda reply, is_error: answers.put((reply, is_error)))
         try:
             reply, is_error = answers.get(timeout=ANSWER_S)
         except queue.Empty:

@@ -15,18 +15,18 @@ from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.jit import jit
 from edge.mapping.grid import Frontiers, RollingMap
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates
+from edge.policies.base import FRONTIER, INSTANCE, SNAP_M, SPIN, Candidates
 from edge.types import Instance
 
 _DISCARDED = 64
-_LASTING = ("xy_m", "anchor_m", "id", "first_seen_ns", "gain_m2")
+_PERSISTENT = ("xy_m", "anchor_m", "id", "first_seen_ns", "gain_m2")
 _UNMEASURED = np.float32(-1.0)
 # Number of frontiers whose gain is measured again in a tick, in addition to new ones.
 _MEASURED = 12
-LOOK_MIN_M2 = 1.5
+SPIN_MIN_M2 = 1.5
 """A spin that would show less than this area is no candidate."""
 TURN_M_PER_RAD = 0.15  # cost of a turn, as path length
-_LOOK_SAME_RAD = 0.6
+_SAME_SPIN_RAD = 0.6
 
 
 class CandidatePool:
@@ -38,7 +38,7 @@ class CandidatePool:
 
     Attributes:
         candidates: The candidates, updated in place.
-        shown: The same, read-only.
+        read_only: The same, read-only.
         anchor_m: (capacity, 2) float32, first position of each frontier.
         r_assoc_m: Distance from its first position within which a frontier keeps its id; may be
             set.
@@ -46,17 +46,17 @@ class CandidatePool:
 
     def __init__(self, capacity: int, r_assoc_m: float) -> None:
         c = self.candidates = Candidates(capacity)
-        self.shown = c.read_only()
+        self.read_only = c.read_only()
         self.anchor_m = np.zeros((capacity, 2), np.float32)
         lasting = c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2
-        self._lasting: tuple[np.ndarray, ...] = lasting
-        self._before = tuple(np.empty_like(array) for array in self._lasting)
+        self._persistent: tuple[np.ndarray, ...] = lasting
+        self._before = tuple(np.empty_like(array) for array in self._persistent)
         self.r_assoc_m = r_assoc_m
         self._next_id = 1
         self._measure_next = 0
         self._measured_ns: int | None = None
         self._measured = np.zeros(capacity, np.int32)
-        self._look: tuple[int, float] | None = None  # id and heading
+        self._spin: tuple[int, float] | None = None  # id and heading
         self._match = np.full(capacity, -1, np.int32)
         self._claim = np.full(capacity, -1, np.int32)
         self._discarded_xy_m = np.zeros((_DISCARDED, 2), np.float32)
@@ -81,7 +81,7 @@ class CandidatePool:
         n_old = int(np.count_nonzero(c.kind[: c.n] == FRONTIER))
         n_instances = min(len(instances), capacity)
         n_new = min(frontiers.n, capacity - n_instances)
-        for array, saved in zip(self._lasting, self._before, strict=True):
+        for array, saved in zip(self._persistent, self._before, strict=True):
             saved[:n_old] = array[:n_old]
         old_xy_m, anchor_m, old_id, first_seen_ns, gain_m2 = self._before
         _associate(
@@ -90,7 +90,7 @@ class CandidatePool:
         )  # fmt: skip
         c.xy_m[:n_new] = frontiers.xy_m[:n_new]
         c.kind[:n_new] = FRONTIER
-        c.sure[:n_new] = False
+        c.confirmed[:n_new] = False
         c.confidence[:n_new] = 0.0
         self._next_id = _carry_over(
             self._match, n_new, self._next_id, stamp_ns, anchor_m, old_id, first_seen_ns, gain_m2,
@@ -105,7 +105,7 @@ class CandidatePool:
             c.id[i] = instance.id
             c.first_seen_ns[i] = instance.first_seen_ns
             c.confidence[i] = instance.score
-            c.sure[i] = instance.state in ("confirmed", "reached")
+            c.confirmed[i] = instance.state in ("confirmed", "reached")
             c.gain_m2[i] = 0.0
         c.n = n_new + n_instances
         _mark_blocked(
@@ -113,7 +113,7 @@ class CandidatePool:
             self._discarded_xy_m, self._discarded_kind, self._discarded_id,
             self._discarded_until_ns, now_ns, self.r_assoc_m, c.blocked,
         )  # fmt: skip
-        self.shown.n, self.shown.stamp_ns = c.n, c.stamp_ns
+        self.read_only.n, self.read_only.stamp_ns = c.n, c.stamp_ns
 
     @property
     def out_of_reach(self) -> int:
@@ -125,7 +125,7 @@ class CandidatePool:
     def measure(self, grid: RollingMap) -> None:
         """Compute the path lengths of the candidates and the gains of frontiers."""
         c = self.candidates
-        grid.reach.path_lengths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)
+        grid.travel_cost.path_lengths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)
         n = int(np.count_nonzero(c.kind[: c.n] == FRONTIER))
         if c.stamp_ns != self._measured_ns:  # the rotation advances once per observation
             self._measured_ns = c.stamp_ns
@@ -140,24 +140,24 @@ class CandidatePool:
         if c.n == len(c.id):
             return
         yaw = grid.coverage.camera_yaw_rad
-        grid.gain.look(pose, yaw, fov_rad)
+        grid.gain.on_view(pose, yaw, fov_rad)
         heading, turn_rad, area_m2 = grid.gain.best_spin(pose, yaw, fov_rad)
-        if area_m2 < LOOK_MIN_M2:
-            self._look = None
+        if area_m2 < SPIN_MIN_M2:
+            self._spin = None
             return
-        if self._look is None or abs(wrap_angle(self._look[1] - heading)) > _LOOK_SAME_RAD:
-            self._look = (self._next_id, heading)
+        if self._spin is None or abs(wrap_angle(self._spin[1] - heading)) > _SAME_SPIN_RAD:
+            self._spin = (self._next_id, heading)
             self._next_id += 1
-        i, (look_id, heading) = c.n, self._look
+        i, (look_id, heading) = c.n, self._spin
         c.xy_m[i] = pose.x_m + math.cos(heading), pose.y_m + math.sin(heading)
-        c.kind[i] = LOOK
+        c.kind[i] = SPIN
         c.id[i] = look_id
         c.first_seen_ns[i] = c.stamp_ns
         c.confidence[i] = 0.0
-        c.sure[i] = False
+        c.confirmed[i] = False
         c.path_m[i] = TURN_M_PER_RAD * turn_rad
         c.gain_m2[i] = area_m2
-        c.n = self.shown.n = i + 1
+        c.n = self.read_only.n = i + 1
         last = slice(i, i + 1)
         _mark_blocked(
             c.xy_m[last], c.kind[last], c.id[last], 1,
@@ -180,7 +180,7 @@ class CandidatePool:
         self._discarded_until_ns[i] = until_ns
         self._discarded_next = (i + 1) % _DISCARDED
 
-    def lift_discards(self) -> None:
+    def unblock_all(self) -> None:
         """Unblock all discarded candidates."""
         self._discarded_until_ns[:] = 0
 
@@ -189,11 +189,11 @@ class CandidatePool:
         n = int(np.count_nonzero(self.candidates.kind[: self.candidates.n] == FRONTIER))
         left = self._discarded_until_ns > 0
         return {
-            **{name: a[:n].copy() for name, a in zip(_LASTING, self._lasting, strict=True)},
+            **{name: a[:n].copy() for name, a in zip(_PERSISTENT, self._persistent, strict=True)},
             "next_id": np.array(self._next_id),
             "measure_next": np.array(self._measure_next),
-            "look_id": np.array([] if self._look is None else self._look[:1], np.int64),
-            "look_rad": np.array([] if self._look is None else self._look[1:], np.float64),
+            "look_id": np.array([] if self._spin is None else self._spin[:1], np.int64),
+            "look_rad": np.array([] if self._spin is None else self._spin[1:], np.float64),
             "discarded_xy_m": self._discarded_xy_m[left],
             "discarded_kind": self._discarded_kind[left],
             "discarded_id": self._discarded_id[left],
@@ -210,25 +210,25 @@ class CandidatePool:
         """
         c, look = self.candidates, ("look_id", "look_rad")
         discarded = tuple(f"discarded_{name}" for name in ("kind", "id", "xy_m", "until_ns"))
-        rows = {_LASTING: 1 << 14, look: 1, discarded: _DISCARDED}
-        most = {"discarded_kind": LOOK, "measure_next": 1 << 16}
+        rows = {_PERSISTENT: 1 << 14, look: 1, discarded: _DISCARDED}
+        most = {"discarded_kind": SPIN, "measure_next": 1 << 16}
         check_arrays(state, self.state_dict(), rows, most, ("id",))
         c.n = min(len(state["id"]), len(c.id))
         c.kind[: c.n] = FRONTIER
-        for name, array in zip(_LASTING, self._lasting, strict=True):
+        for name, array in zip(_PERSISTENT, self._persistent, strict=True):
             array[: c.n] = state[name][: c.n]
         c.first_seen_ns[: c.n] += later_stamp_ns
         self._next_id = max(self._next_id, int(state["next_id"]))
         self._measure_next = int(state["measure_next"])
         for look_id, heading in zip(*(state[name] for name in look), strict=True):
-            self._look = (int(look_id), float(heading))
+            self._spin = (int(look_id), float(heading))
         for kind, i, xy_m, until_ns in zip(*(state[name] for name in discarded), strict=True):
             self.discard(int(kind), int(i), (float(xy_m[0]), float(xy_m[1])), until_ns + later_ns)
 
     def clear(self) -> None:
         """Remove all candidates and all discarded points."""
-        self.candidates.n = self.shown.n = 0
-        self.lift_discards()
+        self.candidates.n = self.read_only.n = 0
+        self.unblock_all()
 
 
 @jit

@@ -104,7 +104,7 @@ class ServiceCheckpoint:
 
     def is_resumed(self, mission: MissionRun, targets: Sequence[str]) -> bool:
         """Return True for the saved mission, if the map was saved with the same targets."""
-        return mission is self._resumed and tuple(targets) == mission.brief.prompts
+        return mission is self._resumed and tuple(targets) == mission.spec.prompts
 
     def save_if_due(
         self,
@@ -126,11 +126,11 @@ class ServiceCheckpoint:
         noted, self._noted = self._noted, (mission, mission.changes)
         changed = noted is None or noted[0] is not mission or noted[1] != mission.changes
         if last_pose is not None:
-            self.map.note(parts, last_pose, mission.brief.prompts, mission.target, changed)
+            self.map.save_part(parts, last_pose, mission.spec.prompts, mission.target, changed)
         if self.map.waiting is None:  # else the saved pictures are not restored yet
             self._noted_crops = parts.map.crops
-            self.crops.note(parts.map.crops, now_ns)
-        if not (changed or self._writer.due(now_ns)):
+            self.crops.save_if_changed(parts.map.crops, now_ns)
+        if not (changed or self._writer.is_due(now_ns)):
             return
         state = state_of(mission, status.phase)
         self._writer.post(lambda: Checkpoint(state, config=self._fingerprint), now_ns)

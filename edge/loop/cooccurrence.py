@@ -56,19 +56,19 @@ class PriorChoice:
 
     name = "cooccurrence, by the prior"
 
-    def look(self, view: MarkedView) -> MarkedView:
+    def prepare(self, view: MarkedView) -> MarkedView:
         return view
 
     def answer(self, view: MarkedView) -> FrontierChoice | None:
         """Return the choice, or None if the view has no likelihood ratios."""
-        if view.lift is None:
+        if view.likelihood_ratio is None:
             return None
-        total, best = 1.0 + float(view.lift.sum()), float(view.lift.max())
+        total, best = 1.0 + float(view.likelihood_ratio.sum()), float(view.likelihood_ratio.max())
         return FrontierChoice(
             stamp_ns=view.observation.stamp_ns,
             target=view.target,
             ids=tuple(mark.id for mark in view.marks),
-            p=(view.lift / total).astype(np.float32),
+            p=(view.likelihood_ratio / total).astype(np.float32),
             elsewhere=1.0 / total,
             scene=best / (1.0 + best),
         )
@@ -90,7 +90,7 @@ def p_given(known: table.ObjectPrior, things: Sequence[str], words: Sequence[str
     Returns:
         (n, m) float64: 1 if both are the same, 0 if the table lacks one of them.
     """
-    p = known.lift([*things, *words])[: len(things), len(things) :]
+    p = known.likelihood_ratio([*things, *words])[: len(things), len(things) :]
     for i, thing in enumerate(things):
         row = known.row(thing)
         p[i] *= 0.0 if row < 0 else known.rooms_with_both[row, row] / known.n_rooms

@@ -59,9 +59,9 @@ class CropCheckpoint:
             self._loaded, self.problem = None, set_aside(self.writer.path, str(error))
         self._written = crops.changes
 
-    def note(self, crops: CropStore, now_ns: int) -> None:
+    def save_if_changed(self, crops: CropStore, now_ns: int) -> None:
         """Pass the pictures to the writer if they changed and it is time. Never block."""
-        if crops.changes != self._written and self.writer.due(now_ns):
+        if crops.changes != self._written and self.writer.is_due(now_ns):
             self._post(crops, now_ns)
 
     def close(self, crops: CropStore | None) -> None:

@@ -121,7 +121,7 @@ class DegradationLevels:
         self._count(failed=True)
         self._restart(now_ns)
 
-    def forget(self) -> None:
+    def reset_times(self) -> None:
         """Forget the measured times, since the computer has become faster or slower."""
         self._ratio = [1.0] * self._n_levels
         self._doublings = 0

@@ -86,9 +86,9 @@ class DepthMotionCheck:
             value, until_ns = self._wrong
             if now_ns < until_ns:
                 return value
-            self._forget()
+            self._reset()
         if self._corrected(T_map_camera, stamp_ns) or repeats:
-            self._forget()
+            self._reset()
             return math.nan
         moved_m = [_moved_m(view.T_map_camera, T_map_camera) for view in self._views]
         if moved_m and moved_m[-1] < _APART_M:
@@ -119,7 +119,7 @@ class DepthMotionCheck:
             return math.nan
         return sum(score for _, score in self._scores) / _SCORES
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self._views.clear()
         self._scores.clear()
         self._wrong = None

@@ -66,7 +66,7 @@ class ErrorBoundary:
         except Exception as error:
             self.on_error(step, error, now_ns)
         else:
-            self.passed(step, now_ns)
+            self.on_success(step, now_ns)
 
     def call(self, step: str, now_ns: int, work: Callable[[], T]) -> T | None:
         """Call `work` and return its result, or None if it raised.
@@ -80,7 +80,7 @@ class ErrorBoundary:
             self.on_error(step, error, now_ns)
             return None
         if found:
-            self.passed(step, now_ns)
+            self.on_success(step, now_ns)
         return found
 
     def on_error(self, step: str, error: Exception, now_ns: int, where: str = "") -> None:
@@ -110,7 +110,7 @@ class ErrorBoundary:
             log.error("degraded: %s", self.last_error)
             self._event(f"degraded: {step} keeps failing: {self.last_error}", now_ns)
 
-    def passed(self, step: str, now_ns: int) -> None:
+    def on_success(self, step: str, now_ns: int) -> None:
         """Record the success of a step."""
         if self._in_a_row and self._in_a_row.pop(step, 0) >= DEGRADED_AFTER:
             self._event(f"{step}: works again", now_ns)

@@ -22,12 +22,12 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.goal_client import ARRIVED_M, GoalClient
 from edge.loop.search_state import LASTING_NS, LEFT, TURNS, NextBestView, SearchState
 from edge.loop.standstill import StandstillMonitor
-from edge.mapping.coverage import Viewpoint
+from edge.mapping.coverage import START_M, Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, PolicyInput
-from edge.policies.select import CurrentGoal, choose, ranked
+from edge.policies.base import FRONTIER, INSTANCE, SPIN, PolicyInput
+from edge.policies.select import STOP_M, CurrentGoal, choose, ranked
 from edge.text import one_line
 from edge.types import CandidateKind, Goal, GoalStatus, Instance, MissionPhase
 
@@ -39,8 +39,12 @@ GRACE_NS = 300_000_000
 
 # A place whose cell is closed is reached next to it; a goal there that failed is tried again.
 _AT_PLACE_M, _PLACE_TRIES = 0.5, 3
-# A point in a room is reached on its own cell or the next one. The points move as the map grows.
-_POINT_SNAP_M, _SAME_POINT_M = np.array([0.08]), 0.6
+POINT_SNAP_M = np.array([0.08])
+"""A point in a room is reached on its own cell or the next one."""
+_SAME_POINT_M = 0.6  # the points move as the map grows
+
+# The robot stops by this nearer to an object than it must.
+_STOP_SHORT_M = 0.05
 
 _KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "spin")
 
@@ -48,7 +52,7 @@ Verdict = Literal["reached", "rejected", "out of reach"]
 
 
 @dataclass(slots=True, eq=False)
-class _Present:
+class _TrackedGoal:
     """The current goal, with the state that ends with it.
 
     Attributes:
@@ -68,8 +72,8 @@ class _Present:
     peak: float = 0.0
     view: Viewpoint | None = None
     sent: bool = False
-    settles: bool = True
-    answer: GoalStatus | None = None
+    ends_on_arrival: bool = True
+    status: GoalStatus | None = None
     verifying_since_ns: int | None = None
     images_before: int = 0
 
@@ -101,37 +105,44 @@ class GoalTracker:
         self.client = GoalClient(config, send)
         self._config, self._pool, self._tracker = config, pool, tracker
         self._event = event
-        self._present: _Present | None = None
+        self._tracked: _TrackedGoal | None = None
         self._search = SearchState()
         self._next_view = NextBestView(config.perception.confirm_hits)
         self._standstill = StandstillMonitor(config, event)
-        self._warned_of: set[int] = set()
+        self._warned_ids: set[int] = set()
         self._explained: tuple[str, int] | None = None
-        self._turns = -1
+        self._retargets = -1
         self._place_failures = 0
-        self._restored: tuple[str, SearchState, _Present | None] | None = None  # first its target
+        self._restored: tuple[str, SearchState, _TrackedGoal | None] | None = (
+            None  # first its target
+        )
         self._without_since_ns: int | None = None
         self._grace_ns = GRACE_NS
 
     # -- state for other modules --------------------------------------------------------------
 
     @property
-    def goal(self) -> Goal | None:
-        """Current goal of the robot, or None."""
-        return None if self._present is None else self._present.goal
+    def _stop_m(self) -> float:
+        """Stopping distance from an object: near enough to have reached it."""
+        return min(self._config.mission.reach_m - _STOP_SHORT_M, STOP_M[-1])
 
     @property
-    def answer(self) -> GoalStatus | None:
+    def goal(self) -> Goal | None:
+        """Current goal of the robot, or None."""
+        return None if self._tracked is None else self._tracked.goal
+
+    @property
+    def goal_status(self) -> GoalStatus | None:
         """Newest status of the current goal from the controller; None before the first."""
-        return None if self._present is None else self._present.answer
+        return None if self._tracked is None else self._tracked.status
 
     @property
     def arrived(self) -> bool:
         """True if the controller says that the robot is at the current goal."""
-        return self.answer is not None and self.answer.state == "reached"
+        return self.goal_status is not None and self.goal_status.state == "reached"
 
     @property
-    def searched(self) -> bool:
+    def candidates_exhausted(self) -> bool:
         """True if all candidates are used up.
 
         Instances that were more often detected as another class then count as candidates too.
@@ -171,6 +182,8 @@ class GoalTracker:
         If no candidate is left, the robot turns on the spot. After that, discarded candidates get
         one more chance, and blocked places are opened again and tried once the travel-cost field
         reaches them. Last, the robot goes to viewpoints of objects that the detector saw badly.
+        If a remembered object is gone, it may be anywhere in known space: viewpoints then come
+        whenever they show more per metre than the best candidate.
 
         Args:
             context: Candidates, pose and time of the tick.
@@ -182,13 +195,17 @@ class GoalTracker:
             A goal on a free, reachable cell that faces its candidate, or None. It is the same
             object as before as long as the goal stays.
         """
-        self._leave_vanished(context)
-        chosen = self._towards_best(context, score) or self._turn(context)
-        if chosen is not None or not self._search.exhausted:
-            self._next_view.drop()
-        elif not self._search.trying_again(context, grid, self._pool, self._tracker):
+        self._discard_vanished(context)
+        chosen = self._towards_best(context, score) or self._spin(context)
+        view = self._look_for_moved(context, grid, chosen, images)
+        if view is not None:
+            chosen = view
+        elif chosen is not None or not self._search.exhausted:
+            if chosen is not self._tracked:
+                self._next_view.abandon()
+        elif not self._search.retry(context, grid, self._pool, self._tracker):
             chosen = self._look_again(context, grid, images)
-        self._present = chosen
+        self._tracked = chosen
         return self.goal
 
     def go_to_place(
@@ -203,16 +220,16 @@ class GoalTracker:
             target: the place's name.
             images: number of images that the detector has searched so far.
         """
-        cell = grid.reach.nearest(place.x_m, place.y_m, _AT_PLACE_M)
+        cell = grid.travel_cost.nearest(place.x_m, place.y_m, _AT_PLACE_M)
         if cell is None:
             return self.explore_towards(context, grid, (place.x_m, place.y_m), images)
-        self._next_view.drop()
-        self._search.found()
+        self._next_view.abandon()
+        self._search.on_candidate()
         goal, at = self.goal, (place.x_m, place.y_m)
         if goal is None or goal.kind != "place" or grid.state_at(goal.pose.x_m, goal.pose.y_m):
             pose = SE2(cell[0], cell[1], place.yaw_rad)
             goal = Goal(context.now_ns, pose, "place", 0, at, 1.0, target)
-            self._present = _Present(goal)
+            self._tracked = _TrackedGoal(goal)
         return self.goal
 
     def explore_towards(
@@ -250,23 +267,23 @@ class GoalTracker:
             and goal is not None
             and (goal.kind, goal.target) == ("place", target)
             and not grid.state_at(goal.pose.x_m, goal.pose.y_m)
-            and math.isfinite(grid.reach.distance_m(goal.pose.x_m, goal.pose.y_m))
+            and math.isfinite(grid.travel_cost.distance_m(goal.pose.x_m, goal.pose.y_m))
             and np.hypot(*(points_m - goal.candidate_xy_m).T).min() <= _SAME_POINT_M
         ):
             return goal
         path_m = np.empty(n, np.float32)
-        grid.reach.path_lengths_m(points_m, np.zeros(n, np.int8), _POINT_SNAP_M, n, path_m)
+        grid.travel_cost.path_lengths_m(points_m, np.zeros(n, np.int8), POINT_SNAP_M, n, path_m)
         best = int(path_m.argmin())
         at = points_m[best].tolist()
-        cell = grid.reach.nearest(at[0], at[1], float(_POINT_SNAP_M[0]))
+        cell = grid.travel_cost.nearest(at[0], at[1], float(POINT_SNAP_M[0]))
         if cell is None or not math.isfinite(path_m[best]):
             return None
-        self._next_view.drop()
-        self._search.found()
+        self._next_view.abandon()
+        self._search.on_candidate()
         pose, x_m, y_m = context.pose, cell[0], cell[1]
         yaw_rad = math.atan2(y_m - pose.y_m, x_m - pose.x_m)
         goal = Goal(context.now_ns, SE2(x_m, y_m, yaw_rad), "place", 0, (at[0], at[1]), 1.0, target)
-        self._present = _Present(goal, settles=False)
+        self._tracked = _TrackedGoal(goal, ends_on_arrival=False)
         return goal
 
     def override(self, pose: SE2, mission: MissionRun, now_ns: int, apart_m: float) -> Goal:
@@ -287,55 +304,85 @@ class GoalTracker:
             or (not apart_m and goal.pose != pose)
         ):
             goal = Goal(now_ns, pose, "trajectory", 0, (pose.x_m, pose.y_m), 0.0, mission.target)
-            self._present = _Present(goal)
+            self._tracked = _TrackedGoal(goal)
         return goal
 
-    def _towards_best(self, context: PolicyInput, score: np.ndarray) -> _Present | None:
+    def _towards_best(self, context: PolicyInput, score: np.ndarray) -> _TrackedGoal | None:
         """Return a goal for the best candidate; the current goal if it still serves."""
         c, policy, search = context.candidates, self._config.policy, self._search
-        present, held = self._present, None
-        order = ranked(c, score, context.pose, policy.delta_reached_m)
+        present, held = self._tracked, None
+        reached_m, first = policy.delta_reached_m, policy.confirmed_first
+        order = ranked(c, score, context.pose, reached_m, first)
         if search.exhausted:
             lasting = c.first_seen_ns[order] <= c.stamp_ns - LASTING_NS
             order = order[lasting | (c.kind[order] == INSTANCE)]
         if present is not None:
-            fickle = partial(search.fickle, present.goal.candidate_xy_m)
+            fickle = partial(search.often_left, present.goal.candidate_xy_m)
             held = CurrentGoal(present.goal, present.peak, fickle)
-        chosen = choose(context, score, order, held, policy.switch_margin, self._tracker.get)
+        chosen = choose(
+            context, score, order, held, policy.switch_margin, self._tracker.get, self._stop_m
+        )
         goal, peak, stays = chosen or (None, 0.0, False)
         if present is not None and present.goal.kind == "frontier" and not stays:
             search.left.append(present.goal.candidate_xy_m)
         if goal is None:
             return None
-        search.found()
+        search.on_candidate()
         if present is None or goal is not present.goal:
-            return _Present(goal, peak)
+            return _TrackedGoal(goal, peak)
         present.peak = peak
         return present
 
-    def _turn(self, context: PolicyInput) -> _Present | None:
+    def _spin(self, context: PolicyInput) -> _TrackedGoal | None:
         """Return a goal that turns the robot on the spot, if it may turn."""
-        turning = self.goal is not None and self.goal.kind == "spin"
+        present = self._tracked
+        turning = present is not None and present.goal.kind == "spin" and present.view is None
         if not self._search.may_turn(turning, context.now_ns):
             return None
         if turning:
-            return self._present
+            return present
         at = context.pose
         yaw_rad = at.yaw_rad + 2.0 * math.pi / TURNS
-        return _Present(_look(SE2(at.x_m, at.y_m, yaw_rad), context.now_ns, context.target))
+        return _TrackedGoal(
+            _free_goal(SE2(at.x_m, at.y_m, yaw_rad), context.now_ns, context.target)
+        )
 
-    def _look_again(self, context: PolicyInput, grid: RollingMap, images: int) -> _Present | None:
+    def _look_again(
+        self, context: PolicyInput, grid: RollingMap, images: int
+    ) -> _TrackedGoal | None:
         """Return a goal at the next viewpoint, if there is one."""
-        view, present = self._next_view.choose(grid, images), self._present
+        view, present = self._next_view.choose(grid, images), self._tracked
         if view is None:
             return None
         if present is not None and present.view is view:
             return present
         yaw_rad = wrap_angle(view.heading_rad - grid.coverage.camera_yaw_rad)
         pose = SE2(view.x_m, view.y_m, yaw_rad)
-        return _Present(_look(pose, context.now_ns, context.target), view=view)
+        return _TrackedGoal(_free_goal(pose, context.now_ns, context.target), view=view)
 
-    def _leave_vanished(self, context: PolicyInput) -> None:
+    def _look_for_moved(
+        self, context: PolicyInput, grid: RollingMap, chosen: _TrackedGoal | None, images: int
+    ) -> _TrackedGoal | None:
+        """Return a goal at a viewpoint if a remembered object is gone and no candidate is better.
+
+        The value of both is the area that is to be seen per length of path.
+        """
+        c, present = context.candidates, self._tracked
+        if not self._search.has_moved or (c.kind[: c.n] == INSTANCE).any():
+            return None
+        view = self._look_again(context, grid, images)
+        if view is None or chosen is None or view is present:
+            return view
+        at = c.index_of(FRONTIER, chosen.goal.candidate_id)
+        if chosen.goal.kind != "frontier" or at < 0:
+            return None  # a spin costs little
+        assert view.view is not None
+        path_m = grid.travel_cost.distance_m(view.goal.pose.x_m, view.goal.pose.y_m)
+        value = grid.coverage.area_m2(view.view) / (START_M + path_m)
+        other = float(c.gain_m2[at]) / (START_M + float(c.path_m[at]))
+        return view if value > (1.0 + self._config.policy.switch_margin) * other else None
+
+    def _discard_vanished(self, context: PolicyInput) -> None:
         """Discard the goal's frontier if it vanished and is not reliable.
 
         A frontier that is visible only from afar would otherwise make the robot come and go
@@ -345,15 +392,15 @@ class GoalTracker:
         if goal is None or goal.kind != "frontier":
             return
         gone = context.candidates.index_of(FRONTIER, goal.candidate_id) < 0
-        if gone and (search.exhausted or search.fickle(goal.candidate_xy_m)):
+        if gone and (search.exhausted or search.often_left(goal.candidate_xy_m)):
             self._discard(context.now_ns)
 
     # -- sending ----------------------------------------------------------------------------
 
-    def tell(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
+    def send_pending(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
         """Send the current goal if it was not sent yet. Without a goal, make the robot stand."""
         self.client.notice_silence(now_ns)
-        present = self._present
+        present = self._tracked
         if present is not None:
             self._without_since_ns = None
             if not present.sent:
@@ -365,22 +412,22 @@ class GoalTracker:
         if self._without_since_ns is None:
             self._without_since_ns = now_ns
         if self.client.driving and now_ns - self._without_since_ns >= self._grace_ns:
-            self.stand(mission, pose, now_ns)
+            self.hold_position(mission, pose, now_ns)
 
-    def stand(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
+    def hold_position(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
         """Make the robot stand still, with a goal at its own pose that is not tracked."""
-        self._present = None
-        self._send(_look(pose, now_ns, mission.target), now_ns)
+        self._tracked = None
+        self._send(_free_goal(pose, now_ns, mission.target), now_ns)
         self.client.driving = False
 
-    def answered(self, answer: GoalStatus) -> None:
+    def on_goal_status(self, answer: GoalStatus) -> None:
         """Handle a goal status of the controller, which may be for an old goal."""
-        present = self._present
+        present = self._tracked
         if present is not None and not present.sent:
             present = None
         goal = None if present is None else present.goal
-        if self.client.answered(answer, goal) and present is not None:
-            present.answer = answer
+        if self.client.on_goal_status(answer, goal) and present is not None:
+            present.status = answer
 
     def _send(self, goal: Goal, now_ns: int) -> None:
         self._grace_ns = GRACE_NS
@@ -391,7 +438,7 @@ class GoalTracker:
         instance = self._tracker.get(goal.candidate_id) if goal.kind == "instance" else None
         if instance is None or self._explained == (mission.target, instance.id):
             return
-        if why := self._tracker.why(mission.target, instance):
+        if why := self._tracker.reason_for(mission.target, instance):
             self._explained = mission.target, instance.id
             self._event(f"{mission.target}: {instance.label} {instance.id} chosen: {why}", now_ns)
 
@@ -407,14 +454,14 @@ class GoalTracker:
                 if away_m > self._config.mission.reach_m:
                     continue
                 near.add(instance.id)
-                if instance.id not in self._warned_of:
+                if instance.id not in self._warned_ids:
                     text = f"goal {away_m:.1f} m from {label}, which must not be reached now"
                     mission.warn(label, text, now_ns)
-        self._warned_of = near
+        self._warned_ids = near
 
     # -- following up -----------------------------------------------------------------------
 
-    def judge(
+    def check_progress(
         self,
         grid: RollingMap,
         pose: SE2,
@@ -437,10 +484,10 @@ class GoalTracker:
         Returns:
             True if the robot is stuck: it should drive but stands still.
         """
-        present = self._present
-        self._standstill.told(grid, pose, self.client.take_blocked(), now_ns)
-        if present is not None and present.sent and present.answer is None:
-            present.answer = self.client.arrived(present.goal, pose, now_ns)
+        present = self._tracked
+        self._standstill.on_blocked(grid, pose, self.client.take_blocked(), now_ns)
+        if present is not None and present.sent and present.status is None:
+            present.status = self.client.arrived(present.goal, pose, now_ns)
         instance = None
         if present is not None and present.goal.kind == "instance":
             instance = self._tracker.get(present.goal.candidate_id)
@@ -466,7 +513,7 @@ class GoalTracker:
 
     def _verdict(
         self,
-        present: _Present,
+        present: _TrackedGoal,
         instance: Instance,
         pose: SE2,
         now_ns: int,
@@ -480,7 +527,7 @@ class GoalTracker:
         detector has confirmed the instance.
         """
         config = self._config.mission
-        if present.answer is None or present.answer.state != "reached":
+        if present.status is None or present.status.state != "reached":
             present.verifying_since_ns, self.phase = None, "approaching"
             return None
         if instance.distance_m(pose.x_m, pose.y_m) > config.reach_m:
@@ -498,13 +545,13 @@ class GoalTracker:
     def _act_on(
         self,
         verdict: Verdict,
-        present: _Present,
+        present: _TrackedGoal,
         instance: Instance,
         mission: MissionRun,
         now_ns: int,
     ) -> None:
-        if verdict == "reached" and mission.brief.steps is not None:
-            self.drop()  # a task wanted only the confirmation of this object
+        if verdict == "reached" and mission.spec.steps is not None:
+            self.abandon()  # a task wanted only the confirmation of this object
             return
         if verdict == "reached":
             self._tracker.mark_reached(instance.id)
@@ -515,28 +562,29 @@ class GoalTracker:
                 self._discard(now_ns)
             return
         if verdict == "rejected":
+            self._search.has_moved |= self._tracker.confirmed(instance)
             self._tracker.reject(instance.id)
-            self.drop()
+            self.abandon()
         else:
             at = present.goal.pose
-            if not self._search.missed(instance.id, (at.x_m, at.y_m)):
-                self.drop()  # with the map as it is now, a goal may be nearer to the object
+            if not self._search.mark_out_of_reach(instance.id, (at.x_m, at.y_m)):
+                self.abandon()  # with the map as it is now, a goal may be nearer to the object
                 return
             self._discard(now_ns)
         x, y, _ = instance.center_m
         self._event(f"{verdict}: {instance.label} #{instance.id} at ({x:.1f}, {y:.1f})", now_ns)
 
-    def _follow(self, present: _Present, pose: SE2, now_ns: int, images: int) -> None:
+    def _follow(self, present: _TrackedGoal, pose: SE2, now_ns: int, images: int) -> None:
         """Handle the controller's status of a goal for a frontier, a turn or a viewpoint."""
-        goal, answer = present.goal, present.answer
+        goal, answer = present.goal, present.status
         if goal.kind == "trajectory":
             return
         state = None if answer is None else answer.state
         if present.view is not None:
             if state == "failed":
-                self._next_view.give_up()
+                self._next_view.mark_unreachable()
             elif state == "reached":
-                self._next_view.came(images)
+                self._next_view.on_arrived(images)
         elif goal.kind == "spin":
             if state in ("reached", "failed"):
                 self._discard(now_ns)
@@ -552,53 +600,55 @@ class GoalTracker:
             self._discard(now_ns)
 
     def _follow_to_place(
-        self, present: _Present, pose: SE2, mission: MissionRun, now_ns: int
+        self, present: _TrackedGoal, pose: SE2, mission: MissionRun, now_ns: int
     ) -> None:
         """Handle the controller's answer about a place."""
-        goal, answer = present.goal, present.answer
+        goal, answer = present.goal, present.status
         state = None if answer is None else answer.state
         away_m = pose.distance_to(*goal.candidate_xy_m)
         arrived = state == "reached" and away_m <= _AT_PLACE_M + ARRIVED_M
-        if arrived and not present.settles:
+        if arrived and not present.ends_on_arrival:
             return
         if arrived:
-            self.drop()
+            self.abandon()
             mission.on_reached(f"{away_m:.1f} m from the place", now_ns)
         elif answer is not None and state in ("reached", "failed"):
             reason = answer.reason or f"the controller stopped {away_m:.1f} m from it"
             self._event(f"goal failed: {reason}", now_ns)
             self._discard(now_ns)
             if self._place_failures >= _PLACE_TRIES:
-                mission.give_up(f"found no path to {goal.target}: {one_line(reason)}", now_ns)
+                mission.abandon_target(
+                    f"found no path to {goal.target}: {one_line(reason)}", now_ns
+                )
 
     # -- abandoning a goal, new targets -------------------------------------------------------
 
-    def drop(self) -> None:
+    def abandon(self) -> None:
         """Abandon the current goal. Late statuses for it are ignored, its candidate stays."""
-        self._present = None
-        self._next_view.drop()
+        self._tracked = None
+        self._next_view.abandon()
 
-    def rest(self) -> None:
+    def idle(self) -> None:
         """Abandon the current goal. Unless a new one comes in this tick, the robot stands still."""
-        self.drop()
+        self.abandon()
         self._grace_ns = 0
 
     def follows(self, mission: MissionRun) -> bool:
         """Return True if the tracker already works on the mission's active target."""
-        return self._turns == mission.turns
+        return self._retargets == mission.retargets
 
     def retarget(self, mission: MissionRun) -> None:
         """Start on another target: forget goal and attempts of the last one."""
-        self._turns = mission.turns
-        self.drop()
+        self._retargets = mission.retargets
+        self.abandon()
         self._search, self._place_failures = SearchState(), 0
         restored, self._restored = self._restored, None
         if restored is not None and restored[0] == mission.target:
-            _, self._search, self._present = restored
+            _, self._search, self._tracked = restored
 
     def state_dict(self) -> Arrays:
         """Return the current goal and the failed attempts, but no viewpoint and no task's goal."""
-        present, goals = self._present, []
+        present, goals = self._tracked, []
         if present is not None and present.view is None and present.goal.kind in _KINDS:
             goals = [(present.goal, present.peak)]
         return {
@@ -626,39 +676,39 @@ class GoalTracker:
             x_m, y_m, yaw_rad, to_x_m, to_y_m, score, peak = at
             pose = SE2(x_m, y_m, yaw_rad)
             goal = Goal(now_ns, pose, _KINDS[kind], int(i), (to_x_m, to_y_m), score, target)
-            present = _Present(goal, peak)
+            present = _TrackedGoal(goal, peak)
         self._restored = (target, SearchState.of_state_dict(state), present)
 
     def forget_mission(self) -> None:
         """Forget everything about the last mission."""
-        self._warned_of = set()
+        self._warned_ids = set()
         self._restored = None
-        self._turns = -1
-        self.drop()
-        self._next_view.start_over()
+        self._retargets = -1
+        self.abandon()
+        self._next_view.reset()
 
     def reconfigure(self, config: Config) -> None:
         """Use another configuration; see `edge.loop.reload.LIVE` for the keys that may differ."""
         self._config = config
-        self._next_view.enough = config.perception.confirm_hits
+        self._next_view.images_needed = config.perception.confirm_hits
 
     def on_pose_jump(self) -> None:
         """Handle a pose jump. The robot stands still unless the next tick finds a goal."""
-        self.rest()
+        self.idle()
         self.client.on_pose_jump()
         self._search, self._restored = SearchState(), None
         self._standstill.reset()
 
     def _discard(self, now_ns: int) -> None:
         """Abandon the current goal and ignore its candidate for `mission.discard_s`."""
-        present = self._present
+        present = self._tracked
         if present is not None and present.view is not None:
-            self._next_view.give_up()
+            self._next_view.mark_unreachable()
             return
         if present is not None and present.goal.kind == "spin":
-            self._search.turned(now_ns)
+            self._search.on_turn_ended(now_ns)
             goal, until_ns = present.goal, now_ns + int(self._config.mission.discard_s * 1e9)
-            self._pool.discard(LOOK, goal.candidate_id, goal.candidate_xy_m, until_ns)
+            self._pool.discard(SPIN, goal.candidate_id, goal.candidate_xy_m, until_ns)
         elif present is not None and present.goal.kind == "place":
             self._place_failures += 1
         elif present is not None and present.goal.kind != "trajectory":
@@ -666,7 +716,7 @@ class GoalTracker:
             kind = INSTANCE if goal.kind == "instance" else FRONTIER
             until_ns = now_ns + int(self._config.mission.discard_s * 1e9)
             self._pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
-        self.drop()
+        self.abandon()
 
 
 def _blocked(grid: RollingMap) -> str:
@@ -679,6 +729,6 @@ def _blocked(grid: RollingMap) -> str:
     return f"; blocked at ({x:.1f}, {y:.1f}){more}"
 
 
-def _look(pose: SE2, now_ns: int, target: str) -> Goal:
+def _free_goal(pose: SE2, now_ns: int, target: str) -> Goal:
     """Return a goal that is for no candidate: a turn on the spot, a viewpoint, or a stop."""
     return Goal(now_ns, pose, "spin", 0, (pose.x_m, pose.y_m), 0.0, target)

@@ -35,16 +35,16 @@ class GoalClient:
 
     Attributes:
         driving: True if the controller has a goal that is not finished.
-        heard: True if a controller answers, or if no answers are expected.
+        has_controller: True if a controller answers, or if no answers are expected.
     """
 
     def __init__(self, config: Config, transmit: Callable[[Goal], None]) -> None:
         self.driving = False
-        self.heard = config.goals_without_feedback
+        self.has_controller = config.goals_without_feedback
         self._expects_answers = not config.goals_without_feedback
         arrived_s = max(ARRIVED_S, 3.0 / config.observed_hz)
         self._arrival = StuckDetector(arrived_s)
-        self._unheard_at: SE2 | None = None  # pose at which the controller's silence began
+        self._silent_pose: SE2 | None = None  # pose at which the controller's silence began
         self._moved = False  # since then
         self._transmit = transmit
         self._stamps_ns: deque[int] = deque(maxlen=_KEPT)  # of the goals that were sent
@@ -64,7 +64,7 @@ class GoalClient:
         self._arrival.reset()
         self._transmit(goal)
 
-    def matched(self, answer: GoalStatus) -> GoalStatus:
+    def with_sent_stamp(self, answer: GoalStatus) -> GoalStatus:
         """Return the status with the exact stamp of its goal, since its own may be slightly off.
 
         A status that matches no sent goal is returned unchanged and logged once.
@@ -84,7 +84,7 @@ class GoalClient:
             )  # fmt: skip
         return answer
 
-    def answered(self, answer: GoalStatus, goal: Goal | None) -> bool:
+    def on_goal_status(self, answer: GoalStatus, goal: Goal | None) -> bool:
         """Handle a goal status. A status for an old goal only counts as a heartbeat.
 
         Args:
@@ -94,7 +94,7 @@ class GoalClient:
         Returns:
             True if the status is for this goal.
         """
-        self.heard = True
+        self.has_controller = True
         self._unanswered_since_ns = None
         if answer.stamp_ns == self._sent_ns:  # also for a goal that is no longer tracked
             self._blocked = answer.blocked or self._blocked
@@ -113,7 +113,7 @@ class GoalClient:
         since_ns = self._unanswered_since_ns
         if not self._expects_answers or since_ns is None or now_ns - since_ns < SILENT_NS:
             return
-        self.heard = False
+        self.has_controller = False
         if not self._silence_logged:
             self._silence_logged = True
             log.warning(
@@ -144,18 +144,18 @@ class GoalClient:
         That is so if the controller has the goal and answers, or if the robot has moved although
         no status comes.
         """
-        if self.heard:
-            self._unheard_at, self._moved = None, False
-        if self.heard or not self.driving:
+        if self.has_controller:
+            self._silent_pose, self._moved = None, False
+        if self.has_controller or not self.driving:
             return self.driving
-        start = self._unheard_at = self._unheard_at or pose
+        start = self._silent_pose = self._silent_pose or pose
         far = pose.distance_to(start.x_m, start.y_m) >= DRIVEN_M
         self._moved = self._moved or far or _turned_rad(pose, start) >= DRIVEN_RAD
         return self._moved
 
     def on_pose_jump(self) -> None:
         """Handle a pose jump: statuses of the last goal refer to the old frame."""
-        self._sent_ns = self._blocked = self._unheard_at = None
+        self._sent_ns = self._blocked = self._silent_pose = None
         self._arrival.reset()
 
 

@@ -50,7 +50,9 @@ class InputLog:
         self.pending.append(LoopInput(self._n, kind, fields))
         self._n += 1
 
-    def decided(self, what: str, decide: Callable[[], str], usual: str | None = None) -> str:
+    def record_decision(
+        self, what: str, decide: Callable[[], str], usual: str | None = None
+    ) -> str:
         """Make and log a decision that depends on this computer or its clocks.
 
         Args:
@@ -74,19 +76,19 @@ class InputLog:
 class _LoggedWorker:
     """A worker that logs its requests and results; see `InputLog.wrap`."""
 
-    def __init__(self, name: str, worker: Any, journal: InputLog) -> None:
-        self._name, self._worker, self._journal = name, worker, journal
+    def __init__(self, name: str, worker: Any, input_log: InputLog) -> None:
+        self._name, self._worker, self._input_log = name, worker, input_log
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._worker, name)
 
     def submit(self, item: Any) -> None:
         if self._name != DETECTOR:  # the detector gets every image, so this is not logged
-            self._journal.note("request", worker=self._name)
+            self._input_log.note("request", worker=self._name)
         self._worker.submit(item)
 
     def poll(self) -> Any:
         found = self._worker.poll()
         if found is not None:
-            self._journal.note("result", worker=self._name, result=found)
+            self._input_log.note("result", worker=self._name, result=found)
         return found

@@ -263,16 +263,16 @@ class LatencyRing:
         self._drops = [0] * n
         self._abandoned = [0] * n
         self._ticks = 0
-        self._began_ns = self._marked_ns = self._looked_ns = 0
-        self._before_ns: int | None = None  # when the tick before began
-        self._lasted = Histograms(n + 1, SPANS_S)
-        self._apart = Histograms(1, INTERVALS_S)
+        self._began_ns = self._marked_ns = self._started_ns = 0
+        self._previous_ns: int | None = None  # when the tick before began
+        self._durations = Histograms(n + 1, SPANS_S)
+        self._intervals = Histograms(1, INTERVALS_S)
         self._lock = threading.Lock()
 
     def begin_tick(self, t_ns: int) -> None:
         """Start a tick. A tick that was not ended is dropped."""
         self._now_ns[:] = self._blank
-        self._began_ns = self._marked_ns = self._looked_ns = t_ns
+        self._began_ns = self._marked_ns = self._started_ns = t_ns
 
     def mark(self, stage: int, t_ns: int) -> None:
         """End a stage: it took the time since the last mark, or since the start of the tick.
@@ -297,9 +297,9 @@ class LatencyRing:
             self._received_ns[i, stage] = self._marked_ns
             self._count[stage] += 1
             self._overruns[stage] += duration_ns > self._limit_ns[stage]
-            self._lasted.add_one(stage, duration_ns)
+            self._durations.add_one(stage, duration_ns)
 
-    def resume(self, t_ns: int) -> None:
+    def exclude_elapsed(self, t_ns: int) -> None:
         """Exclude the time since the last mark from the tick."""
         self._began_ns += t_ns - self._marked_ns
         self._marked_ns = t_ns
@@ -311,7 +311,7 @@ class LatencyRing:
         now[:] = self._now_ns
         np.greater(now, self._limit_ns, out=self._over)
         np.greater_equal(now, 0, out=self._ran)
-        before_ns, self._before_ns = self._before_ns, self._looked_ns
+        before_ns, self._previous_ns = self._previous_ns, self._started_ns
         with self._lock:
             i = self._ticks % self._capacity
             self._begins_ns[i] = self._began_ns
@@ -319,9 +319,9 @@ class LatencyRing:
             self._overruns += self._over
             self._count += self._ran
             self._ticks += 1
-            self._lasted.add(self._now_ns)
+            self._durations.add(self._now_ns)
             if before_ns is not None:
-                self._apart.add_one(0, self._looked_ns - before_ns)
+                self._intervals.add_one(0, self._started_ns - before_ns)
 
     def abandon_tick(self, stage: int) -> None:
         """Count a tick that ended in an error of this stage, as a drop of the stage.
@@ -358,8 +358,8 @@ class LatencyRing:
     def histograms(self) -> LatencyHistograms:
         """Return histograms of all ticks and background spans since the start."""
         with self._lock:
-            *stages, tick = self._lasted.read()
-            (interval,) = self._apart.read()
+            *stages, tick = self._durations.read()
+            (interval,) = self._intervals.read()
         names = (stage.name for stage in self._stages)
         return LatencyHistograms(dict(zip(names, stages, strict=True)), tick, interval)
 

@@ -152,7 +152,7 @@ class LoadShedder:
         self._distress = throttling_reason(board, before, MARGIN_C)
         self._cool = not throttling_reason(board, before, MARGIN_C + COOL_C)
         if before is not None and board.power_mode != before.power_mode:
-            self._levels.forget()
+            self._levels.reset_times()
             self._log(
                 f"load shedding: power mode {board.power_mode}, was {before.power_mode}", now_ns
             )

@@ -127,7 +127,7 @@ def state_of(
         boot, config.policy.kind, targets, target,
         (float(pose.x_m), float(pose.y_m), float(pose.yaw_rad)), sighted.stamp_ns, sighted.now_ns,
         config.mapping.resolution_m, config.mapping.obstacle_max_m,
-        config.value_source or "", tuple(values.targets), values.side,
+        config.value_source or "", tuple(values.targets), values.n_side_cells,
     )  # fmt: skip
     remembered = policy.state_dict() if isinstance(policy, StatefulPolicy) else {}
     every = {**parts.map.state_dict(), "goals": parts.goals.state_dict(), "policy": remembered}
@@ -151,9 +151,12 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
             raise ValueError(f"made with mapping.{scale} {was:g}, but it is now {now:g}")
     part, grid = checkpoint.part, RollingMap(mapping, config.robot)
     values = grid.values
-    same = (state.value_source, state.value_side) == (config.value_source or "", values.side)
+    same = (state.value_source, state.value_side) == (
+        config.value_source or "",
+        values.n_side_cells,
+    )
     if same and state.value_targets:
-        values.begin(state.value_targets)
+        values.set_targets(state.value_targets)
     size = grid.tile_bytes + 4 * state.value_side**2 * len(state.value_targets)
     sightings = ObjectTracker(perception)
     tracker = InstanceTracker(perception, sightings)
@@ -311,7 +314,7 @@ class MapCheckpoint:
             self._last = None
             self.prepare()
 
-    def note(
+    def save_part(
         self,
         parts: MapParts,
         sighted: StampedPose,
@@ -333,7 +336,7 @@ class MapCheckpoint:
         if self.waiting is not None:  # there was no observation yet
             return
         self._last = parts, sighted, targets, target
-        self._due = self._due or changed or self.writer.due(sighted.now_ns)
+        self._due = self._due or changed or self.writer.is_due(sighted.now_ns)
         if self._due and self.writer.idle:
             self._copy(MOST_PER_STEP + parts.map.grid.tiles_of_update)
 
@@ -355,7 +358,7 @@ class MapCheckpoint:
         self._due = False
         state = state_of(parts, sighted, self._boot, targets, target)
         self.writer.post(
-            partial(self._pack, state, grid.window.n, *self._copier.take()), sighted.now_ns
+            partial(self._pack, state, grid.window.n, *self._copier.collect()), sighted.now_ns
         )
 
     def _pack(

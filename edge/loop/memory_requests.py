@@ -46,10 +46,10 @@ def _crop(fields: dict) -> dict:
 _MOST_SIMILAR = 3
 _FILTERS = ("room", "since_s")
 MEMORY_VERBS = {
-    "find": Verb(("name", *_FILTERS), _find, reads=True),
-    "list": Verb(_FILTERS, _list, reads=True),
-    "crop": Verb(("id",), _crop, reads=True),
-    "rooms": Verb(reads=True),
+    "find": Verb(("name", *_FILTERS), _find, read_only=True),
+    "list": Verb(_FILTERS, _list, read_only=True),
+    "crop": Verb(("id",), _crop, read_only=True),
+    "rooms": Verb(read_only=True),
 }
 """`{"do": "find", "name": "mug"}` or `{"do": "list"}`; both answer with `text` and `objects`, and
 take the filters `room` and `since_s`. `{"do": "crop", "id": 3}` answers with `jpeg_base64`,
@@ -71,7 +71,7 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
     name, room = request.fields.get("name", ""), request.fields.get("room", "")
     if room and not rooms.matching(room):
         raise UserError(f"room: no room is known as {one_line(room)}")
-    sightings, pose = service.map.sightings.shown, service.pose
+    sightings, pose = service.map.objects.read_only, service.pose
     known = partial(
         known_objects, sightings, service.stamp_ns, service.config.perception.min_hits,
         since_s=request.fields.get("since_s"), room_of=rooms.title_at,
@@ -79,13 +79,13 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
     )  # fmt: skip
     found = known(name=name)
     if name:
-        asked = (*service.mission.brief.prompts, *sightings.words)
+        asked = (*service.mission.spec.prompts, *sightings.words)
         is_looked_for = any(names.is_kind_of(word, name) for word in asked)
-        text = where_is(name, found, pose, is_looked_for, rooms.where)
+        text = where_is(name, found, pose, is_looked_for, rooms.room_phrase)
         if not found:
             words = similar_words(name, sightings.words, service.map.prior)
             similar = {word: seen for word in words if (seen := known(name=word))}
-            text = similar_is(name, similar, pose, is_looked_for, rooms.where)
+            text = similar_is(name, similar, pose, is_looked_for, rooms.room_phrase)
             found = [one for seen in similar.values() for one in seen]
     else:
         text = f"{len(found)} objects"

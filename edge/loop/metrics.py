@@ -81,7 +81,7 @@ def _seconds(ms: float | None) -> float:
 
 def _faults(look: ScrapeSnapshot) -> dict[tuple[str, str], int]:
     """Count the errors by (step, type of error)."""
-    kinds = dict(look.service.faults.failures)
+    kinds = dict(look.service.error_boundary.failures)
     return {(kind.partition(": ")[0], kind.partition(": ")[2]): n for kind, n in kinds.items()}
 
 
@@ -168,7 +168,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            ("input",)),
     MetricSpec("edge_input_lacking", "gauge",
            "1 if a needed input is missing, silent, or always dropped, else 0.",
-           lambda s: {row.name: row.lacks for row in s.inputs}, ("input",)),
+           lambda s: {row.name: row.is_lacking for row in s.inputs}, ("input",)),
     MetricSpec("edge_check_failed", "gauge", "1 if a check of the sensor data fails now, else 0.",
            lambda s: {row.name: row.name in s.failed for row in s.service.plausibility.checks},
            ("check",)),
@@ -182,12 +182,12 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            lambda s: s.service.map.epoch),
     # Errors.
     MetricSpec("edge_faults_total", "counter", "Errors that the loop caught.",
-           lambda s: s.service.faults.failed),
+           lambda s: s.service.error_boundary.failed),
     MetricSpec("edge_faults_by_step_total", "counter",
            "Errors that the loop caught, by step of the loop and type of error.",
            _faults, ("step", "error")),
     MetricSpec("edge_loop_degraded", "gauge", "1 if a step of the loop keeps failing, else 0.",
-           lambda s: s.service.faults.state != "ok"),
+           lambda s: s.service.error_boundary.state != "ok"),
     MetricSpec("edge_sink_failures_total", "counter",
     "Messages that a sink could not send or write.",
            lambda s: s.of_sinks("failed"), ("sink",)),
@@ -215,7 +215,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            lambda s: {s.detector.name: s.detector.restarts
                       if isinstance(s.detector, ProcessDetector) else 0}, ("model",)),
     MetricSpec("edge_model_swaps_total", "counter", "Swaps of the detector's model, by outcome.",
-           lambda s: dict(s.service.swapper.outcomes), ("outcome",)),
+           lambda s: dict(s.service.detector_swap.outcomes), ("outcome",)),
     MetricSpec("edge_load_shedding_level", "gauge",
            "Degradation level (entry of perception.load_shedding.levels); 0: no load is shed.",
            lambda s: s.service.load_shedder and s.service.load_shedder.level),
@@ -233,7 +233,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
     MetricSpec("edge_mission_state", "state", "State of the mission.",
            lambda s: s.mission.status(s.service.goals.phase).phase, states=get_args(MissionPhase)),
     MetricSpec("edge_mission_targets", "gauge", "Number of targets of the mission.",
-           lambda s: len(s.mission.brief.targets)),
+           lambda s: len(s.mission.spec.targets)),
     MetricSpec("edge_mission_targets_reached", "gauge", "Number of targets that were reached.",
            lambda s: len(s.mission.reached)),
     MetricSpec("edge_mission_plan_steps", "gauge", "Number of remaining steps of the plan.",
@@ -252,7 +252,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            lambda s: None if s.goal is None
            else max(s.running.now_ns - s.goal.stamp_ns, 0) * 1e-9),
     MetricSpec("edge_controller_answers", "gauge", "1 if a motion controller answers, else 0.",
-           lambda s: s.service.goals.client.heard),
+           lambda s: s.service.goals.client.has_controller),
     # The map.
     MetricSpec("edge_map_known_square_meters", "gauge", "Known area of the map.",
            lambda s: s.service.map.grid.known_m2),

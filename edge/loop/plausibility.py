@@ -199,7 +199,7 @@ class FailedCheck(NamedTuple):
 
 
 class Plausibility:
-    """The plausibility stage. The loop's thread calls `judge`.
+    """The plausibility stage. The loop's thread calls `permitted_use`.
 
     Args:
         config: The configuration.
@@ -240,7 +240,7 @@ class Plausibility:
         if update.floor_missing or update.floor_seen:
             self._floor_lost = update.floor_missing
 
-    def judge(self, observation: Observation, now_ns: int) -> Use:
+    def permitted_use(self, observation: Observation, now_ns: int) -> Use:
         """Return the permitted use of the observation."""
         self._measure(observation, now_ns)
         use: Use = ""

@@ -31,7 +31,7 @@ grow."""
 
 
 class LocationPrior:
-    """The likelihood ratio of targets near places, from all objects seen; see `lift`.
+    """The likelihood ratio of targets near places, from all objects seen; see `likelihood_ratio`.
 
     Args:
         by: `cooccurrence`, `rooms`, or `both`.
@@ -43,15 +43,15 @@ class LocationPrior:
         self._by, self._table, self._words = by, table, words
         self._index = SeenObjectIndex(words)
         self._chance, self._average = rooms.object_given_room(table), rooms.room_prior(table)
-        self._sightings: TrackedObjects | None = None
-        self._seen = -1
+        self._objects: TrackedObjects | None = None
+        self._generation = -1
         self._version = 0
         self._regions = NO_REGIONS
         self._places: tuple = ()
         self._xy_m = np.zeros((0, 2), np.float32)
         self._near = np.zeros((0, len(table.things)), np.float32)
         self._kind = np.zeros((0, len(table.kinds)))
-        self._lifts: dict[str, np.ndarray] = {}
+        self._ratios: dict[str, np.ndarray] = {}
         self._layers: dict[str, Callable[[], Grid]] = {}
         self._drawn = (-1, -1)
 
@@ -60,13 +60,13 @@ class LocationPrior:
         """Index of the words, with the detector's vocabulary if it has one."""
         return self._words
 
-    def step(self, regions: RegionMap, sightings: TrackedObjects) -> None:
+    def step(self, regions: RegionMap, objects: TrackedObjects) -> None:
         """Use the newest cut of the map and the objects seen, once a tick."""
-        self._sightings = sightings
+        self._objects = objects
         if regions is not self._regions:
             self._regions, self._version = regions, self._version + 1
 
-    def lift(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
+    def likelihood_ratio(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
         """Compute P(target near a place | objects seen) / P(target near an average place).
 
         Args:
@@ -77,22 +77,22 @@ class LocationPrior:
                 between `LEAST` and `MOST`.
         """
         row = self._words.row(target)
-        if row < 0 or n == 0 or self._sightings is None or self._sightings.n == 0:
+        if row < 0 or n == 0 or self._objects is None or self._objects.n == 0:
             out[:n] = 1.0
             return
-        self._update_places(self._sightings, xy_m[:n])
-        if target not in self._lifts:
-            self._lifts[target] = self._lift(row, self._near, self._kind)
-        out[:n] = self._lifts[target]
+        self._update_places(self._objects, xy_m[:n])
+        if target not in self._ratios:
+            self._ratios[target] = self._ratio_of(row, self._near, self._kind)
+        out[:n] = self._ratios[target]
 
     def layer(self, target: str) -> Callable[[], Grid]:
-        """Return a function that draws the current `lift` over the open part of the map.
+        """Return a function that draws `likelihood_ratio` now, over the open part of the map.
 
         Returns:
             A function for any thread and any time. It returns a grid of uint8 on a logarithmic
             scale: 0 if nothing is known, else 1 (`LEAST`) … 128 (average place) … 255 (`MOST`).
         """
-        s, regions, row = self._sightings, self._regions, self._words.row(target)
+        s, regions, row = self._objects, self._regions, self._words.row(target)
         if s is None or s.n == 0 or row < 0:
             return lambda: NO_REGIONS.grid
         if self._drawn != (s.generation, self._version):
@@ -113,12 +113,12 @@ class LocationPrior:
         open_ = grid.cells[step // 2 :: step, step // 2 :: step] == OPEN
         drawn = Grid(np.zeros(open_.shape, np.uint8), grid.origin_xy_m, step * grid.resolution_m)
         xy_m = drawn.to_metres(np.argwhere(open_)[:, ::-1] + 0.5).astype(np.float32)
-        lift = self._lift(row, *self._surroundings(things, regions, xy_m))
+        lift = self._ratio_of(row, *self._surroundings(things, regions, xy_m))
         share = np.log(lift / LEAST) / math.log(MOST / LEAST)
         drawn.cells[open_] = np.where(lift == 1.0, 0, np.round(1 + 254 * share))
         return drawn
 
-    def _lift(self, row: int, near: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    def _ratio_of(self, row: int, near: np.ndarray, kind: np.ndarray) -> np.ndarray:
         """Return the likelihood ratio of places with these surroundings, (n,) float32."""
         lift = np.ones(len(near), np.float32)
         if self._by != "rooms":
@@ -130,12 +130,12 @@ class LocationPrior:
 
     def _update_places(self, s: TrackedObjects, xy_m: np.ndarray) -> None:
         """Compute the near objects and the rooms of these places, if something changed."""
-        same = s.generation == self._seen and self._places == (self._version, len(xy_m))
+        same = s.generation == self._generation and self._places == (self._version, len(xy_m))
         if same and np.array_equal(xy_m, self._xy_m):
             return
-        self._seen, self._places = s.generation, (self._version, len(xy_m))
+        self._generation, self._places = s.generation, (self._version, len(xy_m))
         self._xy_m = np.array(xy_m, np.float32)
-        self._lifts.clear()
+        self._ratios.clear()
         self._near, self._kind = self._surroundings(self._index.of(s), self._regions, self._xy_m)
 
     def _surroundings(

@@ -57,13 +57,13 @@ class ResultPublisher:
         site: Places and zones.
         goals: Goal tracker.
         scorers: The scorers, if any.
-        journal: Input log.
+        input_log: Input log.
         latency: Times of the stages.
         health: Returns the health of all parts.
 
     Attributes:
         goals: Goals since the last result; bounded.
-        answers: Goal statuses since the last result; bounded.
+        goal_statuses: Goal statuses since the last result; bounded.
         events: Events since the last result; bounded.
         detections: New detections. Their frame is held until the result is published.
     """
@@ -75,17 +75,17 @@ class ResultPublisher:
         site: SiteFile,
         goals: GoalTracker,
         scorers: Scorers | None,
-        journal: InputLog,
+        input_log: InputLog,
         latency: LatencyRing,
         health: Callable[[], dict[str, Any]],
     ) -> None:
         self.goals: deque[Goal] = deque(maxlen=_KEPT)
-        self.answers: deque[GoalStatus] = deque(maxlen=_KEPT)
+        self.goal_statuses: deque[GoalStatus] = deque(maxlen=_KEPT)
         self.events: deque[Event] = deque(maxlen=_KEPT)
         self.detections: Detections | None = None
         self._sinks = sinks
         self._map, self._site, self._tracker, self._scorers = map, site, goals, scorers
-        self._journal, self._latency, self._health = journal, latency, health
+        self._input_log, self._latency, self._health = input_log, latency, health
 
     def result(
         self,
@@ -109,20 +109,20 @@ class ResultPublisher:
             scores: The policy's scores of the candidates.
         """
         map, grid, goals = self._map, self._map.grid, self._tracker
-        targets, goal, scorers = mission.brief.targets, goals.goal, self._scorers
+        targets, goal, scorers = mission.spec.targets, goals.goal, self._scorers
         return TickResult(
             now_ns=now_ns,
             observation=observation,
             pose=pose,
             status=mission.status(goals.phase),
             goal=goal,
-            answer=goals.answer,
-            controlled=goals.client.heard,
+            goal_status=goals.goal_status,
+            has_controller=goals.client.has_controller,
             targets=targets,
             goals=tuple(self.goals),
-            answers=tuple(self.answers),
+            goal_statuses=tuple(self.goal_statuses),
             events=tuple(self.events),
-            inputs=tuple(self._journal.pending),
+            inputs=tuple(self._input_log.pending),
             detections=self.detections,
             mission=cache(partial(mission_facts, mission)),
             task=cache(task),
@@ -135,7 +135,7 @@ class ResultPublisher:
             zones=grid.zones.polygons,
             frontiers=cache(lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy()),
             candidates=cache(partial(scored, map.pool.candidates, scores)),
-            way=cache(partial(_way_m, grid, goal)),
+            path=cache(partial(_path_m, grid, goal)),
             choice=None if scorers is None else scorers.answers.choice,
             known_m2=lambda: grid.known_m2,
             snapshot=grid.snapshot,
@@ -147,7 +147,7 @@ class ResultPublisher:
 
     def on_detections(self, detections: Detections) -> None:
         """Keep new detections and hold their frame for the next result."""
-        self.let_go()
+        self.release_detections()
         detections.observation.hold()
         self.detections = detections
 
@@ -156,13 +156,13 @@ class ResultPublisher:
 
         Such an error is an event of the next result.
         """
-        for published in (self.goals, self.answers, self.events, self._journal.pending):
+        for published in (self.goals, self.goal_statuses, self.events, self._input_log.pending):
             published.clear()
         for sink in self._sinks:
             with faults.contain(f"{type(sink).__name__}.tick", result.now_ns):
                 sink.tick(result)
 
-    def let_go(self) -> None:
+    def release_detections(self) -> None:
         """Release the frame of the detections, so that it can be reused."""
         if self.detections is not None:
             self.detections.observation.release()
@@ -172,11 +172,11 @@ class ResultPublisher:
 def _objects(map: SemanticMap, stamp_ns: int) -> list[KnownObject]:
     """Return the remembered objects; see `TickResult.objects`."""
     min_hits = map.config.perception.min_hits
-    return known_objects(map.sightings.shown, stamp_ns, min_hits, most=MAX_OBJECTS)
+    return known_objects(map.objects.read_only, stamp_ns, min_hits, most=MAX_OBJECTS)
 
 
-def _way_m(grid: RollingMap, goal: Goal | None) -> np.ndarray:
-    """Return the shortest path to the goal; see `TickResult.way`."""
+def _path_m(grid: RollingMap, goal: Goal | None) -> np.ndarray:
+    """Return the shortest path to the goal; see `TickResult.path`."""
     if goal is None:
         return np.zeros((0, 2), np.float32)
-    return grid.reach.path_m(goal.pose.x_m, goal.pose.y_m)
+    return grid.travel_cost.path_m(goal.pose.x_m, goal.pose.y_m)

@@ -132,7 +132,7 @@ class Reloader:
     def _begin(self) -> None:
         self._asked.clear()
         log.info("reload: reading the configuration")
-        present, running = self._service.config, self._service.swapper.running
+        present, running = self._service.config, self._service.detector_swap.running
         preparing: Future[_Ready] = Future()
         self._preparing = preparing
 
@@ -152,7 +152,7 @@ class Reloader:
         if not preparing.done():
             return
         self._preparing = None
-        ready, swapper = preparing.result(), self._service.swapper
+        ready, swapper = preparing.result(), self._service.detector_swap
         if any(_below(key, _DETECTOR) for key in ready.changed):
             _check_at_rest(swapper, ready.running)
         if not ready.changed:
@@ -164,7 +164,7 @@ class Reloader:
             self._swapping = ready
 
     def _wait_for_model(self, ready: _Ready, now_ns: int) -> None:
-        swap = self._service.swapper.status()
+        swap = self._service.detector_swap.status()
         if swap["state"] not in FINAL_STATES:
             return
         self._swapping = None

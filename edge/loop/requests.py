@@ -11,6 +11,7 @@ from edge.bus import topics
 from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_pose, check_text, shown
 from edge.config import TranslatorLtl
 from edge.errors import UserError
+from edge.loop.behaviours.room_targets import refuse_closed
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.result import mission_facts
 from edge.loop.said_requests import carry_out
@@ -62,7 +63,7 @@ def request_handlers(
         ),
         topics.MODELS_REQUEST: (
             MODEL_VERBS,
-            partial(handle_model, service.swapper, scorers=service.scorers),
+            partial(handle_model, service.detector_swap, scorers=service.scorers),
         ),
         topics.SITE_REQUEST: (SITE_VERBS, partial(handle_site, service)),
         topics.MEMORY_REQUEST: (MEMORY_VERBS, partial(handle_memory, service)),
@@ -114,10 +115,10 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
             prepared,
             instead=_control if in_words else lambda fields: None,
         ),
-        "pause": Verb(("for_s",), _pause, stops=True),
+        "pause": Verb(("for_s",), _pause, stops_robot=True),
         "resume": Verb(),
-        "cancel": Verb(("id", "why"), _cancel, stops=True),
-        "status": Verb(reads=True),
+        "cancel": Verb(("id", "why"), _cancel, stops_robot=True),
+        "status": Verb(read_only=True),
     }
 
 
@@ -248,7 +249,7 @@ def handle_mission(
         **answer_of(service.status, mission_facts(service.mission), task),
         **overtaken,
         **told,
-        "past": list(service.past),
+        "past": list(service.past_missions),
         "robot": _robot(service, problems()),
     }
 
@@ -259,10 +260,11 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
     name, mission = request.fields.get("id", ""), service.mission
     if name and name == mission.id:
         return
-    if name and any(name == outcome["id"] for outcome in service.past):
+    if name and any(name == outcome["id"] for outcome in service.past_missions):
         raise UserError(f"mission {name} is already over on this robot: give it another id")
     if request.fields.get("if_free") and not mission.done:
         raise UserError(f"not free: {_last(service)}; wait for its end, or cancel it")
+    refuse_closed(request.prepared, service.site.known, service.map)
     service.begin(request.prepared, now_ns, name)
 
 
@@ -286,7 +288,7 @@ def _robot(service: Service, problems: Sequence[str]) -> dict[str, object]:
             known[found.label] = min(away_m, known.get(found.label, away_m))
     return {
         "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
-        "controller": "answers" if goals.client.heard else "silent",
+        "controller": "answers" if goals.client.has_controller else "silent",
         "problems": [one_line(why) for why in problems],
         "known": known,
     }
@@ -307,7 +309,7 @@ MODEL_VERBS = {
     "use": Verb(("model", "force"), _model, _card_to_use),
     "pause": Verb(),
     "resume": Verb(),
-    "status": Verb(reads=True),
+    "status": Verb(read_only=True),
 }
 """Verbs of model requests: `{"do": "use", "model": NAME, "force": true | false}`,
 `{"do": "status"}`, and `{"do": "pause" | "resume"}` for the scorers. The card of a model is checked

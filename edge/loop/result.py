@@ -47,7 +47,7 @@ class MissionFacts:
     """A snapshot of a mission.
 
     Attributes:
-        brief: The mission as it was given.
+        spec: The mission as it was given.
         state: State of the automaton.
         trace: Propositions that led to this state.
         plan: Current plan.
@@ -55,11 +55,11 @@ class MissionFacts:
         reached: Set R in the order of reaching.
         forbidden: Targets that must not be reached next, since the mission could not succeed then.
         paused: True if the mission is paused.
-        steps: Mission log, oldest first.
+        log: Mission log, oldest first.
         id: Id that the client gave to the mission; "" if none.
     """
 
-    brief: MissionSpec
+    spec: MissionSpec
     state: int
     trace: tuple[str, ...]
     plan: TargetPlan
@@ -67,15 +67,15 @@ class MissionFacts:
     reached: tuple[str, ...]
     forbidden: tuple[str, ...]
     paused: bool
-    steps: tuple[MissionEvent, ...]
+    log: tuple[MissionEvent, ...]
     id: str
 
 
 def mission_facts(mission: MissionRun) -> MissionFacts:
     """Return a snapshot of a mission."""
     return MissionFacts(
-        mission.brief, mission.state, mission.trace, mission.plan, mission.knowledge,
-        mission.reached, mission.forbidden, mission.paused, mission.steps, mission.id,
+        mission.spec, mission.state, mission.trace, mission.plan, mission.knowledge,
+        mission.reached, mission.forbidden, mission.paused, mission.log, mission.id,
     )  # fmt: skip
 
 
@@ -111,7 +111,7 @@ class TickResult:
     """The result of a tick, or of a loop cycle without an observation.
 
     Expensive values are functions. A sink calls them in `Sink.tick`, or after the loop has ended.
-    `mission`, `task`, `instances`, `objects`, `frontiers`, `candidates` and `way` compute their
+    `mission`, `task`, `instances`, `objects`, `frontiers`, `candidates` and `path` compute their
     value at the first call and then return the same value. `known_m2`, `snapshot`, `layers`,
     `latency`, `spans` and `health` return the current value at each call. Only `snapshot`,
     `latency`, `spans` and the functions in `layers` may be called at other times by another thread.
@@ -123,11 +123,11 @@ class TickResult:
         pose: Newest pose in `map`; None before the first.
         status: Status of the mission.
         goal: Current goal of the robot, or None.
-        answer: Newest status of this goal from the controller; None before the first.
-        controlled: True if a controller answers, or if no answers are expected.
+        goal_status: Newest status of this goal from the controller; None before the first.
+        has_controller: True if a controller answers, or if no answers are expected.
         targets: Targets of the mission.
         goals: Goals that were sent since the last result.
-        answers: Goal statuses that were received since the last result.
+        goal_statuses: Goal statuses that were received since the last result.
         events: Events since the last result.
         inputs: Entries of the input log since the last result (`edge.loop.input_log`).
         detections: New detections with their frame, valid until `Sink.tick` returns; None if there
@@ -143,7 +143,7 @@ class TickResult:
         zones: Polygons of all zones that are closed now; another object after each change.
         frontiers: Returns a copy of the frontiers, (n, 2) float32 in `map`.
         candidates: Returns the candidates with their scores.
-        way: Returns the shortest path to the goal, (k, 2) float32 in `map`; (0, 2) if there is
+        path: Returns the shortest path to the goal, (k, 2) float32 in `map`; (0, 2) if there is
             none.
         choice: Newest answer of the model that chooses directions; None if there is none.
         known_m2: Returns the known area in m².
@@ -161,11 +161,11 @@ class TickResult:
     pose: SE2 | None
     status: MissionStatus
     goal: Goal | None
-    answer: GoalStatus | None
-    controlled: bool
+    goal_status: GoalStatus | None
+    has_controller: bool
     targets: tuple[str, ...]
     goals: tuple[Goal, ...]
-    answers: tuple[GoalStatus, ...]
+    goal_statuses: tuple[GoalStatus, ...]
     events: tuple[Event, ...]
     inputs: tuple[LoopInput, ...]
     detections: Detections | None
@@ -178,7 +178,7 @@ class TickResult:
     zones: ZonePolygons
     frontiers: Callable[[], np.ndarray]
     candidates: Callable[[], ScoredCandidates]
-    way: Callable[[], np.ndarray]
+    path: Callable[[], np.ndarray]
     choice: FrontierChoice | None
     known_m2: Callable[[], float]
     snapshot: Callable[..., Grid]

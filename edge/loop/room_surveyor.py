@@ -36,26 +36,26 @@ class RoomSurveyor:
         self._worker: Worker[Callable[[], RoomSurvey], RoomSurvey] = Worker(
             "rooms", lambda survey: survey(), inline=inline
         )
-        self._asked_ns: int | None = None
+        self._requested_ns: int | None = None
 
-    def through(self, beside: Callable[[str, Any], Any]) -> None:
-        """Wrap the worker with `beside`, which logs its requests and results."""
-        self._worker = beside("rooms", self._worker)
+    def wrap_workers(self, wrap: Callable[[str, Any], Any]) -> None:
+        """Wrap the worker with `wrap`, which logs its requests and results."""
+        self._worker = wrap("rooms", self._worker)
 
-    def step(self, seen: MapView, now_ns: int) -> None:
+    def step(self, view: MapView, now_ns: int) -> None:
         """Collect a survey, and request the next one when it is due. Call it once a tick."""
-        rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
+        rested = self._requested_ns is None or now_ns - self._requested_ns >= PERIOD_NS
         if rested and self._worker.idle:
-            self._asked_ns = now_ns
-            layers, window, before = seen.layers, seen.window, self.memory.survey
+            self._requested_ns = now_ns
+            layers, window, before = view.layers, view.window, self.memory.survey
             self._worker.submit(lambda: survey_rooms(survey_regions(layers, window, TALL), before))
         if (found := self._worker.poll()) is not None:
             self.memory.on_survey(found)
 
-    def forget(self) -> None:
+    def discard_pending(self) -> None:
         """Drop surveys of a map that is gone."""
-        self._worker.forget()
-        self._asked_ns = None
+        self._worker.discard_all()
+        self._requested_ns = None
 
     def close(self) -> None:
         """Stop the background work."""
@@ -80,4 +80,6 @@ def warm_up(config: Config) -> None:
     surveyor.step(MapView(grid), 0)
     surveyor.memory.update(seen, 0)
     prior.step(surveyor.memory.survey.regions, seen)
-    prior.lift(table.things[0], np.zeros((1, 2), np.float32), 1, np.empty(1, np.float32))
+    prior.likelihood_ratio(
+        table.things[0], np.zeros((1, 2), np.float32), 1, np.empty(1, np.float32)
+    )

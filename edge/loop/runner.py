@@ -163,7 +163,7 @@ def _later(now_ns: int, passed_ns: int) -> int:
 def _wait(running: RunningService, now_ns: int) -> bool:
     """Return True if the source has a new message, in lockstep."""
     wait = partial(running.source.wait, _PATIENCE_S)
-    came = running.service.faults.call("wait", now_ns, wait)
+    came = running.service.error_boundary.call("wait", now_ns, wait)
     if came is None:
         time.sleep(_PATIENCE_S)  # a source that fails at once must not make the loop spin
     return bool(came)
@@ -173,12 +173,14 @@ def _hear(running: RunningService, now_ns: int) -> Observation | None:
     """Handle the controller's goal statuses; return the newest observation, if any."""
     service = running.service
     service.latency.begin_tick(perf_counter_ns())
-    for answer in service.faults.call("goal_status", now_ns, running.source.inbox.poll) or ():
-        with service.faults.contain("goal answer", now_ns):
+    for answer in (
+        service.error_boundary.call("goal_status", now_ns, running.source.inbox.poll) or ()
+    ):
+        with service.error_boundary.contain("goal answer", now_ns):
             service.on_goal_status(answer)
-    failed = service.faults.failed
-    observation = service.faults.call("source", now_ns, running.source.poll)
-    if service.faults.failed > failed:
+    failed = service.error_boundary.failed
+    observation = service.error_boundary.call("source", now_ns, running.source.poll)
+    if service.error_boundary.failed > failed:
         service.latency.abandon_tick(INGEST)
     return observation
 
@@ -187,20 +189,20 @@ def _obey(running: RunningService, now_ns: int) -> None:
     """Serve waiting requests, then step the model swap, the load shedder and the reload."""
     service = running.service
     for key, server in running.servers.items():
-        service.faults.call(key, now_ns, partial(server.serve, now_ns))
+        service.error_boundary.call(key, now_ns, partial(server.serve, now_ns))
     service.end_pause(now_ns)
-    with service.faults.contain("swap", now_ns):
-        service.swapper.step(now_ns)
+    with service.error_boundary.contain("swap", now_ns):
+        service.detector_swap.step(now_ns)
     if service.load_shedder is not None:
-        with service.faults.contain("load shedding", now_ns):
+        with service.error_boundary.contain("load shedding", now_ns):
             service.load_shedder.step(now_ns)
     if running.reloader is not None:
-        with service.faults.contain("reload", now_ns):
+        with service.error_boundary.contain("reload", now_ns):
             running.reloader.step(now_ns)
 
 
 def _idle(running: RunningService, now_ns: int, dropped: Observation | None = None) -> None:
-    with running.service.faults.contain(IDLE, now_ns):
+    with running.service.error_boundary.contain(IDLE, now_ns):
         running.service.idle(now_ns, running.source.pose, dropped)
 
 
@@ -213,15 +215,17 @@ def _tick(running: RunningService, observation: Observation, now_ns: int) -> Non
         _see(running, observation, now_ns)
     except Exception as error:
         service.latency.abandon_tick(service.stage)
-        service.faults.on_error(TICK, error, now_ns, where=STAGES[service.stage].name)
+        service.error_boundary.on_error(TICK, error, now_ns, where=STAGES[service.stage].name)
         # The observation was not used. If this continues, the robot must stop.
         _idle(running, now_ns, observation)
     else:
-        service.faults.passed(TICK, now_ns)
+        service.error_boundary.on_success(TICK, now_ns)
         if service.refused:
             _idle(running, now_ns, observation)
         else:
-            service.faults.passed(IDLE, now_ns)  # a whole tick does all that `idle` does
+            service.error_boundary.on_success(
+                IDLE, now_ns
+            )  # a whole tick does all that `idle` does
         service.latency.end_tick(perf_counter_ns())
     finally:
         observation.release()

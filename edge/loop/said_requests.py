@@ -64,7 +64,7 @@ def _answer(service: Service, said: MemoryQuestion, now_ns: int) -> str:
     if said.topic == "rooms":
         return _listed("rooms", [room.title for room in service.map.rooms.rooms])
     pose = _pose(service)
-    room = service.map.rooms.where(pose.x_m, pose.y_m)
+    room = service.map.rooms.room_phrase(pose.x_m, pose.y_m)
     return f"{room}{', ' * bool(room)}at ({pose.x_m:.1f}, {pose.y_m:.1f})"
 
 
@@ -79,7 +79,7 @@ def _in_room(service: Service, objects: list[dict], name: str) -> list[dict]:
     if not name:
         return objects
     rooms = service.map.rooms
-    ids = {room.id for room in rooms.called(name)}
+    ids = {room.id for room in rooms.find(name)}
     if not ids:
         known = one_line(", ".join(room.title for room in rooms.rooms) or "none")
         raise UserError(f"no room called {one_line(name)} is known (known: {known})")

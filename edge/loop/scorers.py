@@ -49,11 +49,11 @@ ScoreOf = Callable[[Detections], np.ndarray]
 
 
 class _Question(NamedTuple):
-    """A question to a similarity scorer. `sight` is the visible part of the map, or None."""
+    """A question to a similarity scorer. `range_profile` is what it sees, or None."""
 
     observation: Observation
     targets: tuple[str, ...]
-    sight: RangeProfile | None
+    range_profile: RangeProfile | None
 
 
 class _Directions(NamedTuple):
@@ -61,7 +61,7 @@ class _Directions(NamedTuple):
 
     view: MarkedView
     xy_m: np.ndarray
-    sight: RangeProfile | None
+    range_profile: RangeProfile | None
 
     @property
     def observation(self) -> Observation:
@@ -75,7 +75,7 @@ class _SimilarityAnswers:
         self.name = scorer.name
         self._scorer = scorer
 
-    def look(self, question: _Question) -> tuple[_Question, np.ndarray]:
+    def prepare(self, question: _Question) -> tuple[_Question, np.ndarray]:
         """Return the question with a copy of the image, so that the frame is not held."""
         assert question.observation.rgb is not None
         return question, question.observation.rgb.copy()
@@ -97,8 +97,8 @@ class _ChoiceAnswers:
         self.name = scorer.name
         self._scorer = scorer
 
-    def look(self, question: _Directions) -> tuple[_Directions, Any]:
-        return question, self._scorer.look(question.view)
+    def prepare(self, question: _Directions) -> tuple[_Directions, Any]:
+        return question, self._scorer.prepare(question.view)
 
     def answer(self, looked: tuple[_Directions, Any]) -> tuple[_Directions, FrontierChoice] | None:
         question, shown = looked
@@ -114,7 +114,7 @@ class Scorers:
 
     Attributes:
         answers: Newest answers.
-        feeds: Scorer that the value maps are written from, `similarity` or `choice`; may be set.
+        value_source: Scorer that writes the value maps, `similarity` or `choice`; may be set.
         paused: True while no questions are asked; may be set.
         swap: Swaps the model of the choice scorer; None if it cannot be swapped.
         newest_swap: True if the last swap request was for `swap`, not the detector; may be set.
@@ -129,7 +129,7 @@ class Scorers:
         score_of: ScoreOf = best_scores,
         inline: bool = False,
         rest_s: float = 0.0,
-        feeds: ValueSource | None = None,
+        value_source: ValueSource | None = None,
         remake: Callable[[str], ViewScorer] | None = None,
     ) -> None:
         """Start the workers of the scorers.
@@ -141,15 +141,15 @@ class Scorers:
             score_of: Computes the similarity from the detections, with `from_detections`.
             inline: Answer inside `ask`, so that a run is reproducible.
             rest_s: Pause of the choice scorer after an answer.
-            feeds: See the attribute.
+            value_source: See the attribute.
             remake: Makes a choice scorer for another card; None if models cannot be swapped.
         """
         self.answers = ScorerOutputs()
         self._from_detections, self._score_of = from_detections, score_of
         self._detector = ""
-        self.feeds = feeds
+        self.value_source = value_source
         self.shed: frozenset[str] = frozenset()
-        self._turn = 0  # counts questions about directions
+        self._n_questions = 0  # counts questions about directions
         asked = None if similarity is None else _SimilarityAnswers(similarity)
         self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
         self._by_prior = isinstance(choice, PriorChoice)  # fast, so it needs no thread
@@ -169,7 +169,7 @@ class Scorers:
     def _workers(self) -> list[ScorerWorker]:
         return [w for w in (self._similarity, self._choice) if w is not None]
 
-    def through(self, wrap: Callable[[str, Any], Any]) -> None:
+    def wrap_workers(self, wrap: Callable[[str, Any], Any]) -> None:
         """Wrap the workers with `wrap`, which logs their requests and results."""
         if self._similarity is not None:
             self._similarity = wrap("similarity", self._similarity)
@@ -204,19 +204,19 @@ class Scorers:
         similarity = None if "similarity" in self.shed else self._similarity
         choice = None if "choice" in self.shed else self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
-            sight = values.sight(observation) if self.feeds == "similarity" else None
+            sight = values.range_profile(observation) if self.value_source == "similarity" else None
             similarity.submit(_Question(observation, targets, sight))
         if choice is not None and choice.idle:
             c = candidates
             open_ = np.flatnonzero((c.kind[: c.n] == FRONTIER) & ~c.blocked[: c.n])
             marks = visible_marks(observation, c.xy_m[open_], c.id[open_])
             if marks:
-                sight = values.sight(observation) if self.feeds == "choice" else None
-                about = self._asked_about(targets, target)
+                sight = values.range_profile(observation) if self.value_source == "choice" else None
+                about = self._next_target(targets, target)
                 xy_m, lift = _places_m(observation.pose, marks), None
                 if self._by_prior and prior is not None:
                     lift = np.ones(len(marks), np.float32)
-                    prior.lift(about, xy_m.astype(np.float32), len(marks), lift)
+                    prior.likelihood_ratio(about, xy_m.astype(np.float32), len(marks), lift)
                 seen = sightings(tracker, around, observation)
                 ways = mark_costs(c, open_, marks)
                 view = MarkedView(observation, about, marks, seen, lift, ways)
@@ -229,7 +229,7 @@ class Scorers:
             self._detector = detections.model
             score = self._score_of(detections)
             answer = ImageSimilarity(seen.stamp_ns, seen.pose, detections.prompts, score)
-            sight = values.sight(seen) if self.feeds == "similarity" else None
+            sight = values.range_profile(seen) if self.value_source == "similarity" else None
             self._take_similarity(answer, sight, values)
 
     def collect_answers(self, values: ValueMap, idle: bool = False) -> None:
@@ -246,15 +246,17 @@ class Scorers:
         similarity = None if self._similarity is None else self._similarity.poll()
         if similarity is not None:
             question, answer = similarity
-            self._take_similarity(answer, question.sight, values)
+            self._take_similarity(answer, question.range_profile, values)
         choice = None if self._choice is None else self._choice.poll()
         if choice is not None:
             asked, chosen = choice
             self.answers = replace(self.answers, choice=chosen)
-            if asked.sight is not None:
+            if asked.range_profile is not None:
                 place = {mark.id: i for i, mark in enumerate(asked.view.marks)}
                 xy_m = asked.xy_m[[place[i] for i in chosen.ids]]
-                values.write_directions(asked.sight, chosen.target, xy_m, chosen.p, chosen.scene)
+                values.write_directions(
+                    asked.range_profile, chosen.target, xy_m, chosen.p, chosen.scene
+                )
 
     def _take_similarity(
         self, answer: ImageSimilarity, sight: RangeProfile | None, values: ValueMap
@@ -263,23 +265,23 @@ class Scorers:
         if sight is not None:
             values.write_view(sight, answer.targets, answer.score)
 
-    def _asked_about(self, targets: tuple[str, ...], target: str) -> str:
+    def _next_target(self, targets: tuple[str, ...], target: str) -> str:
         """Return the target of the next question about directions.
 
         If the value maps are written from the answers, every second question is about one of the
         other targets in turn (ViTL keeps a channel for each). All other questions are about the
         active target.
         """
-        others = [t for t in targets if t != target] if self.feeds == "choice" else []
-        self._turn += 1
-        if not others or self._turn % 2:
+        others = [t for t in targets if t != target] if self.value_source == "choice" else []
+        self._n_questions += 1
+        if not others or self._n_questions % 2:
             return target
-        return others[self._turn // 2 % len(others)]
+        return others[self._n_questions // 2 % len(others)]
 
-    def forget(self) -> None:
+    def discard_pending(self) -> None:
         """Drop all answers and open questions, for another map or mission."""
         for worker in self._workers:
-            worker.forget()
+            worker.discard_all()
         self.answers = ScorerOutputs()
 
     def names(self) -> list[str]:
@@ -428,7 +430,7 @@ def make_scorers(
         score_of,
         inline=config.loop.lockstep,
         rest_s=getattr(choice, "pause_s", 0.0),
-        feeds=config.value_source,
+        value_source=config.value_source,
         remake=remake,
     )
 

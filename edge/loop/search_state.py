@@ -29,7 +29,7 @@ _RETRIES, _PAUSE_NS = 2, 10_000_000_000
 # A frontier is unreliable if it was left this many times (for another, or because it vanished)
 # before the robot arrived: it is visible only from afar, or farther than it looks. The robot then
 # either drives all the way to it or ignores it.
-_FICKLE, _SAME_M, LEFT = 3, 0.6, 64
+_OFTEN, _SAME_M, LEFT = 3, 0.6, 64
 _SAME_PLACE_M = 0.3  # two goals this near to each other count as the same place
 
 
@@ -41,21 +41,26 @@ class SearchState:
         exhausted: True if no candidate was left and turns on the spot showed nothing new. Later
             candidates are used, but the robot does not turn again.
         left: Places of frontiers that were left before the robot arrived.
+        has_moved: True if a confirmed object was not seen again at its place. A restart forgets
+            it.
     """
 
     exhausted: bool = False
     left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
+    has_moved: bool = False
     _turns: int = 0  # since there was a candidate
     _idle_since_ns: int | None = None
     _second_chance: bool = False
-    _missed: tuple[int, tuple[float, float]] | None = None
+    _out_of_reach: tuple[int, tuple[float, float]] | None = None
     _retry: tuple[int, int] | None = None  # generation of the travel-cost field and time of its end
     _retries: int = 0
     _next_retry_ns: int = 0
 
     def state_dict(self) -> Arrays:
         """Return the failed attempts by place, but no state that lasts only seconds."""
-        missed = () if self._missed is None else ((self._missed[0], *self._missed[1]),)
+        missed = (
+            () if self._out_of_reach is None else ((self._out_of_reach[0], *self._out_of_reach[1]),)
+        )
         return {
             "exhausted": np.array(self.exhausted),
             "turns": np.array(self._turns),
@@ -71,23 +76,23 @@ class SearchState:
         search.left.extend((x, y) for x, y in state["left_m"].tolist())
         search._turns, search._second_chance = int(state["turns"]), bool(state["second_chance"])
         for i, x, y in state["missed"].tolist():
-            search._missed = (int(i), (x, y))
+            search._out_of_reach = (int(i), (x, y))
         return search
 
-    def fickle(self, xy_m: tuple[float, float]) -> bool:
+    def often_left(self, xy_m: tuple[float, float]) -> bool:
         """Return True if a frontier here was left too often before the robot arrived."""
-        return sum(math.dist(xy_m, left) < _SAME_M for left in self.left) >= _FICKLE
+        return sum(math.dist(xy_m, left) < _SAME_M for left in self.left) >= _OFTEN
 
-    def missed(self, instance_id: int, at_m: tuple[float, float]) -> bool:
+    def mark_out_of_reach(self, instance_id: int, at_m: tuple[float, float]) -> bool:
         """Record an instance as out of reach from a place; return True if it was so before."""
-        before, self._missed = self._missed, (instance_id, at_m)
+        before, self._out_of_reach = self._out_of_reach, (instance_id, at_m)
         return (
             before is not None
             and before[0] == instance_id
             and math.dist(before[1], at_m) <= _SAME_PLACE_M
         )
 
-    def found(self) -> None:
+    def on_candidate(self) -> None:
         """Record that there is a candidate."""
         self._idle_since_ns = None
         if not self.exhausted:
@@ -114,11 +119,11 @@ class SearchState:
         self._turns += 1
         return True
 
-    def turned(self, now_ns: int) -> None:
+    def on_turn_ended(self, now_ns: int) -> None:
         """Record the end of a turn, done or failed."""
         self._idle_since_ns = now_ns
 
-    def trying_again(
+    def retry(
         self, context: PolicyInput, grid: RollingMap, pool: CandidatePool, tracker: InstanceTracker
     ) -> bool:
         """Retry discarded candidates and blocked places; return True while that may help.
@@ -128,23 +133,23 @@ class SearchState:
         """
         first, self._second_chance = not self._second_chance, True
         if first:
-            pool.lift_discards()
+            pool.unblock_all()
             tracker.forget_rejected(context.target)
         if self._retry is not None:
             generation, until_ns = self._retry
-            if grid.reach.generation < generation or context.now_ns < until_ns:
+            if grid.travel_cost.generation < generation or context.now_ns < until_ns:
                 return True
             self._retry = None
         if self._retries == _RETRIES or not grid.bumps.closed_m:
             return first
         if context.now_ns >= self._next_retry_ns:  # doors open, and people go
             grid.bumps.open_all()
-            pool.lift_discards()
+            pool.unblock_all()
             self._retries += 1
             self._next_retry_ns = context.now_ns + _PAUSE_NS
             # The travel-cost field that is growing now may have started before the opening. The
             # next one includes the place.
-            self._retry = (grid.reach.generation + 2, context.now_ns + _RETRY_NS)
+            self._retry = (grid.travel_cost.generation + 2, context.now_ns + _RETRY_NS)
         return True
 
 
@@ -154,10 +159,10 @@ class NextBestView:
     Viewpoints come one after another, until none is worth a goal. Each is tried once.
 
     Args:
-        enough: Number of images that the robot stays at a viewpoint.
+        images_needed: Number of images that the robot stays at a viewpoint.
 
     Attributes:
-        enough: As in `Args`; may be set.
+        images_needed: As in `Args`; may be set.
         done: True if no useful viewpoint is left.
         views: Number of viewpoints that were seen, at the viewpoint or on the way to it.
     """
@@ -165,10 +170,10 @@ class NextBestView:
     def __init__(self, enough: int) -> None:
         self.done = False
         self.views = 0
-        self.enough = enough
+        self.images_needed = enough
         self._view: Viewpoint | None = None
-        self._searching = self._given_up = False
-        self._came_at: int | None = None  # the detector's number of images at the arrival
+        self._searching = self._unreachable = False
+        self._images_at_arrival: int | None = None  # the detector's number of images at the arrival
 
     def choose(self, grid: RollingMap, images: int) -> Viewpoint | None:
         """Return the viewpoint to go to; None while the search runs, and if there is none.
@@ -177,48 +182,53 @@ class NextBestView:
             grid: The map.
             images: Number of images that the detector has processed so far.
         """
-        if self._view is not None and (self._over(images) or not grid.coverage.worth(self._view)):
+        if self._view is not None and (
+            self._is_finished(images) or not grid.coverage.is_worth_it(self._view)
+        ):
             grid.coverage.write_off(self._view)
-            self.views += not self._given_up
-            self.drop()
+            self.views += not self._unreachable
+            self.abandon()
         if self._view is None and not self.done:
             self._search(grid)
         return self._view
 
-    def came(self, images: int) -> None:
+    def on_arrived(self, images: int) -> None:
         """Record that the robot stands at the current viewpoint."""
-        if self._came_at is None:
-            self._came_at = images
+        if self._images_at_arrival is None:
+            self._images_at_arrival = images
 
-    def give_up(self) -> None:
+    def mark_unreachable(self) -> None:
         """Record that the robot cannot reach the current viewpoint."""
-        self._given_up = True
+        self._unreachable = True
 
-    def start_over(self) -> None:
+    def reset(self) -> None:
         """Start over for another mission."""
-        self.drop()
+        self.abandon()
         self.views = 0
 
-    def drop(self) -> None:
+    def abandon(self) -> None:
         """Abandon the current viewpoint. It may be found again."""
-        self._view = self._came_at = None
-        self.done = self._searching = self._given_up = False
+        self._view = self._images_at_arrival = None
+        self.done = self._searching = self._unreachable = False
 
-    def _over(self, images: int) -> bool:
-        stayed = self._came_at is not None and images - self._came_at >= self.enough
-        return stayed or self._given_up
+    def _is_finished(self, images: int) -> bool:
+        stayed = (
+            self._images_at_arrival is not None
+            and images - self._images_at_arrival >= self.images_needed
+        )
+        return stayed or self._unreachable
 
     def _search(self, grid: RollingMap) -> None:
         coverage = grid.coverage
         if not self._searching:
-            coverage.start_over()
+            coverage.restart_search()
         self._searching = True
-        if not coverage.search(grid.reach):
+        if not coverage.search(grid.travel_cost):
             return
         view, self._searching = coverage.view, False
         if view is None:
             self.done = True
-        elif coverage.worth(view):
+        elif coverage.is_worth_it(view):
             self._view = view
         else:  # its rays just missed the corner of a cell
             coverage.write_off(view)

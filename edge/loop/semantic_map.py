@@ -35,7 +35,7 @@ _SAME_AREA_M2 = 0.5
 class SemanticMap:
     """The semantic map. Stages 3 to 5 of the tick write it.
 
-    They call `update`, `look`, `infer` and `gather`, in this order.
+    They call `update`, `on_detections`, `infer` and `gather`, in this order.
 
     Args:
         config: The configuration.
@@ -45,13 +45,13 @@ class SemanticMap:
         config: Current configuration; set by `reconfigure`.
         grid: Occupancy, frontiers, distances and value maps. Another frame has another grid.
         view: The part of the grid that policies see.
-        sightings: Objects of all classes.
+        objects: Objects of all classes.
         tracker: Instances of the targets.
         described: Finds the instances of targets that a relation describes.
-        crops: Pictures of the objects in `sightings`.
+        crops: Pictures of the objects in `objects`.
         pool: Candidates.
         rooms: Rooms.
-        surveyor: Cuts the map into rooms.
+        room_surveyor: Cuts the map into rooms.
         prior: Likelihood of targets near places; None if no prior is configured.
         epoch: Number of pose jumps (changes of the frame).
     """
@@ -59,31 +59,31 @@ class SemanticMap:
     def __init__(self, config: Config, targets: Sequence[str]) -> None:
         perception = config.perception
         self.config, self._targets = config, targets
-        self.sightings = ObjectTracker(perception)
-        self.tracker = InstanceTracker(perception, self.sightings)
+        self.objects = ObjectTracker(perception)
+        self.tracker = InstanceTracker(perception, self.objects)
         self.crops = CropStore()
         self.pool = CandidatePool(MAX_FRONTIERS + MAX_INSTANCES, config.policy.r_assoc_m)
         words = make_words(load(), perception.detector)
-        self.surveyor = make_room_surveyor(config, words)
-        self.rooms = self.surveyor.memory
+        self.room_surveyor = make_room_surveyor(config, words)
+        self.rooms = self.room_surveyor.memory
         self.tracker.resolver = self.described = DescribedTargets(self.rooms.is_in)
         self.prior = make_prior(config, words)
         self.epoch = 0
-        self._lifter = BackProjector(perception)
+        self._back_projector = BackProjector(perception)
         self._zones_m: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
-        self._closed: dict[int, MappedRoom] = {}
-        self._lay(RollingMap(config.mapping, config.robot))
+        self._closed_rooms: dict[int, MappedRoom] = {}
+        self._set_grid(RollingMap(config.mapping, config.robot))
 
-    def _lay(self, grid: RollingMap) -> None:
+    def _set_grid(self, grid: RollingMap) -> None:
         """Replace the grid."""
         self.grid, self.view = grid, MapView(grid)
         self._set_zones()
-        self._feed_values()
+        self._reset_values()
 
-    def _feed_values(self) -> None:
+    def _reset_values(self) -> None:
         """Make a value map for each target, if a scorer writes them."""
         if self.config.value_source is not None:
-            self.grid.values.begin(self._targets)
+            self.grid.values.set_targets(self._targets)
 
     # -- in each tick -----------------------------------------------------------------------
 
@@ -98,28 +98,28 @@ class SemanticMap:
             update = grid.update_depth(
                 seen.depth_m, seen.camera, seen.T_map_base, seen.T_base_camera
             )
-        grid.reach.step(seen.pose)
+        grid.travel_cost.step(seen.pose)
         return update
 
-    def look(self, detections: Detections) -> None:
+    def on_detections(self, detections: Detections) -> None:
         """Turn boxes into sightings and instances, with the depth and pose of their image."""
         perception, seen = self.config.perception, detections.observation
-        lifted, around = self._lifter.lift(detections, self.grid.floor_over_base_m)
-        self.sightings.look(lifted, around)
-        self.crops.rename(self.sightings.renamed)
+        lifted, around = self._back_projector.back_project(detections, self.grid.floor_over_base_m)
+        self.objects.update(lifted, around)
+        self.crops.rename(self.objects.renamed)
         if seen.rgb is not None:
-            self.crops.observe(self.sightings.observed, seen.rgb)
+            self.crops.observe(self.objects.observed, seen.rgb)
         self.tracker.update(lifted, seen.stamp_ns)
         self.tracker.expire(seen, detections.prompts)
-        self.grid.coverage.look(seen, perception.confirm_range_m, perception.confirm_hits)
+        self.grid.coverage.on_image(seen, perception.confirm_range_m, perception.confirm_hits)
 
     def infer(self, pose: SE2, now_ns: int) -> None:
         """Update rooms and prior with the objects seen."""
-        self.surveyor.step(self.view, now_ns)
+        self.room_surveyor.step(self.view, now_ns)
         self.rooms.on_pose(pose.x_m, pose.y_m)
-        self.rooms.update(self.sightings.shown, now_ns)
+        self.rooms.update(self.objects.read_only, now_ns)
         if self.prior is not None:
-            self.prior.step(self.rooms.survey.regions, self.sightings.shown)
+            self.prior.step(self.rooms.survey.regions, self.objects.read_only)
 
     def gather(self, instances: Sequence[Instance], observation: Observation, now_ns: int) -> None:
         """Update the candidates: frontiers, these instances, and the best spin."""
@@ -134,11 +134,11 @@ class SemanticMap:
     def begin(self, targets: Sequence[str]) -> None:
         """Prepare for another mission: forget verdicts and viewpoints of the last one."""
         self._targets = targets
-        self._feed_values()
+        self._reset_values()
         self.close_rooms(())
         self.tracker.forget_verdicts()
-        self.tracker.recall(targets)
-        self.grid.coverage.forget()
+        self.tracker.promote_context(targets)
+        self.grid.coverage.reset()
 
     def set_site(self, site: Site) -> None:
         """Close the cells that the site's zones close, and name the rooms that it names."""
@@ -151,48 +151,48 @@ class SemanticMap:
 
         A closed room keeps its outline until its area has changed, because painting costs time.
         """
-        before = self._closed
-        self._closed = {
+        before = self._closed_rooms
+        self._closed_rooms = {
             room.id: before[room.id]
             if room.id in before and abs(before[room.id].area_m2 - room.area_m2) < _SAME_AREA_M2
             else room
             for room in rooms
         }
-        if [*self._closed.values()] != [*before.values()]:
+        if [*self._closed_rooms.values()] != [*before.values()]:
             self._set_zones()
 
     def _set_zones(self) -> None:
         keep_out_m, stay_inside_m = self._zones_m
-        closed_m = [room.polygon_m for room in self._closed.values()]
+        closed_m = [room.polygon_m for room in self._closed_rooms.values()]
         self.grid.set_zones([*keep_out_m, *closed_m], stay_inside_m)
 
     def reconfigure(self, config: Config) -> None:
         """Use another configuration; see `edge.loop.reload.LIVE` for the keys that may differ."""
         if config.value_source != self.config.value_source:
-            self.grid.values.begin(())  # values of another scorer are not comparable
+            self.grid.values.set_targets(())  # values of another scorer are not comparable
         self.config = config
-        self.tracker.config = self.sightings.config = self._lifter.config = config.perception
+        self.tracker.config = self.objects.config = self._back_projector.config = config.perception
         self.pool.r_assoc_m = config.policy.r_assoc_m
-        self._feed_values()
+        self._reset_values()
 
-    def forget(self) -> None:
+    def on_pose_jump(self) -> None:
         """Forget everything, since the frame has changed."""
         self.epoch += 1
-        self._closed = {}
-        self._lay(RollingMap(self.config.mapping, self.config.robot))
+        self._closed_rooms = {}
+        self._set_grid(RollingMap(self.config.mapping, self.config.robot))
         self.tracker.clear()
-        self.sightings.clear()
+        self.objects.clear()
         self.crops.clear()
         self.pool.clear()
-        self.surveyor.forget()
-        self.rooms.forget()
+        self.room_surveyor.discard_pending()
+        self.rooms.on_pose_jump()
 
     def state_dict(self) -> dict[str, Arrays]:
         """Return the arrays to save by part, without the tiles of the grid."""
         grid = self.grid
         return {
             "map": grid.state_dict(), "gain": grid.gain.state_dict(),
-            "bumps": grid.bumps.state_dict(), "sightings": self.sightings.state_dict(),
+            "bumps": grid.bumps.state_dict(), "sightings": self.objects.state_dict(),
             "instances": self.tracker.state_dict(), "candidates": self.pool.state_dict(),
             "rooms": self.rooms.state_dict(),
         }  # fmt: skip
@@ -212,18 +212,18 @@ class SemanticMap:
             later_ns: Shift of times on the loop's clock.
             later_stamp_ns: Shift of stamps on the sensors' clock.
         """
-        self._lay(grid)
+        self._set_grid(grid)
         grid.bumps.load_state_dict(part("bumps"), later_ns)
-        self.sightings.load_state_dict(part("sightings"), later_stamp_ns)
+        self.objects.load_state_dict(part("sightings"), later_stamp_ns)
         self.tracker.load_state_dict(part("instances"), later_stamp_ns)
         self.pool.load_state_dict(part("candidates"), later_ns, later_stamp_ns)
-        self.surveyor.forget()
+        self.room_surveyor.discard_pending()
         self.rooms.load_state_dict(part("rooms"))
 
     def close(self) -> None:
         """Stop the background work."""
         self.crops.close()
-        self.surveyor.close()
+        self.room_surveyor.close()
 
     # -- layers for displays ------------------------------------------------------------------
 

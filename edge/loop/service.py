@@ -51,7 +51,7 @@ INGEST, CHECK, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = ran
     len(stages.STAGES)
 )
 NOTHING_CHANGED = (0, 0, 0, 0)
-_PAST = 32
+_MOST_PAST = 32
 _EXIT_M = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # how far away the way out of a zone is looked for
 
 
@@ -60,7 +60,7 @@ class Service:
 
     Args:
         config: The configuration.
-        brief: First mission. The worker's detector already searches for its targets.
+        spec: First mission. The worker's detector already searches for its targets.
         worker: Runs the detector in the background; `submit` and `poll` never wait for the model.
         policy: Scores the candidates.
         sinks: Receive the results; their methods never block.
@@ -69,7 +69,7 @@ class Service:
         overruns: Function that returns the number of reads that found a message ring full, by ring.
         calibration: Calibration of this computer; None: stages have no budgets but deadlines.
         idle: Do not start the mission. The robot stands still until a mission is requested.
-        journal: Input log; None: a new one is made.
+        input_log: Input log; None: a new one is made.
         inputs: Function that returns the source's table of inputs, for any thread; empty if the
             source has none.
         site: Places and zones; None: those of this run only.
@@ -80,20 +80,20 @@ class Service:
         mission: The running mission, or the last one.
         policy: The policy in use.
         behaviour: Carries out the mission: searches for its targets, or follows a trajectory.
-        past: Results of earlier missions that had an id, JSON-ready, oldest first.
+        past_missions: Results of earlier missions that had an id, JSON-ready, oldest first.
         goals: Tracks the goal that the robot is sent to.
         pose: Newest pose in `map`; None before the first.
         stamp_ns: Stamp of the newest observation that was not refused, on the sensors' clock.
         plausibility: Checks the observations.
         refused: True if the newest observation must not be used to drive.
-        swapper: Swaps the detector's model.
+        detector_swap: Swaps the detector's model.
         load_shedder: Drops expensive work under load, in the order of
             `perception.load_shedding.levels`. None without levels, and in lockstep, where runs must
             be reproducible.
         blind_s: Time without an observation after which the robot must stand still.
         overruns: As in `Args`.
         inputs: As in `Args`.
-        faults: Catches and counts the exceptions of stages, sinks and requests.
+        error_boundary: Catches and counts the exceptions of stages, sinks and requests.
         stage: Index of the running stage, or of the stage whose error ended the tick.
         latency: Times of the stages.
         scores: (n,) float32, the policy's scores of the candidates.
@@ -102,7 +102,7 @@ class Service:
     def __init__(
         self,
         config: Config,
-        brief: MissionSpec,
+        spec: MissionSpec,
         worker: DetectorWorker,
         policy: Policy,
         sinks: Sequence[Sink],
@@ -111,17 +111,17 @@ class Service:
         overruns: Callable[[], dict[str, int]] = dict,
         calibration: SpeedCalibration | None = None,
         idle: bool = False,
-        journal: InputLog | None = None,
+        input_log: InputLog | None = None,
         inputs: Callable[[], Sequence[InputStatus]] = tuple,
         site: SiteFile | None = None,
     ) -> None:
         self.config = config
-        self._journal = journal = journal or InputLog()
+        self._input_log = input_log = input_log or InputLog()
         self.checkpoint, self.overruns, self.inputs = checkpoint, overruns, inputs
-        self.map = SemanticMap(config, brief.prompts)
+        self.map = SemanticMap(config, spec.prompts)
         self.site = site or SiteFile()
         self.map.set_site(self.site.site)
-        self.mission = MissionRun(brief, config.mission, self._step_taken)
+        self.mission = MissionRun(spec, config.mission, self._on_mission_event)
         self.policy = policy
         self.latency = LatencyRing(calibration=calibration)
         self.goals = GoalTracker(
@@ -132,53 +132,55 @@ class Service:
             self.event,
         )
         self.stamp_ns = 0
-        self._surveyor = make_travel_cost_estimator(config.mission.planner, config.loop.lockstep)
+        self._travel_costs = make_travel_cost_estimator(
+            config.mission.planner, config.loop.lockstep
+        )
         self.behaviour = self._behaviour_of(self.mission)
-        for part in (self._surveyor, self.map.surveyor, scorers):
+        for part in (self._travel_costs, self.map.room_surveyor, scorers):
             if part is not None:
-                part.through(journal.wrap)
-        self.faults = ErrorBoundary(self.event)
+                part.wrap_workers(input_log.wrap)
+        self.error_boundary = ErrorBoundary(self.event)
         self.stage = INGEST
-        self._worker = journal.wrap(DETECTOR, worker)
+        self._worker = input_log.wrap(DETECTOR, worker)
         self.scorers = scorers
-        self.swapper = DetectorSwap(config.perception, worker, self.event)
+        self.detector_swap = DetectorSwap(config.perception, worker, self.event)
         self.load_shedder: LoadShedder | None = None
         if config.perception.load_shedding.levels and not config.loop.lockstep:
             self.load_shedder = LoadShedder(
-                config.perception, worker, self.swapper, scorers, self.event
+                config.perception, worker, self.detector_swap, scorers, self.event
             )
         self.blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
         self.plausibility = Plausibility(config, self.blind_s, self.event)
         self._health = HealthWatch(
-            worker, self.swapper, scorers, checkpoint, self.faults, overruns,
+            worker, self.detector_swap, scorers, checkpoint, self.error_boundary, overruns,
             lambda: None if self.load_shedder is None else self.load_shedder.status(),
             self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
         self._publisher = ResultPublisher(
-            sinks, self.map, self.site, self.goals, scorers, journal, self.latency,
+            sinks, self.map, self.site, self.goals, scorers, input_log, self.latency,
             self._health.status,
         )  # fmt: skip
         self._changed = NOTHING_CHANGED
         self._detections: Detections | None = None  # of this tick, like `scores` and `pose`
         self.scores = np.zeros(0, np.float32)
         self.pose: SE2 | None = None
-        self._looked_ns = 0  # loop time of the last complete tick
+        self._last_tick_ns = 0  # loop time of the last complete tick
         self._resume_ns: int | None = None  # loop time at which a pause ends by itself
         self._images = 0  # number of images that the detector has processed, as of this tick
         self._newest_seq = self._void_seq = -1
         self.refused = self._in_zone = False
-        self.past: deque[dict[str, str]] = deque(maxlen=_PAST)
+        self.past_missions: deque[dict[str, str]] = deque(maxlen=_MOST_PAST)
         if checkpoint is not None:
             checkpoint.resume(self.mission)
         if idle:
-            self.mission.wait()
+            self.mission.set_idle()
             # A controller may still have a goal from a previous service.
             self.goals.client.driving = True
         saved, known = None, None
         if checkpoint is not None:
             saved, known = checkpoint.saved, checkpoint.map.loaded
-        journal.note(
-            "start", translation=brief.translation, task=task_state(brief),
+        input_log.note(
+            "start", translation=spec.translation, task=task_state(spec),
             mission_checkpoint=saved, map_checkpoint=known, idle=idle, site=self.site.site,
         )  # fmt: skip
 
@@ -197,7 +199,7 @@ class Service:
         Returns:
             The goal that the robot drives to, or None.
         """
-        self._journal.note("tick", now_ns=now_ns)
+        self._input_log.note("tick", now_ns=now_ns)
         self.stage = CHECK
         pose = self.pose = observation.pose
         self._newest_seq = observation.seq
@@ -205,50 +207,52 @@ class Service:
             self.site.start = Place(START, pose)
         if self.mission.destinations:
             self.mission.locate(self.site.start.pose, pose)
-        judge = partial(self.plausibility.judge, observation, now_ns)
-        use = self._journal.decided(USE, judge, usual="")
-        self._lap(CHECK)
+        judge = partial(self.plausibility.permitted_use, observation, now_ns)
+        use = self._input_log.record_decision(USE, judge, usual="")
+        self._end_stage(CHECK)
         self.refused = use != ""
         if self.refused:
-            sighted = self._journal.decided(SIGHTED, lambda: str(self.plausibility.sighted_ns))
-            self._looked_ns = min(self._looked_ns, int(sighted))
+            sighted = self._input_log.record_decision(
+                SIGHTED, lambda: str(self.plausibility.sighted_ns)
+            )
+            self._last_tick_ns = min(self._last_tick_ns, int(sighted))
             if use == "map":
                 self.stage = MAP
                 self._map(observation, now_ns)
-                self._lap(MAP)
+                self._end_stage(MAP)
             return self.goals.goal
         self.stamp_ns = observation.stamp_ns
         self._worker.submit(observation)
         # In lockstep the model runs inside `submit`. This time counts for `detect`, not the tick.
-        self.latency.resume(perf_counter_ns())
+        self.latency.exclude_elapsed(perf_counter_ns())
 
         self.stage = MAP
         if self.checkpoint is not None:
             self._restore(self.checkpoint, StampedPose(pose, observation.stamp_ns, now_ns))
         self._map(observation, now_ns)
-        self._lap(MAP)
-        self._lift(self._worker.poll(), now_ns)
+        self._end_stage(MAP)
+        self._track(self._worker.poll(), now_ns)
         self._images = self._worker.stats.done
-        self._journal.note("images", done=self._images)
+        self._input_log.note("images", done=self._images)
         self.map.infer(pose, now_ns)
-        self._lap(LIFT)
+        self._end_stage(LIFT)
         self.map.gather(self.behaviour.gather(), observation, now_ns)
-        self._lap(CANDIDATES)
+        self._end_stage(CANDIDATES)
         if self.scorers is not None:
-            self._consult(self.scorers, observation)
+            self._ask_scorers(self.scorers, observation)
         context = self._score(observation, now_ns)
-        self._lap(SCORE)
+        self._end_stage(SCORE)
         context = self._plan(context)
-        self._lap(PLAN)
+        self._end_stage(PLAN)
         goal = self._select(context)
-        self._lap(SELECT)
-        self.goals.tell(self.mission, pose, now_ns)
+        self._end_stage(SELECT)
+        self.goals.send_pending(self.mission, pose, now_ns)
         self._report(observation, now_ns)
-        self._lap(PUBLISH)
-        self._looked_ns = now_ns
+        self._end_stage(PUBLISH)
+        self._last_tick_ns = now_ns
         return goal
 
-    def _lap(self, stage: int) -> None:
+    def _end_stage(self, stage: int) -> None:
         """End this stage and begin the next."""
         self.latency.mark(stage, perf_counter_ns())
         self.stage = (stage + 1) % len(stages.STAGES)
@@ -259,18 +263,18 @@ class Service:
         if saved.waiting is None:
             return
         why = partial(saved.frame_mismatch, sighted)
-        found = saved.take(self._journal.decided(FRAME_DECISION, why))
+        found = saved.take(self._input_log.record_decision(FRAME_DECISION, why))
         if found is None:
             return
         grid, loaded = found
         goes_on = checkpoint.is_resumed(self.mission, loaded.state.targets)
-        with self.faults.contain("restore", sighted.now_ns):
+        with self.error_boundary.contain("restore", sighted.now_ns):
             restore(MapParts(self.map, self.goals, self.policy), grid, loaded, sighted, goes_on)
             checkpoint.crops.restore(self.map.crops)
         if goes_on:
             self.mission.mark_stale_before(self.map.tracker.newest_id)
         else:
-            self._forget_tried()
+            self._reset_search()
         known = f"map ({self.map.grid.known_m2:.0f} m²) and {len(self.map.tracker)} objects"
         self.event(f"restored {known} from the checkpoint", sighted.now_ns)
 
@@ -284,37 +288,37 @@ class Service:
         if update.rolled:
             self.policy.reset("map rolled")
 
-    def _lift(self, detections: Detections | None, now_ns: int) -> None:
+    def _track(self, detections: Detections | None, now_ns: int) -> None:
         """Stage 4: turn boxes into instances, with the depth and pose of their image."""
         self._detections = None
         if detections is None:
             return
         try:
             void = detections.observation.seq <= self._void_seq
-            if not void and detections.prompts == self.mission.brief.prompts:
+            if not void and detections.prompts == self.mission.spec.prompts:
                 self.latency.span(DETECT, detections.latency_ns)
                 if self.scorers is not None:
                     self.scorers.on_detections(detections, self.map.grid.values)
-                self.map.look(detections)
+                self.map.on_detections(detections)
                 self._detections = detections.without_suppressed()
                 self._publisher.on_detections(self._detections)
         finally:
             # Only this tick reads the arrays, so the frame can be reused.
             detections.observation.release()
 
-    def _consult(self, scorers: Scorers, observation: Observation) -> None:
+    def _ask_scorers(self, scorers: Scorers, observation: Observation) -> None:
         """Before stage 6: send the next questions to the scorers and collect their answers."""
         mission, here = self.mission, self.map
         if mission.active:
-            targets, candidates = mission.brief.prompts, here.pool.candidates
-            target = mission.brief.prompt_for(mission.target)
+            targets, candidates = mission.spec.prompts, here.pool.candidates
+            target = mission.spec.prompt_for(mission.target)
             scorers.ask(
                 observation, targets, target, candidates, here.tracker, here.grid.values,
-                here.prior, here.sightings.shown,
+                here.prior, here.objects.read_only,
             )  # fmt: skip
         scorers.collect_answers(here.grid.values, idle=mission.done)
         if self.config.loop.lockstep:  # the models ran inside `ask`, which is no time of the tick
-            self.latency.resume(perf_counter_ns())
+            self.latency.exclude_elapsed(perf_counter_ns())
 
     def _score(self, observation: Observation, now_ns: int) -> PolicyInput:
         """Stage 6: build the policy's context and score the candidates."""
@@ -323,13 +327,13 @@ class Service:
             observation.pose,
             self.map.view,
             self._changed,
-            self.map.pool.shown,
+            self.map.pool.read_only,
             self._detections,
             ScorerOutputs() if self.scorers is None else self.scorers.answers,
-            self.mission.brief.prompts,
-            self.mission.brief.prompt_for(self.mission.target),
+            self.mission.spec.prompts,
+            self.mission.spec.prompt_for(self.mission.target),
             now_ns,
-            self.map.sightings.shown,
+            self.map.objects.read_only,
             self.map.prior,
         )
         self.scores = scores_of(self.policy, context)
@@ -355,7 +359,7 @@ class Service:
     def _select(self, context: PolicyInput) -> Goal | None:
         """Stage 8: return the behaviour's goal, or None if no mission is active."""
         if not self.mission.active:
-            self.goals.rest()
+            self.goals.idle()
             return None
         if (leaving := self._leave_zone(context)) is not None:
             return leaving
@@ -364,7 +368,7 @@ class Service:
     def _leave_zone(self, context: PolicyInput) -> Goal | None:
         """Return a goal outside the zone that the robot is in, or None if it is in none."""
         grid, pose = self.map.grid, context.pose
-        inside = grid.zones.any and grid.zones.holds(pose.x_m, pose.y_m)
+        inside = grid.zones.any and grid.zones.contains(pose.x_m, pose.y_m)
         if inside != self._in_zone:
             self._in_zone = inside
             text = "inside a zone: leaving it by the shortest way" if inside else "left the zone"
@@ -372,7 +376,7 @@ class Service:
         if not inside:
             return None
         for radius_m in _EXIT_M:
-            if (cell := grid.reach.nearest(pose.x_m, pose.y_m, radius_m)) is not None:
+            if (cell := grid.travel_cost.nearest(pose.x_m, pose.y_m, radius_m)) is not None:
                 x_m, y_m, _ = cell
                 yaw_rad = math.atan2(y_m - pose.y_m, x_m - pose.x_m)
                 exit_pose = SE2(x_m, y_m, yaw_rad)
@@ -382,25 +386,25 @@ class Service:
     def _report(self, observation: Observation | None, now_ns: int) -> None:
         """Write the checkpoint and publish the result to the sinks."""
         try:
-            self._health.look(now_ns)
+            self._health.check(now_ns)
             if self.checkpoint is not None:
                 sighted = (
                     None if self.pose is None else StampedPose(self.pose, self.stamp_ns, now_ns)
                 )
-                with self.faults.contain("checkpoint", now_ns):
+                with self.error_boundary.contain("checkpoint", now_ns):
                     parts = MapParts(self.map, self.goals, self.policy)
                     self.checkpoint.save_if_due(self.mission, self.status, parts, sighted, now_ns)
-            self._publisher.publish(self.result(now_ns, observation), self.faults)
+            self._publisher.publish(self.result(now_ns, observation), self.error_boundary)
         finally:
-            self._publisher.let_go()
+            self._publisher.release_detections()
 
     # -- requests and events from outside -----------------------------------------------------
 
-    def begin(self, brief: MissionSpec, now_ns: int, id: str = "") -> None:
+    def begin(self, spec: MissionSpec, now_ns: int, id: str = "") -> None:
         """Replace the mission. Map and instances are kept.
 
         Args:
-            brief: The new mission.
+            spec: The new mission.
             now_ns: Loop time.
             id: See `MissionRun.id`.
 
@@ -408,43 +412,43 @@ class Service:
             PromptError: The detector cannot search for a target. Nothing has changed then.
             ModelError: As `PromptError`.
         """
-        mission = MissionRun(brief, self.config.mission, self._step_taken, id)
-        self._worker.set_prompts(brief.prompts)
-        self._remember(self.mission)
-        self._journal.note(
-            "mission", translation=brief.translation, task=task_state(brief), id=id, now_ns=now_ns
+        mission = MissionRun(spec, self.config.mission, self._on_mission_event, id)
+        self._worker.set_prompts(spec.prompts)
+        self._record_past(self.mission)
+        self._input_log.note(
+            "mission", translation=spec.translation, task=task_state(spec), id=id, now_ns=now_ns
         )
         self.mission, self._resume_ns = mission, None
         self.behaviour.close()
         self.behaviour = self._behaviour_of(mission)
-        self._forget_tried()
+        self._reset_search()
         self._detections = None
-        self._forget_asked()
+        self._discard_pending()
         self.mission.start(now_ns)
 
     def _behaviour_of(self, mission: MissionRun) -> Behaviour:
         config, here, goals = self.config, self.map, self.goals
-        if mission.brief.steps is None:
-            return SearchBehaviour(mission, config, here, goals, self._surveyor)
-        return FollowBehaviour(mission, config, here, goals, self._journal)
+        if mission.spec.steps is None:
+            return SearchBehaviour(mission, config, here, goals, self._travel_costs)
+        return FollowBehaviour(mission, config, here, goals, self._input_log)
 
-    def _remember(self, mission: MissionRun) -> None:
+    def _record_past(self, mission: MissionRun) -> None:
         if mission.id:
             status = mission.status(self.goals.phase)
             over = (status.phase, status.reason) if mission.done else ("failed", "replaced")
-            self.past.append({"id": mission.id, "phase": over[0], "reason": over[1]})
+            self.past_missions.append({"id": mission.id, "phase": over[0], "reason": over[1]})
 
-    def _forget_tried(self) -> None:
+    def _reset_search(self) -> None:
         """Forget what was examined and tried for the previous mission."""
-        self.map.begin(self.mission.brief.prompts)
+        self.map.begin(self.mission.spec.prompts)
         self.policy.reset("mission")
         self.goals.forget_mission()
 
-    def _forget_asked(self) -> None:
+    def _discard_pending(self) -> None:
         """Drop background results for the previous map or mission."""
-        for part in (self._surveyor, self.scorers):
+        for part in (self._travel_costs, self.scorers):
             if part is not None:
-                part.forget()
+                part.discard_pending()
 
     def reconfigure(self, config: Config, policy: Policy) -> None:
         """Use another configuration from the next tick on.
@@ -453,21 +457,21 @@ class Service:
             config: Differs only in keys of `edge.loop.reload.LIVE`. Its detector already runs.
             policy: Policy of this configuration; the current one if its settings did not change.
         """
-        self._journal.note("config", config=config)
+        self._input_log.note("config", config=config)
         self.config, self.policy = config, policy
         self.map.reconfigure(config)
-        self.swapper.perception = config.perception
+        self.detector_swap.perception = config.perception
         if self.load_shedder is not None:
             self.load_shedder.reconfigure(config.perception)
         self.mission.config = config.mission
         self.behaviour.reconfigure(config)
         self.goals.reconfigure(config)
         if self.scorers is not None:
-            self.scorers.feeds = config.value_source
+            self.scorers.value_source = config.value_source
 
     def change_site(self, site: Site, now_ns: int) -> None:
         """Replace places and zones; a zone closes cells from the next tick on."""
-        self._journal.note("site", site=site, now_ns=now_ns)
+        self._input_log.note("site", site=site, now_ns=now_ns)
         self.site.change(site)
         self.map.set_site(site)
 
@@ -483,12 +487,12 @@ class Service:
                 forgets them, and the mission stays paused.
         """
         self._resume_ns = now_ns + int(1e9 * for_s) if paused and for_s is not None else None
-        goes_on = not paused and self.mission.waits
+        goes_on = not paused and self.mission.waiting
         if paused == self.mission.paused and not goes_on:  # repeated requests are logged once
             return
-        self._journal.note("pause", paused=paused, now_ns=now_ns)
+        self._input_log.note("pause", paused=paused, now_ns=now_ns)
         if goes_on:
-            self.mission.go_on(now_ns)
+            self.mission.end_wait(now_ns)
             return
         self.mission.pause(paused)
         self.event(f"mission: {'paused' if paused else 'resumed'}", now_ns)
@@ -500,20 +504,20 @@ class Service:
 
     def cancel(self, reason: str, now_ns: int) -> None:
         """End the mission because a person says so; see `MissionRun.cancel`."""
-        self._journal.note("cancel", reason=reason, now_ns=now_ns)
+        self._input_log.note("cancel", reason=reason, now_ns=now_ns)
         self.mission.cancel(reason, now_ns)
 
     def fail(self, reason: str, now_ns: int) -> None:
         """End the mission as failed."""
-        self._journal.note("fail", reason=reason, now_ns=now_ns)
+        self._input_log.note("fail", reason=reason, now_ns=now_ns)
         self.mission.fail(reason, now_ns)
 
     def on_goal_status(self, answer: GoalStatus) -> None:
         """Handle a goal status of the controller. A status for an old goal has no effect on it."""
-        self._journal.note("goal_status", goal_status=answer)
-        answer = self.goals.client.matched(answer)
-        self._publisher.answers.append(answer)
-        self.goals.answered(answer)
+        self._input_log.note("goal_status", goal_status=answer)
+        answer = self.goals.client.with_sent_stamp(answer)
+        self._publisher.goal_statuses.append(answer)
+        self.goals.on_goal_status(answer)
 
     def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
         """Handle a loop cycle without a usable observation.
@@ -528,26 +532,26 @@ class Service:
             dropped: An observation that was refused, or on which a stage failed. It is published
                 as handled, because a simulator in lockstep waits for that.
         """
-        blind = self.pose is not None and now_ns - self._looked_ns > 1e9 * self.blind_s
+        blind = self.pose is not None and now_ns - self._last_tick_ns > 1e9 * self.blind_s
         if blind and pose is not None:
             self.pose = pose
-        self._journal.note("idle", now_ns=now_ns, pose=pose if blind else None)
+        self._input_log.note("idle", now_ns=now_ns, pose=pose if blind else None)
         try:
             if self.mission.observed or dropped is not None:
                 self.mission.observe(self.pose, now_ns, self.behaviour.searching and not blind)
             self.mission.check_limits(now_ns)
         finally:  # also if the mission raises
             if self.pose is not None and (blind or not self.mission.active):
-                self._stand(self.pose, now_ns)
+                self._hold_position(self.pose, now_ns)
             self._report(dropped, now_ns)
 
-    def _stand(self, pose: SE2, now_ns: int) -> None:
+    def _hold_position(self, pose: SE2, now_ns: int) -> None:
         if self.goals.client.driving:
             if self.mission.active:
                 why = self.plausibility.why("stand")
                 self.event(f"no usable observations: {why and f'{why}: '}standing still", now_ns)
-            self.goals.stand(self.mission, pose, now_ns)
-        self.goals.drop()
+            self.goals.hold_position(self.mission, pose, now_ns)
+        self.goals.abandon()
 
     def on_pose_jump(self, now_ns: int) -> None:
         """Handle a pose jump: drop map, instances and goals, which are in the old frame.
@@ -555,18 +559,18 @@ class Service:
         Detections in older images are dropped too. The robot is sent a goal to stand still, unless
         the next tick finds a goal in the new frame.
         """
-        self._journal.note("jump", now_ns=now_ns)
+        self._input_log.note("jump", now_ns=now_ns)
         self.event("pose jumped: map and instances dropped", now_ns)
         if not self.config.source.localised and self.site.known.items:
             self.event("pose jumped: places and zones dropped, they were in the old frame", now_ns)
             self.site.start = None
             self.site.change(Site())
             self.map.set_site(self.site.site)
-        self.map.forget()
+        self.map.on_pose_jump()
         self.policy.reset("pose")
         self.mission.forget_distances()
-        self._forget_asked()
-        self.behaviour.forget()
+        self._discard_pending()
+        self.behaviour.on_pose_jump()
         self.goals.on_pose_jump()
         self._void_seq = self._newest_seq
         if self.checkpoint is not None:
@@ -583,16 +587,16 @@ class Service:
         log.log(level, text)
         self._publisher.events.append(Event(now_ns, text))
 
-    def _step_taken(self, step: MissionEvent) -> None:
+    def _on_mission_event(self, step: MissionEvent) -> None:
         self.event(step.text, step.stamp_ns)
 
     def close(self) -> None:
         """Stop all background work. No tick may follow."""
         if self.load_shedder is not None:
             self.load_shedder.close()
-        self.swapper.close()
-        if self._surveyor is not None:
-            self._surveyor.close()
+        self.detector_swap.close()
+        if self._travel_costs is not None:
+            self._travel_costs.close()
         self.behaviour.close()
         self.map.close()
 

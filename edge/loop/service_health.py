@@ -175,15 +175,15 @@ class ServiceHealth:
 def _problems(running: RunningService, unseen_s: float, at_one_image_s: float) -> Iterator[str]:
     service = running.service
     if unseen_s > service.blind_s:
-        why = service.faults.call(
+        why = service.error_boundary.call(
             "inputs", running.now_ns, lambda: missing_inputs(service.inputs())
         )
         why = "; ".join(filter(None, (why, service.plausibility.why("stand"))))
         yield f"{_UNSEEN}: {why}" if why else _UNSEEN
     if doubt := service.plausibility.why("degrade"):
         yield doubt
-    if service.faults.state != "ok":
-        yield f"the loop is {service.faults.state}: {service.faults.last_error}"
+    if service.error_boundary.state != "ok":
+        yield f"the loop is {service.error_boundary.state}: {service.error_boundary.last_error}"
     detector = detector_health(running.worker)
     if detector.state != "ok":
         yield f"the detector is {detector.state}: {one_line(detector.detail)}"

@@ -51,7 +51,7 @@ SITE_VERBS = {
     "set": Verb(("name", "feature", "kind", "room"), _set),
     "remove": Verb(("name",), lambda fields: {"name": check_text("name", fields.get("name"))}),
     "import": Verb(("site", "replace"), _import),
-    "list": Verb(reads=True),
+    "list": Verb(read_only=True),
 }
 """`{"do": "set", "name": NAME}` names the robot's pose, with `"kind": "room"` the room around it;
 `{"do": "set", "kind": "keep_out" | "stay_inside", "room": ROOM}` makes a zone of a known room;
@@ -91,7 +91,7 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
 
 def _zone_of(service: Service, fields: dict) -> Zone:
     """Return a zone with the outline of a known room."""
-    found = service.map.rooms.called(fields["room"])
+    found = service.map.rooms.find(fields["room"])
     if len(found) != 1:
         known = one_line(", ".join(room.title for room in service.map.rooms.rooms) or "none")
         number = "no room" if not found else f"{len(found)} rooms"

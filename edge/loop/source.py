@@ -51,7 +51,7 @@ class InputStatus:
     dropped: Mapping[str, int]
 
     @property
-    def lacks(self) -> bool:
+    def is_lacking(self) -> bool:
         """True if the robot cannot work because this input is missing, silent or dropped."""
         return self.needed and self.state in ("missing", "silent", "dropped")
 
@@ -65,7 +65,7 @@ def missing_inputs(rows: Sequence[InputStatus]) -> str:
 
     The line is logged whenever it changes, so it holds no number that changes all the time.
     """
-    return "; ".join(_lacking([row for row in rows if row.lacks]))
+    return "; ".join(_lacking([row for row in rows if row.is_lacking]))
 
 
 def _lacking(rows: Sequence[InputStatus]) -> Iterator[str]:

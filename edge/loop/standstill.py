@@ -53,7 +53,7 @@ class StandstillMonitor:
             self._hold_up(grid, pose, pose.ahead(self._radius_m), now_ns)
         return stuck
 
-    def told(
+    def on_blocked(
         self, grid: RollingMap, pose: SE2, place: tuple[float, float] | None, now_ns: int
     ) -> None:
         """Handle a blocked place that the controller reported; None if it reported none."""

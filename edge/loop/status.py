@@ -50,9 +50,9 @@ def status_message(result: TickResult) -> dict[str, object]:
             "pose": [goal.pose.x_m, goal.pose.y_m, goal.pose.yaw_rad],
             "candidate_xy_m": list(goal.candidate_xy_m),
             "score": goal.score,
-            "answer": "" if result.answer is None else result.answer.state,
+            "answer": "" if result.goal_status is None else result.goal_status.state,
         },
-        "controller": "answers" if result.controlled else "silent",
+        "controller": "answers" if result.has_controller else "silent",
         "frontiers": len(result.frontiers()),
         "instances": [
             {
@@ -106,7 +106,7 @@ class HealthWatch:
         self._sinks, self._inputs, self._plausibility = sinks, inputs, plausibility
         self._degraded = False  # the detector is degraded, and that was reported
 
-    def look(self, now_ns: int) -> None:
+    def check(self, now_ns: int) -> None:
         """Report once that the detector is degraded, and once that it works again."""
         state, detail = detector_health(self._worker)
         name = self._worker.detector.name
@@ -152,16 +152,16 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
 
     `why` is the reason for the active target.
     """
-    translation, plan, knowledge = mission.brief.translation, mission.plan, mission.knowledge
+    translation, plan, knowledge = mission.spec.translation, mission.plan, mission.knowledge
     return {
         "id": mission.id,
-        "formula": one_line(mission.brief.automaton.formula),
+        "formula": one_line(mission.spec.automaton.formula),
         "english": translation.understood,
         "translated_by": one_line(translation.backend),
         "reading": translation.reading,
         "readings": [one_line(english, _PRINTED_CHARS) for english in translation.readings],
         "state": mission.state,
-        "states": mission.brief.automaton.n_states,
+        "states": mission.spec.automaton.n_states,
         "trace": list(mission.trace),
         "plan": list(plan.steps),
         "cost": plan.cost if plan.feasible else None,
@@ -226,7 +226,7 @@ def answer_of(
         "paused": mission.paused,
         "elapsed_s": round(s.elapsed_s, 2),
         "path_m": round(s.path_m, 2),
-        "warnings": list(mission.brief.warnings),
+        "warnings": list(mission.spec.warnings),
         **mission_of(mission),
         "task": task_of(task),
     }

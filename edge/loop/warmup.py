@@ -121,9 +121,9 @@ def warm_policy(config: Config) -> None:
     grid = RollingMap(config.mapping)
     pool = CandidatePool(8, config.policy.r_assoc_m)
     grid.frontiers.n = 1
-    grid.values.begin(("x",))
+    grid.values.set_targets(("x",))
     grid.window.placed = True
-    grid.reach.step(SE2(0.0, 0.0, 0.0))
+    grid.travel_cost.step(SE2(0.0, 0.0, 0.0))
     pool.update(grid.frontiers, [], 0, 0)
     pool.measure(grid)
     pool.add_spin(grid, SE2(0.0, 0.0, 0.0), 1.0, 0)
@@ -143,7 +143,7 @@ def warm_policy(config: Config) -> None:
         observation.pose,
         MapView(grid),
         nowhere,
-        pool.shown,
+        pool.read_only,
         seen,
         ScorerOutputs(),
         seen.prompts,

@@ -180,7 +180,7 @@ class ContactObstacles:
 
     def follow_window(self) -> None:
         """Drop cells that have left the window."""
-        held = {cell for cell in self._closed if self._window.holds(*cell)}
+        held = {cell for cell in self._closed if self._window.contains(*cell)}
         self._closed = {cell: self._closed[cell] for cell in held}
         kept = [b._replace(felt=b.felt & held, guessed=b.guessed & held) for b in self._bumps]
         self._bumps = [bump for bump in kept if bump.cells]
@@ -291,7 +291,7 @@ class ContactObstacles:
         guessed: set[Cell] = set()
         for other in self._bumps:
             guessed.update(self._between(bump, other))
-        held = {cell for cell in felt | guessed if self._window.holds(*cell)}
+        held = {cell for cell in felt | guessed if self._window.contains(*cell)}
         return bump._replace(felt=frozenset(felt & held), guessed=frozenset(guessed & held - felt))
 
     def _off_trail(self, bump: _Bump) -> XY | None:
@@ -344,7 +344,7 @@ class ContactObstacles:
                 start_m[0] + 0.5 * k * res * way[0], start_m[1] + 0.5 * k * res * way[1]
             )
             stands = ly.OCCUPIED <= self._layers.raw[cell[1] % n, cell[0] % n] < ly.BUMPED
-            if stands or self._near_trail(cell) or not self._window.holds(*cell):
+            if stands or self._near_trail(cell) or not self._window.contains(*cell):
                 return
             yield cell
 

@@ -79,7 +79,7 @@ class Coverage:
         self.looks = np.zeros((n >> self._bits, n >> self._bits), np.uint8)
         self._fresh = np.zeros(MAX_RAYS, np.int32)
         self._fov_rad = self._range_m = 0.0
-        self._enough = 1
+        self._images_needed = 1
         self._next = 0  # lattice point where the search continues
         self._best = np.zeros(4)
 
@@ -91,12 +91,12 @@ class Coverage:
         strip = np.arange(start >> self._bits, (start + gone) >> self._bits) % len(self.looks)
         self.looks[(slice(None), strip) if axis == 0 else strip] = 0
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Clear all counts, because the detector now looks for other objects."""
         self.looks[:] = 0
         self._window.written[:] = True
 
-    def look(self, seen: Observation, range_m: float, enough: int) -> None:
+    def on_image(self, seen: Observation, range_m: float, enough: int) -> None:
         """Count a look at each place in an image that the detector searched.
 
         Args:
@@ -108,7 +108,7 @@ class Coverage:
         if camera is None:
             return
         self._fov_rad, self._range_m = camera.hfov_rad, range_m
-        self._enough = min(enough, MOST_LOOKS)
+        self._images_needed = min(enough, MOST_LOOKS)
         T = seen.T_map_base @ seen.T_base_camera
         self.camera_yaw_rad = optical_yaw_rad(seen.T_base_camera)
         far = range_m / self._window.resolution_m
@@ -116,9 +116,13 @@ class Coverage:
         first = optical_yaw_rad(T) - 0.5 * (rays - 1) * between
         self._show(T[0, 3], T[1, 3], first, between, rays, far, COUNT)
 
-    def worth(self, view: Viewpoint) -> bool:
+    def is_worth_it(self, view: Viewpoint) -> bool:
         """Return True if a view still shows enough places that were not seen well."""
         return self._planned(view, KEEP) >= self._least
+
+    def area_m2(self, view: Viewpoint) -> float:
+        """Return the area that a view still shows of places that were not seen well."""
+        return self._planned(view, KEEP) * (self._window.resolution_m * 2**self._bits) ** 2
 
     def write_off(self, view: Viewpoint) -> None:
         """Never seek the places of a view again that are still not seen well."""
@@ -132,12 +136,12 @@ class Coverage:
         """
 
         def plane() -> np.ndarray:
-            looks = np.minimum(self.looks & np.uint8(_FLAG - 1), self._enough)
-            return (looks.astype(np.uint16) * 255 // self._enough).astype(np.uint8)
+            looks = np.minimum(self.looks & np.uint8(_FLAG - 1), self._images_needed)
+            return (looks.astype(np.uint16) * 255 // self._images_needed).astype(np.uint8)
 
         return self._window.copy_of(plane)
 
-    def start_over(self) -> None:
+    def restart_search(self) -> None:
         """Restart the search: the next `search` begins at the first cell."""
         self._next = 0
         self._best[:] = 0.0
@@ -158,7 +162,7 @@ class Coverage:
         distance, rect = reach.field
         self._next = best_view(
             self._layers, distance, *rect, *self._window.origin, self.looks, self._bits,
-            self._enough, SURE * self._fov_rad, NEAR_M / res, SURE * self._range_m / res,
+            self._images_needed, SURE * self._fov_rad, NEAR_M / res, SURE * self._range_m / res,
             START_M / res, self._least, self._fresh, self._next, WORK_PER_STEP, self._best,
         )  # fmt: skip
         if self._next > 0:
@@ -183,11 +187,11 @@ class Coverage:
         if then != KEEP:
             x, y = window.cell_of(x_m, y_m)
             reach = math.ceil(far) + 1
-            window.wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
+            window.mark_written(x - reach, y - reach, x + reach + 1, y + reach + 1)
         return show(
             self._layers.raw, self.looks, self._bits, *window.shift,
             x_m / res - ox, y_m / res - oy, first, between, rays, NEAR_M / res, far,
-            self._enough, then, self._fresh,
+            self._images_needed, then, self._fresh,
         )  # fmt: skip
 
 

@@ -51,7 +51,7 @@ class InformationGain:
         self._area_m2 = 2.0 * math.pi / RAYS * (np.arange(self._steps) + 1.0) * cells * cells
         self._ray_m2 = np.zeros(RAYS)
         self._at_m = np.full((PLACES, 2), np.inf)
-        self._looked = np.zeros(PLACES, np.uint64)
+        self._viewed = np.zeros(PLACES, np.uint64)
         self._next = 0
 
     def around(self, xy_m: np.ndarray, which: np.ndarray, n: int, out_m2: np.ndarray) -> None:
@@ -69,10 +69,10 @@ class InformationGain:
             self._direction, self._area_m2, self._decay, self._ray_m2, out_m2,
         )  # fmt: skip
 
-    def look(self, pose: SE2, camera_yaw_rad: float, fov_rad: float) -> None:
+    def on_view(self, pose: SE2, camera_yaw_rad: float, fov_rad: float) -> None:
         """Remember a view of the camera: it shows nothing new from this place in this direction."""
         ahead, k = pose.yaw_rad + camera_yaw_rad, self._place(pose)
-        self._looked[k] |= sector_bits(ahead, SURE * fov_rad)
+        self._viewed[k] |= sector_bits(ahead, SURE * fov_rad)
 
     def best_spin(
         self, pose: SE2, camera_yaw_rad: float, fov_rad: float
@@ -97,7 +97,7 @@ class InformationGain:
             self._ray_m2,
         )  # fmt: skip
         near = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m) < HERE_M
-        looked = np.bitwise_or.reduce(self._looked[near], initial=np.uint64(0))
+        looked = np.bitwise_or.reduce(self._viewed[near], initial=np.uint64(0))
         ahead = pose.yaw_rad + camera_yaw_rad
         turn, sweep, area_m2 = best_sweep(self._ray_m2, looked, SURE * fov_rad, ahead)
         return wrap_angle(pose.yaw_rad + turn), sweep, area_m2
@@ -106,7 +106,7 @@ class InformationGain:
         """Return the places and the directions that the camera saw from them."""
         used = np.isfinite(self._at_m[:, 0])  # used entries come first
         return {
-            "at_m": self._at_m[used], "looked": self._looked[used], "next": np.array(self._next),
+            "at_m": self._at_m[used], "looked": self._viewed[used], "next": np.array(self._next),
         }  # fmt: skip
 
     def load_state_dict(self, state: Arrays) -> None:
@@ -118,7 +118,7 @@ class InformationGain:
         rows: Rows = {("at_m", "looked"): PLACES}
         check_arrays(state, self.state_dict(), rows, {"next": PLACES - 1})
         n = len(state["at_m"])
-        self._at_m[:n], self._looked[:n] = state["at_m"], state["looked"]
+        self._at_m[:n], self._viewed[:n] = state["at_m"], state["looked"]
         self._next = int(state["next"])
 
     def _place(self, pose: SE2) -> int:
@@ -128,7 +128,7 @@ class InformationGain:
         if away[k] > 0.5 * HERE_M:
             k, self._next = self._next, (self._next + 1) % PLACES
             self._at_m[k] = pose.x_m, pose.y_m
-            self._looked[k] = 0
+            self._viewed[k] = 0
         return k
 
 

@@ -65,7 +65,7 @@ class RollingMap:
 
     Attributes:
         frontiers: target points, refreshed in place by every update.
-        reach: driving distances from the robot; call its `step` once per tick.
+        travel_cost: driving distances from the robot; call its `step` once per tick.
         bumps: obstacles that held the robot up but that no sensor shows.
         zones: areas that the robot must not enter; set by `set_zones`.
         coverage: places that the detector has seen; call its `look` for each searched image.
@@ -125,7 +125,7 @@ class RollingMap:
             np.zeros(MAX_FRONTIERS, np.int32),
             np.zeros(MAX_FRONTIERS, np.int32),
         )
-        self.reach = TravelCostField(
+        self.travel_cost = TravelCostField(
             self._layers, self.window, self._inflation_cells, self._body, REACH_CELLS_PER_TICK
         )
         self.coverage = Coverage(self._layers, self.window)
@@ -211,7 +211,7 @@ class RollingMap:
     def state_at(self, x_m: float, y_m: float) -> int:
         """Return -1 for unknown or outside the window, 0 for free, 100 for occupied or inflated."""
         x, y = self.window.cell_of(x_m, y_m)
-        if not self.window.holds(x, y):
+        if not self.window.contains(x, y):
             return UNKNOWN
         n = self.window.n
         if self._layers.near[y % n, x % n]:
@@ -255,7 +255,7 @@ class RollingMap:
             cells = np.empty((max(y1 - y0, 0), max(x1 - x0, 0)), np.int8)
             corner = origin[0] + x0, origin[1] + y0
             # A robot inside a zone gets the map without zones, or its controller could not leave.
-            zones = self._robot is None or not self.zones.holds_cell(*self._robot)
+            zones = self._robot is None or not self.zones.contains_cell(*self._robot)
             compose(self._layers, self._body, *corner, inflated, zones, cells)
             if self.window.origin == origin:
                 corner_m = (corner[0] * self.resolution_m, corner[1] * self.resolution_m)
@@ -528,7 +528,7 @@ class RollingMap:
             ly.add_disc(layers, *self.window.shift, x, y, by, self._disc, clip, self._changed)
         ly.grow(self._changed, x, y)
         ly.grow(self._explored, x, y)
-        self.window.wrote(x + ox, y + oy, x + ox + 1, y + oy + 1)
+        self.window.mark_written(x + ox, y + oy, x + ox + 1, y + oy + 1)
 
     def _extend_trail(self, robot: tuple[int, int]) -> None:
         """Mark the robot's path on the trail, where its body fits; see `layers.on_trail`."""
@@ -543,7 +543,7 @@ class RollingMap:
 
     def _note_written(self, sensor: tuple[int, int], robot: tuple[int, int]) -> None:
         """Mark the tiles that one update wrote, around the sensor and around the robot."""
-        reach, (x, y), wrote = self._half + 1, sensor, self.window.wrote
+        reach, (x, y), wrote = self._half + 1, sensor, self.window.mark_written
         wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
         reach, (x, y) = max(len(self._footprint) // 2, _TRAIL_STEP_CELLS) + 1, robot
         wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
@@ -616,7 +616,7 @@ class RollingMap:
         ly.wipe(layers, *shift, *_band(axis, out, n), self._clusters.dirty)
         x0, y0, x1, y1 = _band(axis, out, n)
         (ox, oy) = window.origin
-        window.wrote(x0 + ox, y0 + oy, x1 + ox, y1 + oy)
+        window.mark_written(x0 + ox, y0 + oy, x1 + ox, y1 + oy)
         self.coverage.roll(axis, by)
         self.values.roll(axis, by)
         origin = list(window.origin)

@@ -66,7 +66,7 @@ class TileCopier:
         self._batches: list[TileBatch] = []
 
     def step(self, window: Window, planes: LayerTiles, most: int) -> bool:
-        """Copy up to `most` tiles; return True if `take` now gives the complete current map."""
+        """Copy up to `most` tiles; return True if `collect` now gives the complete current map."""
         if window is not self._window:  # another map: drop the tiles of the last one
             self._window, self._restarted, self._batches = window, True, []
         row, column = np.nonzero(window.written)
@@ -77,7 +77,7 @@ class TileCopier:
             window.written[row, column] = False
         return not window.written.any()
 
-    def take(self) -> tuple[bool, list[TileBatch]]:
+    def collect(self) -> tuple[bool, list[TileBatch]]:
         """Return True if the map is a new one, and the copies since the last call, oldest first."""
         taken = self._restarted, self._batches
         self._restarted, self._batches = False, []

@@ -94,7 +94,7 @@ class TravelCostField:
             window = self._window
             self._origins[nxt] = window.origin
             x, y = window.cell_of(pose.x_m, pose.y_m)
-            if not window.holds(x, y):
+            if not window.contains(x, y):
                 return
             start_wave(self._layers, wave, x % window.n, y % window.n, self._escape_cells)
             self._growing = True
@@ -134,7 +134,7 @@ class TravelCostField:
         res = self._window.resolution_m
         return self._found(nearest_reached, float(x_m / res), float(y_m / res), radius_m / res)
 
-    def approach(
+    def stopping_point(
         self, surface_m: np.ndarray, within_m: float, points: int = 1
     ) -> tuple[float, float, float] | None:
         """Return the stopping point for an object: the nearest free cell in sight of its surface.

@@ -52,9 +52,9 @@ class RangeProfile:
 class ValueMap:
     """A channel of values for each target, on the map's torus.
 
-    `begin` allocates the memory: 4 bytes per cell and channel, or 1 MB for four targets in a window
-    of 50 m (1000 x 1000 map cells of 0.05 m). The cost of a write depends only on the cells in
-    view.
+    `set_targets` allocates the memory: 4 bytes per cell and channel, or 1 MB for four targets in a
+    window of 50 m (1000 x 1000 map cells of 0.05 m). The cost of a write depends only on the cells
+    in view.
 
     Attributes:
         cell_m: side of a cell, a power of two of the map's cells.
@@ -65,7 +65,7 @@ class ValueMap:
     def __init__(
         self, layers: Layers, window: Window, cell_m: float, range_m: float, beta: float
     ) -> None:
-        """Prepare a map without channels; `begin` adds them.
+        """Prepare a map without channels; `set_targets` adds them.
 
         Args:
             layers: layers of the map.
@@ -87,7 +87,7 @@ class ValueMap:
         self._cell = np.zeros((side * side, 2), np.int32)
         self._bearing = np.zeros(side * side, np.float32)
 
-    def begin(self, targets: Sequence[str]) -> None:
+    def set_targets(self, targets: Sequence[str]) -> None:
         """Make one channel per target, in this order; targets that stay keep their values."""
         if tuple(targets) == self._targets:
             return
@@ -107,7 +107,7 @@ class ValueMap:
         return self._targets
 
     @property
-    def side(self) -> int:
+    def n_side_cells(self) -> int:
         """Value cells on a side of a tile of the map."""
         return TILE >> self._bits
 
@@ -121,7 +121,7 @@ class ValueMap:
         self.value[where] = 0
         self.weight[where] = 0
 
-    def sight(self, observation: Observation) -> RangeProfile | None:
+    def range_profile(self, observation: Observation) -> RangeProfile | None:
         """Return how far an observation sees, by its depth image, else up to the map's obstacles.
 
         A direction without any return in the depth image has range 0.
@@ -161,7 +161,7 @@ class ValueMap:
         """
         channel = [self._targets.index(t) for t in targets if t in self._targets]
         scores = np.array([s for t, s in zip(targets, score, strict=True) if t in self._targets])
-        n = self._look(sight)
+        n = self._list_seen_cells(sight)
         if n and channel:
             blend(
                 self.value, self.weight, self._cell, self._bearing, n, sight.fov_rad,
@@ -183,7 +183,7 @@ class ValueMap:
             p: (n,) probabilities of eq. 4.
             scene: S_curr of eq. 5, in [0, 1].
         """
-        n = self._look(sight)
+        n = self._list_seen_cells(sight)
         if n == 0 or target not in self._targets:
             return
         channel, half = self._targets.index(target), 0.5 * sight.fov_rad
@@ -206,7 +206,7 @@ class ValueMap:
         """Write the highest value within a radius of each place (ViTL eq. 9) into out[:n].
 
         Args:
-            channel: index of a target, as in `begin`.
+            channel: index of a target, as in `set_targets`.
             xy_m: (n or more, 2) float32 in `map`.
             n: number of places.
             radius_m: radius.
@@ -245,19 +245,19 @@ class ValueMap:
         """Return (value, weight) of a place's cell; (0, 0) outside the window."""
         window, m = self._window, self._cells
         x, y = window.cell_of(float(xy_m[0]), float(xy_m[1]))
-        if not window.holds(x, y):
+        if not window.contains(x, y):
             return 0.0, 0.0
         at = (y >> self._bits) % m, (x >> self._bits) % m, channel
         return float(self.value[at]) / UNIT, float(self.weight[at]) / UNIT
 
-    def _look(self, sight: RangeProfile) -> int:
+    def _list_seen_cells(self, sight: RangeProfile) -> int:
         """List the window's cells that a sight showed, into scratch; return their number."""
         if not self._window.placed:
             return 0
         window, (ox, oy) = self._window, self._window.origin
         x, y = window.cell_of(sight.x_m, sight.y_m)
         reach = math.ceil((float(sight.range_m.max()) + self.cell_m) / window.resolution_m) + 1
-        window.wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
+        window.mark_written(x - reach, y - reach, x + reach + 1, y + reach + 1)
         return seen_cells(
             sight.x_m, sight.y_m, sight.yaw_rad, sight.fov_rad, sight.range_m,
             ox >> self._bits, oy >> self._bits, self._cells, self.cell_m,

@@ -28,7 +28,7 @@ class MapView:
         window: part of the world that they hold; only the map moves it.
         state_at, unknown_ratio, snapshot: see `edge.mapping.grid.RollingMap`.
         distance_m, nearest, approach: see `edge.mapping.travel_cost.TravelCostField`.
-        worth: see `edge.mapping.coverage.Coverage`.
+        is_worth_it: see `edge.mapping.coverage.Coverage`.
         values: one channel per target of the mission, if the policy's scorer feeds them.
     """
 
@@ -37,9 +37,9 @@ class MapView:
         self.layers, self.window = grid.layers, grid.window
         self.state_at, self.unknown_ratio = grid.state_at, grid.unknown_ratio
         self.snapshot = grid.snapshot
-        self.distance_m, self.nearest = grid.reach.distance_m, grid.reach.nearest
-        self.approach = grid.reach.approach
-        self.worth = grid.coverage.worth
+        self.distance_m, self.nearest = grid.travel_cost.distance_m, grid.travel_cost.nearest
+        self.stopping_point = grid.travel_cost.stopping_point
+        self.is_worth_it = grid.coverage.is_worth_it
         self.values = ValuesView(grid.values)
         self._grid = grid
         shown = grid.frontiers

@@ -50,7 +50,7 @@ class Window:
         """Return the centre of a world cell in `map`."""
         return (cell[0] + 0.5) * self.resolution_m, (cell[1] + 0.5) * self.resolution_m
 
-    def holds(self, x: int, y: int) -> bool:
+    def contains(self, x: int, y: int) -> bool:
         """Return True if a world cell lies in the window."""
         (ox, oy), n = self.origin, self.n
         return self.placed and ox <= x < ox + n and oy <= y < oy + n
@@ -80,7 +80,7 @@ class Window:
         corner_m = ox * self.resolution_m + x * cell_m, oy * self.resolution_m + y * cell_m
         return Grid(written, corner_m, cell_m)
 
-    def wrote(self, x0: int, y0: int, x1: int, y1: int) -> None:
+    def mark_written(self, x0: int, y0: int, x1: int, y1: int) -> None:
         """Mark a half-open rectangle of world cells as written."""
         (ox, oy), n, m = self.origin, self.n, len(self.written)
         x0, y0, x1, y1 = max(x0, ox), max(y0, oy), min(x1, ox + n), min(y1, oy + n)

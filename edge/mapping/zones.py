@@ -119,14 +119,14 @@ class Zones:
         """True if there is a zone."""
         return any(self.polygons)
 
-    def holds(self, x_m: float, y_m: float) -> bool:
+    def contains(self, x_m: float, y_m: float) -> bool:
         """Return True if the zones close the cell of a point."""
-        return self.holds_cell(*self._window.cell_of(x_m, y_m))
+        return self.contains_cell(*self._window.cell_of(x_m, y_m))
 
-    def holds_cell(self, x: int, y: int) -> bool:
+    def contains_cell(self, x: int, y: int) -> bool:
         """Return True if the zones close a world cell."""
         n = self._window.n
-        return self._window.holds(x, y) and bool(self._layers.near[y % n, x % n] & ZONE)
+        return self._window.contains(x, y) and bool(self._layers.near[y % n, x % n] & ZONE)
 
     def _closed(self, x0: int, y0: int, width: int, height: int) -> np.ndarray:
         """Return (height, width) uint8, 1 where a cell is closed; (x0, y0) is a window cell."""

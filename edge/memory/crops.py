@@ -77,7 +77,7 @@ class CropStore:
         if crops:
             if self._worker is None:
                 self._worker = Worker("crops", self._encode, inline=self._inline)
-            self._worker.queue((self._jpeg, crops))
+            self._worker.enqueue((self._jpeg, crops))
 
     def rename(self, ids: Mapping[int, int]) -> None:
         """Move pictures to another object, when a new object turned out to be a known one.
@@ -99,7 +99,7 @@ class CropStore:
         with self._lock:
             self._jpeg, self._best, self._n_bytes = {}, {}, 0
         if self._worker is not None:
-            self._worker.forget()
+            self._worker.discard_all()
 
     def close(self) -> None:
         """Stop the thread."""

@@ -25,6 +25,9 @@ SURE = 0.15
 SURE_KIND = 0.7
 """Smallest probability of a kind for a room to count as one."""
 _VOTE_M = 1.5  # distance at which an object's vote for the kind of a point has fallen to 1/e
+# Largest vote of an object against a kind. The largest votes for one are near 1; the log of a very
+# small chance would outweigh them all.
+_MOST_AGAINST = 1.0
 PERIOD_NS = 250_000_000
 """Shortest time between two updates by new objects."""
 _REASONS = 2  # number of objects that an explanation names
@@ -160,6 +163,11 @@ class MappedRoom:
         """Things of the prior's table that were seen in it."""
         return [load().things[at] for at in np.flatnonzero(self.held)]
 
+    def closed_by(self, site: Site) -> str:
+        """Return the name of a zone if zones close all points to stand at; else ""."""
+        closed = [site.closed_by(x_m, y_m) for x_m, y_m in self.points_m.tolist()]
+        return closed[0] if all(closed) else ""
+
     def to_json(self) -> dict[str, Any]:
         """Return it JSON-ready."""
         return {
@@ -195,7 +203,7 @@ class RoomMemory:
         self._table, self._chance = table, kinds.object_given_room(table)
         self._log_ratio = np.log(self._chance / (kinds.room_prior(table) @ self._chance))
         self._index = SeenObjectIndex(words)
-        self._held = np.zeros((1, len(table.things)), np.float32)
+        self._confidence = np.zeros((1, len(table.things)), np.float32)
         self._belief = kinds.room_prior(table)[None]
         self._objects = SeenObjects(
             np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32)
@@ -226,7 +234,7 @@ class RoomMemory:
         self._is_due, self._generation, self._updated_ns = False, sightings.generation, now_ns
         self.version += 1
         regions, objects = self.survey.regions, self._index.of(sightings)
-        held = self._held = objects_by_region(regions, objects, len(self._table.things))
+        held = self._confidence = objects_by_region(regions, objects, len(self._table.things))
         self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
         self._belief = kinds_by_region(self._table, self._chance, regions.border, held)
         shapes, named = self.survey.shapes, self._named()
@@ -253,7 +261,7 @@ class RoomMemory:
         region = int(self.survey.regions.at(np.array([[x_m, y_m]], np.float32))[0])
         return self.room(int(self.survey.ids[region])) if region else None
 
-    def where(self, x_m: float, y_m: float) -> str:
+    def room_phrase(self, x_m: float, y_m: float) -> str:
         """Return the room of a point in words, such as "in the kitchen"; "" if there is none."""
         room = self.room_at(x_m, y_m)
         return "" if room is None else f"in {room.phrase}"
@@ -274,7 +282,7 @@ class RoomMemory:
         shape = next((one for one in self.survey.shapes if one.id == room_id), None)
         return room_id if shape is not None and depth_m >= shape.inside_m else 0
 
-    def called(self, name: str) -> list[MappedRoom]:
+    def find(self, name: str) -> list[MappedRoom]:
         """Return the rooms that a name means: by a person's name, else by number, else by kind."""
         named = [room for room in self.rooms if room.name and is_same(room.name, name)]
         numbered = [room for room in self.rooms if is_same(f"room {room.id}", name)]
@@ -331,13 +339,14 @@ class RoomMemory:
         others = [self._table.kinds.index(k) for k in room.kinds if k in self._table.kinds]
         rows = [self._log_ratio[other] for other in others if other != column]
         against = np.maximum(0.0, np.max(rows, axis=0)) if rows else 0.0
-        says = (self._log_ratio[column] - against)[objects.row[mine]] * objects.weight[mine]
+        ratio = np.maximum(self._log_ratio[column] - against, -_MOST_AGAINST)
+        says = ratio[objects.row[mine]] * objects.weight[mine]
         apart_m = np.hypot(*(room.points_m[:, None] - objects.xyz_m[mine, :2]).transpose(2, 0, 1))
         return np.exp(-apart_m / _VOTE_M) @ says
 
     # -- frames and checkpoints ----------------------------------------------------------------
 
-    def forget(self) -> None:
+    def on_pose_jump(self) -> None:
         """Forget all rooms: the frame has changed. Ids go on."""
         self.survey = NO_SURVEY._replace(next_id=self.survey.next_id)
         self._visited.clear()

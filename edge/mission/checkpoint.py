@@ -95,11 +95,12 @@ _OF_RUN = (
 
 def state_of(mission: MissionRun, phase: str) -> MissionState:
     """Return the current state of the mission for a checkpoint."""
-    brief = mission.brief
+    spec = mission.spec
     return MissionState(
-        formula=str(brief.automaton.formula), phase=phase, task=brief.steps is not None,
+        formula=str(spec.automaton.formula), phase=phase,
+        task=spec.steps is not None,
         failed=tuple(sorted(mission.failed)), detected=tuple(sorted(mission.detected)),
-        **{name: getattr(brief.translation, name) for name in OF_TRANSLATION}
+        **{name: getattr(spec.translation, name) for name in OF_TRANSLATION}
         | {"destinations": dict(mission.destinations)},
         **{name: getattr(mission, name) for name in _OF_RUN}, pursued_s=dict(mission.pursued_s),
     )  # fmt: skip

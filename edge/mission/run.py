@@ -43,10 +43,10 @@ class MissionRun:
         reached: the set R, in order of reaching.
         round: number of the current round, from 1, of a mission that repeats.
         results: what the mission found out so far, for the reason of its end.
-        steps: the mission log, oldest entry first, at most the last `MAX_STEPS`.
+        log: the mission log, oldest entry first, at most the last `MAX_STEPS`.
         started: True after `start`.
         paused: while True, time and path do not count and no target is pursued.
-        turns: number of times that a new target was set.
+        retargets: number of times that a new target was set.
         changes: number of changes that a checkpoint should hold.
         config: the `mission` section; may be replaced to change the limits.
         destinations: targets that are no things; `locate` sets poses that were not known before.
@@ -61,24 +61,24 @@ class MissionRun:
 
     def __init__(
         self,
-        brief: MissionSpec,
+        spec: MissionSpec,
         config: MissionConfig,
-        on_step: Callable[[MissionEvent], None] = lambda step: None,
+        on_event: Callable[[MissionEvent], None] = lambda step: None,
         id: str = "",
     ) -> None:
         """Create the run; call `start` to begin it.
 
         Args:
-            brief: the mission.
+            spec: the mission.
             config: the `mission` section.
-            on_step: called with each new entry of the mission log.
+            on_event: called with each new entry of the mission log.
             id: the requester's name of the mission.
         """
-        self.brief = brief
+        self.spec = spec
         self.id = id
         self.state = 0
-        self.target = brief.targets[0]
-        self.destinations: dict[str, Destination] = dict(brief.translation.destinations)
+        self.target = spec.targets[0]
+        self.destinations: dict[str, Destination] = dict(spec.translation.destinations)
         self.trace: tuple[str, ...] = ()
         known = [n for n, d in self.destinations.items() if not isinstance(d, RoomTarget)]
         self.detected: frozenset[str] = frozenset(known)
@@ -86,7 +86,7 @@ class MissionRun:
         self.failed: frozenset[str] = frozenset()
         self.started = False
         self.paused = False
-        self.turns = 0
+        self.retargets = 0
         self.changes = 0
         self.elapsed_s = 0.0
         self.path_m = 0.0
@@ -95,20 +95,20 @@ class MissionRun:
         self.reason = ""
         self.results: tuple[str, ...] = ()
         self.round = 1
-        self.steps: tuple[MissionEvent, ...] = ()
-        self._instruction = one_line(brief.translation.instruction)
+        self.log: tuple[MissionEvent, ...] = ()
+        self._instruction = one_line(spec.translation.instruction)
         self.config = config
-        self._on_step = on_step
+        self._on_event = on_event
         self._planner: Planner = (
-            make_planner(config.planner, brief.automaton, brief.translation.instruction)
-            if brief.steps is None
-            else TaskPlanner(brief.targets, brief.steps)
+            make_planner(config.planner, spec.automaton, spec.translation.instruction)
+            if spec.steps is None
+            else TaskPlanner(spec.targets, spec.steps)
         )
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
-        self._newest: dict[str, int] = dict.fromkeys(known, 0)
-        self._stale: dict[str, int] = {}
+        self._newest_ids: dict[str, int] = dict.fromkeys(known, 0)
+        self._stale_ids: dict[str, int] = {}
         self.pursued_s: dict[str, float] = {}
         self._left_out = 0  # targets left out since one was reached
         self._last_ns: int | None = None
@@ -154,18 +154,18 @@ class MissionRun:
         return is_timed(self.destinations.get(self.target))
 
     @property
-    def waits(self) -> bool:
+    def waiting(self) -> bool:
         """True while the active target is a wait."""
         return self.active and isinstance(self.destinations.get(self.target), WaitTarget)
 
     @property
     def forbidden(self) -> tuple[str, ...]:
         """Targets that would make success impossible if they were reached now."""
-        automaton = self.brief.automaton
+        automaton = self.spec.automaton
         return tuple(
             label
-            for label in self.brief.targets
-            if automaton.dead(automaton.step(self.state, label))
+            for label in self.spec.targets
+            if automaton.is_dead(automaton.step(self.state, label))
         )
 
     def status(self, phase: MissionPhase) -> MissionStatus:
@@ -177,16 +177,16 @@ class MissionRun:
         return MissionStatus(
             self.target,
             phase,
-            self.reason or self._doing,
+            self.reason or self._shown_activity,
             self.elapsed_s,
             self.path_m,
             self._instruction,
         )
 
     @property
-    def _doing(self) -> str:
+    def _shown_activity(self) -> str:
         """Return the robot's present activity for the status; "" for none."""
-        repeat = self.brief.translation.repeat
+        repeat = self.spec.translation.repeat
         if not self.active:
             return ""
         rounds = "" if repeat is None else repeat.shown_round(self.round, self.elapsed_s)
@@ -211,22 +211,22 @@ class MissionRun:
         self.started = True
         if self.done:
             return
-        brief = self.brief
+        spec = self.spec
         kind, formula = "task", ""
-        if brief.steps is None:
-            kind, formula = "mission", f" [{one_line(brief.automaton.formula)}]"
-        self._note(now_ns, "start", "", f"{kind}: {brief.translation.understood}{formula}")
-        for warning in brief.warnings:
-            self._note(now_ns, "warning", "", warning)
+        if spec.steps is None:
+            kind, formula = "mission", f" [{one_line(spec.automaton.formula)}]"
+        self._log_event(now_ns, "start", "", f"{kind}: {spec.translation.understood}{formula}")
+        for warning in spec.warnings:
+            self._log_event(now_ns, "warning", "", warning)
         self._replan(now_ns, retarget=True)
 
-    def observe(self, pose: SE2 | None, now_ns: int, looking: bool = True) -> None:
+    def observe(self, pose: SE2 | None, now_ns: int, searching: bool = True) -> None:
         """Add elapsed time, counted from the first call, and driven path.
 
         Args:
             pose: None while the pose is unknown; time counts in any case.
             now_ns: time of the loop.
-            looking: False if the sensors see nothing. The time then does not count as search.
+            searching: False if the sensors see nothing. The time then does not count as search.
         """
         passed_s = 0.0 if self._last_ns is None else max(0, now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
@@ -243,7 +243,7 @@ class MissionRun:
         if self._timed:
             self.exempt_s += passed_s
             self.exempt_m += step_m
-        if looking:
+        if searching:
             self.pursued_s[self.target] = self.pursued_now_s + passed_s
 
     def check_limits(self, now_ns: int) -> None:
@@ -252,7 +252,7 @@ class MissionRun:
         In a mission that repeats, the limits apply to each round. A target is abandoned at the
         search limit.
         """
-        c, repeat = self.config, self.brief.translation.repeat
+        c, repeat = self.config, self.spec.translation.repeat
         if not self.active:
             return
         if repeat is not None and repeat.limit_s is not None and self.elapsed_s > repeat.limit_s:
@@ -264,11 +264,11 @@ class MissionRun:
             self.fail(f"path limit of {c.path_limit_m:g} m", now_ns)
         elif not self._timed and self.pursued_now_s > (c.search_limit_s or math.inf):
             missed = "did not get to" if self.target in self.detected else "no"
-            self.give_up(f"{missed} {self.target} within {c.search_limit_s:g} s", now_ns)
+            self.abandon_target(f"{missed} {self.target} within {c.search_limit_s:g} s", now_ns)
 
     # -- events -------------------------------------------------------------------------------
 
-    def see(self, newest: Mapping[str, int], now_ns: int, keep: bool = False) -> None:
+    def on_detections(self, newest: Mapping[str, int], now_ns: int, keep: bool = False) -> None:
         """Update the set D from the known instances; plan again if it changes.
 
         Args:
@@ -277,11 +277,11 @@ class MissionRun:
             now_ns: time of the loop.
             keep: True keeps targets detected that `newest` does not contain.
         """
-        newest = {**self._newest, **newest} if keep else newest
-        if newest == self._newest or self.done:
+        newest = {**self._newest_ids, **newest} if keep else newest
+        if newest == self._newest_ids or self.done:
             return
-        self._newest = dict(newest)
-        detected = frozenset(k for k, i in newest.items() if i > self._stale.get(k, -1))
+        self._newest_ids = dict(newest)
+        detected = frozenset(k for k, i in newest.items() if i > self._stale_ids.get(k, -1))
         if detected == self.detected:
             return
         new = detected - self.detected
@@ -289,10 +289,10 @@ class MissionRun:
         self.failed -= new
         for label in sorted(new - frozenset(self.reached)):
             self.pursued_s[label] = 0.0
-            self._note(now_ns, "seen", label, f"seen: {label}")
+            self._log_event(now_ns, "seen", label, f"seen: {label}")
         self._replan(now_ns)
 
-    def survey(self, distance_m: np.ndarray, now_ns: int) -> None:
+    def update_distances(self, distance_m: np.ndarray, now_ns: int) -> None:
         """Use new driving distances between the targets; see `MissionKnowledge.distance_m`."""
         if not self.done:
             self._distance_m = distance_m
@@ -315,50 +315,50 @@ class MissionRun:
         label, self._left_out = self.target, 0
         if result:
             self.results = (*self.results, one_line(result, _RESULT_CHARS))[-_MOST_RESULTS:]
-        self._take(label)
+        self._advance(label)
         self.reached = tuple(dict.fromkeys((*self.reached, label)))
         self.pursued_s[label] = 0.0
-        self._note(now_ns, "reached", label, f"reached: {label} ({evidence})")
+        self._log_event(now_ns, "reached", label, f"reached: {label} ({evidence})")
         self._accept(evidence, now_ns)
         self._replan(now_ns, retarget=True)
 
     def on_task_steps_driven(self, steps: int, now_ns: int) -> None:
         """Record that the first `steps` steps of a task were driven; the last one ends the task."""
-        task_steps = self.brief.steps
+        task_steps = self.spec.steps
         assert task_steps is not None
         while self.state < steps:
             text = one_line(task_steps[self.state].said, 60)
-            self._take(NOTHING)
+            self._advance(NOTHING)
             if not self._accept("driven to its end", now_ns):
-                self._note(now_ns, "trajectory", "", f"driven: {text}")
+                self._log_event(now_ns, "trajectory", "", f"driven: {text}")
         if not self.done:
             self._replan(now_ns)
 
-    def tell(self, text: str, now_ns: int) -> None:
+    def log_trajectory(self, text: str, now_ns: int) -> None:
         """Add a log entry about a task's trajectory; the automaton does not move."""
-        self._note(now_ns, "trajectory", "", text)
+        self._log_event(now_ns, "trajectory", "", text)
 
-    def give_up(self, reason: str, now_ns: int) -> None:
+    def abandon_target(self, reason: str, now_ns: int) -> None:
         """Add the active target to B because it could not be reached, and plan again."""
         label = self.target
         self.failed |= {label}
         self.detected -= {label}
         self.pursued_s[label] = 0.0
-        self._stale[label] = self._newest.get(label, -1)
+        self._stale_ids[label] = self._newest_ids.get(label, -1)
         self._why_failed[label] = reason
-        self._note(now_ns, "failed", label, f"failed: {label} ({reason})")
+        self._log_event(now_ns, "failed", label, f"failed: {label} ({reason})")
         self._replan(now_ns, retarget=True)
 
     def warn(self, label: str, text: str, now_ns: int) -> None:
         """Add a warning for the operator, such as a stop near a forbidden target."""
-        self._note(now_ns, "warning", label, text)
+        self._log_event(now_ns, "warning", label, text)
 
     def pause(self, paused: bool) -> None:
         """Pause or resume the mission; time does not count while it is paused."""
         self.paused = paused
         self.changes += 1
 
-    def wait(self) -> None:
+    def set_idle(self) -> None:
         """Become the idle placeholder until the first mission is given."""
         self._ended, self.reason = "idle", "waiting for a mission"
 
@@ -367,7 +367,7 @@ class MissionRun:
 
         It fails, unless it repeats without an end of its own: for that, this is its regular end.
         """
-        repeat = self.brief.translation.repeat
+        repeat = self.spec.translation.repeat
         if repeat is not None and repeat.endless:
             self._finish("reached", f"{reason}; {self._rounds_done(self.round - 1)}", now_ns)
         else:
@@ -377,9 +377,9 @@ class MissionRun:
         """Fail the whole mission, unless it has already ended."""
         self._finish("failed", reason, now_ns)
 
-    def go_on(self, now_ns: int) -> None:
+    def end_wait(self, now_ns: int) -> None:
         """End a wait, because a person says so; do nothing if the robot does not wait."""
-        if self.waits:
+        if self.waiting:
             self.on_reached("told to go on", now_ns)
 
     def restore(
@@ -398,7 +398,7 @@ class MissionRun:
         Call it before `start`.
         """
         for letter in trace:
-            self._take(letter)
+            self._advance(letter)
         self.reached, self.failed = tuple(reached), frozenset(failed)
         self._why_failed = {label: f"{label} failed before the restart" for label in self.failed}
         self.elapsed_s, self.path_m, self.paused = elapsed_s, path_m, paused
@@ -410,19 +410,19 @@ class MissionRun:
 
         A failed target counts as detected again only with a newer instance.
         """
-        self._stale = dict.fromkeys(self.failed, newest)
+        self._stale_ids = dict.fromkeys(self.failed, newest)
 
     # -- internals ----------------------------------------------------------------------------
 
-    def _take(self, letter: str) -> None:
-        self.state = self.brief.automaton.step(self.state, letter)
+    def _advance(self, letter: str) -> None:
+        self.state = self.spec.automaton.step(self.state, letter)
         self.trace = (*self.trace, letter)
 
     def _accept(self, evidence: str, now_ns: int) -> bool:
         """End the mission, or the round, if the formula is fulfilled; return True if it is."""
-        if not self.brief.automaton.accepting[self.state]:
+        if not self.spec.automaton.accepting[self.state]:
             return False
-        repeat = self.brief.translation.repeat
+        repeat = self.spec.translation.repeat
         if repeat is not None:
             self._end_round(repeat, now_ns)
             return True
@@ -438,27 +438,27 @@ class MissionRun:
             return
         self.round += 1
         self.state, self.trace, self.reached = 0, (), ()
-        self.failed, self.detected = frozenset(), frozenset(self._newest)
-        self._stale, self._why_failed = {}, {}
+        self.failed, self.detected = frozenset(), frozenset(self._newest_ids)
+        self._stale_ids, self._why_failed = {}, {}
         self.exempt_s, self.exempt_m = self.elapsed_s, self.path_m
-        self._note(now_ns, "round", "", repeat.shown_round(self.round, self.elapsed_s))
+        self._log_event(now_ns, "round", "", repeat.shown_round(self.round, self.elapsed_s))
 
     def _leave_out(self, now_ns: int) -> bool:
         """Leave out the failed target in this round of a mission that repeats, if that helps.
 
         Returns False if every target was left out since one was reached: then the mission fails.
         """
-        label, automaton = self.target, self.brief.automaton
-        if self.brief.translation.repeat is None or label not in self.failed:
+        label, automaton = self.target, self.spec.automaton
+        if self.spec.translation.repeat is None or label not in self.failed:
             return False
-        if self._left_out >= len(self.brief.targets) - 1:
+        if self._left_out >= len(self.spec.targets) - 1:
             return False
-        if automaton.dead(automaton.step(self.state, label)):
+        if automaton.is_dead(automaton.step(self.state, label)):
             return False
         self._left_out += 1
         self.failed -= {label}
-        self._take(label)
-        self._note(now_ns, "warning", label, f"left out in round {self.round}: {label}")
+        self._advance(label)
+        self._log_event(now_ns, "warning", label, f"left out in round {self.round}: {label}")
         self._accept("left out", now_ns)
         return True
 
@@ -487,24 +487,26 @@ class MissionRun:
             if self.plan.target is not None:
                 break
             if not self._accept("nothing more to reach", now_ns):
-                self._take(NOTHING)
-                self._note(now_ns, "nothing", "", "a step in which nothing is reached")
+                self._advance(NOTHING)
+                self._log_event(now_ns, "nothing", "", "a step in which nothing is reached")
         if self.done:
             return
         # The plan has no steps if a task has detected all objects that it needs.
         if self.plan.steps and (retarget or self.plan.target != self.target):
-            self.turns += 1
+            self.retargets += 1
             self.target, self.activity = self.plan.target, ""
-            self._note(now_ns, "target", self.target, f"target: {self.target}: {self.plan.reason}")
+            self._log_event(
+                now_ns, "target", self.target, f"target: {self.target}: {self.plan.reason}"
+            )
 
     def _finish(self, ended: Literal["reached", "failed"], reason: str, now_ns: int) -> None:
         if self.done:
             return
         self._ended, self.reason = ended, reason
-        self._note(now_ns, "end", "", f"{ended}: {reason}")
+        self._log_event(now_ns, "end", "", f"{ended}: {reason}")
 
-    def _note(self, now_ns: int, kind: MissionEventKind, label: str, text: str) -> None:
+    def _log_event(self, now_ns: int, kind: MissionEventKind, label: str, text: str) -> None:
         self.changes += 1
         step = MissionEvent(now_ns, kind, label, self.state, text)
-        self.steps = (*self.steps, step)[-MAX_STEPS:]
-        self._on_step(step)
+        self.log = (*self.log, step)[-MAX_STEPS:]
+        self._on_event(step)

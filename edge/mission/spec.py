@@ -13,7 +13,7 @@ from edge import names
 from edge.config import MissionConfig, TranslatorLtl
 from edge.errors import UserError
 from edge.geometry import SE2
-from edge.memory import Site, described
+from edge.memory import Site, described, is_room_name
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
@@ -241,7 +241,8 @@ def located(translation: Translation, site: Site) -> Translation:
 
     Raises:
         DestinationError: see `destination_of`.
-        MissionError: a zone closes a place.
+        RelationError: see `described`.
+        MissionError: a zone closes a place, or a thing is in a room that has no such name.
     """
     found: dict[str, Destination] = {}
     english = translation.english
@@ -252,10 +253,22 @@ def located(translation: Translation, site: Site) -> Translation:
             found[letter] = destination
             plain = describe_destination(letter, destination)
             english = english.replace(f'"{letter}"', plain)
+        else:
+            _refuse_unknown_room(letter, site)
     described, orders = describe(translation.formula), orders_of(translation.formula, found)
     if found and orders and translation.english.startswith(described):
         english = orders + translation.english[len(described) :]
     return replace(translation, destinations=found, english=english)
+
+
+def _refuse_unknown_room(letter: str, site: Site) -> None:
+    """Refuse a thing in a room that is no kind of room, and has its name from nobody."""
+    room = thing.room if (thing := described(letter)) is not None else ""
+    if room and not is_room_name(room) and site.room_name(room) is None:
+        raise MissionError(
+            f"mission: {one_line(letter, 80)}: no room or thing is called {one_line(room, 60)!r}; "
+            "leave it out, or give a room this name first"
+        )
 
 
 def _refuse_closed(name: str, destination: Destination, site: Site) -> None:
@@ -324,7 +337,7 @@ def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) ->
 
 def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) -> None:
     """Raise a MissionError if the mission only forbids something that cannot be forbidden."""
-    for letter in set(automaton.letters).difference(automaton.possible):
+    for letter in set(automaton.propositions).difference(automaton.possible):
         destination = destinations.get(letter)
         chosen = isinstance(destination, RoomTarget) and destination.which != "called"
         if chosen or isinstance(destination, (CheckTarget, ExploreTarget, WaitTarget)):
@@ -361,11 +374,11 @@ def spec_of_task(
     return MissionSpec(translation, chain, Diagnosis((), True, ()), targets, targets, steps)
 
 
-def task_state(brief: MissionSpec) -> dict[str, Any] | None:
+def task_state(spec: MissionSpec) -> dict[str, Any] | None:
     """Return the arguments of `spec_of_task` that the translation lacks, or None for a mission."""
-    if brief.steps is None:
+    if spec.steps is None:
         return None
-    return {"targets": brief.targets, "steps": [asdict(step) for step in brief.steps]}
+    return {"targets": spec.targets, "steps": [asdict(step) for step in spec.steps]}
 
 
 def restore_spec(
@@ -388,11 +401,11 @@ def _check_number(config: MissionConfig, targets: int) -> None:
 
 def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
     """Remove propositions that make no difference, so that the planner never searches for them."""
-    if letters == automaton.letters:
+    if letters == automaton.propositions:
         return automaton
-    columns = [automaton.letters.index(letter) for letter in letters]
-    delta = np.ascontiguousarray(automaton.delta[:, [*columns, len(automaton.letters)]])
-    return replace(automaton, letters=letters, delta=delta)
+    columns = [automaton.propositions.index(letter) for letter in letters]
+    delta = np.ascontiguousarray(automaton.delta[:, [*columns, len(automaton.propositions)]])
+    return replace(automaton, propositions=letters, delta=delta)
 
 
 def _unified(formula: Formula, destinations: Collection[str]) -> Formula:

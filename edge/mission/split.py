@@ -23,11 +23,11 @@ class MissionSplit:
     Attributes:
         parts: one formula for each robot, each with all avoidances. Only the whole formula if it
             cannot be split.
-        why_whole: why the formula cannot be split, in one line; "" if it was split.
+        unsplit_reason: why the formula cannot be split, in one line; "" if it was split.
     """
 
     parts: tuple[Formula, ...]
-    why_whole: str = ""
+    unsplit_reason: str = ""
 
 
 def split(formula: Formula, limits: MissionConfig | None = None) -> MissionSplit:

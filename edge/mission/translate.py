@@ -80,15 +80,15 @@ class ParsedInstruction:
 
     Attributes:
         formulas: one or more possible formulas, the most likely first.
-        by: kind of the translator that read the instruction.
-        sure: True if one formula may be carried out without a question. Of several, the one that
-            implies the others may be used if nobody can be asked.
+        backend: kind of the translator that read the instruction.
+        confident: True if one formula may be carried out without a question. Of several, the one
+            that implies the others may be used if nobody can be asked.
         doubts: questions about single words, shown with the question.
     """
 
     formulas: Sequence[Formula]
-    by: str
-    sure: bool = True
+    backend: str
+    confident: bool = True
     doubts: tuple[str, ...] = ()
 
 
@@ -138,11 +138,13 @@ class Translator:
                 f"{reading}"
             )
         unclear = len(readings) > 1 and (ask or safer is None)
-        if reading is None and (unclear or not read.sure):
-            raise AmbiguousInstructionError(readings, safer if read.sure else None, read.doubts)
+        if reading is None and (unclear or not read.confident):
+            raise AmbiguousInstructionError(
+                readings, safer if read.confident else None, read.doubts
+            )
         taken = readings[reading - 1 if reading is not None else safer or 0]
         seconds = time.monotonic() - began_s
-        translation = Translation(instruction, taken.formula, taken.english, read.by, seconds)
+        translation = Translation(instruction, taken.formula, taken.english, read.backend, seconds)
         if len(readings) == 1:
             return translation
         return replace(
@@ -220,7 +222,7 @@ def small_model_backend(model: NeuralTranslator) -> Backend:
         refuse_unsupported(TokenReader(instruction))
         found = model.read(instruction)
         return with_bans(
-            instruction, ParsedInstruction(found.formulas, "model", found.sure, found.doubts)
+            instruction, ParsedInstruction(found.formulas, "model", found.confident, found.doubts)
         )
 
     return read
@@ -251,7 +253,7 @@ def with_bans(instruction: str, read: ParsedInstruction) -> ParsedInstruction:
     if not strict:
         found = " ".join(describe(ban) for ban in bans)
         raise TranslationError(f"instruction: understood only this: {one_line(found, 300)}")
-    return replace(read, formulas=(*strict, *read.formulas), sure=False)
+    return replace(read, formulas=(*strict, *read.formulas), confident=False)
 
 
 def combined_backend(small: Backend, large: Backend | None) -> Backend:
@@ -288,7 +290,7 @@ def _unread(
         if large is None:
             raise refusal from None
         return large(instruction)
-    if offered.sure or large is None:
+    if offered.confident or large is None:
         return offered
     try:
         answer = large(instruction)

@@ -25,14 +25,14 @@ class TravelCostEstimator:
     """Background computation of driving distances: one at a time, at most one a second.
 
     Args:
-        inline: compute inside `ask`, so that a replay gives identical results.
+        inline: compute inside `request`, so that a replay gives identical results.
     """
 
     def __init__(self, inline: bool) -> None:
         self._worker = Worker("travel_cost", lambda survey: survey(), inline=inline)
-        self._asked_ns: int | None = None
+        self._requested_ns: int | None = None
 
-    def through(self, wrap: Callable[[str, Any], Any]) -> None:
+    def wrap_workers(self, wrap: Callable[[str, Any], Any]) -> None:
         """Wrap the worker so that its inputs and results are logged or replayed by `wrap`."""
         self._worker = wrap("travel_cost", self._worker)
 
@@ -46,9 +46,9 @@ class TravelCostEstimator:
     ) -> None:
         """Pass a finished survey to the mission, and start another one if it is due."""
         if (found := self.poll()) is not None and not mission.paused:
-            mission.survey(found, now_ns)
-        if self.due(now_ns):
-            letters = mission.brief.automaton.letters
+            mission.update_distances(found, now_ns)
+        if self.is_due(now_ns):
+            letters = mission.spec.automaton.propositions
             places = {
                 name: at.pose
                 for name, at in mission.destinations.items()
@@ -61,14 +61,16 @@ class TravelCostEstimator:
                 for letter in letters
             ]
             known = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
-            self.ask(grid, pose, known, now_ns)
+            self.request(grid, pose, known, now_ns)
 
-    def due(self, now_ns: int) -> bool:
+    def is_due(self, now_ns: int) -> bool:
         """Return True if another survey may start."""
-        rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
+        rested = self._requested_ns is None or now_ns - self._requested_ns >= PERIOD_NS
         return rested and self._worker.idle
 
-    def ask(self, grid: RollingMap, pose: SE2, positions: list[np.ndarray], now_ns: int) -> None:
+    def request(
+        self, grid: RollingMap, pose: SE2, positions: list[np.ndarray], now_ns: int
+    ) -> None:
         """Start a survey.
 
         Args:
@@ -77,7 +79,7 @@ class TravelCostEstimator:
             positions: for each letter of the automaton, (m, 2) positions of its known instances.
             now_ns: time of the loop.
         """
-        self._asked_ns = now_ns
+        self._requested_ns = now_ns
 
         def work() -> np.ndarray:
             return distances(grid.snapshot(inflated=50), (pose.x_m, pose.y_m), positions)
@@ -88,10 +90,10 @@ class TravelCostEstimator:
         """Return a finished survey once; None if there is none."""
         return self._worker.poll()
 
-    def forget(self) -> None:
+    def discard_pending(self) -> None:
         """Discard the running survey because its targets have changed."""
-        self._worker.forget()
-        self._asked_ns = None
+        self._worker.discard_all()
+        self._requested_ns = None
 
     def close(self) -> None:
         """Stop; a running survey ends within 0.1 s."""

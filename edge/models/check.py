@@ -179,7 +179,7 @@ def _check_choice(card: ChoiceCard) -> str:
     """Check all files, and ask both questions of ViTL about an image of noise."""
     model = LanguageModel(card, asked_of(MAX_MARKS, _TARGET))
     noise = np.random.default_rng(0).integers(0, 255, _VIEW_HWC, np.uint8)
-    view = noise if model.sees else "The robot sees:\n- nothing that it knows"
+    view = noise if model.takes_images else "The robot sees:\n- nothing that it knows"
     began = time.perf_counter()
     p, scene = model.ask(SYSTEM, view, asked_of(_TEXTS, _TARGET), FIRST_RUN_S)
     took_ms = (time.perf_counter() - began) * 1e3

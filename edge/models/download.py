@@ -72,7 +72,7 @@ def download(url: str, part: PartialFile, limits: DownloadLimits = LIMITS) -> No
     part.mark_resumed()
     for tries_left in reversed(range(limits.tries)):
         try:
-            if not part.is_whole():
+            if not part.is_complete():
                 _fetch(url, part, limits)
             part.finish()
         except InterruptedFetchError as error:
@@ -135,8 +135,8 @@ def _fetch(url: str, part: PartialFile, limits: DownloadLimits) -> None:
             with ProgressBar(part.target.name, size, part.have, unit="B", unit_scale=True) as bar:
                 for block in response.iter_raw():
                     part.write(block)
-                    watch.came += len(block)
-                    bar.reach(part.have)
+                    watch.n_bytes += len(block)
+                    bar.set_done(part.have)
     except _NoRangeError:
         part.restart()
         raise
@@ -167,12 +167,12 @@ class _Watch:
 
     Attributes:
         connection: connection of the request.
-        answered: set it when the header of the response has come.
-        came: number of content bytes so far; keep it up to date.
+        has_header: set it when the header of the response has come.
+        n_bytes: number of content bytes so far; keep it up to date.
     """
 
     def __init__(self, limits: DownloadLimits, whole_s: float | None = None) -> None:
-        self.connection, self.answered, self.came = CuttableConnection(), threading.Event(), 0
+        self.connection, self.has_header, self.n_bytes = CuttableConnection(), threading.Event(), 0
         self._limits, self._whole_s, self._over = limits, whole_s, threading.Event()
         self._why = ""
 
@@ -182,20 +182,20 @@ class _Watch:
 
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         self._over.set()
-        self.answered.set()
+        self.has_header.set()
         if self._why and (kind is None or issubclass(kind, InterruptedFetchError)):
             raise InterruptedFetchError(self._why) from None
 
     def _look(self) -> None:
         limits, before = self._limits, 0
-        if not self.answered.wait(limits.answer_s):
+        if not self.has_header.wait(limits.answer_s):
             self._cut(f"no answer within {limits.answer_s:g} s")
         elif self._whole_s is not None:
             if not self._over.wait(self._whole_s):
                 self._cut(f"not complete after {self._whole_s:g} s")
         else:
             while not self._over.wait(limits.slow_s):
-                came, before = self.came - before, self.came
+                came, before = self.n_bytes - before, self.n_bytes
                 if came < limits.slow_bytes:
                     return self._cut(f"only {came} bytes came in {limits.slow_s:g} s")
 
@@ -221,7 +221,7 @@ def _answer(
                 extensions={"trace": watch.connection.trace},
             )  # fmt: skip
             with contextlib.closing(_follow(client, request)) as response:
-                watch.answered.set()
+                watch.has_header.set()
                 _check_status(response)
                 yield response
     except (httpx.InvalidURL, httpx.UnsupportedProtocol) as error:

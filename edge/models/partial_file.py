@@ -54,7 +54,7 @@ class PartialFile:
         size: int | None = None,
         beside: tuple[Path, bytes] | None = None,
     ) -> None:
-        self.target, self.sha256, self.size, self._beside = target, sha256, size, beside
+        self.target, self.sha256, self.size, self._companion = target, sha256, size, beside
         key = (sha256 or "unknown")[:12]
         self.path = target.with_name(f".{target.name}.{key}.part")
         self.have = 0
@@ -129,7 +129,7 @@ class PartialFile:
         """SHA-256 of the bytes so far."""
         return self._digest.hexdigest()
 
-    def is_whole(self) -> bool:
+    def is_complete(self) -> bool:
         """Return True if the bytes so far have the hash of the complete file."""
         return self._digest.hexdigest() == self.sha256
 
@@ -146,7 +146,7 @@ class PartialFile:
             have = self.have
             self.restart()
             raise FetchError(f"has {have} bytes, not the {self.size} it should have")
-        if self.sha256 is not None and not self.is_whole():
+        if self.sha256 is not None and not self.is_complete():
             found, resumed = self._digest.hexdigest(), self._resumed
             self.restart()
             kind = InterruptedFetchError if resumed else FetchError
@@ -154,8 +154,8 @@ class PartialFile:
         try:
             os.fchmod(self._file.fileno(), 0o644)
             os.fsync(self._file.fileno())
-            if self._beside is not None:
-                write_atomically(*self._beside)
+            if self._companion is not None:
+                write_atomically(*self._companion)
             self.path.replace(self.target)
             sync(self.target.parent)  # else a power cut may lose the new name
         except OSError as error:

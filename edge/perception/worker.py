@@ -45,15 +45,15 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
 
     Attributes:
         model: runs on the next item.
-        watch: called with the model, the item and the outcome (a result, None or an exception), on
-            the worker's thread. What it raises is logged and ignored.
+        on_result: called with the model, the item and the outcome (a result, None or an exception),
+            on the worker's thread. What it raises is logged and ignored.
     """
 
     def __init__(
         self, what: str, work: Callable[[Item], Result | None], model: Model, **more: Any
     ) -> None:
         self.model = model
-        self.watch: Callable[[Model, Item, Any], object] | None = None
+        self.on_result: Callable[[Model, Item, Any], object] | None = None
         self._using: Model | None = None
         self._hand = threading.Lock()
         super().__init__(what, work, **more)
@@ -76,9 +76,9 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
         return self._using
 
     def _used(self, item: Item, outcome: object) -> None:
-        """Call `watch` with the outcome of the item."""
+        """Call `on_result` with the outcome of the item."""
         model, self._using = self._using, None
-        if (watch := self.watch) is not None:
+        if (watch := self.on_result) is not None:
             try:
                 watch(model, item, outcome)
             except Exception:
@@ -177,12 +177,12 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
         """See `Worker`; a failure is excused if the detector's own health is not `ok`."""
-        self._what = f"detector {self.detector.name}"
+        self._name = f"detector {self.detector.name}"
         super()._failed(error, excused=self.detector.health().state != "ok")
 
 
 class Question(Protocol):
-    """The input of a scorer; its observation is held until `Scorer.look` returns."""
+    """The input of a scorer; its observation is held until `Scorer.prepare` returns."""
 
     @property
     def observation(self) -> Observation: ...
@@ -201,7 +201,7 @@ class Scorer(Protocol[Q, A]):
 
     name: str
 
-    def look(self, question: Q) -> Any:
+    def prepare(self, question: Q) -> Any:
         """Read everything that needs the observation's arrays; may raise anything."""
         ...
 
@@ -269,7 +269,7 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
         outcome: A | Exception | None = None
         try:
             try:
-                looked = scorer.look(question)
+                looked = scorer.prepare(question)
             finally:
                 question.observation.release()
             outcome = scorer.answer(looked)

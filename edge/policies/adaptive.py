@@ -40,7 +40,7 @@ class AdaptivePolicy:
         score, value, path_m = self._score, self._value, candidates.path_m[:n]
         score[:n] = 1.0 / (1.0 + path_m)
         score[n : candidates.n] = candidates.confidence[n : candidates.n]
-        self._judge(context, n)
+        self._write_values(context, n)
         pose, xy_m = context.pose, candidates.xy_m
         away_m = np.hypot(xy_m[:n, 0] - pose.x_m, xy_m[:n, 1] - pose.y_m)
         open_ = np.isfinite(path_m) & ~candidates.blocked[:n]
@@ -55,7 +55,7 @@ class AdaptivePolicy:
     def reset(self, why: Why) -> None:
         """Do nothing: this policy has no memory. The value maps belong to the map."""
 
-    def _judge(self, context: PolicyInput, n: int) -> None:
+    def _write_values(self, context: PolicyInput, n: int) -> None:
         """Write the values of the first n candidates; NaN if there is no value.
 
         A likelihood ratio L becomes L / (1 + L), the posterior probability from even prior odds. It
@@ -67,7 +67,7 @@ class AdaptivePolicy:
         elif context.prior is None:
             value[:n] = np.nan
         else:
-            context.prior.lift(context.target, context.candidates.xy_m, n, value)
+            context.prior.likelihood_ratio(context.target, context.candidates.xy_m, n, value)
             value[:n] /= 1.0 + value[:n]
 
     def _promising(self, scored: np.ndarray) -> np.ndarray:

@@ -15,31 +15,31 @@ from edge.perception.scoring.choice.question import FrontierChoice
 from edge.perception.tracking.sightings import TrackedObjects
 from edge.types import Detections, Observation
 
-FRONTIER, INSTANCE, LOOK = 0, 1, 2
+FRONTIER, INSTANCE, SPIN = 0, 1, 2
 SNAP_M = np.array([0.6, 1.5, 0.0])
 """Largest distance of a goal cell from its candidate, by kind. A frontier borders free space. The
-surface of an instance is behind inflation and often on a table. A look turns on the spot."""
+surface of an instance is behind inflation and often on a table. A spin turns on the spot."""
 
 
 class Candidates:
     """Candidate goals as parallel arrays of which the first `n` entries are valid.
 
-    Frontiers come first, then instances, then at most one look (a turn on the spot).
+    Frontiers come first, then instances, then at most one spin (a turn on the spot).
 
     Attributes:
         stamp_ns: stamp of the observation from which the candidates were gathered.
-        xy_m: (capacity, 2) float32 in `map`. The position of a look is one metre from the robot,
+        xy_m: (capacity, 2) float32 in `map`. The position of a spin is one metre from the robot,
             in the direction that the robot should face.
-        kind: (capacity,) int8, `FRONTIER`, `INSTANCE` or `LOOK`.
+        kind: (capacity,) int8, `FRONTIER`, `INSTANCE` or `SPIN`.
         id: (capacity,) int64. A frontier's id is never used again after the frontier is gone. An
             instance's id is the id of the instance; a frontier may have the same id.
         first_seen_ns: (capacity,) int64, on the clock of `stamp_ns`.
         confidence: (capacity,) float32 in [0, 1], from the detector; 0 for frontiers.
-        sure: (capacity,) bool, True for instances that the detector has confirmed.
+        confirmed: (capacity,) bool, True for instances that the detector has confirmed.
         blocked: (capacity,) bool, True while a candidate is discarded.
         path_m: (capacity,) float32, driving distance from the robot, inf if unreachable. For a
-            look, its turn as metres (`edge.loop.candidates.TURN_M_PER_RAD`).
-        gain_m2: (capacity,) float32, unknown area that a frontier or a look is expected to show
+            spin, its turn as metres (`edge.loop.candidates.TURN_M_PER_RAD`).
+        gain_m2: (capacity,) float32, unknown area that a frontier or a spin is expected to show
             (`edge.mapping.gain`); 0 for instances. A frontier's value may be some ticks old.
     """
 
@@ -50,7 +50,7 @@ class Candidates:
         self.id = np.zeros(capacity, np.int64)
         self.first_seen_ns = np.zeros(capacity, np.int64)
         self.confidence = np.zeros(capacity, np.float32)
-        self.sure = np.zeros(capacity, np.bool_)
+        self.confirmed = np.zeros(capacity, np.bool_)
         self.blocked = np.zeros(capacity, np.bool_)
         self.path_m = np.zeros(capacity, np.float32)
         self.gain_m2 = np.zeros(capacity, np.float32)
@@ -118,7 +118,7 @@ class ScorerOutputs:
 class TargetPrior(Protocol):
     """An estimate of where a target may be, given the objects seen so far."""
 
-    def lift(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
+    def likelihood_ratio(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
         """Write the likelihood ratio of the target near each position into out[:n].
 
         The ratio is P(target near position | objects seen) / P(target near an average position).
@@ -154,7 +154,7 @@ class PolicyInput:
         targets: all targets of the mission.
         target: the active one.
         now_ns: time of the loop.
-        sightings: positions of all objects seen so far, targets and others; None if they are not
+        objects: positions of all objects seen so far, targets and others; None if they are not
             recorded.
         prior: estimate of where a target may be; None if none is configured.
     """
@@ -169,7 +169,7 @@ class PolicyInput:
     targets: tuple[str, ...]
     target: str
     now_ns: int
-    sightings: TrackedObjects | None = None
+    objects: TrackedObjects | None = None
     prior: TargetPrior | None = None
 
     @property

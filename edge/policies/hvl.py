@@ -53,7 +53,7 @@ class HvlPolicy:
         seen = context.detections
         if seen is not None and seen.observation.camera is not None:
             camera, at = seen.observation.camera, seen.observation.pose
-            mu, alpha = self._speaking(seen, context.targets)
+            mu, alpha = self._evidence(seen, context.targets)
             vl_scores(
                 xy_m, candidates.first_seen_ns, self._n, at.x_m, at.y_m,
                 at.yaw_rad + optical_yaw_rad(seen.observation.T_base_camera),
@@ -68,7 +68,7 @@ class HvlPolicy:
         )  # fmt: skip
         return self._score
 
-    def _speaking(
+    def _evidence(
         self, seen: Detections, targets: tuple[str, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the bearing of each box, targets first, and its evidence for each target.
@@ -132,7 +132,9 @@ def relatedness(words: tuple[str, ...], targets: tuple[str, ...]) -> np.ndarray:
         (words, targets) float64 in [0, 1); 0 for words outside the co-occurrence table.
     """
     known = table.load()
-    lift = np.array([[known.lift((word, target))[0, 1] for target in targets] for word in words])
+    lift = np.array(
+        [[known.likelihood_ratio((word, target))[0, 1] for target in targets] for word in words]
+    )
     return 1.0 - 1.0 / np.maximum(lift.reshape(len(words), len(targets)), 1.0)
 
 

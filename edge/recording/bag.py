@@ -66,11 +66,11 @@ class Db3Reader:
     """The messages of a rosbag2 SQLite file in the order in which they were written.
 
     Attributes:
-        cut: why reading stopped before the end; empty if it did not.
+        truncation: why reading stopped before the end; empty if it did not.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path, self.cut = path, ""
+        self.path, self.truncation = path, ""
 
     def __iter__(self) -> Iterator[RecordedMessage]:
         """Yield the messages.
@@ -99,7 +99,7 @@ class Db3Reader:
             why = one_line(error, 80)
             if not begun:
                 raise RecordingError(f"{self.path}: not a rosbag2 file: {why}") from None
-            self.cut = f"damaged: {why}"
+            self.truncation = f"damaged: {why}"
 
     def _messages(
         self, db: sqlite3.Connection, topics: dict[Any, tuple[str, str, str]]
@@ -111,7 +111,7 @@ class Db3Reader:
         )
         for n, (number, time_ns, data) in enumerate(rows):
             if number not in topics or type(time_ns) is not int or not isinstance(data, bytes):
-                self.cut = f"damaged: row {n} of its messages is no message of a topic"
+                self.truncation = f"damaged: row {n} of its messages is no message of a topic"
                 return
             topic, kind, encoding = topics[number]
             yield RecordedMessage(topic, kind, encoding, time_ns, time_ns, n, data)
@@ -173,11 +173,11 @@ class Bag:
         for message in reading:
             payload = _payload(message.payload)
             if payload is None:
-                reading.cut = f"damaged: a message of {one_line(message.topic, 80)}"
+                reading.truncation = f"damaged: a message of {one_line(message.topic, 80)}"
                 break
             yield message._replace(payload=payload)
-        if reading.cut:
-            self._note(f"{path.name}: {reading.cut}")
+        if reading.truncation:
+            self._note(f"{path.name}: {reading.truncation}")
 
     @contextmanager
     def _noted(self, alone: bool) -> Iterator[None]:

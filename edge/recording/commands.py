@@ -53,8 +53,8 @@ def format_result(session: RecordedRun, o: ReplayResult) -> str:
         f"goals: {o.goals_then} recorded, {o.goals_now} replayed; final phase "
         f"{one_line(o.phase_then) or '-'} recorded, {o.phase_now or '-'} replayed",
     ]
-    if o.unseen:
-        lines.append(f"{o.unseen} images for the detector were not recorded: raise rgb_hz")
+    if o.n_unrecorded:
+        lines.append(f"{o.n_unrecorded} images for the detector were not recorded: raise rgb_hz")
     if o.ended:
         lines.append(f"ends early: {o.ended}")
     if o.first is None:
@@ -65,7 +65,9 @@ def format_result(session: RecordedRun, o: ReplayResult) -> str:
             f"differs in {o.differing} of {o.ticks} ticks, first in tick {at.tick} (stamp "
             f"{at.stamp_ns}):"
         )
-        lines.append(format_table([("", "recorded", "replayed"), *_differing(at.then, at.now)]))
+        lines.append(
+            format_table([("", "recorded", "replayed"), *_differing(at.recorded, at.replayed)])
+        )
     if o.latency_then is not None and o.latency_now is not None:
         lines += ["", latencies(o.latency_then, o.latency_now)]
     return "\n".join(lines)
@@ -153,7 +155,7 @@ def spans_of(path: Path) -> list[Span]:
             return spans[:MAX_SPANS]
     if not spans:
         raise RecordingError(
-            f"{session.cut or path}: no tick in it: name a recording of a service that ran"
+            f"{session.truncation or path}: no tick in it: name a recording of a service that ran"
         )
     return spans
 

@@ -180,8 +180,8 @@ class McapReader:
         metadata: by name, read so far.
         schemas: by id, read so far.
         channels: by id, read so far.
-        whole: True if the end of the data was read; a file that is cut off has no end.
-        cut: why reading stopped before the end; empty if it did not.
+        is_complete: True if the end of the data was read; a file that is cut off has no end.
+        truncation: why reading stopped before the end; empty if it did not.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -189,7 +189,7 @@ class McapReader:
         self.metadata: dict[str, dict[str, str]] = {}
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, ChannelRecord] = {}
-        self.whole, self.cut = False, ""
+        self.is_complete, self.truncation = False, ""
 
     def __iter__(self) -> Iterator[RecordedMessage]:
         """Yield the messages.
@@ -200,7 +200,7 @@ class McapReader:
         with _opened(self.path) as file:
             found = records(file)
             begun = False
-            while not self.whole:
+            while not self.is_complete:
                 try:
                     record = next(found)
                 except EOFError:
@@ -218,14 +218,14 @@ class McapReader:
                 elif isinstance(record, Metadata):
                     self.metadata[record.name] = record.metadata
                 elif isinstance(record, DataEnd):
-                    self.whole = True  # the rest is only an index
+                    self.is_complete = True  # the rest is only an index
                 elif isinstance(record, Message) and record.channel_id in self.channels:
                     yield self._message(record)
 
     def _end(self, begun: bool, why: str) -> None:
         if not begun:
             raise RecordingError(f"{self.path}: not an MCAP file")
-        self.cut = why
+        self.truncation = why
 
     def _message(self, m: Message) -> RecordedMessage:
         channel = self.channels[m.channel_id]
@@ -299,7 +299,7 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
                 copy.add(known[m.topic], m.log_ns, m.stamp_ns, m.payload, sequence=m.sequence)
     except OSError as error:
         raise RecordingError(f"{out}: cannot be written: {error.strerror}") from None
-    return copy.messages, reading.cut
+    return copy.messages, reading.truncation
 
 
 def _channel_of(reading: McapReader, message: RecordedMessage) -> Channel:

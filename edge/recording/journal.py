@@ -367,9 +367,9 @@ def _refined_of(said: dict[str, Any]) -> RefinedTrajectory:
 def _draft(d: PlanResult) -> dict[str, Any]:
     return {
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
-        "hopeless": d.hopeless, "mistakable": d.mistakable, "speed_mps": d.speed_mps,
+        "hopeless": d.hopeless, "mistakable": d.ambiguous, "speed_mps": d.speed_mps,
         "coarse_m": None if d.coarse_m is None else _array(d.coarse_m),
-        "stops_at": d.stops_at, "stops": d.stops, "upto": d.upto,
+        "stops_at": d.stops_at, "stops": d.stops, "upto": d.n_done,
         "understood": d.understood, "prompt": d.prompt,
         "rounds": [asdict(r) for r in d.rounds],
     }  # fmt: skip
@@ -378,10 +378,10 @@ def _draft(d: PlanResult) -> dict[str, Any]:
 def draft_of(said: dict[str, Any]) -> PlanResult:
     """Decode a `PlanResult`; older recordings have no `mistakable`, or no `stops`."""
     refined, coarse_m, stops_at = said["refined"], said["coarse_m"], said["stops_at"]
-    same = {name: said[name] for name in ("error", "hopeless", "upto", "understood", "prompt")}
+    same = {name: said[name] for name in ("error", "hopeless", "understood", "prompt")}
     return PlanResult(
         refined=None if refined is None else _refined_of(refined),
-        mistakable=tuple(said.get("mistakable", ())),
+        ambiguous=tuple(said.get("mistakable", ())),
         coarse_m=None if coarse_m is None else _array_of(coarse_m),
         speed_mps=said["speed_mps"],
         stops_at=None if stops_at is None else (stops_at[0], stops_at[1]),
@@ -390,6 +390,7 @@ def draft_of(said: dict[str, Any]) -> PlanResult:
             for step in said.get("stops", () if stops_at is None else ((stops_at,),))
         ),
         rounds=tuple(PlanAttempt(**r) for r in said["rounds"]),
+        n_done=said["upto"],
         **same,
     )
 

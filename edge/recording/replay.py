@@ -54,14 +54,14 @@ class Difference:
     Attributes:
         tick: counts from 1; 0: before the first.
         stamp_ns: stamp of the observation; 0: there was none.
-        then: recorded decisions, see `edge.recording.journal.decisions_of`; None: none.
-        now: replayed decisions; None: none.
+        recorded: recorded decisions, see `edge.recording.journal.decisions_of`; None: none.
+        replayed: replayed decisions; None: none.
     """
 
     tick: int
     stamp_ns: int
-    then: dict[str, Any] | None
-    now: dict[str, Any] | None
+    recorded: dict[str, Any] | None
+    replayed: dict[str, Any] | None
 
 
 @dataclass
@@ -74,7 +74,7 @@ class ReplayResult:
         first: the first difference.
         goals_then: number of recorded goals.
         goals_now: number of replayed goals.
-        unseen: images for the detector that were not recorded.
+        n_unrecorded: images for the detector that were not recorded.
         ended: why the replay ended before the run did; empty if it did not.
         phase_then: last recorded phase of the mission.
         phase_now: last replayed phase.
@@ -88,7 +88,7 @@ class ReplayResult:
     first: Difference | None = None
     goals_then: int = 0
     goals_now: int = 0
-    unseen: int = 0
+    n_unrecorded: int = 0
     ended: str = ""
     phase_then: str = ""
     phase_now: str = ""
@@ -101,12 +101,12 @@ class DecisionSink:
     """The sink of a replay: collects the decisions of results."""
 
     def __init__(self) -> None:
-        self.said: list[dict[str, Any]] = []
+        self.decisions: list[dict[str, Any]] = []
 
     def tick(self, result: TickResult) -> None:
         """Collect decisions; see `edge.loop.result.Sink`."""
         if (said := decisions_of(result)) is not None:
-            self.said.append(said)
+            self.decisions.append(said)
 
     def close(self) -> None:
         """Do nothing."""
@@ -129,7 +129,7 @@ class _Run:
         self._session, self._detect, self._stack = session, detect, stack
         self.config = self._recorded(session.config()) if config is None else _alone(config)
         self._now, self.sink = ReplayTick(), DecisionSink()
-        self._journal: ReplaySource | None = None
+        self._replay_source: ReplaySource | None = None
         self._failed: Observation | None = None  # observation of a failed or refused tick
         self.service: Service | None = None
         self._worker: DetectorWorker | None = None
@@ -157,13 +157,13 @@ class _Run:
         return config.model_copy(update={"perception": perception})
 
     @property
-    def unseen(self) -> int:
-        return 0 if self._journal is None else self._journal.unseen
+    def n_unrecorded(self) -> int:
+        return 0 if self._replay_source is None else self._replay_source.n_unrecorded
 
     def do(self, moment: RecordedStep) -> None:
         """Give the inputs of a page to the service."""
         if moment.observation is not None:
-            self._now.see(moment.observation, moment.picture)
+            self._now.add_frame(moment.observation, moment.picture)
         for action, entries in _actions(moment.page.entries):
             self._now.begin(entries)
             if self._worker is not None:
@@ -185,7 +185,7 @@ class _Run:
         task: Any = None,
     ) -> None:
         config = self.config
-        brief = restore_spec(config.mission, translation, task)
+        spec = restore_spec(config.mission, translation, task)
         checkpoint = self._checkpoint(mission_checkpoint, map_checkpoint)
         detector: Detector = NullModel("replay")
         detect: Callable[[Observation], Detections] | None = None
@@ -196,21 +196,21 @@ class _Run:
                     "model with --config, or EDGE__PERCEPTION__DETECTOR__KIND=onnx"
                 )
             masker = make_masker(config.perception, timed=False)
-            detector = make_detector(config.perception, brief.prompts)
+            detector = make_detector(config.perception, spec.prompts)
             detect = detector.detect if masker is None else lambda o: masker.add(detector.detect(o))
         self._worker = worker = DetectorWorker(detector, inline=True)
         self._stack.callback(worker.close)
-        scorers = self._scorers(brief.prompts)
+        scorers = self._scorers(spec.prompts)
         own = ()
         if self._other:
             by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
             by_rules = config.tasks.planner.kind == "rules"
             own = (*_BY_THE_MAP, *["choice"] * by_prior, *[TASK] * by_rules)
-        self._journal = ReplaySource(self._now, detect, own)
+        self._replay_source = ReplaySource(self._now, detect, own)
         policy = make_policy(config.policy, config.path)
         self.service = Service(
-            config, brief, worker, policy, [self.sink], checkpoint, scorers,
-            idle=idle, journal=self._journal, site=SiteFile(site=site),
+            config, spec, worker, policy, [self.sink], checkpoint, scorers,
+            idle=idle, input_log=self._replay_source, site=SiteFile(site=site),
         )  # fmt: skip
         self._stack.callback(self.service.close)
 
@@ -258,7 +258,7 @@ class _Run:
         except Exception as error:
             self._failed = observation
             service.latency.abandon_tick(service.stage)
-            service.faults.on_error(TICK, error, now_ns, where=STAGES[service.stage].name)
+            service.error_boundary.on_error(TICK, error, now_ns, where=STAGES[service.stage].name)
         else:
             self._failed = observation if service.refused else None
             service.latency.end_tick(perf_counter_ns())
@@ -359,13 +359,13 @@ def replay(
                     f"{session.head.path}: the replay failed after {outcome.ticks} "
                     f"ticks: {type(error).__name__}: {one_line(error, 120)}"
                 ) from error
-            _compare(outcome, moment, run.sink.said)
-            run.sink.said.clear()
+            _compare(outcome, moment, run.sink.decisions)
+            run.sink.decisions.clear()
             if moment.observation is not None:
                 first_ns = moment.observation.stamp_ns if first_ns is None else first_ns
                 outcome.seconds = (moment.observation.stamp_ns - first_ns) * 1e-9
             each(outcome)
-        outcome.unseen, outcome.ended = run.unseen, session.gap or session.cut
+        outcome.n_unrecorded, outcome.ended = run.n_unrecorded, session.gap or session.truncation
         outcome.latency_then = session.latency
         if run.service is not None:
             outcome.latency_now = run.service.latency.report()

@@ -34,7 +34,7 @@ class NullModel:
     def detect(self, observation: Observation) -> Detections:
         raise AssertionError("a model is not called in a replay")
 
-    look = answer = score = detect
+    prepare = answer = score = detect
 
     def health(self) -> Health:
         return Health()
@@ -68,7 +68,7 @@ class ReplayTick:
             e.fields["name"]: e.fields["value"] for e in entries if e.kind == "decision"
         }
 
-    def see(self, observation: Observation, picture: bool) -> None:
+    def add_frame(self, observation: Observation, picture: bool) -> None:
         self.frames[observation.seq] = observation
         if picture:
             self.pictures.add(observation.seq)
@@ -120,7 +120,7 @@ class _ReplayedWorker:
         said = self._now.found.get(self._name)
         return None if said is None else self._decode(said, self._asked)
 
-    def forget(self) -> None:
+    def discard_all(self) -> None:
         self._asked.clear()
 
 
@@ -140,7 +140,7 @@ class ReplaySource(InputLog):
         own: Sequence[str],
     ) -> None:
         super().__init__()
-        self.unseen = 0
+        self.n_unrecorded = 0
         self._now, self._detect, self._own = now, detect, own
         self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._detections,
@@ -151,7 +151,9 @@ class ReplaySource(InputLog):
             "task": lambda said, asked: journal.draft_of(said),
         }
 
-    def decided(self, what: str, decide: Callable[[], str], usual: str | None = None) -> str:
+    def record_decision(
+        self, what: str, decide: Callable[[], str], usual: str | None = None
+    ) -> str:
         """Return the recorded decision; if there is none, the usual one.
 
         Without a usual one, decide now: other settings may need a decision that was not recorded.
@@ -169,7 +171,7 @@ class ReplaySource(InputLog):
         if self._detect is None:
             return journal.detections_of(said, observation)
         if said["seq"] not in self._now.pictures:
-            self.unseen += 1
+            self.n_unrecorded += 1
             return None
         return self._detect(observation)
 

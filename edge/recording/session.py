@@ -39,13 +39,13 @@ class RecordedStep(NamedTuple):
         page: the page.
         observation: with the recorded arrays; None: there was none.
         picture: True if `rgb` is a recorded image; otherwise it is black, or None without a camera.
-        lacks: arrays of the observation that were not recorded.
+        missing: arrays of the observation that were not recorded.
     """
 
     page: JournalPage
     observation: Observation | None
     picture: bool
-    lacks: tuple[str, ...]
+    missing: tuple[str, ...]
 
 
 def read_header(path: Path) -> RecordingHeader:
@@ -87,7 +87,7 @@ class RecordedRun:
     Attributes:
         head: metadata of the first file.
         files: the files of the session from the first on, without gaps.
-        cut: what is missing at the end, in one line; empty if nothing is.
+        truncation: what is missing at the end, in one line; empty if nothing is.
         gap: why the run ends before its files do; empty if it does not.
         latency: the last recorded latency report; None before the first.
 
@@ -99,7 +99,7 @@ class RecordedRun:
         self.trust = trust
         self.head = read_header(path)
         self.files = _from(self.head)
-        self.cut = self.gap = ""
+        self.truncation = self.gap = ""
         self.latency: dict[str, Any] | None = None
 
     def config(self) -> Config:
@@ -137,8 +137,8 @@ class RecordedRun:
         for path in self.files:
             reading = McapReader(path)
             yield from reading
-            if reading.cut:
-                self.cut = f"{path}: {reading.cut}"
+            if reading.truncation:
+                self.truncation = f"{path}: {reading.truncation}"
 
     def moments(self) -> Iterator[RecordedStep]:
         """Yield every page of the journal, up to the first gap.
@@ -172,8 +172,8 @@ class RecordedRun:
                 self.gap = "the messages that follow were dropped while recording"
                 return
             n += len(numbers)
-            if moment.lacks:
-                lacks = " and ".join(moment.lacks)
+            if moment.missing:
+                lacks = " and ".join(moment.missing)
                 self.gap = f"the next frame's {lacks} was dropped while recording"
                 return
             yield moment

@@ -60,10 +60,12 @@ def make_plan(config: Config) -> dict[str, Any]:
     settings = config.ros2
     if config.source.kind != "ros2":
         raise ConfigError(
-            f"{config.at('source.kind')}: {config.source.kind} does not use ROS 2: set ros2"
+            f"{config.locate('source.kind')}: {config.source.kind} does not use ROS 2: set ros2"
         )
     if settings.via != "adapter":
-        raise ConfigError(f"{config.at('ros2.via')}: {settings.via} needs no adapter: set adapter")
+        raise ConfigError(
+            f"{config.locate('ros2.via')}: {settings.via} needs no adapter: set adapter"
+        )
     dialect = dialect_of(settings.via, config.zenoh.prefix)
 
     def place(name: str) -> dict[str, Any]:
@@ -107,7 +109,7 @@ def command_of(config: Config) -> list[str]:
     adapter = config.ros2.adapter
     for key, path in (("python", adapter.python), ("setup", adapter.setup)):
         if path is not None and not os.access(path, os.R_OK):
-            raise UnavailableError(f"{config.at(f'ros2.adapter.{key}')}: cannot read {path}")
+            raise UnavailableError(f"{config.locate(f'ros2.adapter.{key}')}: cannot read {path}")
     start = [adapter.python, "-u", str(NODE)]
     if adapter.setup is None:
         return start

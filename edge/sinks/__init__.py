@@ -28,7 +28,7 @@ def find_sinks(config: Config) -> list[Callable[..., Sink]]:
         ConfigError: see `edge.config.components.component_factory`.
     """
     needs, given, known = ("tick()", "close()"), ("config", "session"), {"config": config}
-    wheres = (config.at(f"sinks.{i}") for i in range(len(config.sinks)))
+    wheres = (config.locate(f"sinks.{i}") for i in range(len(config.sinks)))
     return [
         component_factory(
             "sink", sink.kind, sink.options, REGISTRY, where, needs, given, known=known

@@ -78,14 +78,14 @@ class ResultSnapshot:
 
     Attributes:
         now_ns: loop time of the result.
-        seen: the observation without its arrays; None: there was none.
+        observation: the observation without its arrays; None: there was none.
         arrays: copies of the wanted arrays, by the observation's fields; depth as uint16
             millimetres if these are exact.
         messages: the messages to encode.
     """
 
     now_ns: int
-    seen: Observation | None
+    observation: Observation | None
     arrays: dict[str, np.ndarray]
     messages: list[_Later]
 
@@ -96,7 +96,7 @@ class ResultSnapshot:
 
 
 class ResultEncoder:
-    """Encodes results: `take` is for the loop's thread, `tell` for another.
+    """Encodes results: `capture` is for the loop's thread, `encode` for another.
 
     Args:
         config: the configuration.
@@ -116,13 +116,13 @@ class ResultEncoder:
         shown = {"pose": SHOWN_HZ, "boxes": SHOWN_HZ, "drawings": DRAWN_HZ}
         rates["trajectory"] = TRAJECTORY_HZ
         self._pace = RateLimiter(rgb=max(rgb_hz, 1e-9), **shown, **rates)
-        self._way = PathRing()
+        self._driven_path = PathRing()
         self._mission: tuple[str, str, str] | None = None
         self._trajectory: RefinedTrajectory | None = None
         self._spans_ns = 0  # spans are sent up to here
         self._spare: deque[np.ndarray] = deque(maxlen=_SPARE)  # depth buffers, of both threads
 
-    def take(self, result: TickResult, arrays: bool = True) -> ResultSnapshot:
+    def capture(self, result: TickResult, arrays: bool = True) -> ResultSnapshot:
         """Copy the data of a result that the source will overwrite.
 
         Args:
@@ -130,7 +130,7 @@ class ResultEncoder:
             arrays: False to leave out images, depth and clouds.
         """
         if result.pose is not None:
-            self._way.add(result.pose)
+            self._driven_path.add(result.pose)
         pending: list[_Later] = []
         seen, kept = result.observation, {}
         if seen is not None:
@@ -179,7 +179,7 @@ class ResultEncoder:
         for goal in result.goals:
             encode = partial(messages.encode_pose_stamped, goal.stamp_ns, goal.pose)
             yield _Later(channels.GOAL, goal.stamp_ns, encode)
-        for answer in result.answers:
+        for answer in result.goal_statuses:
             said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
             yield _Later(channels.GOAL_STATUS, now_ns, partial(json_bytes, said))
         for event in result.events:
@@ -199,7 +199,7 @@ class ResultEncoder:
                 lambda: messages.encode_occupancy_grid(now_ns, result.snapshot()),
             )  # fmt: skip
         if self._pace.is_due("drawings", now_ns):
-            way, drawing = self._way.poses(), drawing_of(result)
+            way, drawing = self._driven_path.poses(), drawing_of(result)
             path = partial(transforms.encode_path, now_ns, MAP_FRAME, way)
             yield _Later(channels.PATH, now_ns, path)
             yield _Later(
@@ -225,15 +225,15 @@ class ResultEncoder:
         self._spans_ns = max(ends_ns, default=self._spans_ns)
         return json_bytes({"spans": spans})
 
-    def tell(self, moment: ResultSnapshot) -> Iterator[EncodedMessage]:
-        """Yield the messages in the order of events; payloads are valid until `let_go`."""
+    def encode(self, moment: ResultSnapshot) -> Iterator[EncodedMessage]:
+        """Yield the messages in the order of events; payloads are valid until `release`."""
         for channel, stamp_ns, encode, sequence in moment.messages:
             if self._wanted(channel):
                 made = encode()
                 payload = made if isinstance(made, tuple) else (made,)
                 yield EncodedMessage(channel, stamp_ns, payload, sequence)
 
-    def let_go(self, moment: ResultSnapshot) -> None:
+    def release(self, moment: ResultSnapshot) -> None:
         """Release a moment: its arrays may be reused."""
         depth = moment.arrays.pop("depth_m", None)
         if depth is not None and depth.dtype == np.uint16:

@@ -86,9 +86,9 @@ class FoxgloveSink:
 
     def tick(self, result: TickResult) -> None:
         """Copy the subscribed data; see `edge.loop.result.Sink`."""
-        moment = self._encoder.take(result)
+        moment = self._encoder.capture(result)
         if moment.messages:
-            self._worker.queue(moment)
+            self._worker.enqueue(moment)
 
     def status(self) -> dict[str, Any]:
         """Return port and worker statistics; see `edge.loop.result.Sink`."""
@@ -103,10 +103,10 @@ class FoxgloveSink:
         return bool(self._channels[channel].has_sinks())
 
     def _send(self, moment: ResultSnapshot) -> None:
-        for message in self._encoder.tell(moment):
+        for message in self._encoder.encode(moment):
             payload = b"".join(message.payload)
             self._channels[message.channel].log(payload, log_time=max(0, moment.now_ns))
-        self._encoder.let_go(moment)
+        self._encoder.release(moment)
 
 
 def _sdk() -> Any:

@@ -39,7 +39,7 @@ _CLOSE_S = 5.0
 class _Item(NamedTuple):
     """One entry of the queue; `bytes` is the size of its arrays."""
 
-    moment: ResultSnapshot
+    snapshot: ResultSnapshot
     inputs: tuple[LoopInput, ...]
     result: TickResult
     bytes: int
@@ -128,7 +128,7 @@ class McapSink:
 
     def _queue(self, result: TickResult) -> None:
         room = self._pending_bytes < self._most_bytes
-        moment = self._encoder.take(result, arrays=room)
+        moment = self._encoder.capture(result, arrays=room)
         self._dropped["arrays"] += result.observation is not None and not room
         size = moment.bytes
         with self._lock:
@@ -140,7 +140,7 @@ class McapSink:
 
     def _flush(self) -> None:
         batch, self._batch = self._batch, []
-        self._worker.queue(batch)
+        self._worker.enqueue(batch)
 
     def status(self) -> dict[str, Any]:
         """Return file and counters; see `edge.loop.result.Sink`.
@@ -181,26 +181,26 @@ class McapSink:
 
         Encoding between image writes, which flush the CPU caches, would be twice as slow.
         """
-        made = [list(self._made(item)) for item in batch]
+        made = [list(self._messages_of(item)) for item in batch]
         for item, messages in zip(batch, made, strict=True):
             with self._contained():
                 self._files.ready()
                 for message in messages:
                     self._files.add(
-                        message.channel, item.moment.now_ns, message.stamp_ns, *message.payload,
+                        message.channel, item.snapshot.now_ns, message.stamp_ns, *message.payload,
                         sequence=message.sequence,
                     )  # fmt: skip
-            self._encoder.let_go(item.moment)
+            self._encoder.release(item.snapshot)
             self._release(item.bytes)
         self._files.sync()
 
-    def _made(self, item: _Item) -> Iterator[EncodedMessage]:
+    def _messages_of(self, item: _Item) -> Iterator[EncodedMessage]:
         """Yield the messages of a tick, the journal's page last, since its arrays come first."""
-        moment = item.moment
+        moment = item.snapshot
         with self._contained():  # an error of the display must not lose data for the replay
-            yield from self._encoder.tell(moment)
+            yield from self._encoder.encode(moment)
         with self._contained():
-            page = journal.encode_page(item.inputs, item.result, moment.seen, self._rig)
+            page = journal.encode_page(item.inputs, item.result, moment.observation, self._rig)
             yield EncodedMessage(channels.JOURNAL, moment.now_ns, (page,))
 
     @contextmanager

@@ -43,7 +43,7 @@ class _Driven:
 
     Attributes:
         stage: `waiting`: not sent; `sent`: not answered; `driving`: accepted.
-        answer: pending reply: first to the request, then the result.
+        reply: pending reply: first to the request, then the result.
         due_s: when to request again if no reply is pending.
         since_s: when the goal was given.
         lost_s: since when the action has been gone; 0: it is there.
@@ -55,7 +55,7 @@ class _Driven:
     goal: Goal
     stage: Literal["waiting", "sent", "driving"] = "waiting"
     goal_id: bytes = b""
-    answer: PendingReply = field(default_factory=lambda: PendingReply(None))
+    reply: PendingReply = field(default_factory=lambda: PendingReply(None))
     due_s: float = 0.0
     since_s: float = field(default_factory=time.monotonic)
     lost_s: float = 0.0
@@ -146,7 +146,7 @@ class NavigateToPoseClient:
 
     def _step_waiting(self, driven: _Driven) -> None:
         now_s = time.monotonic()
-        if not self._send.served():
+        if not self._send.has_server():
             if now_s - driven.since_s > PATIENCE_S and not self._waiting_told:
                 self._waiting_told = True
                 log.warning("ros2: waiting for %s: is Nav2 running?", self._action)
@@ -157,7 +157,7 @@ class NavigateToPoseClient:
         # A new id for each attempt: a server refuses an id that it knows.
         driven.goal_id = uuid.uuid4().bytes
         request = self._encode(driven.goal_id, driven.goal)
-        driven.answer, driven.stage = self._send.ask(request), "sent"
+        driven.reply, driven.stage = self._send.call(request), "sent"
 
     def _adopt(self, goal: Goal) -> bool:
         """Continue the current action for a new goal; return False if there is none."""
@@ -178,9 +178,9 @@ class NavigateToPoseClient:
         return navigation.decode_result(payload)
 
     def _step_sent(self, driven: _Driven) -> None:
-        payload = driven.answer.poll()
+        payload = driven.reply.poll()
         if payload is None:
-            if driven.answer.over:
+            if driven.reply.done:
                 driven.stage = "waiting"
                 self._driven = None if driven.unwanted else driven
             return
@@ -189,7 +189,7 @@ class NavigateToPoseClient:
             self._settle(driven, "failed", f"refused by {self._name}")
             return
         driven.stage, driven.due_s = "driving", 0.0
-        driven.answer = PendingReply(None)
+        driven.reply = PendingReply(None)
         if driven.unwanted:
             self._take_back(driven)
             return
@@ -197,19 +197,19 @@ class NavigateToPoseClient:
         self._step_driving(driven)
 
     def _step_driving(self, driven: _Driven) -> None:
-        payload = driven.answer.poll()
+        payload = driven.reply.poll()
         if payload is not None:
             self._end(driven, self._decode_result(payload))
         elif driven.status and time.monotonic() >= driven.ended_s + RESULT_LATE_S:
             self._end(driven, navigation.Result(driven.status))
-        elif driven.answer.over and time.monotonic() >= driven.due_s:
+        elif driven.reply.done and time.monotonic() >= driven.due_s:
             self._ask_how_it_ends(driven)
 
     def _ask_how_it_ends(self, driven: _Driven) -> None:
         now_s = time.monotonic()
-        if self._result.served():
+        if self._result.has_server():
             driven.due_s, driven.lost_s = now_s + AGAIN_S, 0.0
-            driven.answer = self._result.ask(navigation.encode_get_result(driven.goal_id))
+            driven.reply = self._result.call(navigation.encode_get_result(driven.goal_id))
         elif driven.lost_s == 0.0:
             driven.lost_s = now_s
         elif now_s - driven.lost_s > GONE_S:
@@ -263,7 +263,7 @@ class NavigateToPoseClient:
         self._cancel_replaced_s = math.inf
 
     def _call_off(self, goal_id: bytes) -> None:
-        self._cancel.ask(navigation.encode_cancel(goal_id))
+        self._cancel.call(navigation.encode_cancel(goal_id))
 
 
 class DockRobotClient(NavigateToPoseClient):

@@ -50,11 +50,11 @@ class Ros2Sink:
         self._navigator: NavigateToPoseClient | None = None
         self._docker: DockRobotClient | None = None
         self._undocker: UndockRobotClient | None = None
-        self._answers = None
+        self._reply_publisher = None
         if settings.goals == "topic":
             self._goal = self._publisher("goal")
         else:
-            self._answers = declare_publisher(session, topics.GOAL_STATUS, config.zenoh)
+            self._reply_publisher = declare_publisher(session, topics.GOAL_STATUS, config.zenoh)
             action = settings.topic("navigate_to_pose")
             self._navigator = NavigateToPoseClient(
                 self._node, action, self._frame, self._send_status
@@ -69,7 +69,7 @@ class Ros2Sink:
                     self._node, undocking, self._frame, self._send_status, self._leave_dock
                 )
         self._pending_goal: Goal | None = None
-        self._way = PathRing()
+        self._driven_path = PathRing()
         self._driving = False
         self._trajectory: RefinedTrajectory | None = None
         self._pace = RateLimiter(map=config.report.map_hz, drawings=DRAWN_HZ, zones=DRAWN_HZ)
@@ -98,7 +98,7 @@ class Ros2Sink:
             self._worker.submit(("goal", None), key="goal")
         now_ns = result.now_ns
         if result.pose is not None:
-            self._way.add(result.pose)
+            self._driven_path.add(result.pose)
         task = result.task()
         refined = None if task is None else task.refined
         if refined is not self._trajectory:
@@ -112,7 +112,7 @@ class Ros2Sink:
         if self._pace.is_due("map", now_ns):
             self._worker.submit(("map", (now_ns, result.snapshot)), key="map")
         if self._pace.is_due("drawings", now_ns):
-            drawn = now_ns, self._way.poses(), drawing_of(result)
+            drawn = now_ns, self._driven_path.poses(), drawing_of(result)
             self._worker.submit(("drawings", drawn), key="drawings")
 
     def status(self) -> dict[str, Any]:
@@ -124,8 +124,8 @@ class Ros2Sink:
         self._worker.submit(("goal", None), key="goal")
         if self._worker.close(_CLOSE_S):
             self._node.close()
-            if self._answers is not None:
-                self._answers.undeclare()
+            if self._reply_publisher is not None:
+                self._reply_publisher.undeclare()
 
     # -- on the worker's thread ------------------------------------------------------------------
 
@@ -175,20 +175,24 @@ class Ros2Sink:
         self._navigator.send(goal)
 
     def _beat(self) -> None:
-        self._node.look()
+        self._node.update()
         for docking in (self._docker, self._undocker):
             if docking is not None:
                 docking.update()
         if self._navigator is not None:
             self._navigator.update()
         # A planner treats each message as a new goal: send once, when there is a subscriber.
-        elif self._pending_goal is not None and self._goal is not None and self._goal.heard():
+        elif (
+            self._pending_goal is not None
+            and self._goal is not None
+            and self._goal.has_subscribers()
+        ):
             goal, self._pending_goal = self._pending_goal, None
             self._goal.put(messages.encode_pose_stamped(goal.stamp_ns, goal.pose, self._frame))
 
     def _send_status(self, answer: GoalStatus) -> None:
         said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
-        self._answers.put(json.dumps(said).encode())
+        self._reply_publisher.put(json.dumps(said).encode())
 
 
 def _encode_map(stamp_ns: int, take: Callable[[], Grid], frame_id: str) -> bytes:

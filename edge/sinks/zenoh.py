@@ -85,8 +85,8 @@ class ZenohSink:
 
     def tick(self, result: TickResult) -> None:
         """Queue what changed; see `edge.loop.result.Sink`."""
-        for answer in result.answers:
-            self._worker.queue(("answered", (answer.stamp_ns, answer.state != "accepted")))
+        for answer in result.goal_statuses:
+            self._worker.enqueue(("answered", (answer.stamp_ns, answer.state != "accepted")))
         for goal in result.goals:
             self._put("goal", goal)
         now_ns, status = result.now_ns, result.status
@@ -130,7 +130,7 @@ class ZenohSink:
     def _put(self, name: str, item: Any) -> None:
         """Queue a tick, and in lockstep everything, in order; otherwise only the newest counts."""
         if self._lockstep or name == "tick":
-            self._worker.queue((name, item))
+            self._worker.enqueue((name, item))
         else:
             self._worker.submit((name, item), key=name)
 

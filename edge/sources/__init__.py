@@ -37,7 +37,7 @@ def find_source(config: Config) -> Callable[..., Source]:
     Raises:
         ConfigError: see `edge.config.components.component_factory`.
     """
-    kind, options, where = config.source.kind, config.source.options, config.at("source")
+    kind, options, where = config.source.kind, config.source.options, config.locate("source")
     given = ("config", "session")
     known = {"config": config}
     return component_factory("source", kind, options, REGISTRY, where, NEEDS, given, known=known)

@@ -132,7 +132,7 @@ class RecordingContents:
         """Return True if tf connects two frames."""
         return self.root(frame) == self.root(other)
 
-    def mover(self, base: str) -> str:
+    def moving_frame(self, base: str) -> str:
         """Return the frame whose transform moves the robot; "" if there is none.
 
         This is `base` or its nearest ancestor that is not fixed.
@@ -143,7 +143,7 @@ class RecordingContents:
             base = self.parents[base]
         return base if base in self.moving else ""
 
-    def there(self) -> str:
+    def topic_list(self) -> str:
         """List the topics in one line."""
         shown = [
             f"{one_line(name, 80)} ({_of_type(facts)}, {facts.count})"
@@ -259,14 +259,14 @@ class TopicMatching:
         topics: topic of the recording by our name (`camera/rgb`), for those that were found.
         config: the configuration with the frames of this recording in `ros2`.
         by_tf: True if mounts, and the pose of the odometry frame, come from tf.
-        mover: the tf frame whose transforms are the poses; "": odometry has them.
+        moving_frame: the tf frame whose transforms are the poses; "": odometry has them.
         lines: one line per choice, for the user.
     """
 
     topics: dict[str, str]
     config: Config
     by_tf: bool
-    mover: str
+    moving_frame: str
     lines: tuple[str, ...]
 
 
@@ -288,15 +288,15 @@ def match_topics(
         choose.choose(name)
     frames = _Frames(config, contents, choose.found)
     found = choose.found
-    if frames.mover:
-        choose.how[ODOMETRY] = f"tf, of {frames.mover}"
+    if frames.moving_frame:
+        choose.how[ODOMETRY] = f"tf, of {frames.moving_frame}"
     rows = [(name, found.get(name, "-"), choose.how[name]) for name in choose.how]
     rows = [(name, one_line(topic, 80), one_line(how, 200)) for name, topic, how in rows]
     lines = (
         *format_table(rows, left=3).splitlines(),
         *(one_line(line, 300) for line in frames.lines),
     )
-    return TopicMatching(found, frames.config, frames.by_tf, frames.mover, lines)
+    return TopicMatching(found, frames.config, frames.by_tf, frames.moving_frame, lines)
 
 
 class _Choice:
@@ -399,7 +399,7 @@ class _Frames:
     def __init__(self, config: Config, contents: RecordingContents, found: dict[str, str]) -> None:
         self._contents = contents
         self.lines: list[str] = []
-        self.by_tf, self.mover = bool(contents.parents), ""
+        self.by_tf, self.moving_frame = bool(contents.parents), ""
         self.config = config
         if not self.by_tf:
             self.lines.append(
@@ -417,7 +417,7 @@ class _Frames:
             del found[ODOMETRY]
             odom = None
         if odom is None:
-            self.mover = contents.mover(base)
+            self.moving_frame = contents.moving_frame(base)
         world = self._map(ros2.map_frame, base, odom)
         frames = {"base_frame": base, "map_frame": world}
         if ros2.mounts == "tf" and not any(contents.connected(base, name) for name in sensors):
@@ -432,7 +432,7 @@ class _Frames:
     def _is_elsewhere(self, odom: TopicFacts, base: str) -> bool:
         """Return True if tf connects the base with the map, but not the odometry frame."""
         connected, world = self._contents.connected, self.config.ros2.map_frame
-        localised = connected(base, world) and bool(self._contents.mover(base))
+        localised = connected(base, world) and bool(self._contents.moving_frame(base))
         return localised and bool(odom.frame_id) and not connected(odom.frame_id, world)
 
     def _base(self, said: str, odom: TopicFacts | None, sensors: list[str]) -> str:
@@ -442,7 +442,7 @@ class _Frames:
             if odom.child and not self._contents.connected(said, odom.child):
                 base = odom.child
         elif said not in self._contents.parents:
-            movers = filter(None, map(self._contents.mover, sensors))
+            movers = filter(None, map(self._contents.moving_frame, sensors))
             usual = (name for name in _BASES if name in self._contents.parents)
             base = next(iter((*usual, *movers, said)))
         if base != said:

@@ -32,7 +32,7 @@ class _Input:
         silent_ns: an input without messages for this time is silent.
         came_ns: arrival of the newest message; None: never.
         used_ns: when a message was last used; None: never.
-        doubt: warning about messages that are used; `doubted_ns`: when it was last set.
+        warning: warning about messages that are used; `warned_ns`: when it was last set.
         dropped: number of dropped messages by reason.
         reason: of the drops since a message was used; `detail` likewise.
         hz: rate over the last window. The current window began at `since_ns` and has `in_window`
@@ -40,8 +40,22 @@ class _Input:
     """
 
     __slots__ = (
-        "came_ns", "detail", "doubt", "doubted_ns", "dropped", "expected_hz", "group", "hz",
-        "in_window", "name", "needed", "reason", "received", "silent_ns", "since_ns", "used_ns",
+        "came_ns",
+        "detail",
+        "dropped",
+        "expected_hz",
+        "group",
+        "hz",
+        "in_window",
+        "name",
+        "needed",
+        "reason",
+        "received",
+        "silent_ns",
+        "since_ns",
+        "used_ns",
+        "warned_ns",
+        "warning",
         "where",
     )  # fmt: skip
 
@@ -52,12 +66,12 @@ class _Input:
         self.used_ns: int | None = None
         self.received = self.in_window = self.since_ns = 0
         self.dropped: dict[str, int] = {}
-        self.reason = self.detail = self.doubt = ""
-        self.doubted_ns = 0
+        self.reason = self.detail = self.warning = ""
+        self.warned_ns = 0
         self.hz = 0.0
         self.silent_ns = max(SILENT_S, 3.0 / expected_hz) * 1e9 if expected_hz else math.inf
 
-    def came(self, now_ns: int) -> None:
+    def on_message(self, now_ns: int) -> None:
         if self.came_ns is None or now_ns - self.came_ns > self.silent_ns:
             self.since_ns, self.in_window, self.hz = now_ns, 0, 0.0
         elif now_ns - self.since_ns >= _WINDOW_NS:
@@ -67,8 +81,8 @@ class _Input:
         self.in_window += 1
         self.came_ns = now_ns
 
-    def doubts(self, now_ns: int) -> str:
-        return self.doubt if now_ns - self.doubted_ns <= _WINDOW_NS else ""
+    def has_warning(self, now_ns: int) -> str:
+        return self.warning if now_ns - self.warned_ns <= _WINDOW_NS else ""
 
     def state(self, now_ns: int) -> InputState:
         if self.came_ns is None:
@@ -125,13 +139,13 @@ class InputTable:
 
     # -- events, by name or place; those of unknown inputs are ignored ---------------------------
 
-    def came(self, name: str) -> None:
+    def on_message(self, name: str) -> None:
         """Count a message."""
         now_ns = self._clock()
         for row in self._called.get(name, ()):
-            row.came(now_ns)
+            row.on_message(now_ns)
 
-    def used(self, name: str) -> None:
+    def on_used(self, name: str) -> None:
         """Record that a message was used."""
         for row in self._called.get(name, ()):
             row.used_ns, row.reason = self._clock(), ""
@@ -147,13 +161,13 @@ class InputTable:
             if reason not in _NORMAL and (reason != row.reason or reason == "no_transform"):
                 row.reason, row.detail = reason, detail
 
-    def doubted(self, name: str, doubt: str) -> None:
+    def warn(self, name: str, doubt: str) -> None:
         """Record a warning about messages that are used. The first of a series is kept."""
         now_ns = self._clock()
         for row in self._called.get(name, ()):
-            if not row.doubts(now_ns):
-                row.doubt = doubt
-            row.doubted_ns = now_ns
+            if not row.has_warning(now_ns):
+                row.warning = doubt
+            row.warned_ns = now_ns
 
     def unpaired(self, group: str, detail: str) -> None:
         """Record that an observation was made without these optional inputs."""
@@ -180,7 +194,7 @@ def _row(row: _Input, state: InputState, now_ns: int) -> InputStatus:
     came_ns, hz = row.came_ns, row.hz
     if not hz and came_ns is not None and came_ns > row.since_ns:  # still in the first window
         hz = (row.in_window - 1) * 1e9 / (came_ns - row.since_ns)
-    why = row.doubts(now_ns) if state == "ok" else ""
+    why = row.has_warning(now_ns) if state == "ok" else ""
     if state == "dropped":
         why = f"{row.reason}{row.detail and f' ({row.detail})'}"
     if hz and now_ns - came_ns > max(SILENT_S, 3.0 / hz) * 1e9:

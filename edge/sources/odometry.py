@@ -42,7 +42,7 @@ class StampGuard:
         self._behind_ns: int | None = None
         self._behind = 0
 
-    def judge(self, stamp_ns: int) -> Literal["ok", "repeated", "backward", "clock_reset"]:
+    def check(self, stamp_ns: int) -> Literal["ok", "repeated", "backward", "clock_reset"]:
         """Classify a stamp; messages with `ok` and `clock_reset` are to be used."""
         if self.newest_ns is None or stamp_ns > self.newest_ns:
             self._accept(stamp_ns)
@@ -188,7 +188,7 @@ class OdometryRing:
         """
         self._latest = T_map_base
         last_ns = self._guard.newest_ns
-        verdict: str = self._guard.judge(stamp_ns)
+        verdict: str = self._guard.check(stamp_ns)
         if verdict in ("repeated", "backward"):
             return verdict
         # After a clock reset only the time since the reset is known.

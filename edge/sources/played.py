@@ -62,14 +62,14 @@ class PlayedSource(PolledSource):
             as the loop runs; no frame is late.
 
     Attributes:
-        over: True once all was played.
+        is_over: True once all was played.
     """
 
     def __init__(
         self, config: Config, session: zenoh.Session, playback: Playback, rate: float | None
     ) -> None:
         contents, matched = playback.contents, playback.matched
-        self._matched, self._rate, self.over = matched, rate, False
+        self._matched, self._rate, self.is_over = matched, rate, False
         self._now_ns = self._last_ns = self._first_ns = contents.first_ns
         self._played_frames = RobotFrames(_timed(matched.config)) if matched.by_tf else None
         super().__init__(_timed(config), session, self._played_frames, lambda: self._now_ns)
@@ -114,9 +114,9 @@ class PlayedSource(PolledSource):
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the recording may have messages; see `edge.loop.source.Source`."""
-        if self.over:
+        if self.is_over:
             time.sleep(timeout_s)
-        return not self.over
+        return not self.is_over
 
     def poll(self) -> Observation | None:
         """Return the newest observation; see `edge.loop.source.Source`."""
@@ -124,13 +124,13 @@ class PlayedSource(PolledSource):
             return super().poll()
         for _ in range(_MOST_AT_ONCE):
             observation = self._synchronizer.poll()
-            if observation is not None or self.over:
+            if observation is not None or self.is_over:
                 return observation
             self._advance()
         return self._synchronizer.poll()
 
     def _where(self, topic: Topic) -> str:
-        if topic.key == ODOMETRY and self._matched.mover:
+        if topic.key == ODOMETRY and self._matched.moving_frame:
             return f"{one_line(self._matched.topics.get(TF, _ABSENT), 80)} (poses)"
         return one_line(self._matched.topics.get(topic.key, _ABSENT), 80)
 
@@ -141,7 +141,7 @@ class PlayedSource(PolledSource):
             n += 1
         if n < _MOST_AT_ONCE:
             self._now_ns = max(self._now_ns, now_ns)
-            self.over = self._next is None and now_ns - self._last_ns > _REST_NS
+            self.is_over = self._next is None and now_ns - self._last_ns > _REST_NS
         return n
 
     def _advance(self) -> None:
@@ -150,7 +150,7 @@ class PlayedSource(PolledSource):
         if message is None:
             self._now_ns += _REST_NS
             self._decoder.settle()
-            self.over = True
+            self.is_over = True
             return
         self._now_ns = self._last_ns = max(self._now_ns, message.log_ns)
         try:
@@ -171,14 +171,14 @@ class PlayedSource(PolledSource):
                 self._decoder.offer(_TOPICS[name], message.payload, type_name)
         elif self._played_frames is not None:
             self._take_transforms(name, message.payload, self._played_frames, name == TF_STATIC)
-            if self._matched.mover and name == TF:
+            if self._matched.moving_frame and name == TF:
                 self._take_poses(message.payload)
 
     def _take_poses(self, payload: bytes) -> None:
         """Process poses from tf, for a recording without odometry."""
         with suppress(DecodeError):  # it is counted already
             for t in decode_transforms(payload):
-                if t.child == self._matched.mover:
+                if t.child == self._matched.moving_frame:
                     self._synchronizer.received(ODOMETRY)
                     sample = messages.OdometryMessage(t.stamp_ns, t.T, 0.0, 0.0, t.parent, t.child)
                     self._decoder.move(sample)
@@ -249,7 +249,7 @@ class Playback:
     Attributes:
         contents: contents of the recording.
         matched: the topics that are played.
-        wanted: our names of the topics that the configuration needs.
+        needed_topics: our names of the topics that the configuration needs.
         read_s: duration of the first pass over the file.
         source: the source, once a service has opened it.
 
@@ -275,12 +275,12 @@ class Playback:
             raise
         self.read_s = time.perf_counter() - began
         heard = streams_of(self._config)
-        self.wanted = [
+        self.needed_topics = [
             topic.key
             for topic in _TOPICS.values()
             if topic not in KINDS or KINDS[topic].field in heard
         ]
-        self.matched = match_topics(self._config, self.contents, self.wanted)
+        self.matched = match_topics(self._config, self.contents, self.needed_topics)
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -309,9 +309,9 @@ class Playback:
         return bool(matched.topics) and not (matched.by_tf or self.bag.notes) and all(alike)
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """True once all was played."""
-        return self.source is not None and self.source.over
+        return self.source is not None and self.source.is_over
 
     def check(self) -> None:
         """Raise an error for a recording that can give no observation.
@@ -320,7 +320,7 @@ class Playback:
             RecordingError: one line with what was searched for and what was found.
         """
         if self._lacking():
-            raise self._nothing()
+            raise self._nothing_played()
 
     def opening(self) -> Iterator[str]:
         """Yield lines about the contents of the recording and what of it is played."""
@@ -332,7 +332,7 @@ class Playback:
         used = set(self.matched.topics.values())
         left = RecordingContents({t: facts for t, facts in found.topics.items() if t not in used})
         if left.topics:
-            yield f"not used: {left.there()}"
+            yield f"not used: {left.topic_list()}"
 
     def outcome(self) -> Iterator[str]:
         """Yield lines about what happened to the messages.
@@ -343,7 +343,7 @@ class Playback:
         rows = () if self.source is None else self.source.input_table()
         n = 0 if self.source is None else self.source.counters["observations"]
         if n == 0:
-            raise self._nothing(rows)
+            raise self._nothing_played(rows)
         table = [("input", "topic", "messages", "dropped")]
         table += [(row.name, row.where, row.received, _dropped(row)) for row in rows]
         yield format_table(table)
@@ -352,17 +352,17 @@ class Playback:
 
     def _lacking(self) -> list[str]:
         """Return the inputs that an observation needs and the recording lacks."""
-        poses = [ODOMETRY] if self.matched.mover else []
+        poses = [ODOMETRY] if self.matched.moving_frame else []
         return list(missing_inputs(self._config, [*self.matched.topics, *poses]))
 
-    def _nothing(self, rows: tuple[InputStatus, ...] = ()) -> RecordingError:
+    def _nothing_played(self, rows: tuple[InputStatus, ...] = ()) -> RecordingError:
         lacks = ", ".join(self._lacking())
         dropped = [f"{row.name} ({row.where}): {_dropped(row)}" for row in rows if row.dropped]
         parts = [
-            f"searched for {', '.join(self.wanted)}",
+            f"searched for {', '.join(self.needed_topics)}",
             f"found no {lacks}" if lacks else "",
             f"dropped {'; '.join(dropped)}" if dropped else "",
-            f"the recording has {self.contents.there()}",
+            f"the recording has {self.contents.topic_list()}",
             *self.bag.notes,
             "set ros2.topics (names of topics) or mapping.input (what the map is made of)",
         ]

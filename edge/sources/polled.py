@@ -119,12 +119,12 @@ class PolledSource(ABC):
         if untaken:
             self._synchronizer.count(name, "malformed", f"{untaken}, cannot be used")
         else:
-            self._synchronizer.inputs.used(name)
+            self._synchronizer.inputs.on_used(name)
 
     def _is_too_large(self, name: str, payload: zenoh.ZBytes | bytes) -> bool:
         """Return True for a message over the size limit, and count it under this name."""
         size = len(payload)
         if size > self._max_bytes:
-            self._synchronizer.inputs.came(name)
+            self._synchronizer.inputs.on_message(name)
             self._synchronizer.count(name, "oversized", f"{size} bytes")
         return size > self._max_bytes

@@ -178,7 +178,7 @@ class _Ros2Tap:
         self._warned: set[str] = set()
 
     def take(self) -> Iterator[tuple[Channel, bytes]]:
-        self._node.look()
+        self._node.update()
         for name, subscription in self._subscriptions.items():
             for type_name, payload in subscription.take():
                 if type_name in subscription.types:
@@ -230,9 +230,9 @@ def read(path: str | os.PathLike[str]) -> Iterator[BusMessage]:
             topic = _TOPICS.get(message.topic)
             if topic is not None:
                 yield BusMessage(topic, message.log_ns, message.payload)
-        if not reading.cut:
+        if not reading.truncation:
             return
-    why = reading.cut or "cut off"
+    why = reading.truncation or "cut off"
     raise RecordingError(
         f"{path}: not a complete MCAP file: {why}; repair it with `edge replay --recover`"
     )

@@ -129,13 +129,13 @@ class LensPlan(NamedTuple):
         distortion: see `edge.types.Observation`.
         rectifier: None: no field is rectified.
         fields: fields to rectify.
-        text: a line for the log; empty without distortion.
+        log_line: a line for the log; empty without distortion.
     """
 
     distortion: Literal["none", "rectified", "ignored"] = "none"
     rectifier: Rectifier | None = None
     fields: tuple[str, ...] = ()
-    text: str = ""
+    log_line: str = ""
 
     def decode(self, frame: SensorFrame, out: np.ndarray) -> int:
         """Write a frame into `out`, rectified if planned; see `SensorFrame.into`."""
@@ -174,7 +174,7 @@ def plan_for(
             if setting == "ignore"
             else f"{rgb_topic} has rect in its name"
         )
-        return LensPlan("ignored", text=f"{lens}: images are used as rectified: {why}")
+        return LensPlan("ignored", log_line=f"{lens}: images are used as rectified: {why}")
     if setting == "refuse":
         raise ValueError(f"{lens}: source.distortion is refuse: send rectified images")
     try:

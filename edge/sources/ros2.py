@@ -46,7 +46,7 @@ class Ros2Source(PolledSource):
         return self._settings.topic(topic.key)
 
     def _drain(self) -> int:
-        self._node.look()
+        self._node.update()
         n = 0
         for name, subscription in self._transforms.items():
             for _, payload in subscription.take():
@@ -69,7 +69,7 @@ class Ros2Source(PolledSource):
         if self._is_too_large(topic.key, payload):
             return
         if type_name not in subscription.types:
-            self._synchronizer.inputs.came(topic.key)
+            self._synchronizer.inputs.on_message(topic.key)
             expected = " or ".join(subscription.types)
             self._synchronizer.count(
                 topic.key, "malformed",

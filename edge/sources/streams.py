@@ -37,7 +37,7 @@ class Stream:
 
     def offer(self, frame: SensorFrame) -> str:
         """Append a frame; return why it was rejected, or why an older one was dropped, or ""."""
-        verdict = self._guard.judge(frame.stamp_ns)
+        verdict = self._guard.check(frame.stamp_ns)
         if verdict in ("repeated", "backward"):
             return verdict
         self.delay_ns = frame.arrived_ns - frame.stamp_ns
@@ -48,7 +48,7 @@ class Stream:
         self._bytes += frame.size
         n = len(self._frames)
         while self._has_too_many(frame.stamp_ns - self._kept_ns):
-            self.drop(self._frames[0])
+            self.drop_frame(self._frames[0])
         if verdict == "clock_reset":
             return verdict
         return "superseded" if len(self._frames) < n else ""
@@ -62,7 +62,7 @@ class Stream:
     def newest_first(self) -> list[SensorFrame]:
         return self._frames[::-1]
 
-    def near(self, stamp_ns: int) -> SensorFrame | None:
+    def find_match(self, stamp_ns: int) -> SensorFrame | None:
         """Return the frame nearest to an instant, within the tolerance, or None."""
         best = self.nearest(stamp_ns)
         if best is None or abs(best.stamp_ns - stamp_ns) > self._tolerance_ns:
@@ -80,7 +80,7 @@ class Stream:
         newest_ns = self._guard.newest_ns
         return newest_ns is not None and newest_ns > stamp_ns + self._tolerance_ns
 
-    def drop(self, frame: SensorFrame) -> None:
+    def drop_frame(self, frame: SensorFrame) -> None:
         self._frames.remove(frame)
         self._bytes -= frame.size
 
@@ -88,11 +88,11 @@ class Stream:
         """Drop all frames up to an instant; return their number."""
         n = 0
         while self._frames and self._frames[0].stamp_ns <= stamp_ns:
-            self.drop(self._frames[0])
+            self.drop_frame(self._frames[0])
             n += 1
         return n
 
     def drop_unneeded(self, stamp_ns: int) -> None:
         """Drop frames that no later instant can be joined with, except the newest."""
         while len(self._frames) > 1 and self._frames[0].stamp_ns < stamp_ns - self._tolerance_ns:
-            self.drop(self._frames[0])
+            self.drop_frame(self._frames[0])

@@ -74,7 +74,7 @@ def streams_of(config: Config) -> dict[str, Stream]:
     cloud_leads = config.mapping.input == "cloud"
     if lidar is None and (cloud_leads or perception.back_projection == "cloud"):
         key = "mapping.input" if cloud_leads else "perception.back_projection"
-        raise ConfigError(f"{config.at(key)}: cloud needs sensors.lidar (where it is mounted)")
+        raise ConfigError(f"{config.locate(key)}: cloud needs sensors.lidar (where it is mounted)")
     must = config.loop.lockstep or not cloud_leads
     half_frame_ns = int(0.5e9 / config.sensors.camera.rate_hz)
     # A frame may come this long before the leading frame, which then waits as long for its pose.
@@ -184,7 +184,7 @@ class TimeSynchronizer:
     def received(self, topic: str) -> None:
         """Count a message, before it is decoded and offered."""
         self.counters["received"] += 1
-        self.inputs.came(topic)
+        self.inputs.on_message(topic)
 
     def count(self, topic: str, reason: str, detail: object = "") -> None:
         """Count a drop; log the first of its kind."""
@@ -210,7 +210,7 @@ class TimeSynchronizer:
                 continue
             late = self._late(leader, topic, self._pose_delay_ns) if topic == "odom" else ""
             said = f"mapped with {what} {age_ns / 1e6:.0f} ms old{late}"
-            self.inputs.doubted(topic, said)
+            self.inputs.warn(topic, said)
             if (topic, "old") not in self._logged:
                 self._logged.add((topic, "old"))
                 log.warning("%s: %s (further ones are only counted)", topic, said)
@@ -225,7 +225,7 @@ class TimeSynchronizer:
             if reason not in ("repeated", "backward"):
                 self._pose_came_ns = self._clock()
                 self._pose_delay_ns = self._pose_came_ns - message.stamp_ns
-                self.inputs.used(message.topic)
+                self.inputs.on_used(message.topic)
         elif isinstance(message, CameraInfo):
             self._describe(message)
         elif (stream := self.streams.get(message.field)) is not None:
@@ -241,7 +241,7 @@ class TimeSynchronizer:
         camera = message.camera
         if message == self._info:
             if self._camera is not None:
-                self.inputs.used(message.topic)
+                self.inputs.on_used(message.topic)
             return
         size = camera.width_px * camera.height_px * 3
         if size > self.config.source.max_message_mb * 1e6:
@@ -264,9 +264,9 @@ class TimeSynchronizer:
             return
         if message.lens is not None:
             guess = self._lens.distortion == "rectified"
-            self._log_once(message, self._lens.text, logging.WARNING if guess else logging.INFO)
+            self._log_once(message, self._lens.log_line, logging.WARNING if guess else logging.INFO)
         self._camera = camera
-        self.inputs.used(message.topic)
+        self.inputs.on_used(message.topic)
 
     def _log_once(self, message: CameraInfo, text: str, level: int = logging.WARNING) -> None:
         """Log once how camera info is used."""
@@ -284,7 +284,7 @@ class TimeSynchronizer:
             joined = self._join(frame, now_ns)
             if joined is None:
                 continue
-            leading.drop(frame)  # now: a frame that cannot be decoded must not be tried again
+            leading.drop_frame(frame)  # now: a frame that cannot be decoded must not be tried again
             if isinstance(joined, _Dropped):
                 self.count(frame.topic, joined.reason, joined.why)
                 continue
@@ -305,7 +305,7 @@ class TimeSynchronizer:
         frames = [leader]
         for field in self._others:
             stream = self.streams[field]
-            match = stream.near(leader.stamp_ns)
+            match = stream.find_match(leader.stamp_ns)
             if match is not None:
                 frames.append(match)
             elif not (since_ns > self._wait_for(stream) or stream.is_past(leader.stamp_ns)):
@@ -408,7 +408,7 @@ class TimeSynchronizer:
         self._seq += 1
         for frame in frames:
             if frame.field in fields:
-                self.inputs.used(frame.topic)
+                self.inputs.on_used(frame.topic)
         for field in self._others:
             if field not in fields:  # optional: an observation without it is complete, too
                 self.inputs.unpaired(field, self._apart(leader, field))

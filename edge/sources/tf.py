@@ -31,12 +31,12 @@ class _Edge:
         self.parent, self.T = transform.parent, transform.T
         self._rarely_ns = rarely_ns
         self._guard = StampGuard()
-        self._guard.judge(transform.stamp_ns)
+        self._guard.check(transform.stamp_ns)
         self._moves: StampedPoses | None = None
 
     def push(self, transform: Transform) -> None:
         first_ns = self._guard.newest_ns
-        verdict = self._guard.judge(transform.stamp_ns)
+        verdict = self._guard.check(transform.stamp_ns)
         if verdict == "backward":
             return
         if verdict == "clock_reset":

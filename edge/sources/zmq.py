@@ -206,7 +206,7 @@ class ZmqSource(ZenohSource):
             return
         self._synchronizer.received(header.topic)
         if header.camera is not None:
-            self._synchronizer.inputs.came(CameraInfo.topic)
+            self._synchronizer.inputs.on_message(CameraInfo.topic)
             self._synchronizer.offer(CameraInfo(header.camera))
         into = partial(_into, self._depth_unit_m, parts[1].buffer, header.image)
         frame = _FRAMES[header.topic](
@@ -294,7 +294,7 @@ def _socket(config: Config, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socke
     try:
         import zmq
     except ImportError:
-        where = config.at("source.kind")
+        where = config.locate("source.kind")
         raise ConfigError(f"{where}: zmq needs pyzmq: pip install 'edge-vln[zmq]'") from None
     context = zmq.Context()
     camera = context.socket(zmq.SUB)
@@ -323,5 +323,5 @@ def _connect(config: Config, camera: zmq.Socket, address: str) -> None:
         camera.connect(address)
     except Exception as error:  # ZMQError, or others for an address of the wrong type
         said = f"{one_line(address)}: {one_line(error)}"
-        where = config.at("source.options.address")
+        where = config.locate("source.options.address")
         raise ConfigError(f"{where}: {said}; expected one like tcp://127.0.0.1:5555") from None

@@ -59,14 +59,14 @@ class ScriptFunctions:
     Attributes:
         ground: the ground of the scene.
         limits: limits of trajectories.
-        given: the trajectory, once `give_trajectory` received one that may be driven.
-        seen: trajectories that `visual_3d` was asked to show, (n, 2 or 3) float64 each.
+        trajectory: the trajectory, once `give_trajectory` received one that may be driven.
+        shown_trajectories: what `visual_3d` was asked to show, (n, 2 or 3) float64 each.
     """
 
     ground: ReachableGround
     limits: TrajectoryLimits
-    given: CoarseTrajectory | None = None
-    seen: list[np.ndarray] = field(default_factory=list)
+    trajectory: CoarseTrajectory | None = None
+    shown_trajectories: list[np.ndarray] = field(default_factory=list)
 
     def table(self) -> dict[str, Callable[..., Any]]:
         """Return the functions by the names that scripts use."""
@@ -99,19 +99,19 @@ class ScriptFunctions:
 
     def visual_3d(self, points: Any) -> None:
         """Show a trajectory in the scene, without driving it."""
-        if len(self.seen) == MOST_SHOWN:
+        if len(self.shown_trajectories) == MOST_SHOWN:
             raise CallError(f"visual_3d: {MOST_SHOWN} trajectories are shown already")
-        self.seen += coarse_of(points, (), None, self.limits).segments
+        self.shown_trajectories += coarse_of(points, (), None, self.limits).segments
 
     def give_trajectory(
         self, segments: Any, regions: Any = (), speed_mps: Any = None, heading_rad: Any = None
     ) -> None:
         """Hand over the trajectory; it is checked at once."""
-        if self.given is not None:
+        if self.trajectory is not None:
             raise CallError("give_trajectory: a trajectory was given already; give one")
         coarse = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
         check(coarse, self.ground, self.limits)
-        self.given = coarse
+        self.trajectory = coarse
 
     def robot(self) -> dict[str, Any]:
         """Return the robot's position and heading."""
@@ -164,7 +164,7 @@ class ScriptFunctions:
         if not isinstance(side, str) or side not in SIDES_RAD:
             raise CallError(f"offset: side: expected {_choices(SIDES_RAD)}, got {shown(side)}")
         angle_rad = self._looking(thing, seen_from) + SIDES_RAD[side]
-        return self.ground.outline(thing).beside(angle_rad, self._beside_m(distance_m))
+        return self.ground.outline(thing).point_at(angle_rad, self._side_distance_m(distance_m))
 
     def arc(
         self, id: Any, start: Any, end: Any, side: Any, distance_m: Any = PASSING_DISTANCE_M
@@ -185,8 +185,8 @@ class ScriptFunctions:
         sweep_rad = (turn * (end_rad - begin_rad)) % (2.0 * math.pi) or 2.0 * math.pi
         steps = math.ceil(sweep_rad / _ARC_STEP_RAD)
         angles_rad = begin_rad + turn * np.linspace(0.0, sweep_rad, steps + 1)
-        outline, distance_m = self.ground.outline(thing), self._beside_m(distance_m)
-        around_m = np.array([outline.beside(angle, distance_m) for angle in angles_rad.tolist()])
+        outline, distance_m = self.ground.outline(thing), self._side_distance_m(distance_m)
+        around_m = np.array([outline.point_at(angle, distance_m) for angle in angles_rad.tolist()])
         corners_m = around_m[simplified(around_m, _ARC_OFF_M)]
         return _points(resample(corners_m, 0.5 * self.limits.max_jump_m))
 
@@ -199,7 +199,7 @@ class ScriptFunctions:
         here = (pose.x_m, pose.y_m)
         from_m = here if coming_from is None else self._point(coming_from, "coming_from")
         thing = self._object(id)
-        found, gap_m = self.ground.stop(thing, from_m)
+        found, gap_m = self.ground.stopping_point(thing, from_m)
         if found is None:
             than = f" than {gap_m:.1f} m" if gap_m < math.inf else ""
             raise CallError(f"the robot gets no nearer to {thing.label} {thing.id}{than}")
@@ -233,7 +233,7 @@ class ScriptFunctions:
         from_m = (pose.x_m, pose.y_m) if seen_from is None else self._point(seen_from, "seen_from")
         return self.heading(from_m, tuple(thing.position_m[:2].tolist()))
 
-    def _beside_m(self, distance_m: Any) -> float:
+    def _side_distance_m(self, distance_m: Any) -> float:
         distance_m = number(distance_m, "distance_m", _FARTHEST_BESIDE_M)
         if distance_m < 0:
             raise CallError("distance_m: it is below 0")

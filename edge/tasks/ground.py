@@ -71,7 +71,7 @@ class ReachableGround:
             return True
         return bool(self.scene.occupancy.cells[cell] < 0) and not self.region_at(x_m, y_m)
 
-    def sees(self, a_m: tuple[float, float], b_m: tuple[float, float]) -> bool:
+    def has_line_of_sight(self, a_m: tuple[float, float], b_m: tuple[float, float]) -> bool:
         """Return True if no occupied cell is on the straight line between two points."""
         return line_is_free(self.unoccupied, a_m, b_m)
 
@@ -119,9 +119,9 @@ class ReachableGround:
         margin_m = OWN_CELLS * self.scene.occupancy.resolution_m
         share = 1.0 - margin_m / max(math.dist(at_m, near_m), margin_m)
         (x, y), (nx, ny) = at_m, near_m
-        return self.sees(at_m, (x + share * (nx - x), y + share * (ny - y)))
+        return self.has_line_of_sight(at_m, (x + share * (nx - x), y + share * (ny - y)))
 
-    def stop(
+    def stopping_point(
         self, thing: SceneObject, from_m: tuple[float, float]
     ) -> tuple[tuple[float, float] | None, float]:
         """Return where the robot stops at an object if it comes from a point.
@@ -142,7 +142,7 @@ class ReachableGround:
     def _stop(
         self, thing: SceneObject, from_m: tuple[float, float], among: np.ndarray
     ) -> tuple[tuple[float, float] | None, float]:
-        """Do the work of `stop` for the cells `among`, (h, w) bool."""
+        """Do the work of `stopping_point` for the cells `among`, (h, w) bool."""
         centres_m = self.scene.occupancy.centres_m(*np.nonzero(among))
         if not len(centres_m):
             return None, math.inf

@@ -261,7 +261,7 @@ class ObjectMap:
         for place in list(islice(self._votes, max(0, len(self._votes) - MOST_VOTES))):
             del self._votes[place]
 
-    def doubt(self, thing: MapObject, points_m: np.ndarray) -> None:
+    def vote_against(self, thing: MapObject, points_m: np.ndarray) -> None:
         """Count one picture's vote against the points (n, 3) that it shows outside a box."""
         held, shown = _voxels(thing.points_m), _voxels(points_m)
         # A picture has thousands of points, but few of them near the object.

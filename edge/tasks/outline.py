@@ -49,7 +49,7 @@ class Outline:
         x_m, y_m = self.cells_m[k].tolist()
         return x_m, y_m
 
-    def beside(self, angle_rad: float, distance_m: float) -> tuple[float, float]:
+    def point_at(self, angle_rad: float, distance_m: float) -> tuple[float, float]:
         """Return the point in a direction from the centre, at a distance from the hull."""
         ray = np.array([math.cos(angle_rad), math.sin(angle_rad)])
         along_m = self.hull_m @ ray

@@ -109,22 +109,22 @@ def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list
     steps: list[InstructionStep] = []
     reader.skip("filler", "first")
     start = reader.peek()
-    while not reader.sees("end"):
+    while not reader.is_at("end"):
         verb, start = start, reader.peek()
         if steps and start.kind in _RELATIONS:
             _check_joined(reader, steps[-1], verb)
         step = _step(reader, scene_of(len(steps)), steps)
         end = reader.peek(-1).end
         steps.append(replace(step, said=instruction[start.start : end]))
-        on_to = step.kind in ("past", "around") and reader.sees("to")  # "past the van to the gate"
-        if not (on_to or reader.sees("end", "then", "and", "comma", "stop mark")):
+        on_to = step.kind in ("past", "around") and reader.is_at("to")  # "past the van to the gate"
+        if not (on_to or reader.is_at("end", "then", "and", "comma", "stop mark")):
             reader.refuse("not known here; a step ends with 'then', 'and' or a comma")
         joints = reader.at
         reader.skip("then", "and", "comma", "stop mark", "filler", "first")
         for joint in reader.tokens[joints : reader.at]:
-            if joint.kind in ("then", "and") and reader.sees("end"):
+            if joint.kind in ("then", "and") and reader.is_at("end"):
                 reader.refuse("no step follows", joint)
-        if start.kind == "stop" and not reader.sees("end"):
+        if start.kind == "stop" and not reader.is_at("end"):
             reader.refuse("the robot stops here; no step can follow", start)
     if not steps:
         reader.refuse("say where to go")
@@ -207,19 +207,19 @@ def _step(
 ) -> InstructionStep:
     verb = reader.take("go", "pass", "stop", "reach", "leave")
     reader.skip("first", "filler")
-    if verb is None and not (before and reader.sees(*_RELATIONS)):
+    if verb is None and not (before and reader.is_at(*_RELATIONS)):
         if reader.peek().text == "back":
             reader.refuse(_RETURN)
         reader.refuse("expected what to do: go to, drive past, around, between, stop at, …")
     doing = verb.kind if verb else "go"
-    if doing == "pass" and not reader.sees("between"):
+    if doing == "pass" and not reader.is_at("between"):
         return _passing(reader, scene, before, "past")
     if doing == "leave":
         return _leaving(reader, scene, before)
     if doing == "reach":
         return _at(reader, scene, before)
-    counted = reader.sees("number", "article") and reader.sees("metres", "and a half", ahead=1)
-    if doing == "go" and (counted or reader.sees("half")):
+    counted = reader.is_at("number", "article") and reader.is_at("metres", "and a half", ahead=1)
+    if doing == "go" and (counted or reader.is_at("half")):
         return _straight(reader)
     if doing == "stop" and (there := reader.take("there")):
         if not before or before[-1].kind not in ("to", "beside", "between", "straight"):
@@ -243,7 +243,7 @@ def _step(
             return _passing(reader, scene, before, relation.kind)
         case "between":
             return InstructionStep("between", _two(reader, scene, before))
-        case "straight" if reader.sees("to"):
+        case "straight" if reader.is_at("to"):
             reader.refuse("'straight to' is not understood; say 'to'", relation)
         case "straight":
             reader.take("for") or (reader.peek().text == "by" and reader.take("at"))
@@ -267,7 +267,7 @@ def _check_joined(reader: TokenReader, last: InstructionStep, verb: Token) -> No
     Raises:
         TranslationError: the meaning is not clear.
     """
-    token, comma = reader.peek(), reader.sees("comma", ahead=-1)
+    token, comma = reader.peek(), reader.is_at("comma", ahead=-1)
     passing = last.kind in ("past", "around")
     if comma and token.kind not in (("past", "around", "between", "to") if passing else ("to",)):
         clear = False
@@ -328,7 +328,7 @@ def _passing(
     begin, start = reader.at, reader.peek()
     found = _things(reader, scene, before, parting=True)
     said, aside = reader.peek(), _aside(reader)
-    if aside is None or reader.sees("its left", "its right"):
+    if aside is None or reader.is_at("its left", "its right"):
         if aside is not None:  # "the car on the left on its right": the first side chooses the car
             reader.at = begin
             found = _things(reader, scene, before)
@@ -341,12 +341,12 @@ def _passing(
     except TranslationError:
         named_objects = []  # no such object on that side: the words can only mean the passing side
     reader.at = end
-    side = OTHER[aside.side] if aside.of_robot else aside.side
+    side = OTHER[aside.direction] if aside.of_robot else aside.direction
     differs = isinstance(scene, Scene) and bool(named_objects) and named_objects[0] is not found[0]
     if len(found) > 1 or differs:
         reader.refuse(
             f"it may say which one is meant, or on which side to pass it; say '{kind} the {side} "
-            f"of …', or '… that is on the {aside.side}'", said,
+            f"of …', or '… that is on the {aside.direction}'", said,
         )  # fmt: skip
     return InstructionStep(kind, (found[0],), side)
 
@@ -360,14 +360,14 @@ def _leaving(
     aside = _aside(reader)
     if aside is None:
         reader.refuse("say on which side, as 'on your left'", start)
-    return InstructionStep("past", (thing,), OTHER[aside.side])
+    return InstructionStep("past", (thing,), OTHER[aside.direction])
 
 
 @dataclass(frozen=True, slots=True)
 class _Aside:
     """A side after an object: `on the left`, or with `of_robot` `on your left`."""
 
-    side: str
+    direction: str
     of_robot: bool
 
 
@@ -380,7 +380,7 @@ def _aside(reader: TokenReader) -> _Aside | None:
         return _Aside(token.kind.removeprefix("on the "), of_robot)
     if reader.take("to") and reader.take("article"):
         side = _own_side(reader)
-        if side and not reader.sees("word"):
+        if side and not reader.is_at("word"):
             return _Aside(side, reader.tokens[at + 1].text in ("your", "my"))
     reader.at = at
     return None
@@ -388,9 +388,9 @@ def _aside(reader: TokenReader) -> _Aside | None:
 
 def _parts(reader: TokenReader) -> bool:
     """Return True if a side ends the phrase here, and is not a side of the road."""
-    ends = not reader.sees(*_PLACES, *_ORDER, "at", "which is", ahead=1)
+    ends = not reader.is_at(*_PLACES, *_ORDER, "at", "which is", ahead=1)
     of_road = reader.peek().text.endswith((" road", " street"))
-    return ends and reader.sees("on the left", "on the right") and not of_road
+    return ends and reader.is_at("on the left", "on the right") and not of_road
 
 
 def _it(
@@ -409,7 +409,7 @@ def _two(
 ) -> tuple[SceneObject, ...]:
     """Read `the van and the tree`, `the two cars` or `the cars`."""
     start = reader.peek()
-    if reader.sees("article") and reader.sees("number", ahead=1) and reader.peek(1).text == "2":
+    if reader.is_at("article") and reader.is_at("number", ahead=1) and reader.peek(1).text == "2":
         reader.at += 2
     found = _things(reader, scene, before)
     if reader.take("and"):
@@ -493,7 +493,7 @@ def _things(
             words.append(replace(token, text=token.text.removesuffix("'s")))
             break
         words.append(token)
-    if words and reader.sees("number"):
+    if words and reader.is_at("number"):
         return [_by_id(reader, scene, words, which)]
     if not _is_name(words):
         reader.refuse("expected the name of a thing", start)
@@ -553,7 +553,7 @@ def _describing(reader: TokenReader, named: bool) -> Token | None:
     "the parking meter").
     """
     token = reader.peek()
-    begins = reader.sees("word", ahead=1)
+    begins = reader.is_at("word", ahead=1)
     if (begins and token.kind in ("go", "stop", "pass", "metres")) or (
         named_objects and token.kind in ("go", "metres")
     ):
@@ -561,7 +561,7 @@ def _describing(reader: TokenReader, named: bool) -> Token | None:
         return replace(token, kind="word")
     if token.text in _NO_NAMES:
         return None
-    if named_objects and not begins and reader.sees("left", "right"):
+    if named_objects and not begins and reader.is_at("left", "right"):
         reader.refuse(
             f"say 'the {token.text} …', '… on the {token.text}' or 'the {token.text} of …'"
         )
@@ -576,7 +576,7 @@ def _is_own_side(reader: TokenReader) -> bool:
     """Return True if a side follows that is no part of a name: `the van's left`, no `left door`."""
     beyond = reader.peek(1)
     own = beyond.kind != "word" or beyond.text in ("hand", "side")
-    return reader.sees("left", "right") and own
+    return reader.is_at("left", "right") and own
 
 
 def _such(
@@ -584,9 +584,9 @@ def _such(
 ) -> list[SceneObject]:
     """Read the words after `that is`: a description, unless a place follows."""
     words = []
-    while reader.sees("word") and reader.peek().text not in _NO_NAMES:
+    while reader.is_at("word") and reader.peek().text not in _NO_NAMES:
         words.append(reader.take("word"))
-    if not words and not reader.sees(*_PLACES, "at", *_ORDER):
+    if not words and not reader.is_at(*_PLACES, "at", *_ORDER):
         reader.refuse("expected what it is like, or where it is")
     return found if isinstance(scene, _Unseen) else _described(found, reader, words)
 

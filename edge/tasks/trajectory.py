@@ -128,7 +128,7 @@ def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryL
                 f"{_place(coarse.segments, k)} is {step_m:.1f} m from {before}, at most "
                 f"{limits.max_jump_m:g} m are allowed; join them with a_star_plan or line"
             )
-        if not ground.sees(tuple(a), tuple(b)) and math.dist(b, way[0]) > ESCAPE_M:
+        if not ground.has_line_of_sight(tuple(a), tuple(b)) and math.dist(b, way[0]) > ESCAPE_M:
             raise TrajectoryError(
                 f"something is in between {_place(coarse.segments, k)} and {before}; join them "
                 "with a_star_plan"

@@ -132,17 +132,17 @@ def write_trajectory(
     functions = make(ground, config.trajectory)
     if isinstance(config.planner, WriterModel):
         rounds = _ask(instruction, functions, config.planner, on_answer, why)
-        assert functions.given is not None
-        return WrittenTrajectory(instruction, functions.given, ground, "", rounds, version())
+        assert functions.trajectory is not None
+        return WrittenTrajectory(instruction, functions.trajectory, ground, "", rounds, version())
     steps = rules.plan_by_rules(instruction, functions, which)
-    assert functions.given is not None
+    assert functions.trajectory is not None
     understood = "; ".join(map(str, steps))
     stops_at = steps[-1].things[0].id if steps[-1].kind == "to" else None
     stops = [_stops(step) for step in steps]
     if which.stop is None:  # the robot stops after the last step of the instruction
         stops[-1] = tuple(thing.id for thing in steps[-1].things)
     return WrittenTrajectory(
-        instruction, functions.given, ground, understood, stops_at=stops_at, stops=tuple(stops)
+        instruction, functions.trajectory, ground, understood, stops_at=stops_at, stops=tuple(stops)
     )
 
 
@@ -204,9 +204,9 @@ def _round(answer: str, cut: str, functions: ScriptFunctions) -> PlanAttempt:
     code = script_in(answer)
     if cut or not code:
         return PlanAttempt(answer, code, "", cut or NO_CODE)
-    functions.given = None
+    functions.trajectory = None
     outcome = run_script(code, functions, ScriptLimits())
-    error = outcome.error or ("" if functions.given is not None else NO_TRAJECTORY)
+    error = outcome.error or ("" if functions.trajectory is not None else NO_TRAJECTORY)
     return PlanAttempt(answer, code, outcome.printed, error)
 
 

@@ -55,7 +55,7 @@ class Live:
 
     @property
     def failures(self) -> dict[str, int]:
-        return dict(self.running.service.faults.failures)
+        return dict(self.running.service.error_boundary.failures)
 
     def wait(self, ticks: int) -> None:
         enough = self.ticks + ticks

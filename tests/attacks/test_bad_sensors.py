@@ -76,7 +76,7 @@ def test_a_camera_that_cannot_be_is_refused_and_the_one_before_stays(service, nu
 
 
 def test_a_stage_that_fails_without_end_is_degraded_until_it_goes_well(service, monkeypatch):
-    said, before = service.statuses, service.running.service.faults.failed
+    said, before = service.statuses, service.running.service.error_boundary.failed
 
     def broken(*_) -> None:
         raise ZeroDivisionError

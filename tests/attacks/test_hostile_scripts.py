@@ -194,7 +194,7 @@ def test_a_hostile_script_fails_and_the_next_one_runs(name, host, functions):
 
     assert os.getpid() == pid  # no fork went on in here
     host.check_untouched()
-    assert functions.given is None
+    assert functions.trajectory is None
     assert SECRET not in outcome.printed + outcome.error
     assert len(outcome.printed) <= QUICK.max_printed_chars
     assert len(outcome.error) <= MOST_ERROR_CHARS
@@ -204,7 +204,7 @@ def test_a_hostile_script_fails_and_the_next_one_runs(name, host, functions):
     assert [thing.position_m[0] for thing in SCENE.objects.values()] == [8, 4, 10, 6, 16]
 
     assert run_script("give_trajectory([(0, 0), (1, 0)])", functions, QUICK).error == ""
-    assert functions.given.points_m.tolist() == [[0, 0], [1, 0]]
+    assert functions.trajectory.points_m.tolist() == [[0, 0], [1, 0]]
 
 
 def test_scripts_keep_nothing_for_the_next(functions):
@@ -229,8 +229,8 @@ except ValueError as error:
     assert (outcome.error, outcome.printed.strip()) == (
         "", "give_trajectory: a trajectory was given already; give one",
     )  # fmt: skip
-    assert functions.given.points_m.tolist() == [[0, 0], [1, 0]]
-    check(functions.given, GROUND, LIMITS)
+    assert functions.trajectory.points_m.tolist() == [[0, 0], [1, 0]]
+    check(functions.trajectory, GROUND, LIMITS)
 
 
 def test_a_trajectory_of_a_script_that_fails_later_is_not_driven():

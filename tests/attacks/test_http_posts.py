@@ -82,7 +82,7 @@ def port() -> Iterator[Port]:
             there.done.append(request.do)
             return {}
 
-        verbs = {"new": Verb(("instruction", "formula")), "pause": Verb(stops=True)}
+        verbs = {"new": Verb(("instruction", "formula")), "pause": Verb(stops_robot=True)}
         queue = RequestQueue("x", verbs, handle)
         view.open({"mission/request": _Served(queue)})
         yield there
@@ -96,7 +96,7 @@ class _Served:
         self._queue = queue
 
     def take(self, payload, reply) -> None:
-        self._queue.take(payload, reply)
+        self._queue.accept(payload, reply)
         self._queue.serve(0)
 
 

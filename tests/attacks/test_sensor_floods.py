@@ -35,7 +35,7 @@ def test_a_flood_of_odometry_leaves_the_loop_its_ticks():
             service.is_resumed(TICKS)
         assert max(looks) == ODOMETRY_RING
         assert source.counters["malformed"] == 0
-        assert service.running.service.faults.failures == {}
+        assert service.running.service.error_boundary.failures == {}
 
 
 def test_two_floods_of_answers_leave_the_loop_its_ticks():
@@ -46,6 +46,6 @@ def test_two_floods_of_answers_leave_the_loop_its_ticks():
             eventually(lambda: inbox._ring.overruns >= 3, "the flood is too slow")
             service.is_resumed(TICKS)
         assert max(looks) == 64
-        assert service.running.service.faults.failures == {}
+        assert service.running.service.error_boundary.failures == {}
         # What other processes say costs no memory that they could fill.
         assert len(service.running.sinks[0]._worker._waiting) <= 300

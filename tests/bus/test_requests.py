@@ -449,7 +449,7 @@ def test_the_loop_serves_a_few_of_which_one_was_prepared(session):
     server = RequestServer(session, KEY, verbs, handle)
     assert server.serve(0) == 0
     new = give(server, session, "ab")
-    eventually(lambda: not server.queue._unready())
+    eventually(lambda: not server.queue._unprepared())
     others = waiting(server, session, ["status", "resume"])
     assert [server.serve(0) for _ in range(3)] == [3, 1, 0]
     assert [asking.answer["did"] for asking in (*others, *new)] == [

@@ -44,14 +44,14 @@ class Fleet:
             self, FleetPlan("m", parts), self.told.append, PATIENCE_S, clock
         )
 
-    def seen(self):
+    def complete_list(self):
         return self.robots
 
     def each(self, calls):
         for call in calls if self.accepts else ():
             call()
 
-    def tell(self, name, request, timeout_s):
+    def send(self, name, request, timeout_s):
         return {}
 
     def look(self, at_s: float, *robots: Robot):
@@ -153,12 +153,12 @@ def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
     }
 
 
-def test_a_mission_is_taken_up_while_a_part_is_under_way_though_one_look_finds_another_lost():
-    brief = prepare(LIMITS, instruction="go to the bed and the sofa")
-    first = plan(brief, LIMITS, {}, share=True)
+def test_a_mission_is_resumed_while_a_part_is_under_way_though_one_look_finds_another_lost():
+    spec = prepare(LIMITS, instruction="go to the bed and the sofa")
+    first = plan(spec, LIMITS, {}, share=True)
     bed, sofa = (part.id for part in first.parts)
     past = (PastMission(sofa, "failed", "no sofa"),)
     account = dataclasses.replace(robot("a", bed, "searching").status_reply, past=past)
-    assert plan(brief, LIMITS, {"a": Robot("a", account)}, share=True) == first
+    assert plan(spec, LIMITS, {"a": Robot("a", account)}, share=True) == first
     over = dataclasses.replace(account, phase="reached")
-    assert plan(brief, LIMITS, {"a": Robot("a", over)}, share=True).id != first.id
+    assert plan(spec, LIMITS, {"a": Robot("a", over)}, share=True).id != first.id

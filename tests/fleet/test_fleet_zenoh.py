@@ -81,10 +81,10 @@ class Sharing:
         self._thread.start()
 
     def _run(self, port, words, patience_s, how):
-        brief = prepare(LIMITS, instruction=words)
+        spec = prepare(LIMITS, instruction=words)
         with open_roster(settings_of(port, "any")) as seen:
             how = {"share": True, **how}
-            self.mission = plan(brief, LIMITS, seen.look(), **how)
+            self.mission = plan(spec, LIMITS, seen.ask_status(), **how)
             dispatcher = Dispatcher(seen, self.mission, self.told.append, patience_s)
             while not self._stop.is_set():
                 orders = dispatcher.step()
@@ -126,7 +126,7 @@ def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
         return code, said.out + said.err
 
     with open_roster(settings_of(port, "any")) as seen:
-        seen.tell("anna", {"do": "new", "formula": "F bed"}, PATIENCE_S)
+        seen.send("anna", {"do": "new", "formula": "F bed"}, PATIENCE_S)
     code, said = fleet("pause")  # bob has nothing to pause, which is no fault where he is not named
     assert (code, anna.mission.paused, bob.mission.paused) == (0, True, False)
     assert "anna:\n  instruction: F bed" in said
@@ -169,7 +169,7 @@ def test_a_mission_in_three_parts_is_done_by_three(port, robots):
     ended = Sharing(port).ended()
     assert {phase for phase, _ in ended.values()} == {"reached"}
     assert {by for _, by in ended.values()} == {"anna", "bob", "carl"}
-    assert all(robot.mission.brief.automaton.letters[-1] == "toilet" for robot in three)
+    assert all(robot.mission.spec.automaton.propositions[-1] == "toilet" for robot in three)
 
 
 def test_what_everybody_fails_at_is_told_with_their_reasons(port, robots):
@@ -225,7 +225,7 @@ def test_two_dispatchers_of_different_missions_take_no_robot_from_each_other(por
     one, other = Sharing(port), Sharing(port, "go to the chair, the lamp and the sink")
     assert [phase for phase, _ in one.ended().values()] == ["reached"] * 3
     assert [phase for phase, _ in other.ended().values()] == ["reached"] * 3
-    past = [entry["phase"] for robot in both for entry in robot.service.past]
+    past = [entry["phase"] for robot in both for entry in robot.service.past_missions]
     assert past == ["reached"] * 4  # and two that are their last: none was replaced
     assert sum(robot.service.begun for robot in both) == 6
 
@@ -252,7 +252,7 @@ def test_a_robot_that_answers_garbage_gets_nothing_and_is_shown(port, robots, an
     robots("bob", reaches_in_s=0.0)
     with Liar(port, "mallory\x1b[2J", answer), open_roster(settings_of(port, "any")) as seen:
         eventually(lambda: len(seen.names()) == 2)
-        shown = table(seen.look().values())
+        shown = table(seen.ask_status().values())
         assert "mallory [2J" in shown
         assert shown.replace("\n", "").isprintable()
         assert Sharing(port, "go to the bed").ended() == {"bed": ("reached", "bob")}
@@ -263,7 +263,7 @@ def test_a_robot_that_never_answers_holds_nobody_up(port, robots, monkeypatch):
     robots("bob", reaches_in_s=0.0)
     with Liar(port, "late", None), open_roster(settings_of(port, "any")) as seen:
         eventually(lambda: len(seen.names()) == 2)
-        assert "no answer within 0.2 s" in table(seen.look().values())
+        assert "no answer within 0.2 s" in table(seen.ask_status().values())
         assert Sharing(port, "go to the bed").ended() == {"bed": ("reached", "bob")}
 
 
@@ -304,15 +304,15 @@ def test_a_mission_that_is_given_twice_is_begun_once(port, robots):
     with open_roster(settings_of(port, "any")) as seen:
         request = {"do": "new", "formula": "F bed", "id": "x.1", "if_free": True}
         for _ in range(2):
-            assert seen.tell("anna", request, PATIENCE_S)["id"] == "x.1"
+            assert seen.send("anna", request, PATIENCE_S)["id"] == "x.1"
         assert anna.service.begun == 1
         with pytest.raises(UserError, match="refused: not free: the last mission searching: F bed"):
-            seen.tell("anna", {**request, "id": "x.2"}, PATIENCE_S)
-        seen.tell("anna", {"do": "new", "formula": "F sofa"}, PATIENCE_S)
+            seen.send("anna", {**request, "id": "x.2"}, PATIENCE_S)
+        seen.send("anna", {"do": "new", "formula": "F sofa"}, PATIENCE_S)
         with pytest.raises(UserError, match=r"mission x\.1 is already over"):
-            seen.tell("anna", request, PATIENCE_S)
+            seen.send("anna", request, PATIENCE_S)
         with pytest.raises(UserError, match="no such mission is running"):
-            seen.tell("anna", {"do": "cancel", "id": "x.1"}, PATIENCE_S)
+            seen.send("anna", {"do": "cancel", "id": "x.1"}, PATIENCE_S)
         assert anna.mission.target == "sofa"
         assert not anna.mission.done
 
@@ -349,7 +349,7 @@ def test_of_two_that_start_at_the_same_moment_one_stays(port, robots, monkeypatc
     else:
         assert [stays(robot) for robot in two] == [True, False]
     with open_roster(settings_of(port, "any")) as seen:
-        eventually(lambda: seen.look().get("anna", Robot("anna")).status_reply)
+        eventually(lambda: seen.ask_status().get("anna", Robot("anna")).status_reply)
 
 
 def test_two_services_that_came_together_later_are_shown(port, robots):
@@ -357,9 +357,9 @@ def test_two_services_that_came_together_later_are_shown(port, robots):
     with open_session(settings_of(port, "anna"), "listen") as other:
         token = other.liveliness().declare_token("robots/anna/alive/other")
         with open_roster(settings_of(port, "any")) as seen:
-            eventually(lambda: "2 services use this name" in seen.look()["anna"].problem)
+            eventually(lambda: "2 services use this name" in seen.ask_status()["anna"].problem)
             token.undeclare()
-            eventually(lambda: seen.look()["anna"].status_reply)
+            eventually(lambda: seen.ask_status()["anna"].status_reply)
 
 
 @pytest.fixture

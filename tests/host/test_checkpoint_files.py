@@ -413,13 +413,13 @@ def test_a_writer_writes_the_newest_and_never_blocks(tmp_path, monkeypatch):
 def test_a_period_is_counted_from_the_last_posted_state(tmp_path):
     writer = CheckpointWriter(tmp_path / "note", NOTE, period_s=1.0)
     at_ns = 10**18
-    assert writer.due(at_ns)
+    assert writer.is_due(at_ns)
     writer.post(lambda: BEGUN, 10**18)
-    assert [writer.due(at_ns + ns) for ns in (0, 999_999_999, 10**9, -(10**9))] == [
+    assert [writer.is_due(at_ns + ns) for ns in (0, 999_999_999, 10**9, -(10**9))] == [
         False, False, True, True
     ]  # fmt: skip
     writer.post(lambda: BEGUN, 5)
-    assert [writer.due(ns) for ns in (6, 10**9 + 5, 10**18)] == [False, True, True]
+    assert [writer.is_due(ns) for ns in (6, 10**9 + 5, 10**18)] == [False, True, True]
     writer.close(30)
 
 

@@ -45,7 +45,7 @@ def test_a_full_pipe_is_not_waited_for_and_what_was_lost_is_told(pipe, monkeypat
     outlet = NonBlockingStream(stream)
     for _ in range(MUCH):
         assert outlet.write(LINE) == len(LINE)
-    outlet.end()  # though nobody reads
+    outlet.drain()  # though nobody reads
     came = lost = 0
     with open(read, encoding="utf-8", closefd=False) as reader:
         while came + lost < MUCH:  # neither more nor less, or it waits for ever
@@ -65,7 +65,7 @@ def test_where_nobody_reads_any_more_it_is_lost_and_no_error(pipe):
     outlet = NonBlockingStream(stream)
     for _ in range(MUCH):
         outlet.write(LINE)
-    outlet.end()
+    outlet.drain()
     assert not outlet._thread.is_alive()
 
 
@@ -74,7 +74,7 @@ def test_after_its_end_it_is_the_stream_itself(pipe):
     read, stream = pipe
     outlet = NonBlockingStream(stream)
     outlet.write("before, ")
-    outlet.end()
+    outlet.drain()
     outlet.write("after")
     stream.close()
     assert all_of(read) == "before, after"

@@ -44,7 +44,7 @@ def test_a_terminal_is_rewritten_and_left_clean():
         contextlib.redirect_stderr(Terminal()) as stream,
         progress.ProgressBar("tasks\x1b[2J", 4, done=1) as bar,
     ):
-        bar.reach(3)
+        bar.set_done(3)
     text = stream.getvalue()
     assert "tasks [2J:  75%" in text
     assert "3/4" in text
@@ -56,5 +56,5 @@ def test_a_terminal_is_rewritten_and_left_clean():
 @pytest.mark.usefixtures("at_once")
 def test_bytes_of_an_unknown_total(capsys):
     with progress.ProgressBar("w.pt", None, unit="B", unit_scale=True) as bar:
-        bar.reach(5_000_000)
+        bar.set_done(5_000_000)
     assert "w.pt: 5.00MB [" in capsys.readouterr().err

@@ -60,14 +60,14 @@ def test_what_was_submitted_before_a_forget_is_void(gate):
     dropped, unread = [], []
     worker = stuck(gate, drop=dropped.append, drop_result=unread.append)
     worker.submit("waits")
-    worker.forget()
+    worker.discard_all()
     assert dropped == ["waits"]
     gate.open.set()
     eventually(lambda: worker.idle)
     assert (unread, worker.poll()) == (["first"], None)
     worker.submit("unread")
     eventually(lambda: worker.idle)
-    worker.forget()
+    worker.discard_all()
     assert (unread, worker.poll()) == (["first", "unread"], None)
     worker.submit("after")
     assert eventually(worker.poll) == "after"
@@ -96,10 +96,10 @@ def test_the_newest_item_and_the_newest_result_win_and_the_others_are_dropped(ga
 def test_the_newest_of_a_key_wins_and_queued_items_all_leave_in_order(gate):
     worker = stuck(gate, finishes=True)
     worker.submit("map 1", key="map")
-    worker.queue("tick 1")
+    worker.enqueue("tick 1")
     worker.submit("status 1", key="status")
     worker.submit("map 2", key="map")
-    worker.queue("tick 2")
+    worker.enqueue("tick 2")
     gate.open.set()
     assert worker.close(PATIENCE_S)
     assert gate.got == ["first", "map 2", "tick 1", "status 1", "tick 2"]
@@ -111,7 +111,7 @@ def test_the_queue_is_bounded_and_the_newest_stay(gate, monkeypatch):
     worker = stuck(gate, finishes=True, drop=dropped.append)
     worker.submit("map", key="map")
     for n in range(5):
-        worker.queue(n)
+        worker.enqueue(n)
     assert (dropped, worker.stats.replaced) == ([0, 1], 2)
     gate.open.set()
     assert worker.close(PATIENCE_S)

@@ -124,7 +124,7 @@ def all_is_passed(service: Service, clients: list[Client]) -> None:
             client.pass_on()
         moved.extend(took(service.odometry))
         moored.extend(took(service.moored))
-        is_known = adapter.is_heard and service.action.served()
+        is_known = adapter.is_heard and service.action.has_server()
         paths = adapter.paths - before
         return bool(moored) and is_known and min(paths, len(moved)) >= ENOUGH
 

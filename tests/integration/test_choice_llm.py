@@ -48,7 +48,7 @@ def view(
 
 
 def put_to(scorer: ServerFrontierScorer, question: MarkedView) -> FrontierChoice:
-    choice = scorer.answer(scorer.look(question))
+    choice = scorer.answer(scorer.prepare(question))
     assert choice is not None
     return choice
 

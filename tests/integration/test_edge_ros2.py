@@ -76,7 +76,7 @@ class RosRobot:
 
     def _run(self) -> None:
         while not self._stop.wait(0.002):
-            self._node.look()
+            self._node.update()
             if time.monotonic() - self._tf_s > 0.1:
                 self._tf_s = time.monotonic()
                 self._tf.put(LOCALIZED)

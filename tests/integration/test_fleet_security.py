@@ -57,7 +57,7 @@ def test_a_robot_has_to_do_with_itself_alone_and_the_operator_with_all(etc, monk
             present.announce()
             stack.callback(present.close)
             key = settings(who).key(topics.MISSION_REQUEST)
-            server = RequestServer(sessions[who], key, {"status": Verb(reads=True)}, answer)
+            server = RequestServer(sessions[who], key, {"status": Verb(read_only=True)}, answer)
             stack.callback(server.close)
             stack.callback(serve(server))
         everyone = {f"robots/{who}" for who in ROBOTS}

@@ -82,9 +82,9 @@ def test_it_is_found_where_it_stands_in_plain_view(house, word):
     thing = next(o for o in world.objects if names.same_name(o.label, word))
     for observation in looks(house, thing):
         found = detector.detect(observation)
-        lifted, around = lifter.lift(found)
-        sightings.look(lifted, around)
+        lifted, around = lifter.back_project(found)
+        sightings.update(lifted, around)
         tracker.update(lifted, observation.stamp_ns)
         tracker.expire(observation, found.prompts)
-    sure = tracker.of(word, sure=True, doubted=False)
+    sure = tracker.of(word, only_confirmed=True, doubted=False)
     assert min(thing.distance_m(*i.center_m[:2].tolist()) for i in sure) < 0.5, tracker.all

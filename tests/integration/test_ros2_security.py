@@ -90,7 +90,7 @@ def node(session: zenoh.Session, name: str) -> Iterator[Ros2Node]:
 def until(nodes: list[Ros2Node], done: Callable[[], bool], otherwise: str) -> None:
     def look() -> bool:
         for each in nodes:
-            each.look()
+            each.update()
         return done()
 
     eventually(look, otherwise)

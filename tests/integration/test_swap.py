@@ -157,7 +157,7 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
     settings, stop, seen = load(str(config)), threading.Event(), []
     with ThreadPoolExecutor(1) as pool, open_service(settings, []) as running:
         service, running.source = running.service, Camera()
-        swapper = service.swapper
+        swapper = service.detector_swap
 
         def each() -> None:
             probation = swapper.state == "on probation"

@@ -33,7 +33,7 @@ def until(loop: ClosedLoop, what: Callable[[], object]) -> int:
 
 def swapped_to(state: str, loop: ClosedLoop) -> bool:
     """Return True if the swap has reached this state, after its next step."""
-    swapper = loop.service.swapper
+    swapper = loop.service.detector_swap
     swapper.step(loop.drive.motion.stamp_ns)
     assert swapper.state not in ("refused", "rolled back"), swapper.status()
     return swapper.state == state
@@ -105,15 +105,15 @@ def test_a_detector_is_swapped_while_a_task_is_driven(tmp_path, monkeypatch):
     loop = ClosedLoop(config, task="go to the sofa")
     service = loop.service
     until(loop, lambda: service.behaviour.facts().phase == "driving")
-    service.swapper.request("other", False, loop.drive.motion.stamp_ns)
+    service.detector_swap.request("other", False, loop.drive.motion.stamp_ns)
     for _ in range(5):  # the images that the model is tried on
         loop.step()
     # Loading takes as long as the computer is busy, and the simulation would drive on to the end.
     eventually(lambda: swapped_to("on probation", loop))
     until(loop, lambda: swapped_to("kept", loop) and service.status.done)
     assert service.status.phase == "reached", loop.notes.events
-    assert (service.swapper.running, service.swapper.outcomes["kept"]) == ("other", 1)
+    assert (service.detector_swap.running, service.detector_swap.outcomes["kept"]) == ("other", 1)
     assert loop.distance_m("sofa") <= 1.0
     assert loop.drive.motion.collisions == 0
-    service.swapper.close()
+    service.detector_swap.close()
     loop.close()

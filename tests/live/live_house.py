@@ -133,7 +133,7 @@ def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
     tasked = Tasked(view.sink)
     closed = ClosedLoop(config, sinks=(tasked, brittle))
     if config.mission.on_request:
-        closed.service.mission.wait()
+        closed.service.mission.set_idle()
     queues = {
         key: RequestQueue(key, verbs, handle)
         for key, (verbs, handle) in requests.request_handlers(

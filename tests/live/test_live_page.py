@@ -124,7 +124,7 @@ def test_a_new_mission_from_the_page_is_what_the_robot_does(page, house):
     page.click("#new-ok")
     page.until("!document.getElementById('new-dialog').open")
     page.says("#instruction", "find the sofa")
-    assert house.service.mission.brief.targets == ("sofa",)
+    assert house.service.mission.spec.targets == ("sofa",)
 
 
 def test_a_wait_is_told_and_ends_by_the_button(page, house):
@@ -144,7 +144,7 @@ def test_what_is_not_understood_is_said_and_changes_nothing(page, house):
     page.click("#new-ok")
     page.until("!document.getElementById('new-error').hidden")
     assert page.run("document.querySelector('#new-error b')") is None
-    assert house.service.mission.brief.targets == ("bed",)
+    assert house.service.mission.spec.targets == ("bed",)
 
 
 def test_of_several_readings_the_page_lets_one_choose(page, house):
@@ -153,11 +153,11 @@ def test_of_several_readings_the_page_lets_one_choose(page, house):
     page.click("#new-ok")
     page.until("document.querySelectorAll('#readings button').length === 3")
     page.says("#new-error", "This can be read in several ways. Which one do you mean?")
-    assert house.service.mission.brief.targets == ("bed",)
+    assert house.service.mission.spec.targets == ("bed",)
     page.click("#readings button:last-child")
     page.until("!document.getElementById('new-dialog').open")
     page.says("#formula", "F (sofa & F bed)")
-    assert house.service.mission.brief.translation.reading == 3
+    assert house.service.mission.spec.translation.reading == 3
 
 
 def test_what_is_not_sure_is_shown_before_it_is_begun(page, house):
@@ -167,7 +167,7 @@ def test_what_is_not_sure_is_shown_before_it_is_begun(page, house):
     page.until("document.querySelectorAll('#readings button').length === 1")
     page.says("#new-error", "Is this what you mean?")
     page.says("#readings", "1. Reach the sofa.")
-    assert house.service.mission.brief.targets == ("bed",)
+    assert house.service.mission.spec.targets == ("bed",)
     page.click("#readings button")
     page.until("!document.getElementById('new-dialog').open")
     page.says("#formula", "F sofa")
@@ -279,7 +279,7 @@ def test_the_box_for_words_starts_a_mission_or_says_why_not(page, house):
     page.type("#sentence", "find the sofa")
     page.click("#send")
     page.says("#answer", "Started: Reach the sofa.")
-    assert house.service.mission.brief.targets == ("sofa",)
+    assert house.service.mission.spec.targets == ("sofa",)
     page.type("#sentence", INSTRUCTION)
     page.click("#send")
     page.until("document.getElementById('answer').className === 'error'")
@@ -295,7 +295,7 @@ def test_the_box_for_words_starts_a_mission_or_says_why_not(page, house):
 def test_the_answer_to_a_question_is_shown(page, house, monkeypatch):
     asked = house.view._queues["mission/request"]
     answer = json.dumps({"text": "mug: <b>here</b>"}).encode()
-    monkeypatch.setattr(asked, "take", lambda body, reply: reply(answer, False))
+    monkeypatch.setattr(asked, "accept", lambda body, reply: reply(answer, False))
     page.type("#sentence", "where is the mug?")
     page.click("#send")
     page.says("#answer", "mug: <b>here</b>")
@@ -333,7 +333,7 @@ def test_without_sensors_it_says_what_to_look_at(page, house):
 def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
     inputs = TimeSynchronizer(house.closed.config, lambda: 0).inputs
     for name in ("camera/rgb", "camera/info", "odom"):
-        inputs.came(name)
+        inputs.on_message(name)
     inputs.dropped("odom", "malformed", "<b>no odometry</b>")
     house.service.inputs = house.service._health._inputs = inputs.rows
     house.robot.blind = True

@@ -19,7 +19,7 @@ from edge.policies.base import FRONTIER, INSTANCE
 from edge.types import ContextBoxes, Detections, Observation
 
 SITE = Site((Place("dock", SE2(1.0, 2.0, 0.0)),))
-DEAR = ("mission", "task", "instances", "objects", "candidates", "way", "layers", "health")
+DEAR = ("mission", "task", "instances", "objects", "candidates", "path", "layers", "health")
 CAMERA = CameraModel.from_hfov(40, 30, 1.2)
 T_BASE_CAMERA = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1.0]])
 
@@ -46,48 +46,48 @@ def seen(rgb: np.ndarray, **fields: Any) -> Observation:
 
 
 def test_before_the_first_tick_there_is_nothing(sink):
-    assert (sink.moment, sink.shot, sink.ticked_s) == (None, None, None)
-    sink.look()
+    assert (sink.snapshot, sink.shot, sink.ticked_s) == (None, None, None)
+    sink.mark_watched()
     sink.close()
-    assert sink.moment is None
+    assert sink.snapshot is None
 
 
 def test_while_nobody_looks_nothing_dear_is_asked_for(sink, clock):
     dear = {name: lambda: pytest.fail("gathered for nobody") for name in DEAR}
     rgb = np.zeros((30, 40, 3), np.uint8)
     sink.tick(result(observation=seen(rgb), **dear))
-    assert (sink.moment, sink.shot) == (None, None)
+    assert (sink.snapshot, sink.shot) == (None, None)
     assert sink.ticked_s == clock.now_s
-    sink.look()
+    sink.mark_watched()
     clock.now_s += WATCHED_S + 0.1
     sink.tick(result(**dear))
 
 
 def test_for_who_looks_it_gathers_once_a_period(sink, clock):
-    sink.look()
+    sink.mark_watched()
     gathered = []
     for _ in range(11):
         sink.tick(result(health=lambda: gathered.append(clock.now_s) or {}))
         clock.now_s += PERIOD_S / 5
     assert len(gathered) == 3
-    assert sink.moment.at_s == gathered[-1]
+    assert sink.snapshot.at_s == gathered[-1]
 
 
 def test_remembered_objects_are_gathered_once_a_second_and_the_site_has_a_version(sink, clock):
-    sink.look()
+    sink.mark_watched()
     gathered, sites = [], []
     for site in (Site(), SITE, SITE, Site(SITE.items)):
         for _ in range(5):
-            sink.look()
+            sink.mark_watched()
             sink.tick(result(objects=lambda: gathered.append(clock.now_s) or [], site=site))
             clock.now_s += PERIOD_S
-        sites.append(sink.moment.n_sites)
+        sites.append(sink.snapshot.n_sites)
     assert len(gathered) == 4
     assert sites == [1, 2, 2, 3]
 
 
 def test_boxes_come_with_the_image_that_they_were_found_in(sink):
-    sink.look()
+    sink.mark_watched()
     found, newest = (seen(np.full((30, 40, 3), v, np.uint8)) for v in (7, 9))
     around = ContextBoxes(
         np.array([[0, 0, 40, 30]], np.float32), np.ones(1, np.float32), np.zeros(1, np.int32),
@@ -106,7 +106,7 @@ def test_boxes_come_with_the_image_that_they_were_found_in(sink):
 
 def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
     """Two metres ahead; what the model was asked about besides is gone, or out of view."""
-    sink.look()
+    sink.mark_watched()
     there = ScoredCandidates(
         np.array([FRONTIER, FRONTIER, INSTANCE], np.int8), np.array([5, 6, 7]),
         np.array([[2, 0], [-2, 0], [2, 0]], np.float32), np.ones(3, np.float32),
@@ -117,17 +117,17 @@ def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
     )
     rgb = np.zeros((30, 40, 3), np.uint8)
     sink.tick(result(observation=seen(rgb), choice=choice, candidates=lambda: there))
-    ((letter, u, v),) = sink.shot.letters
+    ((letter, u, v),) = sink.shot.marks
     assert (letter, u) == ("B", pytest.approx(0.5, abs=0.02))
     assert 0.5 < v < 1.0
-    assert sink.moment.letters[6] == ("C", pytest.approx(0.3))
+    assert sink.snapshot.mark_letters[6] == ("C", pytest.approx(0.3))
 
 
 def test_what_is_told_of_tasks_is_numbered_and_driving_on_is_nothing_new(sink, clock):
-    sink.look()
+    sink.mark_watched()
     numbers = []
     for task in (None, looking(), driving(0), driving(50), driving(50, phase="reached"), None):
         clock.now_s += PERIOD_S
         sink.tick(result(task=lambda task=task: task))
-        numbers.append(sink.moment.n_tasks)
+        numbers.append(sink.snapshot.n_tasks)
     assert numbers == [0, 1, 2, 2, 3, 4]

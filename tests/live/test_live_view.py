@@ -40,7 +40,7 @@ def view() -> LiveView:
 
 def told(view: LiveView, path: str):
     page = view.pages()[path]()
-    assert page.kind == "application/json"
+    assert page.media_type == "application/json"
     return json.loads(page.body)
 
 
@@ -58,12 +58,12 @@ def full() -> dict:
     return {
         "status": MissionStatus("chair", "searching", EVIL, instruction=EVIL),
         "observation": observation(1), "pose": SE2(1, 2, 3), "goal": goal,
-        "answer": GoalStatus(1, "failed", EVIL), "events": (Event(1, EVIL),),
+        "goal_status": GoalStatus(1, "failed", EVIL), "events": (Event(1, EVIL),),
         "instances": lambda: [found], "candidates": lambda: scored,
         "objects": lambda: [KnownObject(1, EVIL, (1.0, 2.0, 0.5), 0.5, 3, 4.0)],
         "rooms": (KITCHEN,),
         "site": Site((Place("dock", SE2(1, 2, 0)), Zone("pit", "keep_out", PIT_M))),
-        "way": lambda: np.ones((5000, 2), np.float32), "health": lambda: HEALTH,
+        "path": lambda: np.ones((5000, 2), np.float32), "health": lambda: HEALTH,
         "layers": lambda: {"value of chair": lambda: Grid(np.full((2, 3), 9, np.uint8), (0, 0), 1)},
     }  # fmt: skip
 
@@ -91,7 +91,7 @@ def test_the_page_itself_is_public_and_nothing_else_is(view):
 
 
 def test_whatever_is_said_is_json_without_infinities(view):
-    view.sink.look()
+    view.sink.mark_watched()
     view.sink.tick(result(**full()))
     moment, story = told(view, "/live/now")["moment"], told(view, "/live/story")
     assert moment["instances"][0]["label"] == EVIL
@@ -112,7 +112,7 @@ def test_whatever_is_said_is_json_without_infinities(view):
 
 
 def test_layers_are_told_by_their_place_and_there_may_be_none(view):
-    view.sink.look()
+    view.sink.mark_watched()
     view.sink.tick(result(**full()))
     layer = told(view, "/live/layers/0")
     assert (layer["name"], layer["size"]) == ("value of chair", [3, 2])
@@ -120,7 +120,7 @@ def test_layers_are_told_by_their_place_and_there_may_be_none(view):
 
 
 def test_an_empty_map_has_no_picture(view):
-    view.sink.look()
+    view.sink.mark_watched()
     empty = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.05)
     view.sink.tick(result(snapshot=lambda inflated: empty))
     assert told(view, "/live/map")["png"] == ""
@@ -150,14 +150,14 @@ class Served:
     def __init__(self, queue: RequestQueue) -> None:
         self._queue = queue
 
-    def take(self, payload, reply) -> None:
-        self._queue.take(payload, reply)
+    def accept(self, payload, reply) -> None:
+        self._queue.accept(payload, reply)
         RequestQueue.serve(self._queue, 0)
 
 
 def test_a_task_is_told_once_and_how_far_it_is_driven_all_the_time(view):
     task = by_a_model(index=40)
-    view.sink.look()
+    view.sink.mark_watched()
     view.sink.tick(result(task=lambda: task))
     script = told(view, "/live/task")
     assert view.pages()["/live/task"]() is view.pages()["/live/task"]()
@@ -174,7 +174,7 @@ def test_a_task_is_told_once_and_how_far_it_is_driven_all_the_time(view):
 
 
 def test_before_it_is_written_it_has_no_lines(view):
-    view.sink.look()
+    view.sink.mark_watched()
     view.sink.tick(result(task=looking))
     script = told(view, "/live/task")
     assert (script["missing"], script["coarse"], script["refined"]) == (["van", "gate"], [], [])

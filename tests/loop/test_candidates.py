@@ -12,7 +12,7 @@ from mapping.mapping_twins import SMALL, complete, look, room
 from edge.geometry import SE2
 from edge.loop.candidates import CandidatePool
 from edge.mapping.grid import RollingMap
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates
+from edge.policies.base import FRONTIER, INSTANCE, SPIN, Candidates
 from edge.types import Instance
 
 
@@ -114,12 +114,12 @@ def test_a_turn_is_one_candidate_that_lasts_and_can_be_left_alone():
         return pool.candidates
 
     c = turn(0)
-    assert (c.n, c.kind[0], pool.shown.n) == (1, LOOK, 1)
+    assert (c.n, c.kind[0], pool.read_only.n) == (1, SPIN, 1)
     assert c.gain_m2[0] > 1.5
     assert 0.15 < c.path_m[0] < 0.15 * 6.3
     first = int(c.id[0])
     assert turn(1).id[0] == first
-    pool.discard(LOOK, first, tuple(c.xy_m[0].tolist()), until_ns=100)
+    pool.discard(SPIN, first, tuple(c.xy_m[0].tolist()), until_ns=100)
     assert turn(2).blocked[0]
     pool.update(frontiers((1, 0), (2, 0)), [], 3, 3)
     pool.add_spin(grid, pose, 1.3, 3)

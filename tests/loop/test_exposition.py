@@ -14,7 +14,7 @@ NASTY = ['say "hi"', "a\nb", "\\", "x" * 10_000, "\0\x1b[2J", "ß→", "", "a b\
 def read(*table: MetricSpec) -> dict[str, dict[tuple[str, ...], float]]:
     """Name of a sample → its labels' values → value, as Prometheus' own parser reads the page."""
     page = Exposition(lambda: families(table, None)).page()
-    assert page.kind.startswith("text/plain")
+    assert page.media_type.startswith("text/plain")
     found: dict[str, dict[tuple[str, ...], float]] = {}
     for family in text_string_to_metric_families(page.body.decode()):
         for sample in family.samples:

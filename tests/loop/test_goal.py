@@ -28,6 +28,7 @@ class Map:
     Attributes:
         asked: where to stop for an instance: how near, to how many points; nowhere is nearer than
             `least_m`, nor near to more than `most_points`.
+        view_m2: area that the view shows.
     """
 
     def __init__(self) -> None:
@@ -35,7 +36,8 @@ class Map:
         self.closed: list[tuple[float, float]] = []
         self.generation, self.closed_m = 7, []
         self.camera_yaw_rad, self.view, self.here = 0.0, None, HERE
-        self.reach = self.coverage = self.bumps = self
+        self.view_m2 = 0.0
+        self.travel_cost = self.coverage = self.bumps = self
         self.asked: list[tuple[float, int]] = []
         self.least_m, self.most_points = 0.0, 64
 
@@ -44,7 +46,7 @@ class Map:
             return None
         return x, y, math.hypot(x, y)
 
-    def approach(
+    def stopping_point(
         self, surface_m: np.ndarray, within_m: float, points: int
     ) -> tuple[float, float, float] | None:
         self.asked.append((within_m, points))
@@ -60,17 +62,23 @@ class Map:
         closed, self.closed_m = self.closed_m, []
         return bool(closed)
 
-    def start_over(self) -> None:
+    def restart_search(self) -> None:
         """Nothing was seen badly, but for `view`."""
 
     def search(self, reach) -> bool:
         return True
 
-    def worth(self, view: Viewpoint) -> bool:
+    def is_worth_it(self, view: Viewpoint) -> bool:
         return True
 
     def write_off(self, view: Viewpoint) -> None:
         self.view = None
+
+    def area_m2(self, view: Viewpoint) -> float:
+        return self.view_m2
+
+    def distance_m(self, x: float, y: float) -> float:
+        return math.hypot(x, y)
 
 
 class Things(dict):
@@ -81,7 +89,7 @@ class Things(dict):
     def confirmed(self, instance: Instance) -> bool:
         return instance.id in self.sure
 
-    def why(self, label: str, instance: Instance) -> str:
+    def reason_for(self, label: str, instance: Instance) -> str:
         return ""
 
     def mark_reached(self, instance_id: int) -> None:
@@ -97,8 +105,8 @@ class Things(dict):
 class Mission:
     """Stays at its target, as one that asks for two chairs."""
 
-    target, turns, forbidden, done = "chair", 1, (), False
-    brief = SimpleNamespace(steps=None)
+    target, retargets, forbidden, done = "chair", 1, (), False
+    spec = SimpleNamespace(steps=None)
 
     def __init__(self) -> None:
         self.arrivals: list[str] = []
@@ -143,7 +151,7 @@ class Case:
         c.n = len(entries)
         for i, (kind, id, x, y, score) in enumerate(entries):
             c.kind[i], c.id[i], c.xy_m[i], self.score[i] = kind, id, (x, y), score
-            c.sure[i] = id in sure
+            c.confirmed[i] = id in sure
             c.first_seen_ns[i] = int(since_s * S) + self._ahead_ns
             if kind == INSTANCE:
                 points = np.array([[x, y, 0.5], [x + 1.0, y, 0.5]], np.float32)
@@ -162,15 +170,15 @@ class Case:
 
     def _tick(self, pose: SE2, images: int):
         goal = self.goals.choose(self.context(pose), self.map, self.score, images)
-        self.goals.tell(self.mission, pose, self.now_ns)
+        self.goals.send_pending(self.mission, pose, self.now_ns)
         return goal
 
     def answer(self, state: str, reason: str = "") -> None:
-        self.goals.answered(GoalStatus(self.goals.goal.stamp_ns, state, reason))
+        self.goals.on_goal_status(GoalStatus(self.goals.goal.stamp_ns, state, reason))
 
     def judge(self, images: int = 0, pose: SE2 = HERE, after_s: float = 0.0) -> None:
         self.now_ns += int(after_s * S)
-        self.goals.judge(self.map, pose, self.mission, images, self.now_ns)
+        self.goals.check_progress(self.map, pose, self.mission, images, self.now_ns)
 
     def turn(self, pose: SE2 = HERE) -> Goal:
         """Return the next spin, which comes after one second without a candidate."""
@@ -260,7 +268,7 @@ def test_what_cannot_be_reached_is_passed_over():
 def test_an_instance_that_is_none_any_more_is_passed_over(gone):
     case = Case()
     case.choose(chair(9, 3.0, 0.5))
-    case.goals.drop()
+    case.goals.abandon()
     if gone == "rejected":
         case.things.reject(9)
     else:
@@ -335,6 +343,45 @@ def test_what_was_seen_badly_is_looked_at_again_from_one_view():
     assert case.tick(images=60) is goal
     assert case.tick(images=60 + simulated().perception.confirm_hits) is None
     assert (case.goals.views, case.goals.exhausted) == (1, True)
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "view_m2", "gain_m2", "expected"),
+    [
+        (True, 4.0, 0.5, "spin"),
+        # A frontier that shows more per metre comes first.
+        (True, 1.0, 3.0, "frontier"),
+        # A mistake tells nothing about known space.
+        (False, 4.0, 0.5, "frontier"),
+    ],
+)
+def test_if_a_confirmed_object_has_moved_known_space_is_searched(
+    confirmed, view_m2, gain_m2, expected
+):
+    case, there = Case(), SE2(2.5, 0.0, 0.0)
+    case.things.sure = (9,) if confirmed else ()
+    case.pool.candidates.path_m[:] = 1.0
+    case.pool.candidates.gain_m2[:] = gain_m2
+    case.map.view, case.map.view_m2 = Viewpoint(1.0, 0.0, 0.5), view_m2
+    case.choose(chair(9, 3.0, 0.8))
+    case.answer("reached")
+    case.goals.check_progress(case.map, there, case.mission, 0, case.now_ns, lambda _: False)
+    case.now_ns += 3 * S
+    case.goals.check_progress(case.map, there, case.mission, 9, case.now_ns, lambda _: False)
+    assert case.things[9].state == "rejected"
+    goal = case.choose(frontier(1, 3.0, 0.5))
+    assert goal.kind == expected
+    assert case.choose(frontier(1, 3.0, 0.5)) is goal
+    # Another such object is gone to before.
+    assert who(case.choose(frontier(1, 3.0, 0.5), chair(8, -3.0, 0.1))) == ("instance", 8)
+
+
+@pytest.mark.parametrize(("reach_m", "stop_m"), [(0.9, 0.85), (1.0, 0.85), (0.6, 0.55)])
+def test_the_robot_stops_where_it_has_reached_the_object(reach_m, stop_m):
+    case = Case()
+    case.goals.reconfigure(simulated({"mission": {"reach_m": reach_m}}))
+    case.choose(chair(9, 3.0, 0.8))
+    assert case.map.asked[0][0] == pytest.approx(stop_m)
 
 
 @pytest.mark.parametrize(("explored", "chances"), [(False, 4), (True, 1)])
@@ -479,7 +526,7 @@ def test_every_arrival_is_verified_afresh(between):
     case.answer("reached")
     case.judge(0, there)
     if between == "dropped":
-        case.goals.drop()
+        case.goals.abandon()
         case.choose(chair(9, 3.0, 0.8), after_s=3.0)
     else:
         case.choose(chair(9, 3.0, 0.1), chair(8, 3.0, 0.8, y=0.1), sure=(8,), after_s=3.0)
@@ -491,7 +538,7 @@ def test_every_arrival_is_verified_afresh(between):
     assert "rejected" in [thing.state for thing in case.things.values()]
 
 
-def test_a_stop_beside_what_must_not_be_reached_is_told_once_before():
+def test_a_stop_next_to_what_must_not_be_reached_is_told_once_before():
     case, told = Case(), []
     point = np.array([[3.4, 0.0, 0.5]], np.float32)
     lamp = Instance(5, "lamp", point[0], point, 0.8, 3, 0, 0)

@@ -18,7 +18,7 @@ class Coverage:
         self.left, self.shown = list(views), set()
         self.steps, self._calls = steps, 0
 
-    def start_over(self) -> None:
+    def restart_search(self) -> None:
         self._calls = 0
 
     def search(self, reach) -> bool:
@@ -26,7 +26,7 @@ class Coverage:
         self.view = self.left[0] if self.left else None
         return self._calls >= self.steps
 
-    def worth(self, view: Viewpoint) -> bool:
+    def is_worth_it(self, view: Viewpoint) -> bool:
         return view not in self.shown
 
     def write_off(self, view: Viewpoint) -> None:
@@ -38,7 +38,7 @@ class Case:
 
     def __init__(self, *views: Viewpoint, steps: int = 1) -> None:
         self.coverage = Coverage(*views, steps=steps)
-        self.map = SimpleNamespace(coverage=self.coverage, reach=None)
+        self.map = SimpleNamespace(coverage=self.coverage, travel_cost=None)
         self.survey = NextBestView(ENOUGH)
         self.images = 0
 
@@ -56,7 +56,7 @@ def test_a_view_stands_until_it_was_looked_at_often_enough():
     assert case.choose() is A
     for images in (100, 101, 102):
         case.images = images
-        case.survey.came(images)
+        case.survey.on_arrived(images)
         assert case.choose() is A
     case.images = 103
     assert case.choose() is None

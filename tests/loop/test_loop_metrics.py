@@ -119,7 +119,7 @@ def test_no_text_of_others_is_a_label():
     watched = Watched().watch()
     watched.running.service.mission._instruction = MISSION
     watched.running.service.mission.target = MISSION
-    watched.running.service.faults.on_error("source", ValueError(MISSION), 0)
+    watched.running.service.error_boundary.on_error("source", ValueError(MISSION), 0)
     page = watched.page()
     assert "xxxx" not in page
     assert 'edge_faults_by_step_total{error="ValueError",step="source"} 1.0' in page
@@ -197,7 +197,7 @@ def test_scrapes_from_another_thread_while_the_loop_drives_and_its_pose_jumps():
     for i in range(30):
         watched.closed.step()
         watched.running.source.counters[f"reason {i}"] = i
-        watched.running.service.faults.on_error(f"step {i}", ValueError(), 0)
+        watched.running.service.error_boundary.on_error(f"step {i}", ValueError(), 0)
         if i % 10 == 9:
             watched.running.service.on_pose_jump(0)
     stop.set()

@@ -52,7 +52,7 @@ def prior(by: str) -> LocationPrior:
 
 def lifts(p: LocationPrior, target: str, *places: tuple[float, float]) -> list[float]:
     xy_m, out = np.array(places, np.float32).reshape(-1, 2), np.full(9, 7, np.float32)
-    p.lift(target, xy_m, len(places), out)
+    p.likelihood_ratio(target, xy_m, len(places), out)
     assert (out[len(places) :] == 7).all()
     return out[: len(places)].tolist()
 
@@ -163,7 +163,7 @@ def test_a_layer_is_of_when_it_was_asked_for_and_leaves_the_rest_alone():
     things = seen(("toilet paper", 1, 0))
     p.step(view, things)
     at = (0.5, 0.5)
-    before, (looked_at, kept) = lifts(p, "toilet", at), (p._xy_m, p._lifts["toilet"])
+    before, (looked_at, kept) = lifts(p, "toilet", at), (p._xy_m, p._ratios["toilet"])
     early, same = p.layer("toilet"), p.layer("toilet")
     assert early is same  # nothing has changed: it is drawn once
     things.xyz_m[:], things.confidence[:] = 99.0, 0.0
@@ -171,6 +171,6 @@ def test_a_layer_is_of_when_it_was_asked_for_and_leaves_the_rest_alone():
     drawn = early()
     assert drawn.cells.max() > 128
     assert p._xy_m is looked_at
-    assert p._lifts["toilet"] is kept
+    assert p._ratios["toilet"] is kept
     assert before == kept.tolist()
     assert not p.layer("toilet")().cells.size

@@ -72,8 +72,8 @@ def test_a_place_is_named_listed_used_and_removed(there_and_back):
     here = loop.service.site.site.place("charger")
     assert here.pose.distance_to(*START) < 0.5
     mission = loop.config.mission
-    brief = prepare(mission, "go to the charger", site=loop.service.site.known)
-    assert brief.translation.destinations == {"charger": PlaceTarget(here.pose)}
+    spec = prepare(mission, "go to the charger", site=loop.service.site.known)
+    assert spec.translation.destinations == {"charger": PlaceTarget(here.pose)}
     assert ask(loop, '{"do": "remove", "name": "charger"}')["text"] == "removed: charger"
     with pytest.raises(UserError, match="no place or zone 'charger'"):
         ask(loop, '{"do": "remove", "name": "charger"}')

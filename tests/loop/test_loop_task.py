@@ -39,9 +39,9 @@ def closed(task: str | None = STRAIGHT, **sections: dict) -> ClosedLoop:
 
 def ask(loop: ClosedLoop, do: str, **fields: object) -> dict:
     fields = mission_verbs(prepare_mission)[do].read(fields) if do == "new" else fields
-    brief = prepare_mission(loop.config, **fields) if do == "new" else None
+    spec = prepare_mission(loop.config, **fields) if do == "new" else None
     return handle_mission(
-        loop.service, Request(do, fields, prepared=brief), loop.drive.motion.stamp_ns
+        loop.service, Request(do, fields, prepared=spec), loop.drive.motion.stamp_ns
     )
 
 
@@ -67,7 +67,7 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look(at_the_oven):
     mission = loop.service.mission
     assert loop.service.status.phase == "reached", loop.notes.events
     assert mission.reached == ()
-    kinds = [step.kind for step in mission.steps]
+    kinds = [step.kind for step in mission.log]
     assert kinds[:4] == ["start", "target", "seen", "trajectory"]
     assert kinds[-1] == "end"
     assert loop.distance_m("oven") <= 1.0
@@ -92,7 +92,7 @@ def test_what_it_stops_at_is_made_sure_of_or_left_for_another(task, monkeypatch)
 
 def test_what_is_too_far_off_to_make_sure_of_is_taken_for_it():
     loop = closed(TO_THE_OVEN, perception={"confirm_range_m": 0.2}).run(200)
-    assert not loop.service.map.tracker.of("oven", sure=True)
+    assert not loop.service.map.tracker.of("oven", only_confirmed=True)
     assert any("too far to verify, accepted" in event for event in loop.notes.events)
     assert loop.service.status.phase == "reached", loop.notes.events
 
@@ -263,10 +263,10 @@ def test_after_a_restart_a_task_goes_on_with_the_first_step_that_was_not_driven(
     loop.step()
     loop.service.checkpoint.close()
     again = ServiceCheckpoint(config, tmp_path / "c", None)
-    brief = again.saved_spec()
-    assert (brief.targets, brief.translation.instruction) == (("oven",), task)
+    spec = again.saved_spec()
+    assert (spec.targets, spec.translation.instruction) == (("oven",), task)
     loop.service = Service(
-        config, brief, loop.worker, make_policy(config.policy, config.path), [loop.notes], again
+        config, spec, loop.worker, make_policy(config.policy, config.path), [loop.notes], again
     )
     assert loop.service.mission.elapsed_s > 1.0
     assert states(loop) == ["driven", "looked for"]

@@ -125,7 +125,7 @@ def test_a_wall_clock_that_is_set_does_not_end_a_mission(monkeypatch):
 
 
 @pytest.mark.parametrize("steps_s", [(1.0, -400.0, 1.0), (1.0, 1e9, 1.0), (1.0, -3e9, 2.5e9)])
-def test_a_sensor_clock_that_is_set_anew_neither_turns_lockstep_back_nor_ahead(steps_s):
+def test_a_sensor_clock_that_is_set_again_neither_turns_lockstep_back_nor_ahead(steps_s):
     """Else what waits until a time waits for ever, or a mission is over by its limit."""
     run, stop, times = running(True, time_limit_s=300.0), threading.Event(), []
     run.service.tick = lambda observation, now_ns: times.append(now_ns)
@@ -154,15 +154,15 @@ def broken(*_, **__) -> None:
 
 BREAKS: dict[str, Callable[[RunningService], tuple[object, str]]] = {
     "ingest": lambda run: (run.service, "on_pose_jump"),
-    "check": lambda run: (run.service.plausibility, "judge"),
+    "check": lambda run: (run.service.plausibility, "permitted_use"),
     "detect": lambda run: (run.service._worker, "submit"),
     "map": lambda run: (run.service, "_map"),
-    "lift": lambda run: (run.service.map._lifter, "lift"),
+    "lift": lambda run: (run.service.map._back_projector, "back_project"),
     "candidates": lambda run: (run.service.map, "gather"),
     "score": lambda run: (run.service.policy, "score"),
     "plan": lambda run: (run.service.mission, "observe"),
     "select": lambda run: (run.service.goals, "choose"),
-    "publish": lambda run: (run.service.goals, "tell"),
+    "publish": lambda run: (run.service.goals, "send_pending"),
 }
 
 
@@ -283,7 +283,7 @@ def test_a_sink_that_fails_costs_the_others_nothing():
     seen = blanks(closed, DEGRADED_AFTER)
     run_out(running_of(closed, seen), seen)
     assert len(sinks[1].stamps_ns) == DEGRADED_AFTER
-    said = closed.service.faults.status()
+    said = closed.service.error_boundary.status()
     assert said["state"] == "degraded"
     assert said["failures"]["BadSink.tick: ZeroDivisionError"] == DEGRADED_AFTER
     assert closed.service.latency.report().tick.drops == 0
@@ -338,7 +338,7 @@ def test_whatever_fails_around_the_ticks_the_loop_goes_on(
     monkeypatch.setattr(owner, method, sometimes)
     loop(run, stop, each=lambda: stop.set() if ticks(run) else None)
     assert ticks(run) == 1
-    assert run.service.faults.failures == {f"{step}: ZeroDivisionError": min(len(beats), 2)}
+    assert run.service.error_boundary.failures == {f"{step}: ZeroDivisionError": min(len(beats), 2)}
 
 
 def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
@@ -354,4 +354,4 @@ def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
     monkeypatch.setattr(run.service, "on_goal_status", hear)
     run_out(run, run.source.observations)
     assert heard == [1, 2, 3]
-    assert run.service.faults.failed == 1
+    assert run.service.error_boundary.failed == 1

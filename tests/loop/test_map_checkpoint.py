@@ -63,11 +63,11 @@ class Run(ClosedLoop):
         """Return a service that reads the checkpoint."""
         settings = settings or self.config
         checkpoint = ServiceCheckpoint(settings, self.path, None)
-        brief = checkpoint.saved_spec() or self.service.mission.brief
-        detector = make_detector(settings.perception, brief.prompts, truth=self.truth)
+        spec = checkpoint.saved_spec() or self.service.mission.spec
+        detector = make_detector(settings.perception, spec.prompts, truth=self.truth)
         worker = DetectorWorker(detector, inline=True)
         policy = make_policy(settings.policy)
-        return Service(settings, brief, worker, policy, [self.notes], checkpoint)
+        return Service(settings, spec, worker, policy, [self.notes], checkpoint)
 
     def ticks(self, n: int) -> Run:
         for _ in range(n):
@@ -143,7 +143,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
         assert [(i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in one.map.tracker.all] == [
             (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.map.tracker.all
         ]
-        assert one.map.sightings.shown.n == other.map.sightings.shown.n
+        assert one.map.objects.read_only.n == other.map.objects.read_only.n
     nowhere = StampedPose(SE2(0, 0, 0), 0, 0)
     mine, its = (
         state_of(MapParts(s.map, s.goals, s.policy), nowhere, "", (), "") for s in (one, other)
@@ -209,7 +209,7 @@ def test_a_disk_that_takes_nothing_costs_only_the_checkpoint(tmp_path, caplog):
         idle(run.service.checkpoint)
     assert run.service.checkpoint.status()["problem"] == "Is a directory"
     assert sum("not written" in message for message in caplog.messages) == 1
-    assert run.service.faults.failed == 0
+    assert run.service.error_boundary.failed == 0
     assert run.service.goal is not None
     (tmp_path / ".m.json.map.tmp").rmdir()
     run.killed()
@@ -296,12 +296,12 @@ def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
     run = Run(tmp_path / "m.json", config()).ticks(40)
     run.service.mission.fail("told to", run.drive.motion.stamp_ns)
     run.ticks(1)
-    known_m2, things = run.service.map.grid.known_m2, len(run.service.map.sightings.shown.id)
+    known_m2, things = run.service.map.grid.known_m2, len(run.service.map.objects.read_only.id)
     run.killed()
     assert run.service.checkpoint.saved is None
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
     assert run.service.map.grid.known_m2 >= known_m2 > 0
-    assert len(run.service.map.sightings.shown.id) == things
+    assert len(run.service.map.objects.read_only.id) == things
     # For the new mission nothing was looked at: only what this one image shows now.
     assert run.service.map.grid.coverage.looks.max(initial=0) <= 1
     run.service.checkpoint.close()

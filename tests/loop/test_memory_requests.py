@@ -117,7 +117,7 @@ def test_what_is_no_request_is_refused(payload, message):
 def test_pictures_survive_a_restart(loop, tmp_path):
     path, crops = tmp_path / "mission.json.crops", loop.service.map.crops
     first = CropCheckpoint(path)
-    first.note(crops, 0)
+    first.save_if_changed(crops, 0)
     first.close(crops)
     again, loaded = CropCheckpoint(path), CropStore()
     again.restore(loaded)

@@ -194,7 +194,7 @@ class Judge:
         """Judge the next observation; "" where it is good."""
         self.now_ns += after_ns
         seen = Observation(0, self.now_ns, pose.matrix(), **fields)
-        return self.stage.judge(seen, self.now_ns)
+        return self.stage.permitted_use(seen, self.now_ns)
 
     def failing(self) -> list[str]:
         return [found.name for found in self.stage.failed]

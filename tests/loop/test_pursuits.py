@@ -61,7 +61,7 @@ def test_a_wait_ends_when_a_person_says_so_and_has_no_limit(tmp_path):
     steps(loop, 0.5)
     ask(loop, "resume")
     steps(loop, 0.5)
-    assert loop.service.mission.waits
+    assert loop.service.mission.waiting
     ask(loop, "resume")
     loop.step()
     assert "reached: wait (told to go on)" in loop.notes.events
@@ -105,7 +105,7 @@ def test_a_check_goes_to_where_the_thing_was_and_does_not_trust_its_memory(tmp_p
     assert status.reason.startswith("no, there is no piano: explored all reachable space")
     kinds = [goal.kind for goal in loop.notes.goals]
     assert "instance" in kinds
-    assert loop.service.map.tracker.of("piano", sure=True) == []
+    assert loop.service.map.tracker.of("piano", only_confirmed=True) == []
 
 
 NAMED = Site((RoomName("workshop", (2.0, 2.0)), RoomName("bedroom", (6.0, 2.0))))
@@ -115,8 +115,8 @@ def in_rooms(folder: Path, formula: str) -> ClosedLoop:
     """Return a loop in the small house whose two rooms have names."""
     loop = loop_of(folder, "F start")
     loop.service.change_site(NAMED, loop.drive.motion.stamp_ns)
-    brief = prepare(loop.config.mission, formula=formula, site=NAMED)
-    loop.service.begin(brief, loop.drive.motion.stamp_ns)
+    spec = prepare(loop.config.mission, formula=formula, site=NAMED)
+    loop.service.begin(spec, loop.drive.motion.stamp_ns)
     return loop
 
 
@@ -141,6 +141,17 @@ def test_a_check_in_a_room_looks_only_there(formula, answer, tmp_path):
     status = in_rooms(tmp_path, formula).run(150).service.status
     assert status.phase == "reached", status
     assert re.match(answer, status.reason), status.reason
+
+
+@pytest.mark.parametrize(("thing", "phase"), [("sofa", "reached"), ("bed", "failed")])
+def test_a_thing_in_a_named_room_is_only_that(thing, phase, tmp_path):
+    den = Site((RoomName("den", (2.0, 2.0)),))
+    loop = loop_of(tmp_path, "F start")
+    loop.service.change_site(den, loop.drive.motion.stamp_ns)
+    brief = prepare(loop.config.mission, formula=f'F "{thing} in the den"', site=den)
+    loop.service.begin(brief, loop.drive.motion.stamp_ns)
+    loop.run(120)
+    assert loop.service.status.phase == phase, loop.service.status
 
 
 def test_a_check_that_finds_nothing_tells_where_the_thing_was_before(tmp_path):
@@ -178,8 +189,8 @@ def test_it_patrols_for_some_time_and_tells_the_round(tmp_path):
     fields = mission_verbs(prepare)["new"].read({"formula": "F (dock & F shelf)", "for_s": 40})
     repeat = fields["repeat"]
     formula, now_ns = fields["formula"], loop.drive.motion.stamp_ns
-    brief = prepare(loop.config.mission, formula=formula, repeat=repeat, site=site)
-    loop.service.begin(brief, now_ns)
+    spec = prepare(loop.config.mission, formula=formula, repeat=repeat, site=site)
+    loop.service.begin(spec, now_ns)
     steps(loop, 20.0)
     assert re.fullmatch(r"round [23], \d\d s left", loop.service.status.reason)
     loop.run(60.0)

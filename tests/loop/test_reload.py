@@ -53,7 +53,7 @@ class Bench:
         assert self.reloader.busy
 
         def over() -> bool:
-            self.service.swapper.step(0)
+            self.service.detector_swap.step(0)
             self.reloader.step(0)
             return not self.reloader.busy
 
@@ -184,7 +184,7 @@ def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, m
     bench.reloader.step(0)
     assert bench.reloader.outcome == "switched: perception.detector, perception.tau_det"
     assert bench.service.map.tracker.config.tau_det == 0.4
-    assert bench.service.swapper.perception is new.perception
+    assert bench.service.detector_swap.perception is new.perception
 
 
 @pytest.mark.parametrize(
@@ -209,13 +209,13 @@ def test_while_another_model_comes_all_may_change_but_the_detector(
     assert bench.reload(config(perception={"tau_det": 0.4})) == "switched: perception.tau_det"
 
 
-def test_a_real_detector_is_made_anew_beside_the_one_at_work():
+def test_a_real_detector_is_made_again_next_to_the_one_at_work():
     first = load("demo").model_dump(exclude={"path"})
     first["loop"]["lockstep"] = first["sim"]["lockstep"] = True
     first["perception"]["isolation"] = "thread"
     first["perception"]["swap"] = {"probation": 4, "budget_ms": 1e6}
     bench = Bench(parse(first))
-    before = bench.service.swapper._worker.detector
+    before = bench.service.detector_swap._worker.detector
     first["perception"]["detector"]["tau_vl"] = 0.5
     new = parse(first)
     bench.reads = lambda: new
@@ -223,12 +223,12 @@ def test_a_real_detector_is_made_anew_beside_the_one_at_work():
 
     def over() -> str:
         bench.closed.step()  # the trial wants images, before it is loaded and after
-        bench.service.swapper.step(0)
+        bench.service.detector_swap.step(0)
         bench.reloader.step(0)
         return bench.reloader.outcome
 
     assert eventually(over) == "switched: perception.detector.tau_vl"
-    after = bench.service.swapper._worker.detector
+    after = bench.service.detector_swap._worker.detector
     assert after is not before
     assert (after.name, after.config.tau_vl) == (before.name, 0.5)
     bench.service.close()

@@ -97,7 +97,7 @@ def test_an_unfinished_mission_goes_on_unless_another_is_asked_for(
     save(tmp_path / "mission.json", Checkpoint(UNFINISHED), MISSION)
     settings = config(instruction="go to the sofa", checkpoint=str(tmp_path / "mission.json"))
     with open_service(settings, [], asked, formula) as running:
-        assert running.service.mission.brief.translation.instruction == expected
+        assert running.service.mission.spec.translation.instruction == expected
 
 
 NOWHERE = "no_such_module:A"

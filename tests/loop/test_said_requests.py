@@ -77,7 +77,7 @@ def test_stop_is_as_urgent_as_the_verb_for_it():
 
     said = ("Stop, please!", "go on", "cancel that", "stop at the bed")
     assert [read(one) for one in said] == ["pause", "resume", "cancel", "new"]
-    assert verbs["pause"].stops
+    assert verbs["pause"].stops_robot
     plain = mission_verbs(lambda **texts: texts)
     assert read_request(b'{"do": "new", "instruction": "stop"}', plain)[0] == "new"
 

@@ -42,7 +42,7 @@ class Failing:
 
     name = "words"
 
-    def look(self, question):
+    def prepare(self, question):
         raise ModelError("model words: no answer within 5 s")
 
     def close(self):
@@ -54,7 +54,7 @@ def request(loop, **fields):
     verb = MODEL_VERBS[do]
     fields = verb.read(fields)
     prepared = verb.prepare(fields) if verb.prepare else None
-    swapper = loop.service.swapper
+    swapper = loop.service.detector_swap
     return handle_model(swapper, Request(do, fields, prepared=prepared), 0, loop.scorers)
 
 

@@ -53,7 +53,7 @@ class Case:
         self.grid, self.tracker = RollingMap(config.mapping), InstanceTracker(config.perception)
         start = seen_from(SE2(0.0, 0.0, 0.0))
         self.grid.update_depth(start.depth_m, CAMERA, start.T_map_base, MOUNT)
-        self.grid.values.begin(targets)
+        self.grid.values.set_targets(targets)
 
     def ask(self, pose: SE2, candidates: Candidates, seq: int = 1, prior=None) -> None:
         seen, values = seen_from(pose, seq), self.grid.values
@@ -73,7 +73,7 @@ class Chooser:
     def __init__(self, thinking: threading.Event | None = None) -> None:
         self.thinking, self.asked = thinking, []
 
-    def look(self, view):
+    def prepare(self, view):
         self.asked.append(view.target)
         return view
 
@@ -91,7 +91,7 @@ class Chooser:
 def test_a_late_answer_is_written_where_it_was_asked():
     """Meanwhile the robot has turned round and the frontiers are others."""
     done = threading.Event()
-    case = Case(Scorers(None, Chooser(done), feeds="choice"))
+    case = Case(Scorers(None, Chooser(done), value_source="choice"))
     case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0), (3.0, -1.0)))
     case.ask(SE2(0.0, 0.0, math.pi), frontiers((-3.0, 0.0)), seq=2)
     case.scorers.collect_answers(case.grid.values)
@@ -109,7 +109,7 @@ def test_a_late_answer_is_written_where_it_was_asked():
 
 
 def test_an_idle_service_ends_the_probation_of_another_model():
-    case = Case(Scorers(None, Chooser(), feeds="choice", remake=lambda card: Chooser()))
+    case = Case(Scorers(None, Chooser(), value_source="choice", remake=lambda card: Chooser()))
     swap, values = case.scorers.swap, case.grid.values
     swap.request("other")
     eventually(lambda: case.scorers.collect_answers(values) or swap.state == "on probation")
@@ -122,9 +122,9 @@ def test_an_idle_service_ends_the_probation_of_another_model():
 
 def test_what_was_asked_before_the_pose_jumped_is_not_written():
     done = threading.Event()
-    case = Case(Scorers(None, Chooser(done), feeds="choice"))
+    case = Case(Scorers(None, Chooser(done), value_source="choice"))
     case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)))
-    case.scorers.forget()
+    case.scorers.discard_pending()
     done.set()
     eventually(lambda: case.scorers._choice.idle)
     case.scorers.collect_answers(case.grid.values)
@@ -141,7 +141,7 @@ def test_what_was_asked_before_the_pose_jumped_is_not_written():
 )
 def test_every_target_is_asked_about_the_active_one_most(feeds, asked):
     chooser = Chooser()
-    case = Case(Scorers(None, chooser, inline=True, feeds=feeds), ("sofa", "bed", "lamp"))
+    case = Case(Scorers(None, chooser, inline=True, value_source=feeds), ("sofa", "bed", "lamp"))
     for seq in range(6):
         case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)), seq=seq)
         case.scorers.collect_answers(case.grid.values)
@@ -189,7 +189,7 @@ class Favour:
     def __init__(self, x_m: float, y_m: float, lift: float) -> None:
         self.at, self.much = (x_m, y_m), lift
 
-    def lift(self, target, xy_m, n, out) -> None:
+    def likelihood_ratio(self, target, xy_m, n, out) -> None:
         near = np.hypot(*(xy_m[:n] - np.float32(self.at)).T) < 0.5
         out[:n] = np.where(near, self.much, 1.0)
 
@@ -199,7 +199,7 @@ class Favour:
 )
 def test_the_prior_chooses_as_a_model_would(lift, p, elsewhere):
     """Its share of all lifts, "elsewhere" being average; S has the odds of the best direction."""
-    scorers = Scorers(None, PriorChoice(), feeds="choice")  # at once, though not inline
+    scorers = Scorers(None, PriorChoice(), value_source="choice")  # at once, though not inline
     case = Case(scorers)
     left, right = (3.0, 1.0), (3.0, -1.0)
     case.ask(SE2(0.0, 0.0, 0.0), frontiers(left, right), prior=Favour(*right, lift))
@@ -214,7 +214,7 @@ def test_the_prior_chooses_as_a_model_would(lift, p, elsewhere):
 
 
 def test_without_a_prior_there_is_no_choice_by_it():
-    scorers = Scorers(None, PriorChoice(), feeds="choice")
+    scorers = Scorers(None, PriorChoice(), value_source="choice")
     case = Case(scorers)
     case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)))
     scorers.collect_answers(case.grid.values)
@@ -251,7 +251,7 @@ def test_a_robot_without_any_server_finds_things_by_related_ones(policy, percept
     said = values.value.copy()
     assert said.max() > 0
     service.begin(prepare(config.mission, "go to the bed, then to the television"), START_NS)
-    assert service.mission.brief.targets == ("bed", "television")
+    assert service.mission.spec.targets == ("bed", "television")
     np.testing.assert_array_equal(values.value[..., 1:], said)
     loop.step()
     service.on_pose_jump(loop.drive.motion.stamp_ns)

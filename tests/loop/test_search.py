@@ -45,8 +45,8 @@ def room(folder: Path, formula: str, **sections: dict) -> Config:
 
 def begin(loop: ClosedLoop, formula: str) -> ClosedLoop:
     """Another mission, to its end."""
-    brief = prepare(loop.config.mission, formula=formula)
-    loop.service.begin(brief, loop.drive.motion.stamp_ns)
+    spec = prepare(loop.config.mission, formula=formula)
+    loop.service.begin(spec, loop.drive.motion.stamp_ns)
     for _ in range(3000):
         loop.step()
         if loop.service.status.done:
@@ -86,8 +86,8 @@ def test_a_mission_that_begins_or_a_pause_ends_looking_again(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F surfboard"), colour=False)
     while loop.service.goals.views == 0:
         loop.step()
-    brief = prepare(loop.config.mission, formula="F piano")
-    loop.service.begin(brief, loop.drive.motion.stamp_ns)
+    spec = prepare(loop.config.mission, formula="F piano")
+    loop.service.begin(spec, loop.drive.motion.stamp_ns)
     assert loop.service.goals.views == 0
     while loop.service.goals.views == 0:
         loop.step()
@@ -123,8 +123,8 @@ def test_without_instance_points_an_episode_ends_at_what_was_confirmed_in_passin
             assert tracker.confirmed(tracker.get(goal.candidate_id))
     assert loop.service.status.phase == "reached", loop.service.status
     assert loop.distance_m(loop.service.mission.target) <= 1.0
-    reached = {step.label for step in loop.service.mission.steps if step.kind == "reached"}
-    assert reached == set(loop.service.mission.brief.targets)
+    reached = {step.label for step in loop.service.mission.log if step.kind == "reached"}
+    assert reached == set(loop.service.mission.spec.targets)
 
 
 @pytest.mark.parametrize("mount", [{"yaw_deg": 40.0, "roll_deg": 8.0}, {"yaw_deg": -60.0}])

@@ -71,7 +71,9 @@ def test_every_goal_is_a_free_reachable_cell():
         for goal in loop.notes.goals[before:]:
             if goal.kind != "spin":
                 assert loop.service.map.grid.state_at(goal.pose.x_m, goal.pose.y_m) == 0
-                assert loop.service.map.grid.reach.distance_m(goal.pose.x_m, goal.pose.y_m) < 1e6
+                assert (
+                    loop.service.map.grid.travel_cost.distance_m(goal.pose.x_m, goal.pose.y_m) < 1e6
+                )
     assert loop.notes.goals
 
 
@@ -82,7 +84,7 @@ def test_a_result_says_the_same_later():
 
     def told() -> tuple:
         things = [(i.score, i.hits, i.state, i.points_m.tolist()) for i in result.instances()]
-        steps = result.mission().steps
+        steps = result.mission().log
         return things, steps, result.mission().reached, result.frontiers().tolist()
 
     before = told()
@@ -177,7 +179,7 @@ def waiting(how: str) -> ClosedLoop:
         loop.service.mission.restore((), (), (), 4.0, 0.0, False)
     elif how == "asked for while blind":
         loop.step()
-        loop.service.begin(loop.service.mission.brief, START_NS + TICK_NS)
+        loop.service.begin(loop.service.mission.spec, START_NS + TICK_NS)
     return loop
 
 
@@ -220,7 +222,7 @@ def test_the_end_of_a_mission_stops_a_driving_robot_once(blind):
 def test_a_goal_that_nothing_replaces_is_taken_back_after_a_while(ticks_without, stops):
     loop = driving()
     choose, before = loop.service.goals.choose, len(loop.notes.goals)
-    loop.service.goals.choose = lambda *_: loop.service.goals.drop()
+    loop.service.goals.choose = lambda *_: loop.service.goals.abandon()
     for _ in range(ticks_without):
         loop.step()
     assert [g.kind for g in loop.notes.goals[before:]] == ["spin"] * stops
@@ -235,8 +237,10 @@ def test_a_stamp_that_went_through_a_double_is_that_of_its_goal(off_ns, caplog):
     service = ClosedLoop(config(mission={"target": "surfboard"}), colour=False).run(3).service
     stamp_ns = service.goal.stamp_ns
     service.on_goal_status(GoalStatus(stamp_ns + off_ns, "accepted", "rounded"))
-    assert service.goals.answer == GoalStatus(stamp_ns, "accepted", "rounded")
-    assert service._publisher.answers[-1].stamp_ns == stamp_ns  # by which it is not sent again
+    assert service.goals.goal_status == GoalStatus(stamp_ns, "accepted", "rounded")
+    assert (
+        service._publisher.goal_statuses[-1].stamp_ns == stamp_ns
+    )  # by which it is not sent again
     assert "goal_status" not in caplog.text
 
 
@@ -347,11 +351,11 @@ def test_the_steady_tick_allocates_no_large_arrays(watched, monkeypatch):
 def test_a_result_tells_of_candidates_the_way():
     loop = ClosedLoop(config(mission={"target": "bed"}), colour=False)
     nothing = loop.service.result()
-    assert (len(nothing.candidates().score), len(nothing.way())) == (0, 0)
+    assert (len(nothing.candidates().score), len(nothing.path())) == (0, 0)
     for _ in range(10):
         loop.step()
     told = loop.service.result()
-    there, way, goal = told.candidates(), told.way(), told.goal
+    there, way, goal = told.candidates(), told.path(), told.goal
     assert goal.candidate_id in there.id
     assert {len(part) for part in there} == {loop.service.map.pool.candidates.n}
     assert goal.pose.distance_to(*map(float, way[-1])) < 0.05
@@ -372,7 +376,7 @@ def test_a_result_tells_of_candidates_the_way():
 def test_where_a_target_may_be_is_a_layer_where_a_prior_tells(prior, idle, layers):
     loop = ClosedLoop(config(mission={"target": "bed"}, perception={"prior": prior}), colour=False)
     if idle:
-        loop.service.mission.wait()
+        loop.service.mission.set_idle()
     for _ in range(10):
         loop.step()
     told = loop.service.result().layers()

@@ -30,7 +30,7 @@ def television_given_up(path: Path) -> Run:
     run = run_of(path, "F (television | bed)")
     while "television" not in run.service.mission.detected:
         run.step()
-    run.service.mission.give_up("no way to it", run.drive.motion.stamp_ns)
+    run.service.mission.abandon_target("no way to it", run.drive.motion.stamp_ns)
     return run.ticks(1).killed()
 
 
@@ -41,8 +41,8 @@ def path(tmp_path: Path) -> Path:
 
 def test_which_reading_was_taken_is_saved(path):
     run = run_of(path, "the sofa must be visited before the bed", "grammar").ticks(1)
-    before = run.service.mission.brief
-    again = run.killed().service.mission.brief
+    before = run.service.mission.spec
+    again = run.killed().service.mission.spec
     assert before.translation.implied
     assert again.warnings == before.warnings != ()
     assert again.translation.readings == before.translation.readings
@@ -60,7 +60,7 @@ def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
     mission = run.killed().service.mission
     assert mission.trace == old.mission.trace == ("sofa",)
     assert mission.id == "1f.2"
-    assert mission.brief.automaton.formula == old.mission.brief.automaton.formula
+    assert mission.spec.automaton.formula == old.mission.spec.automaton.formula
     run.step()
     assert {i.id for i in old.map.tracker.all} <= {i.id for i in run.service.map.tracker.all}
     assert mission.target == "television"
@@ -78,7 +78,7 @@ def test_a_patrol_goes_on_in_its_round_and_a_wait_with_the_time_that_is_left(pat
         run.step()
     again = run.killed().service.mission
     assert (again.round, again.results) == (4, mission.results)
-    assert str(again.brief.translation.repeat) == "until told"
+    assert str(again.spec.translation.repeat) == "until told"
     assert again.destinations == mission.destinations
     assert again.pursued_now_s == pytest.approx(2.0, abs=0.2)
     run.ticks(2)
@@ -132,8 +132,8 @@ def test_objects_come_back_under_an_order_that_came_before_the_first_image(path)
         run.step()
     before = run.service.map.tracker.all
     run.killed().service.idle(run.drive.motion.stamp_ns, None)
-    brief = prepare(run.config.mission, formula="F television")
-    run.service.begin(brief, run.drive.motion.stamp_ns)
+    spec = prepare(run.config.mission, formula="F television")
+    run.service.begin(spec, run.drive.motion.stamp_ns)
     run.ticks(1).service.checkpoint.close()
     hits = {i.id: i.hits for i in run.service.map.tracker.all}
     assert before

@@ -96,7 +96,7 @@ def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
         watched.beat(1.0)
     assert caplog.messages == [why]
     for name in ("odom", "camera/info"):
-        inputs.came(name)
+        inputs.on_message(name)
     for _ in range(20):
         watched.beat(1.0)
     assert caplog.messages[1:] == [why.replace(", camera/info, odom", "")]
@@ -138,7 +138,7 @@ def test_a_loop_or_a_detector_that_fails_again_and_again_is_not_ready(watched):
     watched.vitals.ready()
     assert watched.beat()[-1].startswith("STATUS=searching")
     for _ in range(DEGRADED_AFTER):
-        watched.running.service.faults.on_error("tick", ValueError("bad"), 0)
+        watched.running.service.error_boundary.on_error("tick", ValueError("bad"), 0)
     watched.running.worker.stats.in_a_row = DEGRADED_AFTER
     said = watched.beat(1.0)[-1]
     assert said.startswith("STATUS=not ready: the loop is degraded: tick: ValueError")

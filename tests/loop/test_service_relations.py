@@ -32,10 +32,10 @@ def thing(id, label, x_m):
 )
 def test_only_objects_that_fit_the_relation_are_candidates(target, prompts, ids):
     config = simulated()
-    brief = prepare(config.mission, formula=f'F "{target}"')
-    assert brief.prompts == prompts
-    assert brief.prompt_for(target) == prompts[0]
-    here, mission = SemanticMap(config, brief.prompts), MissionRun(brief, config.mission)
+    spec = prepare(config.mission, formula=f'F "{target}"')
+    assert spec.prompts == prompts
+    assert spec.prompt_for(target) == prompts[0]
+    here, mission = SemanticMap(config, spec.prompts), MissionRun(spec, config.mission)
     goals = GoalTracker(config, here.pool, here.tracker, lambda goal: None, lambda text, ns: None)
     behaviour = SearchBehaviour(mission, config, here, goals, None)
     assert list(behaviour.gather()) == []

@@ -21,15 +21,15 @@ def found_a_bed():
 
 
 def begin(loop: ClosedLoop, formula: str) -> None:
-    brief = prepare(loop.config.mission, formula=formula)
-    handle_mission(loop.service, Request("new", prepared=brief), loop.drive.motion.stamp_ns)
+    spec = prepare(loop.config.mission, formula=formula)
+    handle_mission(loop.service, Request("new", prepared=spec), loop.drive.motion.stamp_ns)
 
 
 def test_what_was_seen_as_context_is_driven_to_at_once(found_a_bed):
     loop = found_a_bed
     assert loop.service.status.phase == "reached"
     assert loop.service.map.tracker.of("sofa") == []
-    seen = loop.service.map.sightings.shown
+    seen = loop.service.map.objects.read_only
     assert (seen.confidence[seen.of("sofa")] > loop.config.perception.tau_det).sum() >= 1
     begin(loop, "F sofa")
     (sofa,) = loop.service.map.tracker.of("sofa")
@@ -49,7 +49,7 @@ def test_what_was_seen_as_context_is_driven_to_at_once(found_a_bed):
 
 
 def test_policies_see_what_was_seen_and_cannot_write_there(found_a_bed):
-    seen = found_a_bed.service.map.sightings.shown
+    seen = found_a_bed.service.map.objects.read_only
     assert {"bed", "sofa", "carpet"} <= {seen.words[w] for w in seen.word[: seen.n]}
     with pytest.raises(ValueError, match="read-only"):
         seen.confidence[0] = 1.0

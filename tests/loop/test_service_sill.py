@@ -191,6 +191,6 @@ def test_who_stands_there_for_ever_does_not_explain_it_for_ever(tmp_path):
     for now_s in (0.0, 0.5, 10.0, 20.0):
         closed = bool(service.map.grid.bumps.closed_m)
         now_ns = loop.drive.motion.stamp_ns + int(now_s * 1e9)
-        service.goals._standstill.told(service.map.grid, service.pose, place, now_ns)
+        service.goals._standstill.on_blocked(service.map.grid, service.pose, place, now_ns)
         said.append(bool(service.map.grid.bumps.closed_m) and not closed)
     assert said == [False, False, False, True]

@@ -67,10 +67,10 @@ def seen_around(
 
 def complete(grid: RollingMap, pose: SE2) -> None:
     """Step until a field that begins with the first step is in use."""
-    wanted = grid.reach.generation + 2
+    wanted = grid.travel_cost.generation + 2
     for _ in range(10000):
-        grid.reach.step(pose)
-        if grid.reach.generation >= wanted:
+        grid.travel_cost.step(pose)
+        if grid.travel_cost.generation >= wanted:
             return
     raise AssertionError("no field was completed")
 

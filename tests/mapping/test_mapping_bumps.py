@@ -229,12 +229,12 @@ def test_a_bump_in_a_doorway_cuts_off_what_is_behind_and_does_not_shut_the_robot
         look(grid, SE2(float(x), y, 0.0), doorway())
     at_the_sill = SE2(0.8, y, 0.0)
     complete(grid, at_the_sill)
-    assert math.isfinite(grid.reach.distance_m(2.0, 0.0))
+    assert math.isfinite(grid.travel_cost.distance_m(2.0, 0.0))
     grid.bumps.close(at_the_sill, at_the_sill.ahead(RADIUS_M), RADIUS_M, 0)
     look(grid, at_the_sill, doorway())
     complete(grid, at_the_sill)
-    assert grid.reach.distance_m(2.0, 0.0) == math.inf
-    assert math.isfinite(grid.reach.distance_m(0.0, 0.0))
+    assert grid.travel_cost.distance_m(2.0, 0.0) == math.inf
+    assert math.isfinite(grid.travel_cost.distance_m(0.0, 0.0))
     # And it may back off the way it came, on the published map too.
     snapshot = grid.snapshot()
     x0, y0 = snapshot.origin_xy_m
@@ -311,7 +311,7 @@ def test_no_bump_shuts_the_robot_in(turns, headings):
         grid.bumps.close(pose, pose.ahead(RADIUS_M), RADIUS_M, now_ns)
     look(grid, pose, [])
     complete(grid, pose)
-    assert math.isfinite(grid.reach.distance_m(HOME.x_m, HOME.y_m))
+    assert math.isfinite(grid.travel_cost.distance_m(HOME.x_m, HOME.y_m))
 
 
 @pytest.mark.parametrize("radius", [0.0, 1.0, 2.5])

@@ -12,7 +12,7 @@ from mapping_twins import CAMERA, T_BASE_CAMERA, complete, look, room, seen_arou
 
 from edge.geometry import SE2, se3, to_optical
 from edge.mapping import coverage as cv
-from edge.mapping.coverage import COUNT, KEEP, WRITE_OFF, Coverage, Viewpoint
+from edge.mapping.coverage import COUNT, KEEP, LEAST_M2, WRITE_OFF, Coverage, Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import FREE, OCCUPIED, make_layers
 from edge.mapping.window import Window
@@ -33,8 +33,8 @@ def explored(half_m: float = 2.0) -> RollingMap:
 
 
 def searched(grid: RollingMap) -> Viewpoint | None:
-    grid.coverage.start_over()
-    while not grid.coverage.search(grid.reach):
+    grid.coverage.restart_search()
+    while not grid.coverage.search(grid.travel_cost):
         pass
     return grid.coverage.view
 
@@ -162,19 +162,22 @@ def test_the_best_view_is_the_best_of_all_however_long_it_takes(seed, work):
 def test_view_after_view_comes_to_an_end(how):
     grid = explored()
     coverage = grid.coverage
-    coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 1.6, 2)
+    coverage.on_image(seen_from(SE2(0.0, 0.0, 0.0)), 1.6, 2)
     views = []
     while (view := searched(grid)) is not None:
-        assert grid.reach.distance_m(view.x_m, view.y_m) < math.inf
+        assert grid.travel_cost.distance_m(view.x_m, view.y_m) < math.inf
         assert grid.state_at(view.x_m, view.y_m) == 0
+        assert coverage.area_m2(view) > 0.9 * LEAST_M2
         views.append(view)
         before = np.count_nonzero(window(grid) >= 2)
         if how == "looked from there":
             for _ in range(2):
                 ahead = SE2(view.x_m, view.y_m, view.heading_rad)
-                coverage.look(seen_from(ahead, to_optical(se3(0.0, 0.0, 0.6))), 1.6, 2)
-            assert not coverage.worth(view)
+                coverage.on_image(seen_from(ahead, to_optical(se3(0.0, 0.0, 0.6))), 1.6, 2)
+            assert not coverage.is_worth_it(view)
+            assert coverage.area_m2(view) < 1.1 * LEAST_M2
         coverage.write_off(view)
+        assert coverage.area_m2(view) == 0.0
         assert np.count_nonzero(window(grid) >= 2) > before
         assert len(views) < 60
     assert len(views) > 3
@@ -197,7 +200,7 @@ def test_a_camera_that_looks_aside_is_turned_there():
     grid = explored()
     mount = to_optical(se3(0.1, 0.0, 0.6))
     left = SE2(0.0, 0.0, math.pi / 2).matrix() @ mount
-    grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0), left), 3.0, 1)
+    grid.coverage.on_image(seen_from(SE2(0.0, 0.0, 0.0), left), 3.0, 1)
     assert grid.coverage.camera_yaw_rad == pytest.approx(math.pi / 2)
     assert place(grid, 0.1, 1.5) == 1
     assert place(grid, 1.5, 0.1) == 0
@@ -231,7 +234,7 @@ def test_rolling_forgets_what_leaves_the_window_and_nothing_else(moves, seed):
 
 def test_coverage_rolls_with_the_map():
     grid = explored()
-    grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 3.0, 1)
+    grid.coverage.on_image(seen_from(SE2(0.0, 0.0, 0.0)), 3.0, 1)
     for x in np.arange(0.0, 40.0, 1.0):
         look(grid, SE2(float(x), 0.0, 0.0), [])
     assert not grid.coverage.looks.any()

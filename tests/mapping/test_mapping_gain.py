@@ -100,7 +100,7 @@ def test_no_direction_is_looked_along_twice_from_one_place():
         # The camera sees nothing there, however often it looks.
         way = np.sign(wrap_angle(heading - here.yaw_rad))
         for yaw in np.linspace(here.yaw_rad, here.yaw_rad + way * 0.9, 4):
-            grid.gain.look(SE2(0.05, 0.0, yaw), 0.0, FOV)
+            grid.gain.on_view(SE2(0.05, 0.0, yaw), 0.0, FOV)
         here = SE2(0.0, 0.0, yaw)
     else:
         pytest.fail(f"turned on and on: {turned}")

@@ -28,7 +28,7 @@ def test_an_empty_map_is_unknown_everywhere():
     assert grid.state_at(0.0, 0.0) == -1
     assert grid.frontiers.n == 0
     assert grid.snapshot().cells.shape == (0, 0)
-    assert grid.reach.nearest(0.0, 0.0, 1.0) is None
+    assert grid.travel_cost.nearest(0.0, 0.0, 1.0) is None
     out = np.zeros(1, np.float32)
     grid.unknown_ratio(np.zeros((1, 2), np.float32), 1, 1.0, out)
     assert out[0] == 1.0
@@ -212,12 +212,12 @@ def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
     size = sum(layer.nbytes for layer in grid.layers)
     for _ in range(3):
         grid.update_depth(depth, camera, T_map_base, T_BASE_CAMERA)
-        grid.reach.step(pose)
+        grid.travel_cost.step(pose)
     tracemalloc.start()
     try:
         for _ in range(5):
             grid.update_depth(depth, camera, T_map_base, T_BASE_CAMERA)
-            grid.reach.step(pose)
+            grid.travel_cost.step(pose)
         assert tracemalloc.get_traced_memory()[1] < 64 * 1024
     finally:
         tracemalloc.stop()
@@ -241,7 +241,7 @@ def test_nothing_is_compiled_after_warmup(kind):
     warm_values(SMALL)
     before = signatures()
     grid = RollingMap(SMALL)
-    grid.values.begin(("bed", "sofa"))
+    grid.values.set_targets(("bed", "sofa"))
     depth = np.full((120, 320), 2.0, np.float32)[:, ::2].copy()
     if kind == "read-only":
         depth.flags.writeable = False
@@ -253,15 +253,15 @@ def test_nothing_is_compiled_after_warmup(kind):
         pose = SE2(x, 0.0, 0.0)
         grid.update_depth(depth, CAMERA, pose.matrix(), T_BASE_CAMERA)
         grid.update_cloud(depth[:, :3], pose.matrix(), SE2(0.0, 0.0, 0.0).matrix(0.5))
-        grid.reach.step(pose)
-        grid.reach.nearest(grid.frontiers.xy_m[0, 0], grid.frontiers.xy_m[0, 1], 0.6)
+        grid.travel_cost.step(pose)
+        grid.travel_cost.nearest(grid.frontiers.xy_m[0, 0], grid.frontiers.xy_m[0, 1], 0.6)
         shown_m = layers.read_only(grid.frontiers.xy_m)  # as policies have it
         grid.unknown_ratio(shown_m, grid.frontiers.n, 1.0, np.zeros(999, np.float32))
         for seen in (depth, None):
             observation = Observation(
                 0, 0, pose.matrix(), depth_m=seen, camera=CAMERA, T_base_camera=T_BASE_CAMERA
             )
-            sight = grid.values.sight(observation)
+            sight = grid.values.range_profile(observation)
             grid.values.write_view(sight, ("sofa", "bed"), np.ones(2, np.float32))
         p = np.ones(2, np.float32)
         grid.values.write_directions(sight, "bed", shown_m[:2].astype(np.float64), p, 0.5)

@@ -41,7 +41,7 @@ def test_the_field_agrees_with_dijkstra(seed, per_tick):
     assert state[y, x] == 0
     expected = twins.geodesic(state, x, y, STRAIGHT, DIAGONAL)
     n, shift = grid.window.n, grid.window.shift
-    field = grid.reach._waves[grid.reach._current].distance
+    field = grid.travel_cost._waves[grid.travel_cost._current].distance
     field = np.roll(field, (-shift[1], -shift[0]), axis=(0, 1)).astype(np.int64) - 1
     np.testing.assert_array_equal(field, expected)
     assert n == len(field)
@@ -49,13 +49,13 @@ def test_the_field_agrees_with_dijkstra(seed, per_tick):
 
 def test_a_step_settles_no_more_cells_than_allowed():
     grid, pose = explored(1, per_tick=100)
-    field = grid.reach._waves[1].distance
+    field = grid.travel_cost._waves[1].distance
     for step in range(1, 20):
-        grid.reach.step(pose)
+        grid.travel_cost.step(pose)
         # Settled cells and those in line; each settled one puts at most 8 in line.
         assert np.count_nonzero(field) <= 900 * step
-    assert grid.reach.generation == 0
-    assert grid.reach.distance_m(pose.x_m, pose.y_m) == math.inf
+    assert grid.travel_cost.generation == 0
+    assert grid.travel_cost.distance_m(pose.x_m, pose.y_m) == math.inf
 
 
 def test_the_nearest_cell_is_free_reached_and_nearest():
@@ -64,28 +64,28 @@ def test_the_nearest_cell_is_free_reached_and_nearest():
     state = twins.states(grid)
     for dx, dy in ((1.0, 0.3), (-2.0, 0.5), (0.4, -2.8), (0.0, 0.0)):
         px, py = pose.x_m + dx, pose.y_m + dy
-        found = grid.reach.nearest(px, py, 0.6)
+        found = grid.travel_cost.nearest(px, py, 0.6)
         best = math.inf
         for y, x in np.argwhere(state == 0):
             cx = (x + grid.window.origin[0] + 0.5) * grid.resolution_m
             cy = (y + grid.window.origin[1] + 0.5) * grid.resolution_m
-            if math.isfinite(grid.reach.distance_m(cx, cy)):
+            if math.isfinite(grid.travel_cost.distance_m(cx, cy)):
                 best = min(best, math.hypot(cx - px, cy - py))
         if best > 0.6:
             assert found is None
         else:
             assert math.hypot(found[0] - px, found[1] - py) == pytest.approx(best, abs=1e-9)
             assert grid.state_at(found[0], found[1]) == 0
-            assert found[2] == grid.reach.distance_m(found[0], found[1])
+            assert found[2] == grid.travel_cost.distance_m(found[0], found[1])
 
 
 def test_a_goal_that_was_blocked_since_is_not_offered():
     grid = RollingMap(SMALL)
     look(grid, SE2(0, 0, 0), [])
     complete(grid, SE2(0, 0, 0))
-    assert grid.reach.nearest(1.5, 0.0, 0.05) is not None
+    assert grid.travel_cost.nearest(1.5, 0.0, 0.05) is not None
     look(grid, SE2(0, 0, 0), [(1.4, -0.2, 0.0, 1.6, 0.2, 1.0)])
-    assert grid.reach.nearest(1.5, 0.0, 0.05) is None
+    assert grid.travel_cost.nearest(1.5, 0.0, 0.05) is None
 
 
 def test_a_robot_inside_inflation_finds_its_way_out():
@@ -94,7 +94,7 @@ def test_a_robot_inside_inflation_finds_its_way_out():
     pose = SE2(1.85, 0.0, 0.0)
     assert grid.state_at(pose.x_m, pose.y_m) == 100
     complete(grid, pose)
-    found = grid.reach.nearest(1.0, 0.0, 0.3)
+    found = grid.travel_cost.nearest(1.0, 0.0, 0.3)
     assert found is not None
     assert found[2] == pytest.approx(0.85, abs=0.1)
 
@@ -104,22 +104,22 @@ def test_what_was_reached_is_still_known_after_the_window_rolled():
     for x in np.arange(0.0, 3.0, 0.2):
         look(grid, SE2(x, 0, 0), [])
     complete(grid, SE2(3.0, 0, 0))
-    before = grid.reach.distance_m(2.0, 0.0)
+    before = grid.travel_cost.distance_m(2.0, 0.0)
     x, rolled = 3.0, False
     while not rolled:
         x += 0.2
         rolled = look(grid, SE2(x, 0, 0), []).rolled
-    assert grid.reach.distance_m(2.0, 0.0) == before
-    assert grid.reach.distance_m(-50.0, 0.0) == math.inf
-    assert grid.reach.distance_m(2.0 + grid.window.n * grid.resolution_m, 0.0) == math.inf
+    assert grid.travel_cost.distance_m(2.0, 0.0) == before
+    assert grid.travel_cost.distance_m(-50.0, 0.0) == math.inf
+    assert grid.travel_cost.distance_m(2.0 + grid.window.n * grid.resolution_m, 0.0) == math.inf
     complete(grid, SE2(x, 0, 0))
-    assert grid.reach.distance_m(x - 1.0, 0.0) == pytest.approx(1.0, abs=0.06)
+    assert grid.travel_cost.distance_m(x - 1.0, 0.0) == pytest.approx(1.0, abs=0.06)
 
 
 def test_lengths_of_many_ways_are_those_of_each():
     grid, pose = explored(3)
     out = np.zeros(4, np.float32)
-    grid.reach.path_lengths_m(
+    grid.travel_cost.path_lengths_m(
         np.zeros((4, 2), np.float32), np.zeros(4, np.int8), np.ones(1), 4, out
     )
     assert np.isinf(out).all(), "no field yet"
@@ -128,9 +128,10 @@ def test_lengths_of_many_ways_are_those_of_each():
     xy_m = (rng.uniform(-3, 3, (40, 2)) + np.array([pose.x_m, pose.y_m])).astype(np.float32)
     kind, radius_m = rng.integers(0, 2, 40).astype(np.int8), np.array([0.2, 0.8])
     out = np.zeros(40, np.float32)
-    grid.reach.path_lengths_m(xy_m, kind, radius_m, 40, out)
+    grid.travel_cost.path_lengths_m(xy_m, kind, radius_m, 40, out)
     found = [
-        grid.reach.nearest(x, y, r) for (x, y), r in zip(xy_m.tolist(), radius_m[kind], strict=True)
+        grid.travel_cost.nearest(x, y, r)
+        for (x, y), r in zip(xy_m.tolist(), radius_m[kind], strict=True)
     ]
     np.testing.assert_allclose(out, [math.inf if f is None else f[2] for f in found], rtol=1e-6)
     assert 5 < np.isfinite(out).sum() < 40
@@ -140,19 +141,32 @@ def test_the_robot_stops_where_a_thing_is_first_near_and_in_sight():
     grid = RollingMap(SMALL)
     wall, thing = (1.0, -0.6, 0.0, 1.1, 2.5, 1.0), (1.5, 0.3, 0.0, 1.9, 0.7, 0.5)
     surface_m = np.array([[1.5, 0.5, 0.4]], np.float32)
-    assert grid.reach.approach(surface_m, 0.7) is None
+    assert grid.travel_cost.stopping_point(surface_m, 0.7) is None
     for x, y in ((0.0, 0.0), (0.0, -1.2), (2.0, -1.2), (2.0, 1.8)):
         for yaw in np.arange(0, 6.4, 0.3):
             look(grid, SE2(x, y, yaw), [wall, thing, *room(2.5)])
     complete(grid, SE2(0.0, 0.5, 0.0))
-    x, y, way_m = grid.reach.approach(surface_m, 0.7)
+    x, y, way_m = grid.travel_cost.stopping_point(surface_m, 0.7)
     assert math.hypot(x - 1.5, y - 0.5) <= 0.7
     assert x > 1.1, "not from behind the wall, though that is nearer"
-    assert way_m == pytest.approx(grid.reach.distance_m(x, y))
-    assert grid.reach.approach(surface_m, 0.1) is None
+    assert way_m == pytest.approx(grid.travel_cost.distance_m(x, y))
+    assert grid.travel_cost.stopping_point(surface_m, 0.1) is None
     # Of several points the one with the shortest way.
     more_m = np.array([[1.5, 0.5, 0.4], [1.5, -1.0, 0.4]], np.float32)
-    assert grid.reach.approach(more_m, 0.7)[2] < way_m
+    assert grid.travel_cost.stopping_point(more_m, 0.7)[2] < way_m
+
+
+def test_the_robot_does_not_stop_behind_the_wall_that_a_thing_stands_at():
+    grid = RollingMap(SMALL)
+    wall, thing = (1.0, -0.6, 0.0, 1.25, 2.5, 1.0), (1.25, 0.3, 0.0, 1.6, 0.7, 0.5)
+    for x, y in ((0.0, 0.0), (0.0, -1.2), (2.0, -1.2), (2.0, 1.8)):
+        for yaw in np.arange(0, 6.4, 0.3):
+            look(grid, SE2(x, y, yaw), [wall, thing, *room(2.5)])
+    complete(grid, SE2(0.0, 0.5, 0.0))
+    # Depth noise puts points of a thing at a wall into the wall.
+    surface_m = np.array([[1.15, 0.5, 0.4], [1.16, 0.6, 0.4], [1.6, 0.5, 0.4]], np.float32)
+    for points in (1, 2):
+        assert grid.travel_cost.stopping_point(surface_m, 0.85, points)[0] > 1.25, points
 
 
 def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
@@ -164,16 +178,16 @@ def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
     desk_m = np.column_stack([np.full(10, 1.7), np.linspace(-0.4, 0.4, 10), np.full(10, 0.7)])
     chair_m = np.array([[1.0, 0.0, 0.5], [1.05, 0.1, 0.5]])
     surface_m = np.concatenate([desk_m, chair_m]).astype(np.float32)
-    x, y, one_m = grid.reach.approach(surface_m, 0.7)
+    x, y, one_m = grid.travel_cost.stopping_point(surface_m, 0.7)
     assert np.hypot(*(desk_m[:, :2] - (x, y)).T).min() > 0.85, "near to the chair alone"
-    x, y, three_m = grid.reach.approach(surface_m, 0.7, 3)
+    x, y, three_m = grid.travel_cost.stopping_point(surface_m, 0.7, 3)
     assert np.hypot(*(desk_m[:, :2] - (x, y)).T).min() <= 0.7
     assert three_m > one_m
-    assert grid.reach.approach(surface_m, 0.7, len(surface_m) + 1) is None
+    assert grid.travel_cost.stopping_point(surface_m, 0.7, len(surface_m) + 1) is None
 
 
 def test_without_a_field_there_is_no_way():
-    assert RollingMap(SMALL).reach.path_m(0.0, 0.0).shape == (0, 2)
+    assert RollingMap(SMALL).travel_cost.path_m(0.0, 0.0).shape == (0, 2)
 
 
 @settings(max_examples=5)
@@ -182,7 +196,7 @@ def test_the_way_goes_back_step_by_step_and_is_as_long_as_the_distance(seed):
     grid, pose = explored(seed)
     complete(grid, pose)
     rng = np.random.default_rng(seed)
-    res, reach = grid.resolution_m, grid.reach
+    res, reach = grid.resolution_m, grid.travel_cost
     for x, y in np.add(rng.uniform(-3, 3, (20, 2)), (pose.x_m, pose.y_m)):
         way, away_m = reach.path_m(x, y), reach.distance_m(x, y)
         if math.isinf(away_m):

@@ -84,7 +84,7 @@ def test_a_gap_that_was_driven_through_leads_back(gap_m, open_again):
         look(grid, SE2(2.0, 0.0, yaw), posts(gap_m))
     home = SE2(2.0, 0.0, math.pi)
     complete(grid, home)
-    way = grid.reach.distance_m(0.3, 0.0)
+    way = grid.travel_cost.distance_m(0.3, 0.0)
     assert math.isfinite(way) is open_again
     snapshot = grid.snapshot()
     column = int((1.0 - snapshot.origin_xy_m[0]) / snapshot.resolution_m)
@@ -95,4 +95,4 @@ def test_a_gap_that_was_never_driven_through_stays_closed():
     grid = RollingMap(SMALL)
     drive(grid, np.arange(0.0, 0.4, 0.05), posts(0.36))
     complete(grid, SE2(0.3, 0.0, 0.0))
-    assert grid.reach.distance_m(1.8, 0.0) == math.inf
+    assert grid.travel_cost.distance_m(1.8, 0.0) == math.inf

@@ -27,7 +27,7 @@ def value_map(targets=("bed",), n: int = 192, range_m: float = 3.0, origin=(-64,
     window = Window(n, 0.05)
     window.origin, window.placed = origin, True
     values = ValueMap(make_layers(n), window, 0.2, range_m, BETA)
-    values.begin(targets)
+    values.set_targets(targets)
     return values
 
 
@@ -87,7 +87,7 @@ def test_other_targets_keep_what_is_known_of_those_that_stay():
     values = value_map(("bed", "sofa"))
     values.write_view(sight(), ("bed", "sofa", "lamp"), np.array([0.2, 0.6, 1.0], np.float32))
     sofa = unpacked(values, 1)
-    values.begin(("lamp", "sofa"))
+    values.set_targets(("lamp", "sofa"))
     assert not values.weight[..., 0].any()
     np.testing.assert_array_equal(unpacked(values, 1), sofa)
     assert sofa[0].max() == pytest.approx(0.6, abs=HALF_STEP)
@@ -208,10 +208,10 @@ def observed(pose: SE2, depth, camera: CameraModel = CAMERA) -> Observation:
 
 def test_no_camera_sees_nothing_and_no_place_neither():
     values = value_map()
-    assert values.sight(Observation(0, 0, np.eye(4))) is None
+    assert values.range_profile(Observation(0, 0, np.eye(4))) is None
     lost = SE2(0, 0, 0).matrix()
     lost[0, 3] = np.nan
-    assert values.sight(Observation(0, 0, lost, camera=CAMERA)) is None
+    assert values.range_profile(Observation(0, 0, lost, camera=CAMERA)) is None
 
 
 @given(seed=st.integers(0, 10**6))
@@ -221,7 +221,7 @@ def test_how_far_the_floor_is_in_view_is_the_farthest_return_of_each_column(seed
     depth[rng.random(depth.shape) < 0.3] = rng.choice([np.nan, 0.0, np.inf, -1.0, 2e6])
     depth[:, rng.random(CAMERA.width_px) < 0.2] = np.nan
     pose = SE2(0.5, -0.2, rng.uniform(-3, 3))
-    seen = value_map().sight(observed(pose, depth))
+    seen = value_map().range_profile(observed(pose, depth))
     T = pose.matrix() @ T_BASE_CAMERA
     v, u = np.indices(depth.shape)
     v_step = max(1, CAMERA.height_px // ROWS)
@@ -251,8 +251,8 @@ def test_cells_behind_what_is_in_the_way_are_not_written(by_depth):
         look(grid, SE2(0.0, 0.0, 0.0), boxes)
         T = T_BASE_CAMERA.copy()
         depth = render(CAMERA, T, boxes) if by_depth else None
-        grid.values.begin(("bed",))
-        seen = grid.values.sight(observed(SE2(0.0, 0.0, 0.0), depth))
+        grid.values.set_targets(("bed",))
+        seen = grid.values.range_profile(observed(SE2(0.0, 0.0, 0.0), depth))
         grid.values.write_view(seen, ("bed",), np.ones(1, np.float32))
         out = np.zeros(3, np.float32)
         places = np.array([[1.9, 0.05], [0.7, 0.05], [3.1, 0.0]], np.float32)
@@ -314,7 +314,7 @@ def test_rolling_forgets_what_leaves_the_window_and_nothing_else(moves, seed):
 
 def test_values_roll_with_the_map():
     grid: RollingMap = seen_around(room(2.0))
-    grid.values.begin(("bed",))
+    grid.values.set_targets(("bed",))
     seen = sight(fov=FOV, range_m=2.5)
     grid.values.write_view(seen, ("bed",), np.ones(1, np.float32))
     out, place = np.zeros(1, np.float32), np.array([[1.0, 0.0]], np.float32)

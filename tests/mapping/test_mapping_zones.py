@@ -79,18 +79,18 @@ def test_no_way_leads_through_a_zone_and_the_way_opens_when_it_is_removed():
     grid = seen_around(WALLS)
     beyond = (2.0, 0.0)
     complete(grid, ORIGIN)
-    assert grid.reach.distance_m(*beyond) == pytest.approx(2.0, abs=0.2)
+    assert grid.travel_cost.distance_m(*beyond) == pytest.approx(2.0, abs=0.2)
     grid.set_zones((square(1.2, 0.0, 0.3),), ())
     complete(grid, ORIGIN)
-    assert 2.1 < grid.reach.distance_m(*beyond) < 3.5
-    assert math.isinf(grid.reach.distance_m(1.2, 0.0))
+    assert 2.1 < grid.travel_cost.distance_m(*beyond) < 3.5
+    assert math.isinf(grid.travel_cost.distance_m(1.2, 0.0))
     assert grid.state_at(1.2, 0.0) == 100
     grid.set_zones((np.array([(1.0, -4.0), (1.4, -4.0), (1.4, 4.0), (1.0, 4.0)]),), ())
     complete(grid, ORIGIN)
-    assert math.isinf(grid.reach.distance_m(*beyond))
+    assert math.isinf(grid.travel_cost.distance_m(*beyond))
     grid.set_zones((), ())
     complete(grid, ORIGIN)
-    assert grid.reach.distance_m(*beyond) == pytest.approx(2.0, abs=0.2)
+    assert grid.travel_cost.distance_m(*beyond) == pytest.approx(2.0, abs=0.2)
 
 
 def test_a_zone_makes_no_frontier_and_takes_those_in_it():
@@ -109,13 +109,13 @@ def test_a_robot_in_a_zone_may_leave_it_but_not_squeeze_along_walls():
     grid = seen_around(WALLS)
     zone = square(0.0, 0.0, 1.0)
     grid.set_zones((zone,), ())
-    assert grid.zones.holds(0.0, 0.0)
+    assert grid.zones.contains(0.0, 0.0)
     complete(grid, ORIGIN)
-    assert grid.reach.distance_m(2.0, 0.0) == pytest.approx(2.0, abs=0.3)
-    x_m, y_m, _ = grid.reach.nearest(0.0, 0.0, 3.0)
-    assert not grid.zones.holds(x_m, y_m)
+    assert grid.travel_cost.distance_m(2.0, 0.0) == pytest.approx(2.0, abs=0.3)
+    x_m, y_m, _ = grid.travel_cost.nearest(0.0, 0.0, 3.0)
+    assert not grid.zones.contains(x_m, y_m)
     complete(grid, SE2(2.2, 0.0, 0.0))  # outside it is closed again
-    assert math.isinf(grid.reach.distance_m(0.0, 0.0))
+    assert math.isinf(grid.travel_cost.distance_m(0.0, 0.0))
 
 
 def test_the_trail_of_before_leads_through_no_zone():
@@ -124,7 +124,7 @@ def test_the_trail_of_before_leads_through_no_zone():
         look(grid, SE2(x_m, 0.0, 0.0), WALLS)
     grid.set_zones((square(1.0, 0.0, 0.1),), ())
     complete(grid, SE2(2.0, 0.0, 0.0))
-    assert math.isinf(grid.reach.distance_m(1.0, 0.0))
+    assert math.isinf(grid.travel_cost.distance_m(1.0, 0.0))
     assert grid.snapshot().cells.max() == 100
 
 
@@ -132,7 +132,7 @@ def test_zones_stay_where_they_are_when_the_window_rolls():
     polygon = square(12.0, 1.0, 1.0)
     grid = RollingMap(SMALL)
     grid.set_zones((polygon,), ())
-    assert not grid.zones.holds(12.0, 1.0)  # the window has no place yet
+    assert not grid.zones.contains(12.0, 1.0)  # the window has no place yet
     look(grid, ORIGIN, ())
     assert not closed(grid).any()
     for x_m in np.arange(0.5, 12.0, 0.5):

@@ -15,6 +15,7 @@ from edge.memory import (
     RoomName,
     RoomSurvey,
     Site,
+    Zone,
     kind_of_room,
     survey_rooms,
 )
@@ -78,7 +79,7 @@ def test_nothing_is_known_at_first():
     assert rooms.rooms == ()
     assert rooms.room_at(0.0, 0.0) is None
     assert rooms.entered(0.0, 0.0) == 0
-    assert rooms.called("kitchen") == []
+    assert rooms.find("kitchen") == []
     assert rooms.kind_ratio("kitchen", np.zeros((2, 2), np.float32)).tolist() == [1, 1]
     assert survey_rooms(NO_REGIONS, NO_SURVEY).shapes == ()
 
@@ -145,12 +146,42 @@ def test_a_room_has_its_kind_from_the_objects_in_it():
     assert left.title == "bathroom"
     assert left.reason == "toilet and toilet paper seen"
     assert max(right.chance, key=right.chance.get) == "bedroom"
-    assert rooms.called("the washroom") == [left]
-    assert rooms.called("room 2") == [right]
-    assert rooms.called("room two") == [right]
+    assert rooms.find("the washroom") == [left]
+    assert rooms.find("room 2") == [right]
+    assert rooms.find("room two") == [right]
     assert rooms.room_at(1.0, 1.0) is left
     here, there = rooms.kind_ratio("bathroom", np.array([(1, 1), (5, 2)], np.float32))
     assert there < 1 < here
+
+
+OPEN_PLAN = seen(
+    ("refrigerator", 0.5, 1.0), ("countertop", 0.5, 2.0), ("sofa", 5.5, 3.0), ("tv stand", 6.5, 1.0)
+)
+
+
+@pytest.mark.parametrize(("kind", "x_m"), [("kitchen", (0, 2)), ("living room", (5, 7))])
+def test_in_an_open_plan_room_a_kind_is_where_its_objects_are(kind, x_m):
+    (room,) = (rooms := memory(cut((0, 0, 70, 40)), things=OPEN_PLAN)).rooms
+    assert room.kinds == ("kitchen", "living room")
+    votes = rooms.votes(room, kind)
+    assert votes.shape == (len(room.points_m),)
+    assert x_m[0] < room.points_m[votes.argmax(), 0] < x_m[1]
+    assert votes.max() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "corners_m", "closed"),
+    [
+        ("keep_out", ((-1, -1), (4, -1), (4, 5), (-1, 5)), True),
+        ("keep_out", ((-1, -1), (4, -1), (4, 2), (-1, 2)), False),
+        ("stay_inside", ((-1, -1), (4, -1), (4, 5), (-1, 5)), False),
+        ("stay_inside", ((4, -1), (9, -1), (9, 5), (4, 5)), True),
+    ],
+)
+def test_a_room_is_closed_if_zones_close_all_of_it(kind, corners_m, closed):
+    (room,) = memory(cut(LEFT)).rooms
+    assert room.closed_by(UNNAMED) == ""
+    assert room.closed_by(Site((Zone("yard", kind, corners_m),))) == ("yard" if closed else "")
 
 
 def test_a_name_by_a_person_is_certain():
@@ -159,11 +190,11 @@ def test_a_name_by_a_person_is_certain():
     left, right = rooms.rooms
     assert (right.name, right.kinds, right.chance["office"]) == ("office", ("office",), 1.0)
     assert (left.title, left.kinds, left.chance["bathroom"]) == ("lounge", ("living room",), 0.0)
-    assert rooms.called("living room") == rooms.called("lounge") == [left]
-    assert rooms.called("bathroom") == []
+    assert rooms.find("living room") == rooms.find("lounge") == [left]
+    assert rooms.find("bathroom") == []
     rooms.set_site(Site())
     rooms.update(BATH, 0)
-    assert rooms.called("bathroom")[0].id == left.id
+    assert rooms.find("bathroom")[0].id == left.id
 
 
 def test_a_robot_is_inside_away_from_the_border():
@@ -183,7 +214,7 @@ def test_rooms_keep_ids_over_a_restart_but_not_over_a_new_frame():
     again.update(seen(), 0)
     assert [(room.id, room.is_visited) for room in again.rooms] == [(1, False), (2, True)]
     assert ids_at(again.survey, (1.5, 2.0), (5.0, 3.0)) == [1, 2]
-    again.forget()
+    again.on_pose_jump()
     again.update(seen(), 0)
     assert again.rooms == ()
     assert [s.id for s in survey_rooms(cut(LEFT), again.survey).shapes] == [3]

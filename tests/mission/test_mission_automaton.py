@@ -188,7 +188,7 @@ def test_neither_automaton_nor_steps_depend_on_the_hash_seed():
         "limits.CompileBudget.spend = counted\n"
         "for text in sys.argv[1:]:\n"
         "    a = compile_formula(parse(text))\n"
-        "    print(a.letters, a.delta.tolist(), a.accepting.tolist(), limits.total)"
+        "    print(a.propositions, a.delta.tolist(), a.accepting.tolist(), limits.total)"
     )
     outputs = {
         subprocess.run(

@@ -23,16 +23,18 @@ from edge.mission.language.tidy import tidied
 from edge.mission.language.tokens import TranslationError
 from edge.mission.spec import prepare, translate
 
-EVERYDAY = [Path(__file__).with_name(name) for name in ("everyday.jsonl", "everyday_b.jsonl")]
+EVERYDAY = {"everyday": 150, "everyday_b": 149, "everyday_c": 139}
+"""Name of a file of 150 sentences → least number that must be right."""
 NAMES = [item.name for item in SITE.items]
 
 
-@pytest.mark.parametrize("path", EVERYDAY, ids=lambda path: path.stem)
-def test_everyday_sentences_are_mostly_right_and_never_wrong(path):
-    scores = [score_everyday(case, TranslatorAuto()) for case in everyday_cases(path)]
+@pytest.mark.parametrize(("name", "least"), EVERYDAY.items())
+def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
+    cases = everyday_cases(Path(__file__).with_name(f"{name}.jsonl"))
+    scores = [score_everyday(case, TranslatorAuto()) for case in cases]
     wrong = [f"{s.case['said']}: {s.got}" for s in scores if s.outcome == "wrong"]
     assert not wrong
-    assert sum(s.outcome == "right" for s in scores) >= 0.95 * len(scores)
+    assert sum(s.outcome == "right" for s in scores) >= least
 
 
 @pytest.mark.parametrize(
@@ -58,6 +60,9 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(path):
         ("You got any mugs on your map?", MemoryQuestion("exists", "mugs")),
         ("tell me what you did see", MemoryQuestion("seen")),
         ("What places do you know?", MemoryQuestion("places")),
+        ("There is a mug in the office?", MemoryQuestion("exists", "mug", "office")),
+        ("Any sign of the blue toolbox?", MemoryQuestion("exists", "blue toolbox")),
+        ("Which room has the piano in it?", MemoryQuestion("where", "piano")),
         # Orders to learn.
         ("Remember this as the dock.", SiteOrder("place", "dock")),
         ("Call this place the reading corner.", SiteOrder("place", "reading corner")),
@@ -72,6 +77,11 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(path):
         ("This spot, save it as the sewing corner.", SiteOrder("place", "sewing corner")),
         ("You can forget the dock now.", SiteOrder("forget", "dock")),
         ("Stay in this room.", SiteOrder("stay_inside", "")),
+        ("Aisle 3's blocked, don't go down there.", SiteOrder("keep_out", "aisle 3")),
+        ("The kitchen is clean, do not go into the hall.", SiteOrder("keep_out", "hall")),
+        ("In the bathroom you may not go.", SiteOrder("keep_out", "bathroom")),
+        ("I've finished in the bathroom, so you can go in again.", SiteOrder("open", "bathroom")),
+        ("Here is the tea corner, please to memorize.", SiteOrder("place", "tea corner")),
         # Control.
         ("Stop!", Control("pause")),
         ("Wait here a couple of minutes while I sit down.", Control("pause", 120.0)),
@@ -81,6 +91,10 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(path):
         ("Hang on right there for ten seconds.", Control("pause", 10.0)),
         ("All clear, carry on with what you was doing.", Control("resume")),
         ("Never mind, forget it.", Control("cancel")),
+        ("Forget about that task.", Control("cancel")),
+        ("Hold up, forklift coming!", Control("pause")),
+        ("Pause your round for five minutes.", Control("pause", 300.0)),
+        ("You can move now.", Control("resume")),
     ],
 )
 def test_what_is_no_mission(said, found):
@@ -100,6 +114,7 @@ def test_what_is_no_mission(said, found):
         "you are not in the kitchen", "is the sofa red?", "this is not the office",
         "the kitchen is free now, you can go in there", "do not go to the kitchen before we leave",
         "you got to go to the kitchen", "is there no mug?", "tell me about the kitchen",
+        "there is some bread on the desk", "you are in a very big bathroom",
     ],
 )  # fmt: skip
 def test_what_is_an_errand_or_not_clear_goes_to_the_translators(said):

@@ -84,7 +84,7 @@ def test_what_is_believed(
             NeuralTranslator(Stub(*written)).read(said)
         return
     guess = NeuralTranslator(Stub(*written)).read(said)
-    assert guess.sure is sure
+    assert guess.confident is sure
     assert list(guess.formulas) == [parse(text) for text in texts]
 
 
@@ -146,7 +146,7 @@ READ = [
 @pytest.mark.parametrize(("said", "text"), READ)
 def test_the_shipped_one_reads_what_people_say(said: str, text: str) -> None:
     guess = shipped().read(said)
-    assert guess.sure
+    assert guess.confident
     assert distinguishing_trace(guess.formulas[0], parse(text)) is None
 
 
@@ -163,7 +163,7 @@ NOT_READ = [
 @pytest.mark.parametrize("said", NOT_READ)
 def test_the_shipped_one_takes_no_orders_it_cannot_keep(said: str) -> None:
     with contextlib.suppress(TranslationError):
-        assert not shipped().read(said).sure
+        assert not shipped().read(said).confident
 
 
 CHANGED = [
@@ -182,7 +182,7 @@ def test_a_word_that_matters_changes_what_is_read(said: str, word: str) -> None:
         less = shipped().read(" ".join(w for w in said.split() if w.strip(",") != word))
     except TranslationError:
         return
-    assert not less.sure or distinguishing_trace(whole, less.formulas[0]) is not None
+    assert not less.confident or distinguishing_trace(whole, less.formulas[0]) is not None
 
 
 LEFT_OVER = [  # what the rest of it means is plain; the refusal names a word of it
@@ -213,7 +213,7 @@ def test_no_inserted_negation_is_passed_over() -> None:
                 changed = " ".join((*words[:at], word, *words[at:]))
                 with contextlib.suppress(TranslationError):
                     guess = shipped().read(changed)
-                    if guess.sure and distinguishing_trace(guess.formulas[0], meant) is None:
+                    if guess.confident and distinguishing_trace(guess.formulas[0], meant) is None:
                         passed.append(changed)
     assert not passed
 

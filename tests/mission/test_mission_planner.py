@@ -186,7 +186,7 @@ def test_a_matrix_of_another_shape_is_refused():
 
 @given(data=st.data(), automaton=automata(), known_reached=st.booleans())
 def test_constant_plans_are_shortest_paths(data, automaton, known_reached):
-    knowledge = data.draw(knowledge_of(automaton.letters))
+    knowledge = data.draw(knowledge_of(automaton.propositions))
     planner = make_planner(PlannerVitl(), automaton, known_reached=known_reached)
     for state in range(automaton.n_states):
         plan = planner.plan(state, knowledge)
@@ -200,12 +200,12 @@ def test_constant_plans_are_shortest_paths(data, automaton, known_reached):
 
 @given(data=st.data(), automaton=automata(max_letters=3), seed=st.integers(0, 1000))
 def test_distance_plans_are_shortest_paths(data, automaton, seed):
-    knowledge = data.draw(knowledge_of(automaton.letters))
-    k = len(automaton.letters)
+    knowledge = data.draw(knowledge_of(automaton.propositions))
+    k = len(automaton.propositions)
     rng = np.random.default_rng(seed)
     metres = rng.integers(0, 40, (k + 1, k)) / 4.0
     metres[rng.random((k + 1, k)) < 0.2] = np.inf
-    column = {x: i for i, x in enumerate(automaton.letters)}
+    column = {x: i for i, x in enumerate(automaton.propositions)}
     known = knowledge.detected | knowledge.reached
     placed = {x for x in known if np.isfinite(metres[k, column[x]])}
 
@@ -246,11 +246,11 @@ def check(automaton, state, plan, knowledge):
     for letter, _ in plan.options:
         after = automaton.step(state, letter)
         assert after != state
-        assert not automaton.dead(after)
+        assert not automaton.is_dead(after)
     if not plan.feasible:
         assert (plan.target, plan.steps, plan.cost) == (None, (), math.inf)
         assert set(plan.blocked_by) <= knowledge.failed
-        assert bool(plan.blocked_by) == (not automaton.dead(state))
+        assert bool(plan.blocked_by) == (not automaton.is_dead(state))
         return
     assert plan.target == (plan.steps[0] or None)
     assert plan.options[0] == (plan.steps[0], plan.cost)
@@ -258,7 +258,7 @@ def check(automaton, state, plan, knowledge):
         assert letter not in knowledge.failed
         assert not automaton.accepting[state]
         state = automaton.step(state, letter)
-        assert not automaton.dead(state)
+        assert not automaton.is_dead(state)
     assert automaton.accepting[state]
 
 
@@ -266,7 +266,7 @@ def check(automaton, state, plan, knowledge):
 @pytest.mark.parametrize("config", [PlannerVitl(), PlannerVitl(weights="distance")])
 def test_missions_end_accepted_while_objects_are_met_by_chance(config, automaton, seed):
     """Every plan is followed for one step, with other objects seen now and then."""
-    assume(not automaton.dead(0))
+    assume(not automaton.is_dead(0))
     rng = np.random.default_rng(seed)
     planner = make_planner(config, automaton)
     state, detected, reached, current = 0, set(), set(), None
@@ -278,12 +278,12 @@ def test_missions_end_accepted_while_objects_are_met_by_chance(config, automaton
         letter = plan.steps[0]
         if letter in (*detected, *reached, "") or rng.random() < 0.4:
             state, current = automaton.step(state, letter), None
-            assert not automaton.dead(state)
+            assert not automaton.is_dead(state)
             if letter:
                 detected.discard(letter)
                 reached.add(letter)
         else:
-            unknown = set(automaton.letters) - detected - reached - {letter}
+            unknown = set(automaton.propositions) - detected - reached - {letter}
             detected |= set(rng.permutation(sorted(unknown))[:1].tolist())
             current = letter
     assert automaton.accepting[state]
@@ -307,7 +307,7 @@ class Alphabetical:
     """A planner of one's own."""
 
     def __init__(self, automaton, instruction, last=False):
-        self.letters, self.instruction, self.last = automaton.letters, instruction, last
+        self.letters, self.instruction, self.last = automaton.propositions, instruction, last
 
     def plan(self, state, knowledge, current=None):
         target = sorted(self.letters, reverse=self.last)[0]

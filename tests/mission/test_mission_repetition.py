@@ -19,8 +19,8 @@ SITE = Site((Place("dock", SE2(1.0, 2.0, 0.0)), Place("shelf", SE2(3.0, 2.0, 0.0
 
 def begun(formula: str = PATROL, repeat: Repetition | None = None, **settings) -> MissionRun:
     config = MissionConfig(**settings)
-    brief = prepare(config, formula=formula, repeat=repeat, site=SITE)
-    mission = MissionRun(brief, config)
+    spec = prepare(config, formula=formula, repeat=repeat, site=SITE)
+    mission = MissionRun(spec, config)
     mission.start(0)
     mission.observe(SE2(0, 0, 0), 0)
     return mission
@@ -69,8 +69,8 @@ def test_an_end_that_cannot_be_is_refused(phrase):
     ],
 )
 def test_recurrence_is_one_round_that_repeats(formula, given, one_round, repeat):
-    brief = prepare(MissionConfig(), formula=formula, repeat=given, site=SITE)
-    assert (str(brief.automaton.formula), brief.translation.repeat) == (one_round, repeat)
+    spec = prepare(MissionConfig(), formula=formula, repeat=given, site=SITE)
+    assert (str(spec.automaton.formula), spec.translation.repeat) == (one_round, repeat)
 
 
 @pytest.mark.parametrize("formula", ["F dock", "F (dock | shelf)", "F (dock & X F dock)"])
@@ -89,7 +89,7 @@ def test_the_rounds_are_counted_and_the_last_one_ends_it():
     assert patrol(mission, 2) == ["dock", "shelf"]
     status = mission.status("searching")
     assert (status.phase, status.reason) == ("reached", "3 rounds done")
-    assert [s.text for s in mission.steps if s.kind == "round"] == ["round 2 of 3", "round 3 of 3"]
+    assert [s.text for s in mission.log if s.kind == "round"] == ["round 2 of 3", "round 3 of 3"]
 
 
 def test_it_ends_when_its_time_is_over_in_any_round():
@@ -130,16 +130,16 @@ def test_a_person_ends_what_has_no_end(repeat, phase, reason):
 def test_a_stop_that_fails_is_left_out_and_tried_again_in_the_next_round():
     mission = begun(repeat=Repetition(2))
     patrol(mission, 1)
-    mission.give_up("no path", S)
-    assert "left out in round 1: shelf" in [step.text for step in mission.steps]
+    mission.abandon_target("no path", S)
+    assert "left out in round 1: shelf" in [step.text for step in mission.log]
     assert patrol(mission, 2) == ["dock", "shelf"]
     assert mission.reason == "2 rounds done"
 
 
 def test_it_fails_when_no_stop_can_be_reached():
     mission = begun(repeat=Repetition())
-    mission.give_up("no path to dock", S)
+    mission.abandon_target("no path to dock", S)
     assert mission.target == "shelf"
-    mission.give_up("no path to shelf", S)
+    mission.abandon_target("no path to shelf", S)
     assert mission.status("searching").phase == "failed"
     assert mission.reason == "no path to shelf"

@@ -21,7 +21,7 @@ def begun(formula: str = CHOICE, **settings) -> MissionRun:
 
 
 def kinds(mission: MissionRun) -> list[str]:
-    return [step.kind for step in mission.steps]
+    return [step.kind for step in mission.log]
 
 
 def test_a_new_mission_has_a_target_and_has_done_nothing():
@@ -35,9 +35,9 @@ def test_a_new_mission_has_a_target_and_has_done_nothing():
 def test_a_seen_branch_is_switched_to_at_once():
     """ViTL IV-A2: exploring for the chair, the robot sees the couch."""
     mission = begun()
-    mission.see({"sofa": 1}, S)
+    mission.on_detections({"sofa": 1}, S)
     assert mission.target == "sofa"
-    mission.see({}, 2 * S)
+    mission.on_detections({}, 2 * S)
     assert mission.target == "sofa", "of equals, the one that is pursued"
     assert mission.knowledge.detected == frozenset()
     assert kinds(mission)[2:] == ["seen", "target"]
@@ -45,7 +45,7 @@ def test_a_seen_branch_is_switched_to_at_once():
 
 def test_reaching_the_targets_in_order_fulfils_it():
     mission = begun()
-    mission.see({"sofa": 1}, S)
+    mission.on_detections({"sofa": 1}, S)
     mission.on_reached("seen in 5 images", 2 * S)
     assert (mission.target, mission.trace) == ("tv", ("sofa",))
     mission.on_reached("seen in 6 images", 3 * S)
@@ -56,41 +56,41 @@ def test_reaching_the_targets_in_order_fulfils_it():
 
 def test_a_failed_branch_gives_way_to_the_other_and_the_last_ends_it():
     mission = begun()
-    mission.give_up("found no chair", S)
+    mission.abandon_target("found no chair", S)
     assert (mission.target, mission.failed) == ("sofa", {"chair"})
-    mission.give_up("found no sofa", 2 * S)
+    mission.abandon_target("found no sofa", 2 * S)
     status = mission.status("searching")
     assert status.phase == "failed"
     assert "found no" in status.reason
 
 
-def test_what_failed_is_taken_up_again_only_when_another_one_is_seen():
+def test_what_failed_is_tried_again_only_when_another_one_is_seen():
     mission = begun()
-    mission.see({"chair": 4}, S)
-    mission.give_up("no way to it", 2 * S)
+    mission.on_detections({"chair": 4}, S)
+    mission.abandon_target("no way to it", 2 * S)
     assert mission.target == "sofa"
-    mission.see({"chair": 4}, 3 * S)
+    mission.on_detections({"chair": 4}, 3 * S)
     assert (mission.target, mission.failed) == ("sofa", {"chair"})
-    mission.see({"chair": 9}, 4 * S)
+    mission.on_detections({"chair": 9}, 4 * S)
     assert (mission.target, mission.failed) == ("chair", frozenset())
 
 
 def test_what_failed_before_a_restart_needs_a_newer_instance_too():
     mission = begun("F (chair | sofa)")
     config = MissionConfig()
-    second = MissionRun(mission.brief, config)
+    second = MissionRun(mission.spec, config)
     second.restore((), (), {"chair"}, 1.0, 1.0, False)
     second.start(0)
     second.mark_stale_before(7)
-    second.see({"chair": 7}, S)
+    second.on_detections({"chair": 7}, S)
     assert second.failed == {"chair"}
-    second.give_up("no way to it", 2 * S)
+    second.abandon_target("no way to it", 2 * S)
     assert second.reason == "chair failed before the restart; no way to it"
-    third = MissionRun(mission.brief, config)
+    third = MissionRun(mission.spec, config)
     third.restore((), (), {"chair"}, 1.0, 1.0, False)
     third.start(0)
     third.mark_stale_before(7)
-    third.see({"chair": 8}, S)
+    third.on_detections({"chair": 8}, S)
     assert third.target == "chair"
 
 
@@ -143,13 +143,13 @@ def test_the_end_is_final():
     mission = begun("F chair")
     mission.on_reached("confirmed", S)
     mission.fail("again", 2 * S)
-    mission.see({"chair": 2}, 2 * S)
+    mission.on_detections({"chair": 2}, 2 * S)
     assert (mission.status("searching").phase, mission.reason) == ("reached", "confirmed")
 
 
 def test_it_goes_on_where_another_run_of_it_stopped():
     first = begun()
-    first.see({"sofa": 1}, S)
+    first.on_detections({"sofa": 1}, S)
     first.on_reached("", 2 * S)
     config = MissionConfig()
     second = MissionRun(prepare(config, formula=CHOICE), config)
@@ -161,12 +161,12 @@ def test_it_goes_on_where_another_run_of_it_stopped():
 def test_with_distances_the_nearer_branch_wins_by_the_margin():
     planner = PlannerVitl(weights="distance")
     mission = begun("F (chair | sofa)", planner=planner)
-    mission.see({"chair": 1, "sofa": 2}, S)
+    mission.on_detections({"chair": 1, "sofa": 2}, S)
     assert mission.target == "chair"
 
     def survey(chair_m: float, sofa_m: float) -> str:
         between = np.array([[0, 4.0], [4.0, 0]])
-        mission.survey(np.vstack([between, [chair_m, sofa_m]]), 2 * S)
+        mission.update_distances(np.vstack([between, [chair_m, sofa_m]]), 2 * S)
         return mission.target
 
     assert survey(5.0, 4.5) == "chair"

@@ -9,10 +9,10 @@ from edge.mission.spec import prepare
 
 
 def test_a_bare_target_is_the_mission_to_reach_it():
-    brief = prepare(MissionConfig(target="trash can"))
-    assert str(brief.automaton.formula) == 'F "trash can"'
-    assert brief.targets == ("trash can",)
-    assert brief.translation.instruction == "trash can"
+    spec = prepare(MissionConfig(target="trash can"))
+    assert str(spec.automaton.formula) == 'F "trash can"'
+    assert spec.targets == ("trash can",)
+    assert spec.translation.instruction == "trash can"
 
 
 @pytest.mark.parametrize(
@@ -61,22 +61,22 @@ def test_letters_may_name_things():
 
 
 def test_what_does_not_matter_is_not_looked_for():
-    brief = prepare(MissionConfig(), formula="F (chair & (bed | !bed))")
-    assert brief.targets == ("chair",)
-    assert brief.warnings == ("does not affect the mission: bed",)
+    spec = prepare(MissionConfig(), formula="F (chair & (bed | !bed))")
+    assert spec.targets == ("chair",)
+    assert spec.warnings == ("does not affect the mission: bed",)
 
 
 AMBIGUOUS = "the sofa must be visited before the bed"
 
 
-def test_whoever_gives_an_instruction_is_asked_and_the_configuration_cannot_be() -> None:
+def test_a_person_who_gives_an_instruction_is_asked_and_the_configuration_cannot_be() -> None:
     with pytest.raises(AmbiguousInstructionError) as caught:
         prepare(MissionConfig(), AMBIGUOUS)
     told = caught.value.details["readings"]
     assert told == [reading.english for reading in caught.value.readings]
-    brief = prepare(MissionConfig(instruction=AMBIGUOUS))
-    assert brief.translation.implied
-    assert brief.warnings == (
+    spec = prepare(MissionConfig(instruction=AMBIGUOUS))
+    assert spec.translation.implied
+    assert spec.warnings == (
         f"the instruction has {len(told)} readings and nobody chose one, so reading 1 was taken: "
         "it fulfils all of them",
     )

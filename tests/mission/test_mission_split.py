@@ -50,7 +50,7 @@ def test_parts(formula, parts):
     ],
 )
 def test_it_is_said_why_a_mission_stays_whole(formula, why):
-    assert split(ltl.parse(formula)).why_whole == why
+    assert split(ltl.parse(formula)).unsplit_reason == why
 
 
 def test_the_sentence_of_the_page_has_three_parts():
@@ -108,10 +108,10 @@ def fulfilling(draw, formula):
     """
     automaton = compile_formula(formula)
     state, word = 0, []
-    if automaton.dead(0):
+    if automaton.is_dead(0):
         return None
     for _ in range(draw(st.integers(0, 3))):
-        hopeful = [(x, to) for x, to in automaton.edges(state) if not automaton.dead(to)]
+        hopeful = [(x, to) for x, to in automaton.edges(state) if not automaton.is_dead(to)]
         if not hopeful:
             break
         letter, state = draw(st.sampled_from(hopeful))

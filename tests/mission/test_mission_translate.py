@@ -121,7 +121,7 @@ def test_auto_takes_what_is_agreed_on(
     found = read(said)
     texts = [str(formula) for formula in found.formulas]
     assert len(texts) == wanted if isinstance(wanted, int) else texts == wanted
-    assert (found.by, found.sure) == (by, sure)
+    assert (found.backend, found.confident) == (by, sure)
 
 
 # Said, what a model makes of it, and what is asked about then; a text: it is refused with that.
@@ -149,7 +149,7 @@ def test_a_models_formula_heeds_the_bans_that_the_rules_read(
             with_bans(said, read)
         return
     found = with_bans(said, read)
-    assert found.sure is (asked is None)
+    assert found.confident is (asked is None)
     assert [str(one) for one in found.formulas] == (asked or [formula])
 
 

@@ -231,7 +231,7 @@ def scorer_of(server, kind="openai", **settings):
 
 
 def put_to(asks, question):
-    return asks.answer(asks.look(question))
+    return asks.answer(asks.prepare(question))
 
 
 def model(direction=DIRECTIONS, scene=SCENE):
@@ -261,7 +261,7 @@ def test_the_image_is_sent_with_its_letters_and_no_image_is_an_error(make_observ
         asks = scorer_of(server, max_image_px=160)
         put_to(asks, view(make_observation, rgb=rgb))
         with pytest.raises(ValueError, match="observation 3: no image"):
-            asks.look(view(make_observation))
+            asks.prepare(view(make_observation))
     image, text = server.requests[0][2]["messages"][1]["content"]
     assert image["type"] == "image_url"
     data = base64.b64decode(image["image_url"]["url"].split(",")[1])

@@ -251,7 +251,7 @@ class Memory(Scene):
         """One frame with targets, and with context words likewise."""
         seen = self.frame()
         lifted = self.lifted(seen, things)
-        self.sightings.look(lifted, self.lifted(seen, around))
+        self.sightings.update(lifted, self.lifted(seen, around))
         self.tracker.update(lifted, seen.stamp_ns)
         self.expire(seen)
         return self.tracker
@@ -290,7 +290,7 @@ def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
     assert tracker.of("desk", doubted=False) == []
     for _ in range(60):  # it was a mistake, and as the looks go on it is seen to be one
         s.look(("desk", 2, 0, 0.6), around=[("sofa", 2, 3, 0.7)])
-    assert tracker.of("desk", sure=True, doubted=False) == [desk]
+    assert tracker.of("desk", only_confirmed=True, doubted=False) == [desk]
 
 
 @pytest.mark.parametrize(
@@ -308,7 +308,7 @@ def test_what_was_confirmed_takes_more_to_doubt(memory, first, desk_score, sofa_
         s.look(("desk", 2, 0, 0.6), around=[("lamp", 2, 3, 0.7), ("sofa", 2, 3, 0.7)])
     for _ in range(80):
         tracker = s.look(("desk", 2, 0, desk_score), around=[("sofa", 2, 0, sofa_score)])
-    assert bool(tracker.of("desk", sure=True, doubted=False)) == sure
+    assert bool(tracker.of("desk", only_confirmed=True, doubted=False)) == sure
 
 
 @pytest.mark.parametrize(
@@ -326,9 +326,9 @@ def test_what_was_seen_as_context_is_recalled_as_a_target(memory, word, looks, s
     for _ in range(looks):
         s.look(around=[(word, 2, 0, 0.6)])
     assert s.tracker.all == []
-    s.tracker.recall(["desk", "chair"])
+    s.tracker.promote_context(["desk", "chair"])
     assert [instance.state for instance in s.tracker.of("desk")] == states
-    s.tracker.recall(["desk", "chair"])  # once is enough
+    s.tracker.promote_context(["desk", "chair"])  # once is enough
     assert len(s.tracker.all) == len(states)
     for instance in s.tracker.all:
         assert instance.distance_m(2, 0) < 0.2
@@ -337,5 +337,5 @@ def test_what_was_seen_as_context_is_recalled_as_a_target(memory, word, looks, s
 
 def test_without_a_memory_nothing_is_recalled(scene):
     s = scene()
-    s.tracker.recall(["desk"])
+    s.tracker.promote_context(["desk"])
     assert s.tracker.all == []

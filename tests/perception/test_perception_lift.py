@@ -32,7 +32,7 @@ def detect(observation, *boxes, score=0.9):
 
 def lift(observation, *boxes, **settings):
     lifter = BackProjector(config.PerceptionConfig(detector=config.DetectorSim(), **settings))
-    return lifter.lift(detect(observation, *boxes))[0]
+    return lifter.back_project(detect(observation, *boxes))[0]
 
 
 def wall_with_thing(thing_m=2.0, wall_m=4.0):
@@ -86,7 +86,7 @@ def test_the_floor_in_front_is_not_the_thing(make_observation, base_m):
     seen = dataclasses.replace(
         seen, T_map_base=seen.T_map_base @ legs, T_base_camera=invert(legs) @ seen.T_base_camera
     )
-    out, _ = BackProjector(SIMULATED).lift(detect(seen, (28, 22, 52, 63)), -base_m)
+    out, _ = BackProjector(SIMULATED).back_project(detect(seen, (28, 22, 52, 63)), -base_m)
     np.testing.assert_allclose(out.center_m[0][:2], [2.0, 0.0], atol=0.1)
     assert 0.05 < out.surface_m(0)[:, 2].min() < 0.3
     assert out.surface_m(0)[:, 0].min() > 1.8
@@ -139,7 +139,7 @@ def test_what_is_lacking_is_counted_and_told_once(make_observation, change, way,
         config.PerceptionConfig(detector=config.DetectorSim(), back_projection=way)
     )
     for _ in range(2):
-        lifted, _ = lifter.lift(detect(seen, BOX))
+        lifted, _ = lifter.back_project(detect(seen, BOX))
         assert len(lifted) == 1
         assert not lifted.valid.any()
     assert lifter.skipped == 2
@@ -216,7 +216,7 @@ def test_things_of_a_real_lidar_scan(shared_dir):
                 in_view = box[0] >= 0 and box[2] < seen.camera.width_px and z.min() > 2
                 if len(points) < 25 or not in_view or box[2] - box[0] < 6:
                     continue
-                out, _ = lifter.lift(detect(seen, box))
+                out, _ = lifter.back_project(detect(seen, box))
                 assert out.valid.all()
                 apart = points[:, :2] + offset_m[:2] - out.center_m[0, :2]
                 found.append(np.linalg.norm(apart, axis=1).min())
@@ -303,7 +303,7 @@ def test_what_fits_another_box_better_is_not_the_things(make_observation, around
         n = len(boxes)
         others = ContextBoxes(boxes, np.ones(n, np.float32), np.zeros(n, np.int32), ("cabinet",))
         seen = dataclasses.replace(seen, context=others)
-    out, beside = BackProjector(SIMULATED).lift(seen)
+    out, beside = BackProjector(SIMULATED).back_project(seen)
     assert out.center_m[0, 0] == pytest.approx(x_m, abs=0.1)
     assert (beside is None) == (around is None)
     if around and around[0] == CABINET:
@@ -316,12 +316,12 @@ def test_a_bed_behind_a_lamp_is_not_the_lamp(make_observation):
     depth[31:48, 20:60] = 4.5
     depth[2:20, 28:52] = depth[20:64, 32:38] = 0.6  # its shade and its stem
     seen = detect(make_observation(depth_m=depth), (20, 24, 56, 48), score=0.6)
-    alone, _ = BackProjector(SIMULATED).lift(seen)
+    alone, _ = BackProjector(SIMULATED).back_project(seen)
     assert alone.center_m[0, 0] == pytest.approx(4.5, abs=0.1)
     boxes = np.array([[6, 1, 74, 60], [36, 32, 59, 50]], np.float32)
     scores, words = np.array([0.7, 0.3], np.float32), ("lamp", "coffee table")
     around = ContextBoxes(boxes, scores, np.arange(2, dtype=np.int32), words)
-    out, beside = BackProjector(SIMULATED).lift(dataclasses.replace(seen, context=around))
+    out, beside = BackProjector(SIMULATED).back_project(dataclasses.replace(seen, context=around))
     assert beside.center_m[:, 0] == pytest.approx([0.6, 4.5], abs=0.1)
     assert not out.valid[0]
 
@@ -368,7 +368,7 @@ def test_only_what_lies_on_the_mask_is_the_thing(make_observation, shown_m, x_m,
     lifter = BackProjector(
         config.PerceptionConfig(detector=config.DetectorSim(), back_projection=way)
     )
-    out, _ = lifter.lift(found)
+    out, _ = lifter.back_project(found)
     assert out.valid.tolist() == [True]
     assert out.center_m[0, 0] == pytest.approx(x_m, abs=0.1)
 

@@ -45,7 +45,7 @@ def ways(*marks: Mark) -> MarkCosts:
 def view(*marks: Mark, rgb: np.ndarray | None = None, target: str = "bed") -> MarkedView:
     image = np.full((*HW, 3), 90, np.uint8) if rgb is None else rgb
     seen = Observation(1, 7, np.eye(4), rgb=image)
-    return MarkedView(seen, target, tuple(marks), ways=ways(*marks))
+    return MarkedView(seen, target, tuple(marks), mark_costs=ways(*marks))
 
 
 # -- what the network gets ------------------------------------------------------------------------
@@ -115,7 +115,7 @@ def scorer_of(monkeypatch, session, dim: int = 64) -> MarkScorer:
 def test_without_marks_there_is_nothing_to_choose(monkeypatch):
     session = FakeSession([0.0] * (MAX_MARKS + 1))
     scorer = scorer_of(monkeypatch, session)
-    assert scorer.answer(scorer.look(view())) is None
+    assert scorer.answer(scorer.prepare(view())) is None
     assert len(session.feeds) == 1
 
 
@@ -123,7 +123,7 @@ def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
     logits = [np.log(2.0), 0.0, 50.0, 50.0, 50.0, 50.0, 50.0, 50.0, np.log(5.0)]
     session = FakeSession(logits, np.log(3.0))
     scorer = scorer_of(monkeypatch, session)
-    choice = scorer.answer(scorer.look(view(mark(4, 10.0), mark(9, 200.0))))
+    choice = scorer.answer(scorer.prepare(view(mark(4, 10.0), mark(9, 200.0))))
     assert (choice.ids, choice.target, choice.stamp_ns) == ((4, 9), "bed", 7)
     np.testing.assert_allclose(choice.p, [0.25, 0.125], rtol=1e-6)
     assert choice.elsewhere == pytest.approx(0.625)
@@ -147,7 +147,7 @@ def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
 def test_what_cannot_be_used_is_an_error_of_one_line(monkeypatch, session, says):
     scorer = scorer_of(monkeypatch, session)
     with pytest.raises(ModelError, match=says) as error:
-        scorer.answer(scorer.look(view(mark(1, 1.0))))
+        scorer.answer(scorer.prepare(view(mark(1, 1.0))))
     assert "fake" in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -158,9 +158,9 @@ def test_without_an_image_or_a_map_and_for_an_unknown_target_it_says_so(monkeypa
     for rgb, says in ((None, "observation 3 has no camera image"), (image, "there is no map yet")):
         blind = MarkedView(Observation(3, 7, np.eye(4), rgb=rgb), "bed", (mark(1, 1.0),))
         with pytest.raises(ModelError, match=says):
-            scorer.look(blind)
+            scorer.prepare(blind)
     with pytest.raises(PromptError, match="unicorn"):
-        scorer.answer(scorer.look(view(mark(1, 1.0), target="unicorn")))
+        scorer.answer(scorer.prepare(view(mark(1, 1.0), target="unicorn")))
 
 
 def test_a_text_encoder_of_another_length_is_refused(monkeypatch):
@@ -194,7 +194,7 @@ def test_a_closed_one_gives_up_what_is_asked(monkeypatch):
     scorer = scorer_of(monkeypatch, Slow([0.0] * 9))
     scorer.close()
     with pytest.raises(ModelError, match="fake: aborted"):
-        scorer.answer(scorer.look(view(mark(1, 1.0))))
+        scorer.answer(scorer.prepare(view(mark(1, 1.0))))
 
 
 # -- the one that is shipped ----------------------------------------------------------------------
@@ -229,14 +229,14 @@ def test_in_a_process_of_its_own_it_says_the_same(shipped):
     assert isinstance(there._network, ProcessMarks)
     rgb = np.random.default_rng(0).integers(0, 255, (120, 160, 3), np.uint8)
     asked = view(mark(4, 10.0, bearing_rad=0.4), mark(9, 120.0, away_m=5.0), rgb=rgb)
-    theirs, ours = (one.answer(one.look(asked)) for one in (there, shipped))
+    theirs, ours = (one.answer(one.prepare(asked)) for one in (there, shipped))
     np.testing.assert_array_equal(theirs.p, ours.p)
     assert (theirs.ids, theirs.scene) == (ours.ids, ours.scene)
     with pytest.raises(PromptError, match="unicorn"):
-        there.answer(there.look(view(mark(1, 1.0), target="unicorn")))
+        there.answer(there.prepare(view(mark(1, 1.0), target="unicorn")))
     there.close()
     with pytest.raises(ModelError, match="its process"):
-        there.answer(there.look(asked))
+        there.answer(there.prepare(asked))
 
 
 def test_the_order_of_the_marks_and_the_size_of_the_image_change_little(shipped):
@@ -246,13 +246,13 @@ def test_the_order_of_the_marks_and_the_size_of_the_image_change_little(shipped)
         mark(1, 20.0, 150.0, 0.6, 2.0), mark(2, 160.0, 140.0, 0.0, 5.0),
         mark(3, 300.0, 200.0, -0.6, 1.2),
     ]  # fmt: skip
-    one = shipped.answer(shipped.look(view(*marks, rgb=rgb)))
-    other = shipped.answer(shipped.look(view(*marks[::-1], rgb=rgb)))
+    one = shipped.answer(shipped.prepare(view(*marks, rgb=rgb)))
+    other = shipped.answer(shipped.prepare(view(*marks[::-1], rgb=rgb)))
     assert one.p.sum() + one.elsewhere == pytest.approx(1.0)
     np.testing.assert_allclose(one.p, other.p[::-1], atol=1e-5)
     doubled = [m._replace(u_px=2 * m.u_px + 0.5, v_px=2 * m.v_px + 0.5) for m in marks]
     large = rgb.repeat(2, axis=0).repeat(2, axis=1)
-    scaled = shipped.answer(shipped.look(view(*doubled, rgb=large)))
+    scaled = shipped.answer(shipped.prepare(view(*doubled, rgb=large)))
     np.testing.assert_allclose(one.p, scaled.p, atol=1e-4)
     assert scaled.scene == pytest.approx(one.scene, abs=1e-4)
 

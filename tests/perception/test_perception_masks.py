@@ -177,7 +177,7 @@ def test_the_best_boxes_have_masks(seen, boxes, fake, masked, counts):
     found = masker.add(found_in(seen, *boxes))
     assert found.mask.shape == (len(boxes), MASK_SIDE, MASK_SIDE)
     assert made(found.mask) == masked
-    assert (masker.made, masker.late, masker.failed) == (*counts, 0)
+    assert (masker.n_masks, masker.n_skipped, masker.failed) == (*counts, 0)
     assert found.latency_ns > 5
     assert all(0 < left_s <= limit_s for _, left_s in fake.asked)
 

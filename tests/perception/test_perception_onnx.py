@@ -164,7 +164,7 @@ def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny
 def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tiny, caplog):
     detector = tiny(prompts=("sofa",), background=("zebra", "chair", "heron", "couch"))
     detector.set_prompts(["desk"])
-    assert detector._asked.columns.things == 3
+    assert detector._prompt_set.columns.n_classes == 3
     assert [r.message for r in caplog.records] == [
         "model tiny: perception.detector.background: ignored words that it does not know: "
         "'zebra', 'heron'"
@@ -255,7 +255,7 @@ def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
         check_model(load_detector_card("tiny"))
 
 
-def test_contrasts_are_asked_for_beside_the_prompts(tiny, monkeypatch, make_observation):
+def test_contrasts_are_asked_for_next_to_the_prompts(tiny, monkeypatch, make_observation):
     detector = tiny(prompts=("chair",))
     seen = make_observation(rgb=image())
     assert detector.detect(seen).competing_score.tolist() == [0.0]

@@ -61,7 +61,7 @@ def test_the_table_holds_together():
     ],
 )
 def test_rooms_with_both(a, b, low, high):
-    lift = table.load().lift([a, b])
+    lift = table.load().likelihood_ratio([a, b])
     assert lift[0, 1] == lift[1, 0]
     assert low <= lift[0, 1] <= high
     assert lift[0, 0] == lift[1, 1] == 1
@@ -77,7 +77,7 @@ def test_small_counts_are_drawn_towards_one(both, lift):
         "near": {"bias": [0, 0], "weight": {}},
         "kinds": {**DATA["kinds"], "rooms_with": [[0, 0], [0, 0]]},
     }
-    assert table.parse(data).lift(["bed", "vase"])[0, 1] == pytest.approx(lift)
+    assert table.parse(data).likelihood_ratio(["bed", "vase"])[0, 1] == pytest.approx(lift)
 
 
 @pytest.mark.parametrize(

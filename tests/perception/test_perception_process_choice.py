@@ -86,7 +86,7 @@ def test_words_go_there_too_where_the_configuration_isolates(tmp_path, monkeypat
     asks = make_choice(perception.choice, perception)
     there = asks._model
     assert isinstance(there, ProcessModel)
-    assert not there.sees
+    assert not there.takes_images
     here = open_model(perception.choice)
     told = (one.ask(SYSTEM, "a bed", ASKED, PATIENCE_S) for one in (there, here))
     for one, other in zip(*told, strict=True):

@@ -25,14 +25,14 @@ class Scene:
             config.PerceptionConfig(detector=config.DetectorSim(), **settings)
         )
         self.make, self.seq = make_observation, 0
-        self.seen = self.tracker.shown
+        self.seen = self.tracker.read_only
 
     def see(self, *things, targets=("bed",), words=("chair", "sofa"), depth_m=6.0):
         """One frame with (word, x, y, score) each; targets and context are looked for."""
         self.seq += 1
         depth = np.full((64, 80), depth_m, np.float32)
         frame = self.make(seq=self.seq, depth_m=depth)
-        self.tracker.look(self.lifted(frame, things, targets), self.lifted(frame, things, words))
+        self.tracker.update(self.lifted(frame, things, targets), self.lifted(frame, things, words))
         return self
 
     @staticmethod
@@ -212,15 +212,15 @@ def test_what_is_surer_to_be_something_else_is_doubted(scene, seen, doubtful):
     s = scene()
     for _ in range(5):
         s.see(*seen, words=("chair", "sofa", "double bed"))
-    assert s.tracker.doubts("bed", surface(NEAR), 0.2) == doubtful
+    assert s.tracker.has_competing_object("bed", surface(NEAR), 0.2) == doubtful
 
 
 def test_what_was_restored_is_no_doubt_until_it_is_looked_for_again(scene):
     before, after = scene().see(("sofa", NEAR, 0, 0.9)), scene()
     after.tracker.load_state_dict(before.tracker.state_dict(), 0)
-    assert not after.tracker.doubts("bed", surface(NEAR), 0.2)
+    assert not after.tracker.has_competing_object("bed", surface(NEAR), 0.2)
     after.see()
-    assert after.tracker.doubts("bed", surface(NEAR), 0.2)
+    assert after.tracker.has_competing_object("bed", surface(NEAR), 0.2)
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_a_broader_word_counts_less_and_a_narrower_nothing(scene, target, around
     for _ in range(8):
         seen = [(word, NEAR, 0, score) for word, score in (target, around)]
         s.see(*seen, targets=(target[0],), words=(around[0],))
-    assert s.tracker.doubts(target[0], surface(NEAR), 0.2) == doubtful
+    assert s.tracker.has_competing_object(target[0], surface(NEAR), 0.2) == doubtful
 
 
 def test_a_row_of_chairs_is_no_sofa_and_a_vase_is_not_its_table(scene):
@@ -244,12 +244,14 @@ def test_a_row_of_chairs_is_no_sofa_and_a_vase_is_not_its_table(scene):
     s = scene(merge_m=0.4)
     for _ in range(5):
         s.see(*row, ("sofa", NEAR, 0.0, 0.45), targets=("sofa",), words=("chair",))
-    assert s.tracker.doubts("sofa", np.concatenate([surface(NEAR, y) for *_, y, _ in row]), 0.9)
+    assert s.tracker.has_competing_object(
+        "sofa", np.concatenate([surface(NEAR, y) for *_, y, _ in row]), 0.9
+    )
     large = scene()
     for _ in range(5):
         large.see(("sofa", NEAR, 0, 0.8), ("sofa", NEAR, 0.5, 0.8), ("sofa", NEAR, -0.5, 0.8))
     vase = surface(NEAR, 0.5, z_m=0.9, half_m=0.06)
-    assert not large.tracker.doubts("vase", vase, 0.1)
+    assert not large.tracker.has_competing_object("vase", vase, 0.1)
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 6))

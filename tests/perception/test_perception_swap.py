@@ -145,7 +145,7 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
     assert b.swap() == ("kept", "5 images, median 5.0 ms")
     assert b.worker.detector is b.new
     assert b.worker.previous is None
-    assert b.worker.watch is None
+    assert b.worker.on_result is None
     eventually(lambda: b.old.closed)
     assert (b.old.closed, b.new.closed) == (1, 0)
     assert b.said == [
@@ -179,7 +179,7 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
                            "it anyway"),
     ],
 )  # fmt: skip
-def test_a_model_that_does_badly_beside_the_running_one_is_refused(bench, new, reason):
+def test_a_model_that_does_badly_next_to_the_running_one_is_refused(bench, new, reason):
     b = bench(new)
     assert b.swap() == ("refused", f"{reason}; old goes on")
     assert b.said[1:] == [f"model new: refused: {reason}; old goes on"]
@@ -296,7 +296,7 @@ def test_images_that_are_no_images_are_no_fault(bench, make_observation):
     b.swapper.request("new", False, 0)
     b.until("on probation")
     for _ in range(20):
-        b.worker.watch(b.new, make_observation(), ValueError("no image to detect in"))
+        b.worker.on_result(b.new, make_observation(), ValueError("no image to detect in"))
         b.swapper.step(0)
     assert b.swapper.state == "on probation"
 
@@ -428,7 +428,7 @@ def test_closing_while_it_loads_does_not_wait_for_it(bench, monkeypatch):
     b.swapper.request("new", False, 0)
     assert b.new.begun.wait(PATIENCE_S)
     b.swapper.close()
-    assert b.worker.watch is None
+    assert b.worker.on_result is None
     assert b.new.closed == 0
     b.new.go.set()
     eventually(lambda: b.new.closed)

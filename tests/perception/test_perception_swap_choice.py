@@ -23,7 +23,7 @@ class Named:
         self.go.set()
         self.error = None
 
-    def look(self, question):
+    def prepare(self, question):
         return question
 
     def answer(self, looked):

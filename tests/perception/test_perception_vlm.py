@@ -47,7 +47,7 @@ def opened(card) -> LanguageModel:
 
 
 def a_view(model, seed=0):
-    if not model.sees:
+    if not model.takes_images:
         return f"The robot sees:\n- bed, left, {seed}.1 m\nIt can go on in these directions:"
     return np.random.default_rng(seed).integers(0, 255, (48, 64, 3), np.uint8)
 
@@ -225,7 +225,7 @@ def test_a_view_becomes_a_choice(models_dir, make_observation, family):
     card = publish(models_dir, family)
     asks = made(card="tiny", time_limit_s=PATIENCE_S)
     rgb = np.random.default_rng(0).integers(0, 255, (64, 80, 3), np.uint8)
-    shown = asks.look(view_of(make_observation, rgb=rgb))
+    shown = asks.prepare(view_of(make_observation, rgb=rgb))
     choice = asks.answer(shown)
     assert asks.name == "tiny"
     assert (choice.stamp_ns, choice.target, choice.ids) == (300_000_000, "lamp", (7, 9))
@@ -240,13 +240,13 @@ def test_a_view_becomes_a_choice(models_dir, make_observation, family):
 
 def test_without_marks_nothing_is_asked_and_without_an_image_it_cannot_be(make_observation):
     class Eyes:
-        name, sees = "eyes", True
+        name, takes_images = "eyes", True
 
     asks = OnnxFrontierScorer(Eyes(), 640, 1.0)
     with pytest.raises(ModelError, match=r"model eyes: .* observation 3 has no camera image"):
-        asks.look(view_of(make_observation))
+        asks.prepare(view_of(make_observation))
     seen = view_of(make_observation, rgb=np.zeros((4, 80, 3), np.uint8))
-    assert asks.answer(asks.look(MarkedView(seen.observation, "lamp", ()))) is None
+    assert asks.answer(asks.prepare(MarkedView(seen.observation, "lamp", ()))) is None
 
 
 # -- what goes wrong --------------------------------------------------------------------------
@@ -546,7 +546,7 @@ def test_a_card_of_another_task_and_one_that_is_not_there(models_dir):
             made(card=name)
 
 
-def test_weights_beside_a_network_must_be_among_the_cards_files(models_dir):
+def test_weights_next_to_a_network_must_be_among_the_cards_files(models_dir):
     card = publish(models_dir, "text")
     path = card.path_of(card.decoder)
     made = tiny_vlm.decoder(600, np.random.default_rng(0), "text", F32)

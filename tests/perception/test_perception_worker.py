@@ -117,14 +117,14 @@ def test_what_has_no_picture_is_no_failure(make_observation, looks_at, inline):
 
 
 @pytest.mark.parametrize("inline", [False, True])
-def test_whoever_watches_and_fails_stops_nothing(frames, inline, caplog):
+def test_a_callback_that_fails_stops_nothing(frames, inline, caplog):
     worker = DetectorWorker(fake := Fake(), inline)
 
     def watch(detector, observation, outcome):
         assert observation.slot.holds == 1
         raise MemoryError("no room for a copy")
 
-    worker.watch = watch
+    worker.on_result = watch
     for frame in frames[:2]:
         fake.gate.release()
         worker.submit(frame)
@@ -165,7 +165,7 @@ class Steered:
             raise RuntimeError("as told")
         return found_in(observation)
 
-    def look(self, question):
+    def prepare(self, question):
         return self.detect(question.observation)
 
     def answer(self, looked):
@@ -221,7 +221,7 @@ def test_no_frame_stays_held_in_any_order_of_events(make_observation, monkeypatc
                     found.observation.release()
             elif worker._waiting:
                 for item in worker._take():
-                    worker._do(item)
+                    worker._process(item)
         worker.close()
         assert [slot.holds for slot in slots] == [0] * len(slots), events
 
@@ -237,7 +237,7 @@ class FakeScorer:
         self.closed = threading.Event()
         self.outcomes = list(outcomes)
 
-    def look(self, question):
+    def prepare(self, question):
         assert question.observation.slot.holds == 1
         return question.observation.seq
 

@@ -15,13 +15,14 @@ from edge.policies import make_policy
 from edge.policies.base import (
     FRONTIER,
     INSTANCE,
-    LOOK,
+    SPIN,
     Candidates,
     PolicyInput,
     ScorerOutputs,
     scores_of,
 )
 from edge.policies.hvl import hvl_scores, relatedness, vl_scores
+from edge.policies.search import SearchPolicy
 from edge.policies.select import ranked
 from edge.types import ContextBoxes, Detections, Observation
 
@@ -147,7 +148,7 @@ def candidates_of(*entries: tuple[int, float, float]) -> Candidates:
         ([(FRONTIER, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [1]),
         ([(INSTANCE, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [0, 1]),
         # A turn on the spot is one more way to see what is not known yet.
-        ([(FRONTIER, 3, 0), (INSTANCE, 3, 1), (LOOK, 0.3, 0)], [0.1, 0.1, 0.9], [1, 2, 0]),
+        ([(FRONTIER, 3, 0), (INSTANCE, 3, 1), (SPIN, 0.3, 0)], [0.1, 0.1, 0.9], [1, 2, 0]),
         # Ties go to the older identity.
         ([(FRONTIER, 2, 0), (FRONTIER, 3, 0)], [0.5, 0.5], [0, 1]),
     ],
@@ -155,6 +156,37 @@ def candidates_of(*entries: tuple[int, float, float]) -> Candidates:
 def test_ranking_is_algorithm_2(entries, score, expected):
     order = ranked(candidates_of(*entries), np.array(score, np.float32), SE2(0, 0, 0), 0.5)
     assert order.tolist() == expected
+
+
+@pytest.mark.parametrize(("confirmed_first", "expected"), [(True, [1, 0, 2]), (False, [0, 1, 2])])
+def test_a_confirmed_instance_may_come_before_what_scores_more(confirmed_first, expected):
+    candidates = candidates_of((INSTANCE, 2, 0), (INSTANCE, 5, 0), (FRONTIER, 1, 0))
+    candidates.confirmed[1] = True
+    score = np.array([0.3, 0.2, 0.9], np.float32)
+    order = ranked(candidates, score, SE2(0, 0, 0), 0.5, confirmed_first)
+    assert order.tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("path_m", "best"),
+    [
+        # Ways to a confirmed object, and to one that may be another thing (confidence 0.36).
+        ((2.0, 2.0), 0),
+        ((2.0, 1.0), 0),
+        ((5.0, 2.0), 1),
+        ((9.0, 6.0), 0),
+    ],
+)
+def test_objects_are_visited_in_the_order_of_the_least_expected_path(path_m, best):
+    candidates = candidates_of((INSTANCE, 1, 0), (INSTANCE, 0, 1))
+    candidates.confirmed[0], candidates.confidence[1] = True, 0.36
+    candidates.path_m[:2] = path_m
+    score = SearchPolicy(PolicySearch()).score(context(candidates))
+    chance, cost_m = np.array([0.95, 0.6]), 1.0 + np.array(path_m)
+    expected_m = [
+        cost_m[i] + (1.0 - chance[i]) * cost_m[1 - i] for i in range(2)
+    ]  # the second trip from here again
+    assert int(score.argmax()) == int(np.argmin(expected_m)) == best
 
 
 CAMERA = CameraModel.from_hfov(320, 256, FOV)
@@ -213,7 +245,7 @@ def context(
 )
 def test_what_a_policy_makes_of_way_and_gain(policy, expected):
     candidates = candidates_of(
-        (FRONTIER, 4, 0), (FRONTIER, 2, 0), (FRONTIER, 1, 0), (INSTANCE, 9, 0), (LOOK, 1, 0)
+        (FRONTIER, 4, 0), (FRONTIER, 2, 0), (FRONTIER, 1, 0), (INSTANCE, 9, 0), (SPIN, 1, 0)
     )
     candidates.path_m[:5] = 4.0, 2.0, math.inf, 9.0, 1.0
     candidates.gain_m2[:5] = 4.0, 9.0, 25.0, 0.0, 4.0
@@ -235,7 +267,7 @@ BY_SIGHT = PolicyHvl(heuristics=False)
 BOTH = ("chair", "sofa")
 
 
-def test_what_was_seen_first_stays_with_the_frontier_wherever_it_stands_in_the_list():
+def test_what_was_seen_first_stays_with_the_frontier_at_any_place_in_the_list():
     policy = make_policy(BY_SIGHT)
     first = candidates_of((FRONTIER, 2, 0), (FRONTIER, 2, 1), (FRONTIER, 2, -1))
     bearing = math.atan2(1, 2)

@@ -42,7 +42,7 @@ class Lifts:
     def __init__(self, lifts) -> None:
         self.lifts = lifts
 
-    def lift(self, target, xy_m, n, out) -> None:
+    def likelihood_ratio(self, target, xy_m, n, out) -> None:
         for i in range(n):
             out[i] = self.lifts.get((target, *xy_m[i].tolist()), 1.0)
 

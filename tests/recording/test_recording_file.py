@@ -55,7 +55,7 @@ def whole(tmp_path_factory) -> bytes:
 
 
 @given(share=st.floats(0, 1))
-def test_wherever_it_is_cut_the_beginning_is_read(tmp_path_factory, whole, share):
+def test_at_any_cut_the_beginning_is_read(tmp_path_factory, whole, share):
     path = tmp_path_factory.mktemp("cut") / "a.mcap"
     size = int(share * (len(whole) - 1))
     path.write_bytes(whole[:size])
@@ -67,7 +67,7 @@ def test_wherever_it_is_cut_the_beginning_is_read(tmp_path_factory, whole, share
     n = len(list(reading))
     assert n % 5 == 0
     assert n >= 40 * (size / len(whole)) - 25
-    assert reading.whole or reading.cut == "cut off"
+    assert reading.is_complete or reading.truncation == "cut off"
 
 
 @given(share=st.floats(0, 1, exclude_max=True), flip=st.integers(1, 255))
@@ -80,10 +80,10 @@ def test_what_is_damaged_is_read_up_to_there(tmp_path_factory, whole, share, fli
     reading = McapReader(path)
     n = len(list(reading))
     assert n <= 40
-    if reading.whole:  # what follows the messages only helps to find them
+    if reading.is_complete:  # what follows the messages only helps to find them
         assert n == 40
     else:
-        assert reading.cut.startswith("damaged: ")
+        assert reading.truncation.startswith("damaged: ")
 
 
 @pytest.mark.parametrize("content", [b"", b"junk" * 100, b"\x89MCAP1\r\n" + b"0" * 100])
@@ -153,7 +153,7 @@ def test_after_a_kill_all_but_the_last_moments_are_there(tmp_path):
     read = [int(m.payload) for m in reading]
     assert read == list(range(len(read)))
     assert len(read) >= told[-1] - 150  # 50 ms of syncing, and as much of writing, on a slow disk
-    assert reading.cut == "cut off"
+    assert reading.truncation == "cut off"
     theirs = []
     with open(path, "rb") as file, suppress(EndOfFile):
         for record in StreamReader(file).records:

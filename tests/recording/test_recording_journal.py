@@ -126,7 +126,7 @@ def test_recordings_of_before_there_were_masks_are_read():
     assert journal.detections_of(entry.fields["result"], found.observation).mask is None
 
 
-def test_what_was_found_beside_the_loop_comes_back():
+def test_what_was_found_in_the_background_comes_back():
     values = np.array([0.1, np.inf, np.nan], np.float32)
     label = np.repeat(np.array([[1, 2]], np.int16), 20, axis=1).repeat(20, axis=0)
     grid = Grid(np.full(label.shape, OPEN, np.uint8), (0.1, -0.2), 0.1)
@@ -179,13 +179,13 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
             {
                 "worker": "task",
                 "result": PlanResult(
-                    refined, mistakable=(3, 5), stops_at=(3, "van"), stops=STOPS, upto=2
+                    refined, ambiguous=(3, 5), stops_at=(3, "van"), stops=STOPS, n_done=2
                 ),
             },
         )
     )
     draft = journal.draft_of(entry.fields["result"])
-    assert (draft.stops_at, draft.upto, draft.mistakable) == ((3, "van"), 2, (3, 5))
+    assert (draft.stops_at, draft.n_done, draft.ambiguous) == ((3, "van"), 2, (3, 5))
     assert draft.stops == STOPS
     back = draft.refined
     assert back.heading_rad == heading_rad

@@ -112,11 +112,11 @@ def test_a_small_file_stays_small(tmp_path, case):
     try:
         reading = McapReader(path)
         assert [m.payload for m in reading] == [b"{}"]
-        assert reading.cut.startswith("damaged: ")
-        assert why in reading.cut
+        assert reading.truncation.startswith("damaged: ")
+        assert why in reading.truncation
         with pytest.raises(RecordingError, match="not a complete MCAP file: damaged"):
             list(read(path))
-        assert recover(path, tmp_path / "out.mcap") == (1, reading.cut)
+        assert recover(path, tmp_path / "out.mcap") == (1, reading.truncation)
         with pytest.raises(RecordingError, match="no journal to replay"):
             RecordedRun(path)
         assert tracemalloc.get_traced_memory()[1] < MANY / 4
@@ -140,7 +140,7 @@ def test_a_chunk_of_the_size_that_it_says_is_read(tmp_path, known):
     )
     reading = McapReader(path)
     assert [m.payload[:1] for m in reading] == [b"y", b"x", b"z"]
-    assert (reading.whole, reading.cut) == (True, "")
+    assert (reading.is_complete, reading.truncation) == (True, "")
 
 
 def test_what_lies_outside_of_chunks_is_not_read(tmp_path, monkeypatch):
@@ -175,11 +175,11 @@ def test_frames_that_wait_for_detections_are_of_limited_size(tmp_path, monkeypat
     seen = [m.observation for m in session.moments() if m.observation is not None]
     now = replay_source.ReplayTick()
     for observation in seen:
-        now.see(observation, True)
+        now.add_frame(observation, True)
     assert len(now.frames) == len(seen) == 4
     size = replay_source._bytes_of(seen[0])
     monkeypatch.setattr(replay_source, "_MOST_FRAMES_BYTES", 2 * size)
-    now.see(seen[-1], True)
+    now.add_frame(seen[-1], True)
     assert list(now.frames) == [observation.seq for observation in seen[-2:]]
 
 

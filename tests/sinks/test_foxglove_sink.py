@@ -82,8 +82,8 @@ def test_nobody_looks_and_nothing_is_encoded(sink):
     sink.tick(tick(1))
     eventually(lambda: sink._worker.idle)
     assert sink.status() == {"port": sink.port, "dropped": 0, "failed": 0, "problem": ""}
-    moment = sink._encoder.take(tick(2))
-    assert (moment.bytes, list(sink._encoder.tell(moment))) == (0, [])
+    moment = sink._encoder.capture(tick(2))
+    assert (moment.bytes, list(sink._encoder.encode(moment))) == (0, [])
 
 
 def test_a_client_sees_what_it_subscribed_to_and_no_more(sink):

@@ -138,21 +138,21 @@ def test_a_goal_is_sent_every_half_second_until_it_is_answered(clock, sink, ears
         stamp_ns, pose = messages.decode_pose_stamped(ears.hear("goal"))
         assert (stamp_ns, pose.x_m, pose.y_m) == (123, 3.0, 2.0)
     assert ears.rest("goal") == []
-    sink.tick(result(answers=(GoalStatus(122, "reached"),)))
+    sink.tick(result(goal_statuses=(GoalStatus(122, "reached"),)))
     clock.now_s = 1.8
     assert ears.hear("goal")
-    sink.tick(result(answers=(GoalStatus(123, "reached"),)))
+    sink.tick(result(goal_statuses=(GoalStatus(123, "reached"),)))
     settle(sink, ears)
     clock.now_s = 9.9
     assert ears.rest("goal") == []
 
 
-def test_an_accepted_goal_is_repeated_every_second_for_a_controller_that_starts_anew(
+def test_an_accepted_goal_is_repeated_every_second_for_a_controller_that_starts_again(
     clock, sink, ears
 ):
     sink.tick(result(goals=(goal(123),)))
     assert ears.hear("goal")
-    sink.tick(result(answers=(GoalStatus(123, "accepted"),)))
+    sink.tick(result(goal_statuses=(GoalStatus(123, "accepted"),)))
     settle(sink, ears)
     clock.now_s = 0.6
     assert ears.hear("goal")

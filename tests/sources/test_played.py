@@ -66,7 +66,7 @@ def play(path: Path, config: Config = CONFIG, rate: float | None = None) -> Seen
     with Playback(path, config, rate) as playback:
         playback.check()
         source = playback.open(config, Flooded("", ()))
-        while not source.over:
+        while not source.is_over:
             if (observation := source.poll()) is not None:
                 seen.append(replace(observation, rgb=None, depth_m=None))
                 observation.release()

@@ -65,7 +65,7 @@ class Robot:
     def see(self) -> None:
         """Send one frame of everything."""
         self._ns += STEP_NS
-        self.node.look()
+        self.node.update()
         ns, png = self._ns, cv2.imencode(".png", np.full((12, 16, 3), 90, np.uint8))[1].tobytes()
         for topic, payload in {
             "/tf": encode_transforms([Transform(ns, "map", "odom", se3(1.0))]),
@@ -119,7 +119,7 @@ def test_the_sensors_of_a_ros2_robot_are_recorded_and_play(tmp_path, via):
         playback.check()
         source = playback.open(config, Flooded("", ()))
         seen = []
-        while not source.over:
+        while not source.is_over:
             if (observation := source.poll()) is not None:
                 seen.append(observation)
                 observation.release()

@@ -60,7 +60,7 @@ def test_a_way_avoids_what_is_in_between(functions):
     steps_m = np.hypot(*np.diff(np.array(way), axis=0).T)
     assert steps_m.max() <= LIMITS.max_jump_m
     functions.give_trajectory([way], [ROAD], 1.0)
-    assert functions.given.speed_mps == 1.0
+    assert functions.trajectory.speed_mps == 1.0
 
 
 @pytest.mark.parametrize(
@@ -91,14 +91,14 @@ def test_calls_that_cannot_be_answered(functions, call, message):
     with pytest.raises(TrajectoryError, match=message) as raised:
         call(functions)
     assert "\n" not in str(raised.value)
-    assert functions.given is None
+    assert functions.trajectory is None
 
 
 def test_one_trajectory_is_given(functions):
     functions.give_trajectory([(0, 0), (1, 0)])
     with pytest.raises(CallError, match="given already"):
         functions.give_trajectory([(0, 0)])
-    assert functions.given.points_m.tolist() == [[0, 0], [1, 0]]
+    assert functions.trajectory.points_m.tolist() == [[0, 0], [1, 0]]
 
 
 def test_what_is_shown_is_not_given(functions):
@@ -106,8 +106,8 @@ def test_what_is_shown_is_not_given(functions):
         functions.visual_3d([(500.0, 0.0), (8.0, 0.0)])
     with pytest.raises(CallError, match="10 trajectories are shown already"):
         functions.visual_3d([(0, 0)])
-    assert functions.given is None
-    assert len(functions.seen) == MOST_SHOWN
+    assert functions.trajectory is None
+    assert len(functions.shown_trajectories) == MOST_SHOWN
 
 
 @pytest.mark.parametrize(

@@ -35,9 +35,9 @@ MODEL = simulated({"tasks": {"planner": {"kind": "model"}}, "mission": {"target"
     ],
 )
 def test_what_it_names_is_looked_for(config, task, targets, to_see):
-    brief = prepare_task(config, task)
-    assert (brief.targets, [step.names for step in brief.steps]) == (targets, to_see)
-    assert brief.translation.instruction == brief.translation.understood == task
+    spec = prepare_task(config, task)
+    assert (spec.targets, [step.names for step in spec.steps]) == (targets, to_see)
+    assert spec.translation.instruction == spec.translation.understood == task
 
 
 @pytest.mark.parametrize(

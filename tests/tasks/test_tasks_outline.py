@@ -28,21 +28,21 @@ def outline(thing, *free):
 def test_where_the_map_has_nothing_it_is_the_box():
     got = outline(SOFA, (0.0, 20.0, -9.0, 9.0))
     assert got.gaps_m(np.array([[8.0, 4.6]])) == pytest.approx([1.0], abs=0.02)
-    assert got.beside(0.0, 1.0) == pytest.approx((10.6, 2.0), abs=1e-3)
+    assert got.point_at(0.0, 1.0) == pytest.approx((10.6, 2.0), abs=1e-3)
 
 
-def test_beside_is_measured_from_the_rim():
+def test_a_distance_is_measured_from_the_rim():
     got = outline(SOFA)
-    assert got.beside(math.pi / 2, 1.0) == pytest.approx((8.0, 4.6), abs=1e-3)
+    assert got.point_at(math.pi / 2, 1.0) == pytest.approx((8.0, 4.6), abs=1e-3)
     corner = 1.6 + math.sqrt(0.5)
-    assert got.beside(math.pi / 4, 1.0) == pytest.approx((8.0 + corner, 2.0 + corner), abs=1e-3)
+    assert got.point_at(math.pi / 4, 1.0) == pytest.approx((8.0 + corner, 2.0 + corner), abs=1e-3)
     assert got.gaps_m(np.array([[8.0, 2.0], [8.0, 5.5]])) == pytest.approx([0.0, 1.9], abs=0.05)
 
 
 def test_the_pocket_of_a_corner_sofa_is_not_of_it_but_nobody_passes_through():
     got = outline(SOFA, (6.0, 8.8, 0.0, 2.8))
     assert got.gaps_m(np.array([[7.0, 1.0]]))[0] > 1.5
-    x, y = got.beside(math.radians(225), 0.5)
+    x, y = got.point_at(math.radians(225), 0.5)
     hull = (got.hull_m + got.middle_m).astype(np.float32)
     assert cv2.pointPolygonTest(hull, (x, y), True) == pytest.approx(-0.5, abs=1e-3)
 
@@ -52,13 +52,13 @@ def test_what_nobody_saw_of_a_thing_is_of_it():
     hidden = scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape))[..., 1] > -0.7
     scene.occupancy.cells[(scene.occupancy.cells > 0) & hidden] = -1
     got = outline_of(scene.objects[1], scene.occupancy)
-    assert got.beside(math.pi / 2, 0.0) == pytest.approx((8.0, 1.0), abs=0.21)
+    assert got.point_at(math.pi / 2, 0.0) == pytest.approx((8.0, 1.0), abs=0.21)
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, 8.0), st.booleans())
-def test_a_point_beside_is_so_far_from_the_hull(angle_rad, distance_m, corner):
+def test_a_point_next_to_it_is_so_far_from_the_hull(angle_rad, distance_m, corner):
     got = outline(SOFA, *([(6.0, 8.8, 0.0, 2.8)] if corner else []))
-    at = got.beside(angle_rad, distance_m)
+    at = got.point_at(angle_rad, distance_m)
     hull = (got.hull_m + got.middle_m).astype(np.float32)
     away_m = -cv2.pointPolygonTest(hull, at, True)
     assert away_m == pytest.approx(distance_m, abs=2e-3) or away_m > distance_m

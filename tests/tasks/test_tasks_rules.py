@@ -35,7 +35,7 @@ def driven(instruction, scene=SCENE):
     ground = GROUND if scene is SCENE else ground_of(scene, LIMITS.clearance_m)
     functions = ScriptFunctions(ground, LIMITS)
     steps = plan_by_rules(instruction, functions)
-    return "; ".join(map(str, steps)), functions.given
+    return "; ".join(map(str, steps)), functions.trajectory
 
 
 @pytest.mark.parametrize(
@@ -397,7 +397,7 @@ def test_ground_that_nobody_has_seen_is_not_called_full():
         driven("go straight for 5 metres", scene)
 
 
-def test_the_other_side_of_a_wall_is_not_beside_a_thing():
+def test_the_other_side_of_a_wall_is_not_next_to_a_thing():
     """A sofa along a wall, with a table before it: behind the wall is the place nearest to it."""
     sofa = Thing("sofa", 8.0, 2.5, (3.0, 1.0), nearest=False)
     table = Thing("table", 8.0, 1.4, (3.0, 1.0))
@@ -498,9 +498,9 @@ def test_what_is_carried_out_is_checked(text):
     try:
         plan_by_rules(text, functions)
     except (TranslationError, TrajectoryError):
-        assert functions.given is None
+        assert functions.trajectory is None
         return
-    way = functions.given.points_m
+    way = functions.trajectory.points_m
     assert np.hypot(*np.diff(way, axis=0).T).max(initial=0.0) <= LIMITS.max_jump_m
     assert all(GROUND.is_free(x, y) for x, y in way.tolist())
 

@@ -46,9 +46,9 @@ give_trajectory([first, second], [1], speed_mps=0.8)
 def test_a_script_gives_a_trajectory(functions):
     outcome = run_script(PASS_THE_VAN, functions, ScriptLimits())
     assert (outcome.printed.split(), outcome.error) == (["15", "degrees", "5"], "")
-    coarse = functions.given
+    coarse = functions.trajectory
     assert [len(points) > 3 for points in coarse.segments] == [True, True]
-    assert (coarse.regions, coarse.speed_mps, len(functions.seen)) == ((1,), 0.8, 1)
+    assert (coarse.regions, coarse.speed_mps, len(functions.shown_trajectories)) == ((1,), 0.8, 1)
     assert coarse.points_m[-1].tolist() == pytest.approx([14.8, 2.0])
 
 
@@ -67,7 +67,7 @@ def test_a_script_gives_a_trajectory(functions):
 )  # fmt: skip
 def test_an_error_is_told_in_one_line_with_its_place(functions, code, error):
     outcome = run_script(code, functions, ScriptLimits())
-    assert functions.given is None
+    assert functions.trajectory is None
 
     assert re.match(error, outcome.error), outcome.error
     assert outcome.error.isprintable()
@@ -84,7 +84,7 @@ except ValueError as error:
     outcome = run_script(code, functions, ScriptLimits())
     assert outcome.error == ""
     assert "is occupied" in outcome.printed
-    assert len(functions.given.segments) == 1
+    assert len(functions.trajectory.segments) == 1
 
 
 def test_what_is_printed_is_cut_and_printable(functions):

@@ -22,7 +22,7 @@ class Graph:
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
         self._zid = str(session.info.zid())
-        self._there: dict[str, Endpoint] = {}
+        self._by_id: dict[str, Endpoint] = {}
         self._by_topic: dict[tuple[Kind, str], list[Endpoint]] = {}
         self._hashes: dict[str, str] = {}
         self._warned = False
@@ -30,7 +30,7 @@ class Graph:
             every_token(domain), zenoh.handlers.RingChannel(_MOST), history=True
         )
 
-    def look(self) -> bool:
+    def update(self) -> bool:
         """Process the tokens since the last poll; return True if any endpoint changed."""
         changes = 0
         while changes < _MOST and (sample := self._tokens.try_recv()) is not None:
@@ -46,16 +46,16 @@ class Graph:
 
     def _take(self, key: str, is_gone: bool) -> None:
         if is_gone:
-            self._there.pop(key, None)
-        elif len(self._there) < _MOST:
+            self._by_id.pop(key, None)
+        elif len(self._by_id) < _MOST:
             endpoint = parse_token(key)
             if endpoint is not None and endpoint.zid != self._zid:
-                self._there[key] = endpoint
+                self._by_id[key] = endpoint
 
     def _index(self) -> None:
         """Rebuild the index: a dead robot's hash must not stay, and changes are rare."""
         self._by_topic, self._hashes = {}, {}
-        for endpoint in self._there.values():
+        for endpoint in self._by_id.values():
             self._by_topic.setdefault((endpoint.kind, endpoint.topic), []).append(endpoint)
             self._hashes.setdefault(endpoint.type, endpoint.hash)
 

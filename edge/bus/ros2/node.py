@@ -28,7 +28,7 @@ _POLL_S = 0.2
 
 
 class Ros2Node:
-    """A node; for one thread, which must call `look` periodically.
+    """A node; for one thread, which must call `update` periodically.
 
     Args:
         session: an open session.
@@ -54,7 +54,7 @@ class Ros2Node:
             token = names.node_token(domain, self.zid, self.nid, name)
             self._token = session.liveliness().declare_token(token)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Update the graph, and declare endpoints again whose type changed in it.
 
         Without a graph, publish the last message of latched topics to new subscribers.
@@ -65,10 +65,10 @@ class Ros2Node:
         self._polled_s = now_s
         if self.graph is None:
             for endpoint in self._endpoints:
-                endpoint.look()
-        elif self.graph.look():
+                endpoint.update()
+        elif self.graph.update():
             for endpoint in self._endpoints:
-                endpoint.settle()
+                endpoint.declare_again()
 
     def publisher(self, topic: str, type_name: str, latched: bool = False) -> Ros2Publisher:
         """Add a publisher; see `Ros2Publisher`."""
@@ -98,7 +98,7 @@ class Ros2Node:
 
     def _add(self, endpoint: Any) -> Any:
         self._endpoints.append(endpoint)
-        endpoint.settle()
+        endpoint.declare_again()
         return endpoint
 
 
@@ -124,7 +124,7 @@ class _Declared:
         self._sequence = 0
         self._gid = bytes(16)
 
-    def settle(self) -> None:
+    def declare_again(self) -> None:
         """Declare the endpoint, or declare it again if the graph has another type or hash."""
         node, type_name = self.node, self.wanted_type()
         type_hash = "" if node.graph is None else node.graph.hash_of(type_name)
@@ -143,7 +143,7 @@ class _Declared:
             self._token.undeclare()
         self._token = node.session.liveliness().declare_token(token)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Notice new subscribers, in a dialect without tokens."""
 
     def wanted_type(self) -> str:
@@ -191,12 +191,12 @@ class Ros2Publisher(_Declared):
         if self._publisher is not None:
             self._publisher.put(payload, attachment=self.attachment())
 
-    def look(self) -> None:
-        was_heard, self._was_heard = self._was_heard, self.heard()
+    def update(self) -> None:
+        was_heard, self._was_heard = self._was_heard, self.has_subscribers()
         if self._last and self._was_heard and not was_heard:
             self.put(self._last)
 
-    def heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Return True if there is a subscriber; do not use it for latched topics."""
         if self.node.graph is None:
             return self._publisher is not None and self._publisher.matching_status.matching
@@ -292,13 +292,13 @@ class Ros2Client(_Declared):
         self._timeout_s = timeout_s
         self._querier: zenoh.Querier | None = None
 
-    def served(self) -> bool:
+    def has_server(self) -> bool:
         """Return True if the service has a server and its type is known."""
         if self._querier is None or not self._querier.matching_status.matching:
             return False
         return self.node.graph is None or bool(self.node.others("SS", self.topic))
 
-    def ask(self, payload: bytes) -> PendingReply:
+    def call(self, payload: bytes) -> PendingReply:
         """Send a request. The answer is over at once if the type's hash is unknown."""
         if self._querier is None:
             return PendingReply(None)
@@ -328,14 +328,14 @@ class PendingReply:
     """The pending answer of a service to one request.
 
     Attributes:
-        over: True if no more will come: the answer was polled, is an error, or never came.
+        done: True if no more will come: the answer was polled, is an error, or never came.
     """
 
     def __init__(self, replies: Any) -> None:
         self._replies = replies
 
     @property
-    def over(self) -> bool:
+    def done(self) -> bool:
         return self._replies is None
 
     def poll(self) -> bytes | None:

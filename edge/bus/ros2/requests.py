@@ -56,7 +56,7 @@ class Ros2RequestServer:
 
     def poll(self) -> None:
         """Pass on what came; one thread must call this every `POLL_S`."""
-        self._node.look()
+        self._node.update()
         for _, payload in self._requests.take():
             self._receive(payload)
         while not self._pending.empty():
@@ -82,7 +82,7 @@ class Ros2RequestServer:
     def _queue_of(self, to: object) -> Callable[..., None]:
         if not isinstance(to, str) or to not in _KEYS:
             raise ValueError(f"to: unknown {shown(to)} (choices: {', '.join(_KEYS)})")
-        return self._queues[_KEYS[to]].take
+        return self._queues[_KEYS[to]].accept
 
     def _reply(self, label: dict[str, Any], reply: bytes, is_error: bool) -> None:
         self._pending.put((label, reply))

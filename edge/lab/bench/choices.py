@@ -154,7 +154,9 @@ def views_of(pictures: BenchFrames) -> list[MarkedView]:
         target = next(unseen, targets[0])
         straight_m = np.array([mark.distance_m for mark in marks], np.float32)
         ways = MarkCosts(straight_m, np.ones_like(straight_m), np.zeros(3, np.float32))
-        views.append(MarkedView(Observation(k, k, np.eye(4), rgb), target, marks, seen, ways=ways))
+        views.append(
+            MarkedView(Observation(k, k, np.eye(4), rgb), target, marks, seen, mark_costs=ways)
+        )
     return views
 
 

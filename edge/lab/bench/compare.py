@@ -88,7 +88,7 @@ def _family(asked: str, config: Config) -> str:
     if isinstance(detector, DetectorOnnx):
         return load_detector_card(detector.model).family
     raise UserError(
-        f"{config.at('perception.detector.kind')} is {detector.kind}, which has no model to "
+        f"{config.locate('perception.detector.kind')} is {detector.kind}, which has no model to "
         "compare; "
         f"give --models a family (choices: {', '.join(families()) or 'none'})"
     )

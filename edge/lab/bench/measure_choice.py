@@ -24,7 +24,7 @@ def measure(job: ChoiceJob) -> ChoiceMeasurement:
     load_s, took_ms, p = time.perf_counter() - began, [], []
     for view in job.views:
         began = time.perf_counter()
-        found = scorer.answer(scorer.look(view))
+        found = scorer.answer(scorer.prepare(view))
         took_ms.append((time.perf_counter() - began) * 1e3)
         if found is None:  # no letter fits, so the image cannot be used for a comparison
             raise UserError(

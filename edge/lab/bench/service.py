@@ -128,7 +128,7 @@ def run_bench(
             process = stack.enter_context(player(config, recording, loop=True))
             over = partial(_is_over, process)
         else:
-            running.clock, over = playback.clock, lambda seen: playback.over
+            running.clock, over = playback.clock, lambda seen: playback.is_over
         look = _stopwatch(running.source.counters, over, seconds, stop)
         swapping = None if swap is None else swap_bench.SwapBench(running, swap, seconds)
         each = look if swapping is None else lambda: (look(), swapping.beat())

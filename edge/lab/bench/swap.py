@@ -61,7 +61,7 @@ class SwapBench:
         gap_ns, self._last_ns = now_ns - self._last_ns, now_ns
         self._longest_ns = max(self._longest_ns, gap_ns)
         self._lost += max(0, gap_ns // self._period_ns - 1)
-        swapper = self._running.service.swapper
+        swapper = self._running.service.detector_swap
         if not self._before:
             if now_ns - self._first_ns >= self._half_s * 1e9:
                 self._before = self._end(now_ns)
@@ -76,7 +76,7 @@ class SwapBench:
         Raises:
             UserError: the swap did not end.
         """
-        swap = self._running.service.swapper.status()
+        swap = self._running.service.detector_swap.status()
         if not self._during:
             raise UserError(
                 f"bench: --swap: the swap to {self._model} was not complete at the end (state: "

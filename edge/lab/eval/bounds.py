@@ -17,7 +17,7 @@ from edge.lab.eval import geodesic
 from edge.lab.eval.ground_truth import SAME_M, named
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.sim.base import Room, World, WorldObject
-from edge.policies.base import INSTANCE, LOOK, Candidates, PolicyInput, Why
+from edge.policies.base import INSTANCE, SPIN, Candidates, PolicyInput, Why
 from edge.policies.search import SearchPolicy
 
 FAR_M = 1e3
@@ -48,7 +48,7 @@ class KnownPlace:
         if target not in self._left_m:
             self._left_m[target] = self._to_go_m(target)
         way_m = _path_m(candidates) + _at(self._world, self._left_m[target], candidates)
-        way_m[candidates.kind[: candidates.n] == LOOK] = 0.0  # a spin adds no path
+        way_m[candidates.kind[: candidates.n] == SPIN] = 0.0  # a spin adds no path
         return _instances_first(self._world, context, 1.0 / (1.0 + way_m))
 
     def reset(self, why: Why) -> None:
@@ -99,7 +99,7 @@ class KnownRoom:
         left_m = _at(self._world, self._left_m[target], candidates)
         leads = ELSEWHERE / (1.0 + _path_m(candidates) + left_m)
         kind = candidates.kind[: candidates.n]
-        leads[kind == LOOK] = ELSEWHERE  # a spin adds no path
+        leads[kind == SPIN] = ELSEWHERE  # a spin adds no path
         score = np.where(left_m == 0.0, self._search.score(replace(context, prior=None)), leads)
         return _instances_first(self._world, context, score)
 

@@ -41,7 +41,7 @@ class RunLog:
     def tick(self, result: TickResult) -> None:
         """See `edge.loop.result.Sink`."""
         self.goals += result.goals
-        self.answers += result.answers
+        self.answers += result.goal_statuses
         self.events += (event.text for event in result.events)
 
     def close(self) -> None:
@@ -92,16 +92,16 @@ class ClosedLoop:
         self.rig = CameraRig(config, world, self.colour)
         self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
         self.labels = tuple(o.label for o in world.objects)
-        brief = prepare_mission(config, self.task, self.site)
+        spec = prepare_mission(config, self.task, self.site)
         masker = make_masker(config.perception, timed=False)
-        detector = make_detector(config.perception, brief.prompts, truth=self.truth)
+        detector = make_detector(config.perception, spec.prompts, truth=self.truth)
         self.worker = DetectorWorker(detector, True, masker)
-        self.scorers = make_scorers(config, brief.prompts)
+        self.scorers = make_scorers(config, spec.prompts)
         sinks = [self.notes, *self.sinks]
         truth = {"world": world, "robot_radius_m": config.robot.radius_m}
         policy = make_policy(config.policy, config.origin("policy"), truth)
         self.service = Service(
-            config, brief, self.worker, policy, sinks, scorers=self.scorers,
+            config, spec, self.worker, policy, sinks, scorers=self.scorers,
             site=SiteFile(site=self.site),
         )  # fmt: skip
         self.controller = Controller(config)

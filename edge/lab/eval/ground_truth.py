@@ -173,7 +173,7 @@ class GroundTruthLogger:
                 self.first_sights[target] = FirstSight(self.seconds, truth.path_m)
 
     def _judge_steps(self, result: TickResult, truth: GroundTruth) -> None:
-        steps = result.mission().steps
+        steps = result.mission().log
         reached = [s.label for s in steps if s.kind == "reached" and _is_thing(s.label)]
         for label in reached[len(self.stops) :]:
             self.stops.append((label, self.distance_to_target_m(label, truth.x_m, truth.y_m)))

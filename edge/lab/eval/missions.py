@@ -160,7 +160,7 @@ class MissionCostFields:
         Returns:
             (rows, columns) float64 in metres; inf if there is no path.
         """
-        near = {letter: self.near(letter) for letter in automaton.letters}
+        near = {letter: self.near(letter) for letter in automaton.propositions}
         cells = cost_to_go_cells(automaton, near, self._free)
         return cells * self._world.plan.grid.resolution_m
 

@@ -49,7 +49,7 @@ class RevisitCounter:
         """Add one instant.
 
         Args:
-            turn: differs in every leg, such as `MissionRun.turns`.
+            turn: differs in every leg, such as `MissionRun.retargets`.
             target: of the leg.
             known_xy_m: (n, 2) places of the target by the robot's map.
             x_m: x of the robot.

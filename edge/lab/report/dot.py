@@ -30,15 +30,15 @@ def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] =
         attributes = {"label": str(s)}
         if automaton.accepting[s]:
             attributes["shape"] = "doublecircle"
-        if automaton.dead(s):
+        if automaton.is_dead(s):
             attributes.update(color="gray60", fontcolor="gray60", style="dashed")
         if s == state:
             attributes.update(style="filled", fillcolor=CURRENT, fontcolor="white")
         lines.append(f"  {s} [{_looks(attributes)}];")
     for s in range(automaton.n_states):
         for to, letters in transitions_from(automaton, s).items():
-            attributes = {"label": in_words(letters, automaton.letters)}
-            if automaton.dead(to):
+            attributes = {"label": in_words(letters, automaton.propositions)}
+            if automaton.is_dead(to):
                 attributes.update(color="gray60", fontcolor="gray60", style="dashed")
             if (s, to) in planned:
                 attributes.update(color=STYLES["plan"].colour, penwidth="2.5")

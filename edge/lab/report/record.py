@@ -132,13 +132,13 @@ class RunRecord:
         """True if the mission was only to reach one object, as far as is known."""
         if self.mission_facts is None:
             return True
-        automaton = self.mission_facts.brief.automaton
-        return len(automaton.letters) <= 1 and automaton.n_states <= 2
+        automaton = self.mission_facts.spec.automaton
+        return len(automaton.propositions) <= 1 and automaton.n_states <= 2
 
     @property
     def steps(self) -> tuple[MissionEvent, ...]:
         """Steps of the mission, in order of time."""
-        return () if self.mission_facts is None else self.mission_facts.steps
+        return () if self.mission_facts is None else self.mission_facts.log
 
     @property
     def trajectories(self) -> tuple[TaskStatus, ...]:

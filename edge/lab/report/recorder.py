@@ -109,7 +109,7 @@ class ReportRecorder:
             more["events not shown"] = self._events.left_out
         story = end.mission()
         return RunRecord(
-            title=_title(story.brief.translation, end.status),
+            title=_title(story.spec.translation, end.status),
             config_path=self._config.path,
             robot=self._config.robot_name,
             detector=detector_name(self._config),

@@ -18,7 +18,7 @@ def section(record: RunRecord) -> str:
     story = record.mission_facts
     if story is None:
         return ""
-    translation, automaton = story.brief.translation, story.brief.automaton
+    translation, automaton = story.spec.translation, story.spec.automaton
     if record.has_single_target and translation.backend == "target":
         return ""
     pairs = [
@@ -38,7 +38,7 @@ def section(record: RunRecord) -> str:
 
 def _to_come(story: MissionFacts) -> tuple[str, ...]:
     """Return the plan's letters; empty when the mission is fulfilled, since the last one stays."""
-    return () if story.brief.automaton.accepting[story.state] else story.plan.steps
+    return () if story.spec.automaton.accepting[story.state] else story.plan.steps
 
 
 def _class(key: str) -> str:
@@ -53,7 +53,7 @@ def _timeline(record: RunRecord) -> str:
 
 
 def _automaton(story: MissionFacts) -> str:
-    automaton = story.brief.automaton
+    automaton = story.spec.automaton
     scene = make_automaton_graph(automaton, story.state, _to_come(story), story.trace)
     title = f"Automaton with {automaton.n_states} states, now in state {story.state}"
     words = "; ".join([title, *(part.title for part in (*scene.arrows, *scene.nodes))])

@@ -128,7 +128,7 @@ def load_house(section: WorldHouse, config: Config) -> BoxWorld:
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in HOUSES.glob("*.json")))
         raise WorldError(
-            f"{config.at('sim.world.house')}: no file {path}; give a house file, or "
+            f"{config.locate('sim.world.house')}: no file {path}; give a house file, or "
             "a built-in house "
             f"({choices})"
         )

@@ -55,12 +55,12 @@ def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
         from embreex import rtcore_scene  # noqa: F401
     except ImportError as error:
         raise WorldError(
-            f"{config.at('sim.world.kind')}: mesh needs {error.name}, which is not installed; run: "
+            f"{config.locate('sim.world.kind')}: mesh needs {error.name}, which is not installed; run: "
             "pip install 'edge-vln[worlds]' (x86_64 only), or choose another kind, such as house"
         ) from None
     path = resources.expand(section.mesh)
     if not path.is_file():
-        raise WorldError(f"{config.at('sim.world.mesh')}: no file {path}; correct the path")
+        raise WorldError(f"{config.locate('sim.world.mesh')}: no file {path}; correct the path")
     try:
         scene = trimesh.load_scene(path)
         faces = read_faces(scene)

@@ -50,7 +50,7 @@ class Behaviour(Protocol):
     def reconfigure(self, config: Config) -> None:
         """Use another configuration from the next tick on."""
 
-    def forget(self) -> None:
+    def on_pose_jump(self) -> None:
         """Drop all data in the old frame, after a pose jump."""
 
     def close(self) -> None:

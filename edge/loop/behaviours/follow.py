@@ -72,7 +72,7 @@ class FollowBehaviour:
         config: The configuration.
         here: The semantic map.
         goals: The goal tracker.
-        journal: Input log, which records the worker's results.
+        input_log: Input log, which records the worker's results.
 
     Attributes:
         phase: Current phase of the task.
@@ -84,14 +84,14 @@ class FollowBehaviour:
         config: Config,
         here: SemanticMap,
         goals: GoalTracker,
-        journal: InputLog,
+        input_log: InputLog,
     ) -> None:
         self._config = config
         self._mission, self._map, self._goals = mission, here, goals
-        self._side: Worker[ObjectMapUpdate | PlanRequest, PlanResult] = Worker(
+        self._inner_worker: Worker[ObjectMapUpdate | PlanRequest, PlanResult] = Worker(
             "task", run_request, inline=config.loop.lockstep, drop=release_frame
         )
-        self._worker: Any = journal.wrap(TASK, self._side)
+        self._worker: Any = input_log.wrap(TASK, self._inner_worker)
         self._objects = ObjectMap()  # only the worker uses it
         self._begin()
 
@@ -100,17 +100,17 @@ class FollowBehaviour:
         self.phase: TaskPhase = "looking"
         self._turns = TURNS if self._by_model else 0
         self._turning: SE2 | None = None
-        self._draft = PlanResult()
+        self._result = PlanResult()
         self._index = self._refinements = 0
-        self._order: PlanRequest | None = None  # request that the worker handles
-        self._why = ""  # reason why an earlier trajectory was abandoned
-        self._refused = ""  # reason why no trajectory can be written with the objects seen so far
-        self._unsure: tuple[int, ...] = ()  # instances that an ambiguous name may mean
+        self._request: PlanRequest | None = None  # request that the worker handles
+        self._abandon_reason = ""  # reason why an earlier trajectory was abandoned
+        self._refusal = ""  # reason why no trajectory can be written with the objects seen so far
+        self._ambiguous: tuple[int, ...] = ()  # instances that an ambiguous name may mean
         self._all_seen = False  # the last try was made with an exhausted search
         self._blocked_at: SE2 | None = None
-        self._looked_ns = 0
-        self._sure = self._mission.state  # number of steps whose stops were verified
-        self._halt: tuple[int, int] | None = None  # next stop: its step, the index of its pose
+        self._checked_ns = 0
+        self._n_verified = self._mission.state  # number of steps whose stops were verified
+        self._next_stop: tuple[int, int] | None = None  # next stop: its step, the index of its pose
         self._unverified: list[tuple[int, str]] = []  # objects to verify at this stop
         self._verified: set[int] = set()  # instances that were verified at this stop
         self._images = 0  # number of images since `_stopped_ns`
@@ -126,21 +126,21 @@ class FollowBehaviour:
         return self._mission.plan.steps
 
     @property
-    def missed(self) -> bool:
+    def waits_for_target(self) -> bool:
         """True if no step can be driven until another target is seen."""
-        return self.phase == "looking" and not self._ends
+        return self.phase == "looking" and not self._possible_ends
 
     @property
     def searching(self) -> bool:
         """True while the robot explores, for a missing target or for space to drive through."""
-        return self.missed or (self.phase == "looking" and bool(self._refused))
+        return self.waits_for_target or (self.phase == "looking" and bool(self._refusal))
 
     @property
     def _steps(self) -> tuple[TaskStep, ...]:
-        return self._mission.brief.steps or ()
+        return self._mission.spec.steps or ()
 
     @property
-    def _ends(self) -> tuple[int, ...]:
+    def _possible_ends(self) -> tuple[int, ...]:
         """Numbers of steps that a trajectory may cover now, the largest first."""
         steps, unseen, first = self._steps, set(self.missing), self._mission.state
         if self._by_model:
@@ -153,28 +153,28 @@ class FollowBehaviour:
 
     def gather(self) -> Sequence[Instance]:
         """Return the unconfirmed objects that an ambiguous name may mean."""
-        found = [self._map.tracker.get(number) for number in self._unsure]
+        found = [self._map.tracker.get(number) for number in self._ambiguous]
         return [one for one in found if one is not None and one.state == "tentative"]
 
     def plan(self, context: PolicyInput, images: int) -> None:
         """Advance the task. Slow work is started in the background."""
         mission, goals, now_ns = self._mission, self._goals, context.now_ns
-        targets, sure = mission.brief.targets, not self._config.policy.instances
+        targets, sure = mission.spec.targets, not self._config.policy.instances
         # An object that the robot drives past may get lost, but is not searched for again.
         seen = newest_ids(self._map.tracker, targets, sure, doubted=False)
-        mission.see(seen, now_ns, keep=self.phase != "looking")
+        mission.on_detections(seen, now_ns, keep=self.phase != "looking")
         if not (goals.follows(mission) and mission.active):
             return
-        stuck = goals.judge(self._map.grid, context.pose, mission, images, now_ns)
+        stuck = goals.check_progress(self._map.grid, context.pose, mission, images, now_ns)
         self._step(context, stuck)
-        if goals.exhausted and self.missed:
-            mission.give_up(goals.failure_reason(mission, self._map.grid), now_ns)
+        if goals.exhausted and self.waits_for_target:
+            mission.abandon_target(goals.failure_reason(mission, self._map.grid), now_ns)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Choose a goal by score during a search; otherwise move the goal along the trajectory."""
         if self.searching:
             return self._goals.choose(context, self._map.grid, scores, images)
-        self._lead(context.pose, context.now_ns)
+        self._set_goal(context.pose, context.now_ns)
         return self._goals.goal
 
     def _step(self, context: PolicyInput, stuck: bool) -> None:
@@ -187,30 +187,30 @@ class FollowBehaviour:
         observation, detections = context.observation, context.detections
         pose, now_ns = context.pose, context.now_ns
         if detections is not None:
-            self._see(detections)
+            self._add_detections(detections)
             self._images += 1
-        if (draft := self._worker.poll()) is not None and self._order is not None:
-            self._take(draft, self._order, now_ns)
-        if self.phase == "looking" and not self.missed and not self._mission.done:
-            if self._refused:
-                self._look_on(observation, now_ns)
+        if (draft := self._worker.poll()) is not None and self._request is not None:
+            self._on_plan(draft, self._request, now_ns)
+        if self.phase == "looking" and not self.waits_for_target and not self._mission.done:
+            if self._refusal:
+                self._retry_plan(observation, now_ns)
             else:
-                self._look_round(pose, stuck)
-        if self.phase == "writing" and self._order is None and not self._mission.done:
+                self._turn_around(pose, stuck)
+        if self.phase == "writing" and self._request is None and not self._mission.done:
             if not self._by_model:
-                self._ask(observation, None)
+                self._request_plan(observation, None)
             elif detections is not None:  # with the image of the boxes
-                self._ask(detections.observation, detections)
+                self._request_plan(detections.observation, detections)
         elif self.phase == "driving":
             self._drive(observation, stuck, now_ns)
         elif self.phase == "verifying" and not self._mission.done:
             self._verify(pose, stuck, now_ns)
 
-    def _lead(self, pose: SE2, now_ns: int) -> None:
+    def _set_goal(self, pose: SE2, now_ns: int) -> None:
         """Set the goal ahead on the trajectory, or a turn, or none, so that the robot stands."""
-        refined = self._draft.refined
+        refined = self._result.refined
         if self.phase == "driving" and refined is not None:
-            until = None if self._halt is None else self._halt[1]
+            until = None if self._next_stop is None else self._next_stop[1]
             ahead, self._index = goal_ahead(refined, pose, AHEAD_M, self._index, until)
             ends = (leg_end(refined, self._index), len(refined.poses) - 1)
             exact = any(
@@ -221,34 +221,34 @@ class FollowBehaviour:
         elif self._turning is not None:
             self._goals.override(self._turning, self._mission, now_ns, 0.0)
         else:
-            self._goals.rest()
+            self._goals.idle()
 
     def reconfigure(self, config: Config) -> None:
         self._config = config
 
-    def forget(self) -> None:
+    def on_pose_jump(self) -> None:
         """Begin again after a pose jump. The trajectory is invalid in the new frame."""
-        self._worker.forget()
+        self._worker.discard_all()
         self._objects = ObjectMap()
         self._begin()
 
     def close(self) -> None:
         """Drop the running request and stop the worker."""
-        self._worker.forget()
+        self._worker.discard_all()
         self._worker.stop()
 
     def facts(self) -> TaskStatus:
         """Return the state of the task; see `edge.loop.result.TickResult.task`."""
-        mission, draft, planner = self._mission, self._draft, self._config.tasks.planner
+        mission, draft, planner = self._mission, self._result, self._config.tasks.planner
         outcome = mission.status("searching").phase
         return TaskStatus(
-            instruction=mission.brief.translation.instruction,
+            instruction=mission.spec.translation.instruction,
             phase=outcome if outcome in ("reached", "failed") else self.phase,
             writer=f"{planner.model} at {planner.url}" if planner.kind == "model" else planner.kind,
             missing=self.missing,
             understood=draft.understood,
             prompt=draft.prompt,
-            rounds=draft.rounds if self._order is None else tuple(self._order.rounds),
+            rounds=draft.rounds if self._request is None else tuple(self._request.rounds),
             coarse_m=draft.coarse_m,
             refined=draft.refined,
             index=self._index,
@@ -259,8 +259,8 @@ class FollowBehaviour:
 
     def steps(self) -> Iterator[StepStatus]:
         """Yield the state of each step; for any thread."""
-        mission, order, missing = self._mission, self._order, set(self.missing)
-        upto = self._draft.upto if order is None else order.ends[0]
+        mission, order, missing = self._mission, self._request, set(self.missing)
+        upto = self._result.n_done if order is None else order.ends[0]
         for n, step in enumerate(self._steps):
             state: StepState
             if n < mission.state:
@@ -275,9 +275,9 @@ class FollowBehaviour:
 
     # -- inside -----------------------------------------------------------------------------
 
-    def _look_round(self, pose: SE2, stuck: bool) -> None:
+    def _turn_around(self, pose: SE2, stuck: bool) -> None:
         """Turn once on the spot for a model, then start to write. All targets were seen."""
-        answer = self._goals.answer
+        answer = self._goals.goal_status
         ended = answer is not None and answer.state in ("reached", "failed")
         if self._turning is not None and not (stuck or ended):
             return
@@ -287,31 +287,31 @@ class FollowBehaviour:
         else:
             self._turning, self.phase = None, "writing"
 
-    def _look_on(self, observation: Observation, now_ns: int) -> None:
+    def _retry_plan(self, observation: Observation, now_ns: int) -> None:
         """Try again every `AGAIN_NS` while the map grows, and a last time when it is explored."""
-        if self._order is not None:
+        if self._request is not None:
             return
         if self._all_seen:
-            self._mission.fail(_line(self._refused), now_ns)
+            self._mission.fail(_line(self._refusal), now_ns)
             return
-        settled = self._unsure and not self.gather()
-        if settled or self._goals.exhausted or now_ns - self._looked_ns >= AGAIN_NS:
-            self._looked_ns, self._all_seen = now_ns, self._goals.exhausted
-            self._ask(observation, None)
+        settled = self._ambiguous and not self.gather()
+        if settled or self._goals.exhausted or now_ns - self._checked_ns >= AGAIN_NS:
+            self._checked_ns, self._all_seen = now_ns, self._goals.exhausted
+            self._request_plan(observation, None)
 
-    def _see(self, found: Detections) -> None:
+    def _add_detections(self, found: Detections) -> None:
         """Add the detections to the object map, in the background."""
         perception, seen = self._config.perception, found.observation
         found = found.above(perception.tau_det)
         ranged = seen.depth_m is not None or seen.cloud_m is not None
         if len(found) and ranged and seen.camera is not None:
             seen.hold()
-            self._side.submit(
+            self._inner_worker.submit(
                 ObjectMapUpdate(found, self._objects, perception.back_projection_max_range_m),
                 ObjectMapUpdate,
             )
 
-    def _ask(
+    def _request_plan(
         self,
         seen: Observation,
         found: Detections | None,
@@ -328,16 +328,16 @@ class FollowBehaviour:
         )
         instances = {
             one.id: one.copied()
-            for label in self._mission.brief.targets
+            for label in self._mission.spec.targets
             for one in self._map.tracker.of(label, doubted=False)
         }
-        if not self._refused:
+        if not self._refusal:
             self.phase = "writing"
-        self._order = PlanRequest(
+        self._request = PlanRequest(
             self._config,
-            self._mission.brief.translation.instruction,
+            self._mission.spec.translation.instruction,
             self._mission.state,
-            self._ends,
+            self._possible_ends,
             len(self._steps),
             self._map.view,
             still,
@@ -346,44 +346,44 @@ class FollowBehaviour:
             None if found is None else replace(found, observation=still),
             before,
             self._index,
-            self._why,
+            self._abandon_reason,
             nearer_to,
         )
-        self._worker.submit(self._order)
+        self._worker.submit(self._request)
 
-    def _take(
+    def _on_plan(
         self,
         draft: PlanResult,
         order: PlanRequest,
         now_ns: int,
     ) -> None:
         """Start to drive the new trajectory. If there is none, write another or fail."""
-        mission, self._order = self._mission, None
-        self._unsure = draft.mistakable
+        mission, self._request = self._mission, None
+        self._ambiguous = draft.ambiguous
         unsure = self.gather()
         for n, answer in enumerate(draft.rounds, start=1):
             if answer.error and order.before is None:
-                mission.tell(_line(f"answer {n} of the model: {answer.error}"), now_ns)
+                mission.log_trajectory(_line(f"answer {n} of the model: {answer.error}"), now_ns)
         if draft.refined is not None:
             refined = draft.refined
             if order.nearer_to is not None:  # other facts stay those of the task's trajectory
-                draft = replace(self._draft, refined=refined, stops_at=None)
-            self._draft, self._index, self._looked_ns = draft, 0, 0
+                draft = replace(self._result, refined=refined, stops_at=None)
+            self._result, self._index, self._checked_ns = draft, 0, 0
             self._refinements += 1
-            self._halt = self._next_halt(refined)
-            self.phase, self._refused = "driving", ""
-            mission.tell(_line(log_line(draft, refined, order)), now_ns)
+            self._next_stop = self._find_next_stop(refined)
+            self.phase, self._refusal = "driving", ""
+            mission.log_trajectory(_line(log_line(draft, refined, order)), now_ns)
         elif order.nearer_to is not None:
-            self._stop(now_ns)
+            self._on_stop(now_ns)
         elif order.before is not None:
             self._write_again(draft.error, now_ns)
-        elif unsure or not (draft.hopeless or self._why or self._by_model):
-            if not self._refused:
-                mission.tell(_line(f"{draft.error}: exploring further"), now_ns)
-            self.phase, self._refused, self._looked_ns = "looking", draft.error, now_ns
+        elif unsure or not (draft.hopeless or self._abandon_reason or self._by_model):
+            if not self._refusal:
+                mission.log_trajectory(_line(f"{draft.error}: exploring further"), now_ns)
+            self.phase, self._refusal, self._checked_ns = "looking", draft.error, now_ns
         else:
-            self._draft = draft
-            after = f"{self._why}; no new trajectory: " if self._why else ""
+            self._result = draft
+            after = f"{self._abandon_reason}; no new trajectory: " if self._abandon_reason else ""
             mission.fail(_line(f"{after}{draft.error}"), now_ns)
 
     def _drive(
@@ -393,19 +393,19 @@ class FollowBehaviour:
         now_ns: int,
     ) -> None:
         """Check whether the robot has arrived, is blocked, or has an obstacle ahead."""
-        refined, goal, answer = self._draft.refined, self._goals.goal, self._goals.answer
+        refined, goal, answer = self._result.refined, self._goals.goal, self._goals.goal_status
         assert refined is not None
         pose, state = observation.pose, None if answer is None else answer.state
         if (driven := self._driven(refined)) > self._mission.state:
             self._mission.on_task_steps_driven(driven, now_ns)
         last = len(refined.poses) - 1
-        until = last if self._halt is None else self._halt[1]
+        until = last if self._next_stop is None else self._next_stop[1]
         if state == "reached" and goal is not None and _is_at(goal.pose, refined, until):
-            thing = self._draft.stops_at
+            thing = self._result.stops_at
             if thing is None or until < last:
-                self._stop(now_ns)
+                self._on_stop(now_ns)
             else:
-                self._ask(observation, None, nearer_to=thing)
+                self._request_plan(observation, None, nearer_to=thing)
         elif state == "reached" and goal is not None:
             self._index = index_at_goal(refined, goal.pose, self._index)
         elif stuck or state == "failed":
@@ -417,8 +417,8 @@ class FollowBehaviour:
                 self._write_again(why, now_ns)
             else:
                 self._refine_again(why, observation, now_ns)
-        elif now_ns - self._looked_ns >= LOOK_NS:
-            self._looked_ns = now_ns
+        elif now_ns - self._checked_ns >= LOOK_NS:
+            self._checked_ns = now_ns
             away_m = blocked_ahead_m(refined, self._map.view, self._index)
             if away_m is not None:
                 why = f"obstacle on the path {away_m:.1f} m ahead"
@@ -427,26 +427,26 @@ class FollowBehaviour:
     def _driven(self, refined: RefinedTrajectory) -> int:
         """Return the number of driven steps. The rules write one segment for each step."""
         ahead = refined.legs[refined.leg[self._index] :]
-        driven = max(self._draft.upto - sum(leg.ends_segment for leg in ahead), 0)
+        driven = max(self._result.n_done - sum(leg.ends_segment for leg in ahead), 0)
         while self._steps[driven].joined:
             driven -= 1
         return driven
 
-    def _next_halt(self, refined: RefinedTrajectory) -> tuple[int, int] | None:
+    def _find_next_stop(self, refined: RefinedTrajectory) -> tuple[int, int] | None:
         """Return the next step that stops at objects, and the index of the pose of the stop."""
         ends = [k for k, leg in enumerate(refined.legs) if leg.ends_segment]
-        upto, stops = self._draft.upto, self._draft.stops
+        upto, stops = self._result.n_done, self._result.stops
         for step, leg in zip(range(upto - len(ends), upto), ends, strict=True):
-            if step >= max(self._sure, upto - len(stops)) and stops[step - upto]:
+            if step >= max(self._n_verified, upto - len(stops)) and stops[step - upto]:
                 return step, end_of(refined, leg)
         return None
 
-    def _stop(self, now_ns: int) -> None:
+    def _on_stop(self, now_ns: int) -> None:
         """Handle the arrival at a stop, or at the end of a trajectory: verify the objects there."""
-        if self._halt is None:
-            self._go_on(now_ns)
+        if self._next_stop is None:
+            self._continue(now_ns)
             return
-        self._unverified = list(self._draft.stops[self._halt[0] - self._draft.upto])
+        self._unverified = list(self._result.stops[self._next_stop[0] - self._result.n_done])
         self._verified.clear()
         self.phase, self._stopped_ns, self._images = "verifying", now_ns, 0
 
@@ -469,13 +469,13 @@ class FollowBehaviour:
         if thing is not None and away and not self._map.tracker.confirmed(thing):
             away_m = thing.distance_m(pose.x_m, pose.y_m)
             text = f"{label} {number} is {away_m:.1f} m away: too far to verify, accepted"
-            self._mission.tell(_line(text), now_ns)
+            self._mission.log_trajectory(_line(text), now_ns)
         if away or found is not None:
             self._verified.add(number if found is None else found.id)
             self._turning, self._stopped_ns, self._images = None, now_ns, 0
             self._unverified.pop(0)
             if not self._unverified:
-                self._leave(now_ns)
+                self._leave_stop(now_ns)
             return
         if here and not self._faces(here[0], pose, stuck):
             self._stopped_ns, self._images = now_ns, 0
@@ -487,7 +487,7 @@ class FollowBehaviour:
                 number = here[0].id
             self._map.tracker.reject(number)
             text = f"{label} {number} was not confirmed from near by, rejected: exploring further"
-            self._mission.tell(_line(text), now_ns)
+            self._mission.log_trajectory(_line(text), now_ns)
             self._begin()
             self._goals.retarget(self._mission)
 
@@ -499,40 +499,40 @@ class FollowBehaviour:
                 return True
             self._turning = SE2(pose.x_m, pose.y_m, pose.yaw_rad + bearing_rad)
             return False
-        answer = self._goals.answer
+        answer = self._goals.goal_status
         ended = answer is not None and answer.state in ("reached", "failed")
         return ended or stuck
 
-    def _leave(self, now_ns: int) -> None:
+    def _leave_stop(self, now_ns: int) -> None:
         """Drive on after all objects of a stop were verified, or end the trajectory."""
-        refined = self._draft.refined
+        refined = self._result.refined
         assert refined is not None
-        assert self._halt is not None
-        step, index = self._halt
+        assert self._next_stop is not None
+        step, index = self._next_stop
         if index == len(refined.poses) - 1:
-            self._go_on(now_ns)
+            self._continue(now_ns)
             return
-        self._sure, self._index, self.phase = step + 1, index + 1, "driving"
-        self._halt = self._next_halt(refined)
+        self._n_verified, self._index, self.phase = step + 1, index + 1, "driving"
+        self._next_stop = self._find_next_stop(refined)
 
-    def _go_on(self, now_ns: int) -> None:
+    def _continue(self, now_ns: int) -> None:
         """Continue with the remaining steps at the end of a trajectory, if there are any."""
-        self._mission.on_task_steps_driven(self._draft.upto, now_ns)
+        self._mission.on_task_steps_driven(self._result.n_done, now_ns)
         if not self._mission.done:
             self._begin()
             self._goals.retarget(self._mission)
 
     def _refine_again(self, why: str, observation: Observation, now_ns: int) -> None:
-        self._mission.tell(_line(f"{why}: refining the rest again"), now_ns)
-        self._ask(observation, None, self._draft)
+        self._mission.log_trajectory(_line(f"{why}: refining the rest again"), now_ns)
+        self._request_plan(observation, None, self._result)
 
     def _write_again(self, why: str, now_ns: int) -> None:
         """Write a new trajectory, once. The second time, the mission fails."""
-        if self._why:
+        if self._abandon_reason:
             self._mission.fail(_line(why), now_ns)
             return
-        self.phase, self._why = "writing", why
-        self._mission.tell(_line(f"{why}: writing a new trajectory from here"), now_ns)
+        self.phase, self._abandon_reason = "writing", why
+        self._mission.log_trajectory(_line(f"{why}: writing a new trajectory from here"), now_ns)
 
 
 def _is_at(pose: SE2, refined: RefinedTrajectory, index: int) -> bool:

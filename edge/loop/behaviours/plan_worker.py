@@ -41,14 +41,14 @@ class PlanResult:
         refined: The trajectory; None if there is none.
         error: Reason why there is no trajectory, one line.
         hopeless: True if no later try can succeed, even with more objects seen.
-        mistakable: Ids of the objects that a name may mean, if it is ambiguous.
+        ambiguous: Ids of the objects that a name may mean, if it is ambiguous.
         coarse_m: (n, 2) float64 in `map`, the trajectory as written; None if none was written.
         speed_mps: Speed that the instruction asks for; None if it asks for none.
         stops_at: Id and label of the object at its end; see
         `edge.tasks.write.WrittenTrajectory`.
         stops: Ids and labels of the objects at the stop of each step; the last is that of step
-            `upto`. Empty if a model wrote the trajectory.
-        upto: Number of steps of the task that are done at its end.
+            `n_done`. Empty if a model wrote the trajectory.
+        n_done: Number of steps of the task that are done at its end.
         understood: See `edge.tasks.facts.TaskStatus`.
         prompt: See `edge.tasks.facts.TaskStatus`.
         rounds: See `edge.tasks.facts.TaskStatus`.
@@ -57,12 +57,12 @@ class PlanResult:
     refined: RefinedTrajectory | None = None
     error: str = ""
     hopeless: bool = False
-    mistakable: tuple[int, ...] = ()
+    ambiguous: tuple[int, ...] = ()
     coarse_m: np.ndarray | None = None
     speed_mps: float | None = None
     stops_at: tuple[int, str] | None = None
     stops: tuple[tuple[tuple[int, str], ...], ...] = ()
-    upto: int = 0
+    n_done: int = 0
     understood: str = ""
     prompt: str = ""
     rounds: tuple[PlanAttempt, ...] = ()
@@ -95,7 +95,7 @@ class PlanRequest:
         before: Earlier result, whose trajectory is refined again from `index` on. None: write a
             new trajectory.
         index: Index of the pose to refine from.
-        why: Reason for a new trajectory; "" for the first.
+        reason: Reason for a new trajectory; "" for the first.
         nearer_to: Id and label of the object that the robot stopped at, to drive nearer to it on
             the current map; None for other requests.
         rounds: Answers of a model, added as they end.
@@ -113,7 +113,7 @@ class PlanRequest:
     found: Detections | None
     before: PlanResult | None = None
     index: int = 0
-    why: str = ""
+    reason: str = ""
     nearer_to: tuple[int, str] | None = None
     rounds: list[PlanAttempt] = field(default_factory=list)
 
@@ -172,11 +172,11 @@ def _written_up_to(upto: int, order: PlanRequest, scene: Scene) -> PlanResult:
     limits, instruction = _tasks(config).trajectory, order.instruction
     asked = ""
     if isinstance(config.tasks.planner, WriterModel):
-        asked = f"{system_prompt()}\n\n{task_text(instruction, scene, limits, order.why)}"
-    draft = PlanResult(prompt=asked, upto=upto)
+        asked = f"{system_prompt()}\n\n{task_text(instruction, scene, limits, order.reason)}"
+    draft = PlanResult(prompt=asked, n_done=upto)
     try:
         written = write_trajectory(
-            instruction, scene, _tasks(config), order.rounds.append, order.why, which=which
+            instruction, scene, _tasks(config), order.rounds.append, order.reason, which=which
         )
         coarse, thing = written.coarse, written.stops_at
         labels = {k: one.label for k, one in scene.objects.items()}
@@ -194,7 +194,7 @@ def _written_up_to(upto: int, order: PlanRequest, scene: Scene) -> PlanResult:
         mistakable = error.things if isinstance(error, AmbiguousObjectError) else ()
         return replace(
             draft, error=str(error), hopeless=isinstance(error, TranslationError),
-            mistakable=mistakable, rounds=tuple(order.rounds),
+            ambiguous=mistakable, rounds=tuple(order.rounds),
         )  # fmt: skip
     return replace(draft, refined=refined, rounds=tuple(order.rounds))
 

@@ -14,8 +14,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from edge.config import PolicySearch
-from edge.loop.behaviours.room_targets import RoomKindPrior, rooms_of
-from edge.loop.goal import GoalTracker
+from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
+from edge.loop.goal import POINT_SNAP_M, GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import (
     RECOGNISED_KINDS,
@@ -38,14 +38,16 @@ from edge.mission.destinations import (
 from edge.mission.run import MissionRun
 from edge.policies.base import FRONTIER, PolicyInput
 from edge.policies.search import SearchPolicy
+from edge.policies.select import ranked
 from edge.text import one_line
 from edge.types import Goal, Instance
 
 _MOST_NAMED = 12
-# Least votes for a kind at a goal, as a share of those at the best point; number of surveys that
-# must agree that the robot is inside.
+# Least votes for a kind at a goal, as a share of the range from the worst to the best point; number
+# of surveys that must agree that the robot is inside.
 _BEST, _SURVEYS = 0.9, 2
 _DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
+_AROUND_M = 3.0  # distance within which a room of a kind is explored before it counts as reached
 _LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
 _ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 Kind = TypeVar("Kind", bound="Destination | None")
@@ -68,24 +70,24 @@ class Pursuit(Generic[Kind]):
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
 
     @property
-    def _thing(self) -> str:
+    def _target_label(self) -> str:
         """The thing to go to: a name, or a description by a relation."""
         return self._mission.target
 
     def gather(self) -> Sequence[Instance]:
         """Return the objects that are candidates for this target."""
-        sure, doubted = not self._map.config.policy.instances, self._goals.searched
-        return self._map.tracker.of(self._thing, sure, doubted=doubted)
+        sure, doubted = not self._map.config.policy.instances, self._goals.candidates_exhausted
+        return self._map.tracker.of(self._target_label, sure, doubted=doubted)
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         """Check the goal, then the end of the target; see `Behaviour.plan`."""
-        turns = self._mission.turns
+        turns = self._mission.retargets
         if self._since_ns is None:
             self._since_ns = context.observation.stamp_ns
-        self._goals.judge(
+        self._goals.check_progress(
             self._map.grid, context.pose, self._mission, images, context.now_ns, self._is_reached
         )
-        if self._mission.turns == turns and not self._mission.done and self._goals.exhausted:
+        if self._mission.retargets == turns and not self._mission.done and self._goals.exhausted:
             self.finish(context.now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
@@ -98,7 +100,9 @@ class Pursuit(Generic[Kind]):
 
     def finish(self, now_ns: int) -> None:
         """End the target: no candidate is left."""
-        self._mission.give_up(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
+        self._mission.abandon_target(
+            self._goals.failure_reason(self._mission, self._map.grid), now_ns
+        )
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Return the goal of this tick; see `Behaviour.select`."""
@@ -125,7 +129,7 @@ class ExplorePursuit(Pursuit[ExploreTarget]):
     def gather(self) -> Sequence[Instance]:
         return ()
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         mission, limit_s = self._mission, self._destination.limit_s
         if limit_s is not None:
             left_s = limit_s - mission.pursued_now_s
@@ -133,7 +137,7 @@ class ExplorePursuit(Pursuit[ExploreTarget]):
                 self.finish(context.now_ns)
                 return
             mission.activity = f"exploring, {_left(left_s)}"
-        super().judge(context, images)
+        super().check_progress(context, images)
 
     def finish(self, now_ns: int) -> None:
         known = f"{self._map.grid.known_m2:.0f} m² are known"
@@ -146,7 +150,7 @@ class WaitPursuit(Pursuit[WaitTarget]):
     def gather(self) -> Sequence[Instance]:
         return ()
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         mission, seconds = self._mission, self._destination.seconds
         self._goals.phase = "waiting"
         if seconds is None:
@@ -158,7 +162,7 @@ class WaitPursuit(Pursuit[WaitTarget]):
             mission.on_reached(f"waited {shown_s(seconds)}", context.now_ns)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
-        self._goals.rest()
+        self._goals.idle()
         return None
 
 
@@ -172,52 +176,52 @@ class CheckAnswer:
     """
 
     def __init__(self, check: CheckTarget, mission: MissionRun, here: SemanticMap) -> None:
-        self.thing = check.name
+        self.label = check.name
         self._room = f"in the {check.room}" if check.room else ""
         self._mission, self._map = mission, here
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
         self._before = ""  # what was known before
 
-    def seen(self, context: PolicyInput) -> list[Instance]:
+    def new_detections(self, context: PolicyInput) -> list[Instance]:
         """Return the confirmed objects that were detected since the first call."""
         if self._since_ns is None:
             self._since_ns = context.observation.stamp_ns
             self._before = self._remembered(context)
-        confirmed = self._map.tracker.of(self.thing, sure=True)
+        confirmed = self._map.tracker.of(self.label, only_confirmed=True)
         return [one for one in confirmed if one.last_seen_ns >= self._since_ns]
 
-    def yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
+    def answer_yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
         """Answer that these objects are there."""
         pose = context.pose
         at = min(seen, key=lambda one: one.distance_m(pose.x_m, pose.y_m))
         x_m, y_m, _ = at.center_m.tolist()
         others = f"; {len(seen)} in all" if len(seen) > 1 else ""
         where = f"at ({x_m:.1f}, {y_m:.1f}), {at.distance_m(pose.x_m, pose.y_m):.1f} m away{others}"
-        room = self._map.rooms.where(x_m, y_m) or self._room
-        answer = " ".join(filter(None, ("yes, there is a", self.thing, room, where)))
+        room = self._map.rooms.room_phrase(x_m, y_m) or self._room
+        answer = " ".join(filter(None, ("yes, there is a", self.label, room, where)))
         self._mission.on_reached(answer, context.now_ns, answer)
 
-    def no(self, reason: str, now_ns: int) -> None:
+    def answer_no(self, reason: str, now_ns: int) -> None:
         """Answer that there is none."""
         before = f"; seen before: {self._before}" if self._before else ""
-        none = " ".join(filter(None, ("no, there is no", self.thing, self._room)))
+        none = " ".join(filter(None, ("no, there is no", self.label, self._room)))
         answer = f"{none}: {reason}{before}"
         self._mission.on_reached(answer, now_ns, answer)
 
     def _remembered(self, context: PolicyInput) -> str:
         """Return where and when the thing was seen before, for people; "" if never."""
-        shown, least = self._map.sightings.shown, self._map.config.perception.min_hits
-        found = known_objects(shown, context.observation.stamp_ns, least, self.thing)[:1]
+        shown, least = self._map.objects.read_only, self._map.config.perception.min_hits
+        found = known_objects(shown, context.observation.stamp_ns, least, self.label)[:1]
         if not found:
             return ""
-        return where_is(self.thing, found, context.pose, True, self._map.rooms.where)
+        return where_is(self.label, found, context.pose, True, self._map.rooms.room_phrase)
 
     def time_is_over(self, now_ns: int) -> bool:
         """Answer no and return True if the search limit is over."""
         limit_s = self._mission.config.search_limit_s
         if limit_s is None or self._mission.pursued_now_s <= limit_s:
             return False
-        self.no(f"not found within {shown_s(limit_s)}", now_ns)
+        self.answer_no(f"not found within {shown_s(limit_s)}", now_ns)
         return True
 
 
@@ -234,22 +238,22 @@ class CheckPursuit(Pursuit[CheckTarget]):
         self._answer = CheckAnswer(destination, mission, here)
 
     @property
-    def _thing(self) -> str:
-        return self._answer.thing
+    def _target_label(self) -> str:
+        return self._answer.label
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         answer = self._answer
-        self._mission.activity = f"checking for the {answer.thing}"
-        if seen := answer.seen(context):
-            answer.yes(seen, context)
+        self._mission.activity = f"checking for the {answer.label}"
+        if seen := answer.new_detections(context):
+            answer.answer_yes(seen, context)
         elif not answer.time_is_over(context.now_ns):
-            super().judge(context, images)
+            super().check_progress(context, images)
 
     def finish(self, now_ns: int) -> None:
-        self._answer.no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
+        self._answer.answer_no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
-        """Return False: only a new detection counts, and `judge` handles those."""
+        """Return False: only a new detection counts, and `check_progress` handles those."""
         return False
 
 
@@ -260,6 +264,9 @@ class RoomPursuit(Pursuit[RoomTarget]):
     """
 
     _chosen = 0  # id of the room to go to
+    _entered = _explored = 0  # id of the room that the robot came to, and that has no frontier left
+    _arrived_m = np.zeros(2, np.float32)  # where it came to it
+    _closed: MappedRoom | None = None  # a room that it may be, but that zones close
     _is_final = False  # True if all is explored: the choice stays
     _surveyed: RoomSurvey | None = None  # the newest survey that agreed
     _agreed = 0  # number of surveys since the arrival that agree
@@ -267,11 +274,14 @@ class RoomPursuit(Pursuit[RoomTarget]):
     def gather(self) -> Sequence[Instance]:
         return ()
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         mission, room = self._mission, self._choose(context)
+        if room is None and self._closed is not None and self._kind is None:
+            self.finish(context.now_ns)
+            return
         if room is None:
             mission.activity = "exploring to find it"
-            super().judge(context, images)
+            super().check_progress(context, images)
             return
         number = f"room {room.id}"
         name = number if room.title == number else f"{room.title}, {number}"
@@ -279,11 +289,11 @@ class RoomPursuit(Pursuit[RoomTarget]):
         if self._is_final and self._kind is not None:
             why = f"room {room.id}, the most likely {self._kind}"
         if self._is_inside(room, context):
-            self._goals.drop()
+            self._goals.abandon()
             self.arrive(f"inside {why}", context.now_ns)
             return
         mission.activity = f"going to {why}"
-        super().judge(context, images)
+        super().check_progress(context, images)
 
     def arrive(self, evidence: str, now_ns: int) -> None:
         """Handle the arrival inside the room."""
@@ -296,16 +306,33 @@ class RoomPursuit(Pursuit[RoomTarget]):
         elif self._destination.which == "largest":
             room = max(self._map.rooms.rooms, key=lambda one: one.area_m2, default=None)
         elif kind is not None:
-            likely = [one for one in self._map.rooms.rooms if one.chance[kind] >= _LAST_CHANCE]
-            room = max(likely, key=lambda one: one.chance[kind], default=None)
-        if room is None or self._chosen == room.id:
+            room = self._most_likely(kind)
+        if self._closed is not None and (room is None or is_closed(room, self._map)):
+            reason = f"a zone closes {self._closed.phrase}, room {self._closed.id}"
+            self._mission.abandon_target(reason, now_ns)
+        elif room is None or self._chosen == room.id:
             super().finish(now_ns)
         else:
             self._chosen, self._is_final = room.id, True
 
+    def _most_likely(self, kind: str) -> MappedRoom | None:
+        """Return the room to try when none is certain; None if nothing speaks for any."""
+        rooms = [room for room in self._map.rooms.rooms if not is_closed(room, self._map)]
+        likely = max(rooms, key=lambda room: room.chance[kind], default=None)
+        if likely is None or likely.chance[kind] >= _LAST_CHANCE:
+            return likely
+        votes = [float(self._map.rooms.votes(room, kind).max()) for room in rooms]
+        return rooms[int(np.argmax(votes))] if max(votes) > 0.0 else None
+
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         target, grid, goals = self._destination, self._map.grid, self._goals
+        if target.which != "with":
+            prior = None if self._kind is None else RoomKindPrior(self._map.rooms, self._kind)
+            scores = SearchPolicy(PolicySearch()).score(replace(context, prior=prior))
+        scores = np.asarray(scores, np.float32)
         room = self._map.rooms.room(self._chosen)
+        if room is not None and self._has_frontiers(room, context):
+            return goals.choose(context, grid, scores, images)
         if room is not None:
             points_m, old, rooms = self._points_m(room), goals.goal, self._map.rooms
             keep = old is not None and rooms.entered(old.pose.x_m, old.pose.y_m) == room.id
@@ -316,10 +343,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
                 points_m = points_m[away_m >= min(_DEEPER_M, float(away_m.max()))]
             goal = goals.go_to_point(context, grid, points_m, self._mission.target, keep)
             return goal or goals.explore_towards(context, grid, room.xy_m, images)
-        if target.which != "with":
-            prior = None if self._kind is None else RoomKindPrior(self._map.rooms, self._kind)
-            scores = SearchPolicy(PolicySearch()).score(replace(context, prior=prior))
-        return goals.choose(context, grid, np.asarray(scores, np.float32), images)
+        return goals.choose(context, grid, scores, images)
 
     @property
     def _kind(self) -> str | None:
@@ -331,14 +355,18 @@ class RoomPursuit(Pursuit[RoomTarget]):
         """Return True if the robot is inside.
 
         Before its walls are known, a room may seem to go on behind a door. So a room of a kind is
-        reached only at a point near the objects that it was recognised by, and if the next surveys
-        agree. The goal is such a point, as long as it stays.
+        reached only when it is explored, at a point near the objects that it was recognised by,
+        and if the next surveys agree. The goal is such a point, as long as it stays.
         """
         inside = self._map.rooms.entered(context.pose.x_m, context.pose.y_m) == room.id
         if not inside or not self._by_kind(room):
             return inside
-        if not self._goals.arrived:
+        goal = self._goals.goal
+        if not self._goals.arrived or goal is None or goal.kind != "place":
             self._agreed = 0
+        elif self._explored != room.id:
+            self._entered = room.id
+            self._arrived_m = np.array((context.pose.x_m, context.pose.y_m), np.float32)
         elif self._map.rooms.survey is not self._surveyed:
             self._surveyed, self._agreed = self._map.rooms.survey, self._agreed + 1
         return self._agreed > _SURVEYS
@@ -346,14 +374,42 @@ class RoomPursuit(Pursuit[RoomTarget]):
     def _by_kind(self, room: MappedRoom) -> bool:
         return self._kind is not None and not room.is_named
 
+    def _has_frontiers(self, room: MappedRoom, context: PolicyInput) -> bool:
+        """Return True while a room that the robot came to by its kind is not explored around there.
+
+        All other frontiers are then blocked in this tick.
+        """
+        if self._entered != room.id or not self._by_kind(room):
+            return False
+        self._block_outside(room)
+        c, delta_m = self._map.pool.candidates, self._map.config.policy.delta_reached_m
+        c.blocked[: c.n] |= np.hypot(*(c.xy_m[: c.n] - self._arrived_m).T) > _AROUND_M
+        left = ranked(c, c.path_m[: c.n], context.pose, delta_m)
+        if np.isfinite(c.path_m[left]).any():
+            return True
+        self._entered, self._explored = 0, room.id
+        return False
+
+    def _is_in(self, xy_m: np.ndarray, room: MappedRoom) -> np.ndarray:
+        """Return (n,) bool: True for points (n, 2) that are in the room."""
+        survey = self._map.rooms.survey
+        return survey.ids[survey.regions.at(xy_m)] == room.id
+
+    def _block_outside(self, room: MappedRoom) -> None:
+        """Block the frontiers of this tick that are not in the room."""
+        c = self._map.pool.candidates
+        outside = ~self._is_in(c.xy_m[: c.n], room)
+        c.blocked[: c.n] |= outside & (c.kind[: c.n] == FRONTIER)
+
     def _points_m(self, room: MappedRoom) -> np.ndarray:
         """Return the points of a room to go to, (k, 2) float32, k > 0."""
         if not self._by_kind(room):
             return room.points_m
         assert self._kind is not None
-        votes = self._map.rooms.votes(room, self._kind)
-        most = float(votes.max())
-        return room.points_m[votes >= _BEST * most] if most > 0.0 else room.points_m
+        votes, near = self._map.rooms.votes(room, self._kind), self._paths_m(room, POINT_SNAP_M)
+        can = np.isfinite(near) if np.isfinite(near).any() else np.ones(len(near), np.bool_)
+        low, high = float(votes[can].min()), float(votes[can].max())
+        return room.points_m[can & (votes >= low + _BEST * (high - low))]
 
     def _choose(self, context: PolicyInput) -> MappedRoom | None:
         """Return the room to go to; None if none is known. A choice stays while it is possible."""
@@ -361,7 +417,9 @@ class RoomPursuit(Pursuit[RoomTarget]):
         kept = self._is_final or which == "next"
         if kept and (room := rooms.room(self._chosen)) is not None:
             return room
-        found = rooms_of(self._destination, self._map)
+        known = rooms_of(self._destination, self._map)
+        found = [room for room in known if not is_closed(room, self._map)]
+        self._closed = known[0] if known and not found else None
         if which == "next":
             here = rooms.room_at(context.pose.x_m, context.pose.y_m)
             beside = set() if here is None else {door.room for door in here.doors}
@@ -373,15 +431,20 @@ class RoomPursuit(Pursuit[RoomTarget]):
         number = 0 if chosen is None else chosen.id
         if number != self._chosen:
             self._chosen = number
-            self._goals.drop()
+            self._goals.abandon()
         return chosen
 
     def _path_m(self, room: MappedRoom) -> float:
         """Return the driving distance to a room; inf if no path is known."""
+        return float(self._paths_m(room, _ROOM_SNAP_M).min(initial=np.inf))
+
+    def _paths_m(self, room: MappedRoom, snap_m: np.ndarray) -> np.ndarray:
+        """Return the driving distance to each point of a room, (j,) float32; inf without a path."""
         n, path_m = len(room.points_m), np.empty(len(room.points_m), np.float32)
-        kind = np.zeros(n, np.int8)
-        self._map.grid.reach.path_lengths_m(room.points_m, kind, _ROOM_SNAP_M, n, path_m)
-        return float(path_m.min(initial=np.inf))
+        self._map.grid.travel_cost.path_lengths_m(
+            room.points_m, np.zeros(n, np.int8), snap_m, n, path_m
+        )
+        return path_m
 
 
 class ExploreRoomPursuit(RoomPursuit):
@@ -399,14 +462,14 @@ class ExploreRoomPursuit(RoomPursuit):
         self._limit_s = destination.limit_s if isinstance(destination, ExploreTarget) else None
         self._inside: MappedRoom | None = None  # once the robot has been inside
 
-    def judge(self, context: PolicyInput, images: int) -> None:
+    def check_progress(self, context: PolicyInput, images: int) -> None:
         if self._inside is not None:
             self._inside = self._map.rooms.room(self._inside.id) or self._inside
         left_s = math.inf if self._limit_s is None else self._limit_s - self._mission.pursued_now_s
         if left_s <= 0.0:
             self.end(context.now_ns)
         elif self._inside is None:
-            super().judge(context, images)
+            super().check_progress(context, images)
         else:
             left = "" if self._limit_s is None else f", {_left(left_s)}"
             self._mission.activity = f"{self._doing} the {self._name}{left}"
@@ -418,8 +481,8 @@ class ExploreRoomPursuit(RoomPursuit):
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         if self._inside is None:
             return super().select(context, scores, images)
-        if self._goals.searched:  # retries and second looks would lead elsewhere
-            self._goals.rest()
+        if self._goals.candidates_exhausted:  # retries and second looks would lead elsewhere
+            self._goals.idle()
             return None
         self._block_outside(self._inside)
         return self._goals.choose(context, self._map.grid, scores, images)
@@ -434,23 +497,12 @@ class ExploreRoomPursuit(RoomPursuit):
 
     def _judge_inside(self, context: PolicyInput, images: int) -> None:
         """Follow the goal; end the target when no candidate in the room is left."""
-        mission, turns = self._mission, self._mission.turns
-        self._goals.judge(
+        mission, turns = self._mission, self._mission.retargets
+        self._goals.check_progress(
             self._map.grid, context.pose, mission, images, context.now_ns, self._is_reached
         )
-        if mission.turns == turns and not mission.done and self._goals.searched:
+        if mission.retargets == turns and not mission.done and self._goals.candidates_exhausted:
             self.end(context.now_ns)
-
-    def _is_in(self, xy_m: np.ndarray, room: MappedRoom) -> np.ndarray:
-        """Return (n,) bool: True for points (n, 2) that are in the room."""
-        survey = self._map.rooms.survey
-        return survey.ids[survey.regions.at(xy_m)] == room.id
-
-    def _block_outside(self, room: MappedRoom) -> None:
-        """Block the frontiers of this tick that are not in the room."""
-        c = self._map.pool.candidates
-        outside = ~self._is_in(c.xy_m[: c.n], room)
-        c.blocked[: c.n] |= outside & (c.kind[: c.n] == FRONTIER)
 
 
 class CheckRoomPursuit(ExploreRoomPursuit):
@@ -464,25 +516,25 @@ class CheckRoomPursuit(ExploreRoomPursuit):
         self._answer = CheckAnswer(destination, mission, here)
 
     @property
-    def _thing(self) -> str:
-        return self._answer.thing
+    def _target_label(self) -> str:
+        return self._answer.label
 
     def gather(self) -> Sequence[Instance]:
         return () if self._inside is None else self._in_room(Pursuit.gather(self), self._inside)
 
-    def judge(self, context: PolicyInput, images: int) -> None:
-        seen = self._answer.seen(context)
+    def check_progress(self, context: PolicyInput, images: int) -> None:
+        seen = self._answer.new_detections(context)
         found = [] if self._inside is None else self._in_room(seen, self._inside)
         if found:
-            self._answer.yes(found, context)
+            self._answer.answer_yes(found, context)
         elif not self._answer.time_is_over(context.now_ns):
-            super().judge(context, images)
+            super().check_progress(context, images)
 
     def end(self, now_ns: int) -> None:
-        self._answer.no("the room is explored", now_ns)
+        self._answer.answer_no("the room is explored", now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
-        """Return False: only a new detection counts, and `judge` handles those."""
+        """Return False: only a new detection counts, and `check_progress` handles those."""
         return False
 
     def _in_room(self, instances: Sequence[Instance], room: MappedRoom) -> list[Instance]:
@@ -518,7 +570,7 @@ def _left(left_s: float) -> str:
 
 def _found(here: SemanticMap, room: MappedRoom | None = None) -> str:
     """Return the names of the objects in the map, or in a room, the most frequent first."""
-    objects = known_objects(here.sightings.shown, 0, here.config.perception.min_hits)
+    objects = known_objects(here.objects.read_only, 0, here.config.perception.min_hits)
     if room is not None:
         xy_m = np.array([one.xyz_m[:2] for one in objects], np.float32).reshape(-1, 2)
         ids = here.rooms.survey.ids[here.rooms.survey.regions.at(xy_m)]

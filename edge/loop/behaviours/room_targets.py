@@ -6,9 +6,11 @@ import numpy as np
 
 from edge.loop.prior import LEAST, MOST
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import MappedRoom, RoomMemory
+from edge.memory import MappedRoom, RoomMemory, Site
 from edge.mission.destinations import RoomTarget
 from edge.mission.run import MissionRun
+from edge.mission.spec import MissionError, MissionSpec
+from edge.text import one_line
 
 
 class RoomKindPrior:
@@ -17,8 +19,8 @@ class RoomKindPrior:
     def __init__(self, rooms: RoomMemory, kind: str) -> None:
         self._rooms, self._kind = rooms, kind
 
-    def lift(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
-        """See `TargetPrior.lift`; the target is the kind of room."""
+    def likelihood_ratio(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
+        """See `TargetPrior.likelihood_ratio`; the target is the kind of room."""
         np.clip(self._rooms.kind_ratio(self._kind, xy_m[:n]), LEAST, MOST, out=out[:n])
 
 
@@ -26,13 +28,34 @@ def rooms_of(target: RoomTarget, here: SemanticMap) -> list[MappedRoom]:
     """Return the known rooms that a target may mean, without the largest one."""
     rooms = here.rooms
     if target.which == "called":
-        return rooms.called(target.name)
+        return rooms.find(target.name)
     if target.which == "next":
         return [room for room in rooms.rooms if not room.is_visited]
     if target.which == "with":
-        shown, min_hits = here.sightings.shown, here.config.perception.min_hits
+        shown, min_hits = here.objects.read_only, here.config.perception.min_hits
         return rooms.with_thing(target.name, shown, min_hits)[:1]
     return []
+
+
+def is_closed(room: MappedRoom, here: SemanticMap) -> bool:
+    """Return True if zones, or the mission itself, close all of a room."""
+    return all(here.grid.zones.contains(x_m, y_m) for x_m, y_m in room.points_m.tolist())
+
+
+def refuse_closed(spec: MissionSpec, site: Site, here: SemanticMap) -> None:
+    """Refuse a mission to a room if a zone closes each room that it may mean.
+
+    Raises:
+        MissionError: there is such a zone.
+    """
+    for name in spec.automaton.possible:
+        target = spec.translation.destinations.get(name)
+        rooms = rooms_of(target, here) if isinstance(target, RoomTarget) else []
+        if rooms and all(zones := [room.closed_by(site) for room in rooms]):
+            raise MissionError(
+                f"mission: {one_line(name)} is closed by the zone {one_line(zones[0])!r}; remove "
+                "the zone or name another room"
+            )
 
 
 def known_targets(mission: MissionRun, here: SemanticMap) -> dict[str, int]:

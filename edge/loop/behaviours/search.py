@@ -26,7 +26,7 @@ class SearchBehaviour:
         config: The configuration.
         here: The semantic map.
         goals: The goal tracker.
-        surveyor: Estimates travel costs between targets; None if the planner does not use them.
+        travel_costs: Estimates travel costs between targets; None if the planner does not use them.
     """
 
     searching = True
@@ -37,22 +37,24 @@ class SearchBehaviour:
         config: Config,
         here: SemanticMap,
         goals: GoalTracker,
-        surveyor: TravelCostEstimator | None,
+        travel_costs: TravelCostEstimator | None,
     ) -> None:
         self._mission, self._config = mission, config
-        self._map, self._goals, self._surveyor = here, goals, surveyor
-        self._things = tuple(t for t in mission.brief.targets if t not in mission.destinations)
+        self._map, self._goals, self._travel_costs = here, goals, travel_costs
+        self._object_targets = tuple(
+            t for t in mission.spec.targets if t not in mission.destinations
+        )
         self._pursued: tuple[int, Pursuit] | None = None  # first the turns of the mission
 
     @property
     def _pursuit(self) -> Pursuit:
         """The pursuit of the active target, a new one whenever another target becomes active."""
-        if self._pursued is None or self._pursued[0] != self._mission.turns:
+        if self._pursued is None or self._pursued[0] != self._mission.retargets:
             mission = self._mission
             destination = mission.destinations.get(mission.target)
             kind = PURSUITS[None if destination is None else type(destination)]
             pursuit = kind(destination, mission, self._map, self._goals)
-            self._pursued = (mission.turns, pursuit)
+            self._pursued = (mission.retargets, pursuit)
         return self._pursued[1]
 
     def gather(self) -> Sequence[Instance]:
@@ -64,13 +66,13 @@ class SearchBehaviour:
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
         sure = not self._config.policy.instances
-        seen = newest_ids(self._map.tracker, self._things, sure)
-        mission.see(seen | known_targets(mission, self._map), now_ns)
+        seen = newest_ids(self._map.tracker, self._object_targets, sure)
+        mission.on_detections(seen | known_targets(mission, self._map), now_ns)
         close_forbidden(mission, self._map)
-        if self._surveyor is not None:
-            self._surveyor.step(mission, grid, self._map.tracker, pose, now_ns)
+        if self._travel_costs is not None:
+            self._travel_costs.step(mission, grid, self._map.tracker, pose, now_ns)
         if goals.follows(mission) and mission.active:
-            self._pursuit.judge(context, images)
+            self._pursuit.check_progress(context, images)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Return the goal that the pursuit of the active target chooses."""
@@ -82,7 +84,7 @@ class SearchBehaviour:
     def reconfigure(self, config: Config) -> None:
         self._config = config
 
-    def forget(self) -> None:
+    def on_pose_jump(self) -> None:
         """Do nothing: the map and the goal tracker hold all data in the frame."""
 
     def close(self) -> None:
@@ -90,15 +92,15 @@ class SearchBehaviour:
 
 
 def newest_ids(
-    tracker: InstanceTracker, targets: Sequence[str], sure: bool, doubted: bool = True
+    tracker: InstanceTracker, targets: Sequence[str], only_confirmed: bool, doubted: bool = True
 ) -> dict[str, int]:
     """Return the highest object id of each target that has a known object.
 
     Args:
         tracker: The instance tracker.
         targets: The targets.
-        sure: Count only confirmed objects.
+        only_confirmed: Count only confirmed objects.
         doubted: Count objects that were more often detected as another class, too.
     """
-    known = {label: tracker.of(label, sure, doubted) for label in targets}
+    known = {label: tracker.of(label, only_confirmed, doubted) for label in targets}
     return {label: max(i.id for i in found) for label, found in known.items() if found}

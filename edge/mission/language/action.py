@@ -35,7 +35,7 @@ def is_passing(reader: TokenReader, ahead: int = 0, any_way: bool = False) -> bo
     """
     token = reader.peek(ahead)
     if token.text == "back":
-        return reader.sees("to", ahead=ahead + 1) or reader.peek(ahead + 1).text in UP
+        return reader.is_at("to", ahead=ahead + 1) or reader.peek(ahead + 1).text in UP
     passes = token.kind == "via" or token.text in PASSING
     return passes and (any_way or starts_noun_phrase(reader, ahead + 1))
 
@@ -52,7 +52,7 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
         TranslationError: no object of the verb follows.
     """
     doubly = False
-    if clause.negated and reader.sees("avoid") and "anywhere" in reader.peek().text:
+    if clause.negated and reader.is_at("avoid") and "anywhere" in reader.peek().text:
         reader.refuse_finally(
             "say what to visit, and what to avoid"
         )  # "don't go anywhere but to a"
@@ -60,7 +60,7 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
         doubly = clause.negated  # "do not skip a or b"
         clause.negated = not clause.negated
         clause.verb = avoid.text
-        if reader.sees("you"):  # "go anywhere but you finish at the bed"
+        if reader.is_at("you"):  # "go anywhere but you finish at the bed"
             reader.refuse("use two sentences", avoid)
         says = Clause(avoid)
         take_mood(reader, says)
@@ -77,7 +77,7 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
         clause.again = clause.again or token.text.startswith("revisit")
         clause.returns = clause.returns or token.text.startswith("return")
         skip_particles(reader, clause)
-    if reader.sees("in order", "strict order") and reader.peek(1).text == ":":
+    if reader.is_at("in order", "strict order") and reader.peek(1).text == ":":
         clause.order = reader.peek().kind  # "visit in this order: a, b, c"
         reader.at += 2
     if reader.take("neither"):
@@ -93,7 +93,7 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
     passes = last.text.split(" ")[-1] in PASSING or clause.verb.startswith(_PASSES)
     if clause.negated and clause.verb.split()[:1] in _MANNERS and not passes:
         reader.refuse_finally("how to go cannot be chosen; say only where to go", last)
-    if reader.sees("only") and is_passing(reader, 1, any_way=True):
+    if reader.is_at("only") and is_passing(reader, 1, any_way=True):
         reader.at += 2  # "go only through a"
         clause.only = passes = True
     elif reader.take("via"):
@@ -110,7 +110,7 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
         take_passed(reader, memory, clause, passes, last)
         if doubly and clause.things:
             clause.things = each_of(clause.things)
-        if clause.negated and reader.sees("or") and reader.sees("verb", ahead=1):
+        if clause.negated and reader.is_at("or") and reader.is_at("verb", ahead=1):
             reader.refuse_finally("unclear what is forbidden; use a separate sentence")
     elif clause.returns and memory.asked and clause.negated:
         clause.things = memory.asked  # "never go back"
@@ -166,7 +166,7 @@ def take_passed(
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
     if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_ALONG):
         reader.refuse("the robot can only follow a path", verb)
-    across = verb is not None and verb.text == "across" and reader.sees("to")
+    across = verb is not None and verb.text == "across" and reader.is_at("to")
     if across and things.names[-1].split()[-1] in _STREETS:
         reader.refuse_finally("'across …' is unclear; say only where to go, or 'through …'", verb)
     if verb and verb.text == "from":
@@ -189,16 +189,16 @@ def take_passed(
 
 
 def _onto_thing(reader: TokenReader) -> bool:
-    return reader.sees("to") and starts_noun_phrase(reader, 1)
+    return reader.is_at("to") and starts_noun_phrase(reader, 1)
 
 
 def _onward(reader: TokenReader, clause: Clause) -> bool:
     """Return True if "to b" may follow here."""
-    ahead = 1 if reader.sees("and") else 0
+    ahead = 1 if reader.is_at("and") else 0
     onto = reader.peek(ahead + (reader.peek(ahead).text == "out")).text in _INTO
-    if not clause.through and (onto or reader.sees("to")):
+    if not clause.through and (onto or reader.is_at("to")):
         _refuse_leading(reader, clause, ahead if onto else 0)
-    moved = clause.verb in _MOTION and reader.sees("to")
+    moved = clause.verb in _MOTION and reader.is_at("to")
     return clause.through or (not clause.negated and (onto or moved))
 
 
@@ -226,11 +226,11 @@ def _refuse_leading(reader: TokenReader, clause: Clause, ahead: int) -> None:
 
 def _take_onward(reader: TokenReader) -> bool:
     """Skip "to" or "and into" before an object; return False if it does not come."""
-    ahead = 1 if reader.sees("and") else 0
+    ahead = 1 if reader.is_at("and") else 0
     ahead += reader.peek(ahead).text in ("out", "on")
     if reader.peek(ahead).text == "through":
         return False
-    if not reader.sees("to", ahead=ahead) or not starts_noun_phrase(reader, ahead + 1):
+    if not reader.is_at("to", ahead=ahead) or not starts_noun_phrase(reader, ahead + 1):
         return False
     reader.at += ahead + 1
     return True

@@ -40,7 +40,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
     elif token.kind == "in the end":
         clause.ends = True
         reader.at += 1
-    elif token.text == "directly" and reader.sees("after", "when", "once", ahead=1):
+    elif token.text == "directly" and reader.is_at("after", "when", "once", ahead=1):
         clause.next_step = True
         reader.at += 1
     elif clause.negated and _by_way(reader):
@@ -57,7 +57,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
     elif token.kind == "bound there":
         clause.enroute = clause.enroute or not clause.negated
         reader.at += 1
-    elif token.kind == "comma" and reader.sees("always", ahead=1) and _ends_sentence(reader, 2):
+    elif token.kind == "comma" and reader.is_at("always", ahead=1) and _ends_sentence(reader, 2):
         reader.at += 1  # "keep away from it, always"
     elif token.kind in ("whichever", "comma") and _whichever(reader):
         pass
@@ -71,7 +71,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
         several = clause.things and len(clause.things.groups) > 1
         clause.order = token.kind if several or token.text != "in turn" else clause.order
         reader.at += 1
-    elif token.kind == "comma" and reader.sees(*ORDERS, ahead=1):
+    elif token.kind == "comma" and reader.is_at(*ORDERS, ahead=1):
         reader.at += 1
     elif (count := take_count(reader, clause.negated, _of_every(clause))) is not None:
         clause.count = narrower(reader, clause.count, count, token)
@@ -79,7 +79,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
         if several and reader.tokens[reader.at - 1].text.endswith(("in total", "overall")):
             reader.refuse_finally("unclear: this number for each, or for all together?", token)
     elif token.kind == "first" and not (
-        reader.sees("verb", ahead=1) or starts_noun_phrase(reader, 1)
+        reader.is_at("verb", ahead=1) or starts_noun_phrase(reader, 1)
     ):
         clause.first = True
         reader.at += 1
@@ -94,7 +94,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
         clause.negated = not clause.negated
         clause.count = clause.count and _denied(reader, clause.count, token)
         reader.at += 1
-    elif token.kind == "after" and reader.sees("comma", "stop", "end", "and", ahead=1):
+    elif token.kind == "after" and reader.is_at("comma", "stop", "end", "and", ahead=1):
         clause.trails = True  # "visit a, and b after"
         reader.at += 1
     elif token.kind in ("but", "comma", "all of") and _count_ahead(reader, clause):
@@ -116,7 +116,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
         begin = reader.at
         condition = take_condition(reader, memory, clause)
         joined = any(said.kind == "and" for said in reader.tokens[start:begin])
-        if joined and reader.sees("verb", "you", "comma", "word", "article"):
+        if joined and reader.is_at("verb", "you", "comma", "word", "article"):
             reader.at = start
             return False  # "…, and only if you see b, go to c"
         when = condition.kind == "when" and not condition.only
@@ -124,7 +124,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
             reader.at = begin
             return False  # "visit a if you saw b then visit c": of the next clause
         after = condition.kind == "after" and clause.negated
-        if (when or after) and reader.sees("verb", "ensure", "you", "avoid"):
+        if (when or after) and reader.is_at("verb", "ensure", "you", "avoid"):
             reader.refuse_finally(
                 "unclear which part this belongs to; add a comma", condition.token
             )
@@ -143,14 +143,16 @@ def _by_way(reader: TokenReader) -> bool:
 
 
 def _ends_sentence(reader: TokenReader, ahead: int) -> bool:
-    return reader.sees("comma", "stop", "end", ahead=ahead)
+    return reader.is_at("comma", "stop", "end", ahead=ahead)
 
 
 def _whichever(reader: TokenReader) -> bool:
     """Skip ", whichever you like" after a choice; return False if it does not come."""
-    ahead = 1 if reader.sees("comma") else 0
+    ahead = 1 if reader.is_at("comma") else 0
     choice = any(token.kind in ("or", "either") for token in reader.tokens[: reader.at])
-    if not (choice and reader.sees("whichever", ahead=ahead) and _ends_sentence(reader, ahead + 1)):
+    if not (
+        choice and reader.is_at("whichever", ahead=ahead) and _ends_sentence(reader, ahead + 1)
+    ):
         return False
     reader.at += ahead + 1
     return True
@@ -201,11 +203,11 @@ def _trails(reader: TokenReader) -> bool:
     """Return True if "after that" ends this clause instead of beginning the next one."""
     if reader.peek().text in ("then", "and then", "followed by", "finally", "and finally"):
         return False
-    if reader.sees("filler", ahead=1):
+    if reader.is_at("filler", ahead=1):
         return _ends_sentence(reader, 2)
-    if reader.sees("can", "must", ahead=1) and reader.sees("you", ahead=2):
+    if reader.is_at("can", "must", ahead=1) and reader.is_at("you", ahead=2):
         return _ends_sentence(reader, 3)  # "… after that, would you?"
-    return reader.sees("comma", "and", "but", "stop", "end", "then", ahead=1)
+    return reader.is_at("comma", "and", "but", "stop", "end", "then", ahead=1)
 
 
 def _condition_ahead(reader: TokenReader, clause: Clause) -> bool:
@@ -213,14 +215,14 @@ def _condition_ahead(reader: TokenReader, clause: Clause) -> bool:
 
     Return False if none comes.
     """
-    ahead = 1 if reader.sees("comma") else 0
-    if reader.sees("but", "and", ahead=ahead):
+    ahead = 1 if reader.is_at("comma") else 0
+    if reader.is_at("but", "and", ahead=ahead):
         ahead += 1
     joined = ahead > 0
-    limited = reader.sees("only", "not", ahead=ahead)
+    limited = reader.is_at("only", "not", ahead=ahead)
     if limited:
         ahead += 1
-    if not reader.sees(*CONDITIONS, ahead=ahead):
+    if not reader.is_at(*CONDITIONS, ahead=ahead):
         return False
     if joined and not limited:
         return False  # ", and before that …" begins the next clause
@@ -233,9 +235,9 @@ def _condition_ahead(reader: TokenReader, clause: Clause) -> bool:
 def _leads(reader: TokenReader, clause: Clause) -> bool:
     """Return True if this condition belongs to the next clause: "visit a before that visit b"."""
     return (
-        reader.sees("before", "after", "until")
-        and reader.sees("pronoun", ahead=1)
-        and reader.sees("verb", "you", "ensure", "must", ahead=2)
+        reader.is_at("before", "after", "until")
+        and reader.is_at("pronoun", ahead=1)
+        and reader.is_at("verb", "you", "ensure", "must", ahead=2)
         and bool(clause.conditions)
     )
 
@@ -251,7 +253,7 @@ def _avoided_aside(reader: TokenReader, memory: Antecedents, clause: Clause) -> 
     begin, aside = reader.at, Clause(avoid)
     reader.at += 1
     take_avoiding(reader, memory, aside)
-    if clause.negated or not reader.sees("then", ahead=1 if reader.sees("comma") else 0):
+    if clause.negated or not reader.is_at("then", ahead=1 if reader.is_at("comma") else 0):
         reader.at = begin
         return False
     clause.avoiding += aside.avoiding
@@ -274,7 +276,7 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
     avoid = reader.take("avoid")
     denied = denied or says.negated or avoid is not None
     skips = avoid is not None and avoid.text == "skipping"
-    if skips and reader.sees("or") and reader.sees("verb", ahead=1):
+    if skips and reader.is_at("or") and reader.is_at("verb", ahead=1):
         reader.at += 1
     while verb := reader.take("verb"):
         says.verb = verb.text
@@ -295,7 +297,7 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
     said = [t.kind for t in reader.tokens[begin : reader.at]]
     if len(things.groups) == 2 and ("comma", "and") in itertools.pairwise(said):
         reader.refuse_finally("unclear if this is to be avoided too; use two sentences", token)
-    while denied and reader.sees("or", "and") and another_participle(reader):
+    while denied and reader.is_at("or", "and") and another_participle(reader):
         skip_particles(reader, says)
         more = take_noun_phrase(reader, memory, banned=True)
         things = NounPhrase(things.groups + more.groups)  # "without entering a or touching b"

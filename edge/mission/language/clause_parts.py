@@ -47,7 +47,7 @@ def take_count(reader: TokenReader, negated: bool, every: bool = False) -> Count
         TranslationError: the count is above `MAX_VISITS`, or makes no sense after "not".
     """
     begin, start = reader.at, reader.peek()
-    if start.text in ("on", "for") and reader.sees(*_NUMBERS, *_MARKERS, ahead=1):
+    if start.text in ("on", "for") and reader.is_at(*_NUMBERS, *_MARKERS, ahead=1):
         reader.at += 1
     markers: set[str] = set()
     numbers: list[int] = []
@@ -91,7 +91,7 @@ def take_quota(reader: TokenReader, memory: Antecedents, clause: Clause) -> None
     assert token is not None
     clause.things = take_noun_phrase(reader, memory)
     reader.skip("be", "must", "can")
-    if reader.sees("exactly") and reader.sees("number", ahead=1):
+    if reader.is_at("exactly") and reader.is_at("number", ahead=1):
         reader.at += 1
     marked = take_count(reader, negated=False)
     number = reader.take("number") if marked is None else None
@@ -107,11 +107,11 @@ def take_quota(reader: TokenReader, memory: Antecedents, clause: Clause) -> None
 
 def _joins(reader: TokenReader) -> bool:
     """Return True if "once" here means "as soon as"."""
-    return reader.sees("you", "article", "word", "quoted", "pronoun", "all of", "either", ahead=1)
+    return reader.is_at("you", "article", "word", "quoted", "pronoun", "all of", "either", ahead=1)
 
 
 def _goes_on(reader: TokenReader) -> bool:
-    return reader.sees(*_NUMBERS, *_MARKERS, ahead=1)
+    return reader.is_at(*_NUMBERS, *_MARKERS, ahead=1)
 
 
 def _range(
@@ -233,7 +233,7 @@ class Clause:
         done: its verb is in the past: "you must have visited a (before b)".
         leads: "then" stands between its conditions and the rest.
         subject: it names who must act ("you must …").
-        foretold: it describes the future ("will", "can not").
+        in_future: it describes the future ("will", "can not").
         agent: its name for the robot ("the drone").
         verb: its verb; "" in a bare clause.
     """
@@ -275,42 +275,42 @@ class Clause:
     done: bool = False
     leads: bool = False
     subject: bool = False
-    foretold: bool = False
+    in_future: bool = False
     agent: str = ""
     verb: str = ""
 
 
 def names_one_robot(reader: TokenReader) -> bool:
     """Return True if "robot c" comes."""
-    letter = reader.sees("word", ahead=1) and len(reader.peek(1).text) == 1
+    letter = reader.is_at("word", ahead=1) and len(reader.peek(1).text) == 1
     return letter and reader.peek().text in ("robot", "the robot")
 
 
 def _refuse_scope(reader: TokenReader, said: Token) -> None:
     """Refuse `do not just go to a`, `you don't always have to visit a`: unclear what is denied."""
     ahead = 0
-    while reader.sees("filler", "always", "only", "immediately", ahead=ahead):
+    while reader.is_at("filler", "always", "only", "immediately", ahead=ahead):
         if set(_LIMITING) & set(reader.peek(ahead).text.split()):
             reader.refuse_finally("say directly what not to do", said)
         ahead += 1
-    if reader.sees("must", ahead=ahead) and reader.peek(ahead).text in _NEEDS:
+    if reader.is_at("must", ahead=ahead) and reader.peek(ahead).text in _NEEDS:
         reader.refuse_finally(_NOT_NEEDED, said)
 
 
 def _is_statement(reader: TokenReader, who: str) -> bool:
     """Return True if "I go to a" or "we never use a" comes; "we have to go to a" is an order."""
-    return reader.sees("verb", "must", "can", "not", "do", "be", "filler", ahead=1)
+    return reader.is_at("verb", "must", "can", "not", "do", "be", "filler", ahead=1)
 
 
 def _acts(reader: TokenReader) -> bool:
     """Return True if "it" is the robot here: it goes, must go, never goes."""
     ahead = 1
-    while reader.sees("must", "can", "not", "filler", "to", ahead=ahead):
+    while reader.is_at("must", "can", "not", "filler", "to", ahead=ahead):
         ahead += 1
     verb = reader.peek(ahead).text.split(" ")[0]
     goes = verb.endswith("s") and not verb.endswith("ss")
-    does = reader.sees("verb", "avoid", ahead=ahead) and (ahead > 1 or goes)
-    return does and not reader.sees("comma", "stop", "end", ahead=ahead + 1)  # "before it closes"
+    does = reader.is_at("verb", "avoid", ahead=ahead) and (ahead > 1 or goes)
+    return does and not reader.is_at("comma", "stop", "end", ahead=ahead + 1)  # "before it closes"
 
 
 def take_mood(reader: TokenReader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> set[str]:
@@ -318,20 +318,24 @@ def take_mood(reader: TokenReader, clause: Clause, kinds: tuple[str, ...] = MOOD
     seen: set[str] = set()
     while True:
         token = reader.peek()
-        if token.text == "need" and reader.sees("not", ahead=1):
+        if token.text == "need" and reader.is_at("not", ahead=1):
             reader.refuse_finally(_NOT_NEEDED, token)
         if names_one_robot(reader):
             reader.refuse_finally("an instruction is for one robot only", token)
-        if token.text in ("ok", "okay", "alright") and reader.sees("to", ahead=1):
+        if token.text in ("ok", "okay", "alright") and reader.is_at("to", ahead=1):
             reader.refuse_finally("this is optional and asks for nothing; leave it out", token)
-        answers = reader.sees("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
+        answers = reader.is_at("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
         if token.text == "no" and answers:
             reader.refuse_finally("give the whole instruction again", token)  # "…, no, the bed"
         if token.kind == "you" and token.text in ("i", "we") and _is_statement(reader, token.text):
             reader.refuse_finally("not an instruction for the robot", token)
-        if token.text == "did" and reader.sees("not", ahead=1):
+        if token.text == "did" and reader.is_at("not", ahead=1):
             reader.refuse_finally("this describes the past; say what to do", token)
-        if token.text == "let" and reader.sees("article", ahead=1) and reader.sees("verb", ahead=3):
+        if (
+            token.text == "let"
+            and reader.is_at("article", ahead=1)
+            and reader.is_at("verb", ahead=3)
+        ):
             reader.refuse_finally(
                 "an instruction is for one robot only", token
             )  # "let the dog go there"
@@ -339,14 +343,14 @@ def take_mood(reader: TokenReader, clause: Clause, kinds: tuple[str, ...] = MOOD
             seen.add("you")
             reader.at += 1  # "the robot goes to a, then it goes to b"
             continue
-        if token.kind == "to" and reader.sees("verb", "not", "avoid", "be", "happen", ahead=1):
+        if token.kind == "to" and reader.is_at("verb", "not", "avoid", "be", "happen", ahead=1):
             reader.at += 1
             continue
-        if token.kind == "to" and reader.sees("filler", ahead=1) and reader.sees("verb", ahead=2):
+        if token.kind == "to" and reader.is_at("filler", ahead=1) and reader.is_at("verb", ahead=2):
             reader.at += 2  # "you have to eventually get there"
             continue
         if (
-            token.kind == "all of" and seen and reader.sees("verb", "be", ahead=1)
+            token.kind == "all of" and seen and reader.is_at("verb", "be", ahead=1)
         ):  # "are both visited"
             reader.at += 1
             continue
@@ -410,7 +414,7 @@ def skip_particles(reader: TokenReader, clause: Clause) -> None:
         elif token.kind == "filler" and names_one_robot(reader):
             reader.refuse_finally("an instruction is for one robot only", token)
         elif token.kind in ("to", "filler") or (
-            token.kind == "and" and reader.sees("verb", ahead=1) and clause.verb == "go"
+            token.kind == "and" and reader.is_at("verb", ahead=1) and clause.verb == "go"
         ):
             reader.at += 1
         else:

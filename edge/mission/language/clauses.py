@@ -57,18 +57,18 @@ _OPENINGS = ("no return", "quota", "onward", "opener", "origin", "on the way", "
 
 def starts_clause(reader: TokenReader, ahead: int = 0) -> bool:
     """Return True if a clause can begin at that token."""
-    if reader.sees("to", ahead=ahead):
+    if reader.is_at("to", ahead=ahead):
         ahead += 1
     if starts_noun_phrase(reader, ahead) or is_passing(reader, ahead):
         return True
     if reader.peek(ahead).text in ("at", "in") and starts_noun_phrase(reader, ahead + 1):
         return True
-    goes_on = reader.peek(ahead).text == "on" or reader.sees("again", ahead=ahead)
-    if goes_on and reader.sees("to", ahead=ahead + 1):
+    goes_on = reader.peek(ahead).text == "on" or reader.is_at("again", ahead=ahead)
+    if goes_on and reader.is_at("to", ahead=ahead + 1):
         return True
-    if reader.peek(ahead).text == "from" or reader.sees("while", "without", ahead=ahead):
+    if reader.peek(ahead).text == "from" or reader.is_at("while", "without", ahead=ahead):
         return True
-    return reader.sees(
+    return reader.is_at(
         *MOOD, *CONDITIONS, *ORDERS, *_OPENINGS, "verb", "avoid", "immediately", "banned",
         ahead=ahead,
     )  # fmt: skip
@@ -86,26 +86,26 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         TranslationError: no clause begins here.
     """
     clause = Clause(reader.peek())
-    begin, starts = reader.at, reader.at == 0 or reader.sees("stop", ahead=-1)
+    begin, starts = reader.at, reader.at == 0 or reader.is_at("stop", ahead=-1)
     _take_opening(reader, memory, clause)
     if reader.at > begin and reader.tokens[reader.at - 1].kind in ("opener", "on the way"):
         bare, starts = "yes", False
     if reader.at > begin and reader.peek().text in ("though", "however"):
         reader.at += 1
-    if reader.sees("end", "stop") and _take_restriction(memory, clause):
+    if reader.is_at("end", "stop") and _take_restriction(memory, clause):
         return clause
-    gerund = starts and reader.sees("verb") and reader.peek().text.endswith("ing")
+    gerund = starts and reader.is_at("verb") and reader.peek().text.endswith("ing")
     gerund = gerund and reader.peek().text != "bring"
     take_mood(reader, clause)
     before = reader.tokens[reader.at - 1]
     if reader.at > begin and before.kind == "ensure" and before.text.endswith(" is"):
         bare = "yes"  # "the goal is the bed"
-    if before.text in ("do", "does", "did") and reader.sees("pronoun"):
+    if before.text in ("do", "does", "did") and reader.is_at("pronoun"):
         reader.refuse("say what to visit", reader.peek())  # "do that again"
     main: Token | None = reader.peek()
     told = reader.tokens[begin : reader.at]
     clause.subject = any(t.kind in ("you", "ensure") for t in told)
-    clause.foretold = any(t.text == "will" or (t.kind == "can" and clause.negated) for t in told)
+    clause.in_future = any(t.text == "will" or (t.kind == "can" and clause.negated) for t in told)
     clause.agent = next((t.text for t in told if t.kind == "you" and " " in t.text), "")
     said = reader.tokens[begin : reader.at]
     if said and said[-1].kind == "must" and starts_noun_phrase(reader):
@@ -119,17 +119,17 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         clause.count = narrower(reader, clause.count, count, count_at)
         reader.skip("to")
         clause.things = take_noun_phrase(reader, memory)
-    elif reader.sees("verb", "avoid") or goes_on_to(reader):
+    elif reader.is_at("verb", "avoid") or goes_on_to(reader):
         take_action(reader, memory, clause)
     elif _is_there(reader):
         clause.verb = "be"
         reader.at += 2 if reader.peek().text == "over" else 1
-        if clause.negated and reader.sees("all of"):
+        if clause.negated and reader.is_at("all of"):
             reader.refuse_finally("unclear: none of them, or not all? say it for each one")
         clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
-    elif reader.sees("quota"):
+    elif reader.is_at("quota"):
         take_quota(reader, memory, clause)
-    elif reader.sees("onward"):
+    elif reader.is_at("onward"):
         take_until(reader, memory, clause)
     elif starts_noun_phrase(reader):
         _take_passive(reader, memory, clause, bare)
@@ -146,7 +146,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
     elif (bare != "no" or clause.negated) and is_passing(reader):
         reader.at += 1
         take_passed(reader, memory, clause)
-    elif reader.sees("to") and starts_noun_phrase(reader, 1) and (bare != "no" or clause.negated):
+    elif reader.is_at("to") and starts_noun_phrase(reader, 1) and (bare != "no" or clause.negated):
         reader.take("to")
         clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
     else:
@@ -191,7 +191,7 @@ _PLACED = ("in", "inside", "at", "on", "near")
 
 
 def _is_over(reader: TokenReader) -> bool:
-    return reader.sees("comma", "stop", "end", "and", "but", "then")
+    return reader.is_at("comma", "stop", "end", "and", "but", "then")
 
 
 def _is_there(reader: TokenReader) -> bool:
@@ -224,10 +224,10 @@ def _take_opening(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
     """Parse what may stand before a clause: an order, conditions."""
     while True:
         token = reader.peek()
-        if token.kind == "all of" and reader.sees("without", "while", ahead=1):
+        if token.kind == "all of" and reader.is_at("without", "while", ahead=1):
             reader.at += 1  # "…, all without visiting b"
             continue
-        ahead = 1 if reader.sees("only", "immediately", "filler") else 0
+        ahead = 1 if reader.is_at("only", "immediately", "filler") else 0
         if token.kind in ORDERS:
             clause.order = token.kind
             reader.at += 1
@@ -244,13 +244,13 @@ def _take_opening(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
             clause.enroute = clause.enroute or token.kind == "on the way"
             reader.at += 1
         elif token.kind == "bound" or (
-            token.kind == "to" and reader.sees("verb", ahead=1) and not clause.bound
+            token.kind == "to" and reader.is_at("verb", ahead=1) and not clause.bound
         ):
             reader.at += 1
             while reader.take("verb"):
                 skip_particles(reader, clause)
             clause.bound = take_noun_phrase(reader, memory)
-        elif reader.sees(*CONDITIONS, ahead=ahead):
+        elif reader.is_at(*CONDITIONS, ahead=ahead):
             if token.kind in ("immediately", "filler"):
                 at_once = token.kind == "immediately" or token.text == "directly"
                 clause.next_step = clause.next_step or at_once
@@ -267,7 +267,7 @@ def _take_opening(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
 
 
 def _counts(reader: TokenReader, ahead: int) -> bool:
-    return reader.sees(*COUNTING, ahead=ahead)
+    return reader.is_at(*COUNTING, ahead=ahead)
 
 
 def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare: Bare) -> None:
@@ -330,11 +330,11 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
     ):
         reader.refuse("unknown verb", start)
     clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
-    if reader.sees("not") and reader.peek().text.endswith(("allowed", "permitted")):
+    if reader.is_at("not") and reader.peek().text.endswith(("allowed", "permitted")):
         reader.refuse_finally(
             "an instruction is for one robot only", start
         )  # "guests are not allowed in b"
-    if reader.sees("verb") and reader.peek().text.split()[0].endswith("s"):
+    if reader.is_at("verb") and reader.peek().text.split()[0].endswith("s"):
         reader.refuse_finally(
             "say what to do, as in 'visit the bed'", start
         )  # "the path goes through b"

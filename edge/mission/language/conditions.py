@@ -56,10 +56,10 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
         condition.things = take_noun_phrase(reader, memory)
         condition.denied = condition.denied or says.negated
         return
-    been = reader.sees("to") and reader.tokens[reader.at - 1].text == "been"
+    been = reader.is_at("to") and reader.tokens[reader.at - 1].text == "been"
     if condition.kind == "unless" and reader.peek().text.startswith("going"):
         reader.refuse_finally("use two sentences for 'only to get to …'", condition.token)
-    if been or reader.sees("verb"):
+    if been or reader.is_at("verb"):
         participle = reader.peek().text.split()[0].endswith("ing")
         condition.going = condition.token.text == "when" and participle
         reader.skip("verb")
@@ -72,7 +72,7 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
             more = take_noun_phrase(reader, memory)
             condition.things = NounPhrase(condition.things.groups + more.groups)
         reader.take("happen")
-    elif reader.sees("pronoun"):
+    elif reader.is_at("pronoun"):
         pronoun = reader.take("pronoun")
         assert pronoun is not None
         condition.things = _asked(reader, memory, pronoun)
@@ -88,7 +88,7 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
     _refuse_denied(reader, condition, says)
     condition.denied = condition.denied or says.negated
     first = bool(reader.take("first")) or says.first
-    if first and reader.sees("then") and not reader.sees("end", ahead=1):
+    if first and reader.is_at("then") and not reader.is_at("end", ahead=1):
         reader.refuse_finally("use two sentences", condition.token)
     if first and condition.recurring:
         reader.refuse_finally("unclear before what; use two sentences", condition.token)
@@ -109,7 +109,7 @@ def another_participle(reader: TokenReader) -> bool:
     """
     verb = reader.peek(1)
     participle = verb.kind == "verb" and verb.text.split()[0].endswith("ing")
-    goes_on = reader.sees("and", "or") and participle
+    goes_on = reader.is_at("and", "or") and participle
     if goes_on:
         reader.at += 2
     return goes_on
@@ -117,7 +117,7 @@ def another_participle(reader: TokenReader) -> bool:
 
 def _ends(reader: TokenReader) -> bool:
     """Return True if the phrase ends here."""
-    return reader.sees("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
+    return reader.is_at("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
 
 
 def _asked(reader: TokenReader, memory: Antecedents, token: Token) -> NounPhrase:
@@ -133,7 +133,7 @@ def _take_predicate(reader: TokenReader, says: Clause) -> bool:
     said = take_mood(reader, says, PREDICATE)
     if reader.take("happen"):
         return True
-    if said & AUXILIARIES and reader.sees("verb"):
+    if said & AUXILIARIES and reader.is_at("verb"):
         if said <= {"be", "not"} and reader.peek().text in STATES:
             reader.refuse_finally("the state of an object cannot be used, only that it is reached")
         reader.take("verb")

@@ -62,7 +62,7 @@ def _size(formula: Formula) -> int:
 def _does_besides(reader: TokenReader) -> bool:
     """Return True if ", visiting b" comes without its time; ", ending at b" has one."""
     verb = reader.peek().text
-    if not reader.sees("verb") or verb.startswith((*ENDING, "swing", "bring ")):
+    if not reader.is_at("verb") or verb.startswith((*ENDING, "swing", "bring ")):
         return False
     if not verb.split()[0].endswith("ing"):
         return False
@@ -130,13 +130,13 @@ class Discourse:
         """
         reader = self.reader
         reader.skip("comma", "stop")
-        while not reader.sees("end"):
-            aside = reader.sees("filler") and reader.sees("comma", "stop", "end", ahead=1)
-            if aside or reader.sees("addressed"):  # "Drone, find …", "robot! find …", "thanks."
+        while not reader.is_at("end"):
+            aside = reader.is_at("filler") and reader.is_at("comma", "stop", "end", ahead=1)
+            if aside or reader.is_at("addressed"):  # "Drone, find …", "robot! find …", "thanks."
                 reader.at += 1
                 reader.skip("comma", "stop")
                 continue
-            if self.clauses and reader.sees("any order") and reader.sees("stop", "end", ahead=1):
+            if self.clauses and reader.is_at("any order") and reader.is_at("stop", "end", ahead=1):
                 reader.take("any order")  # "…; the order does not matter": as it is anyway
             else:
                 joint = reader.take(*THEN, "and", "but")
@@ -205,7 +205,7 @@ class Discourse:
         """
         reader = self.reader
         bare = reader.peek().text in ("stop", "halt")
-        if not (bare or reader.sees("halt")) or not reader.sees("stop", "end", ahead=1):
+        if not (bare or reader.is_at("halt")) or not reader.is_at("stop", "end", ahead=1):
             return False
         self.halted = reader.peek()
         if self.flow.denied or self.flow.permitted or not bare:
@@ -218,7 +218,7 @@ class Discourse:
         reader = self.reader
         either = reader.peek()
         self.detour, self.listed = None, False
-        if reader.sees("either") and reader.sees("verb", "you", "first", ahead=1):
+        if reader.is_at("either") and reader.is_at("verb", "you", "first", ahead=1):
             reader.take("either")
         after = self.first or (joint is not None and joint.kind in THEN)
         start = reader.peek()
@@ -233,8 +233,8 @@ class Discourse:
         tight = short = False
         while (ahead := self._alternative_ahead()) is not None:
             # "go to a and b, or c, then d"
-            short = short or (reader.sees("comma") and not reader.sees("verb", ahead=ahead))
-            tight = tight or not reader.sees("comma", "stop")
+            short = short or (reader.is_at("comma") and not reader.is_at("verb", ahead=ahead))
+            tight = tight or not reader.is_at("comma", "stop")
             reader.at += ahead
             if loose:
                 sequences[-1].append(loose)
@@ -278,8 +278,8 @@ class Discourse:
 
     def _alternative_ahead(self) -> int | None:
         """Return the number of tokens up to the next alternative ("; or reach …"), or None."""
-        ahead = 1 if self.reader.sees("comma", "stop") else 0
-        if not self.reader.sees("or", ahead=ahead):
+        ahead = 1 if self.reader.is_at("comma", "stop") else 0
+        if not self.reader.is_at("or", ahead=ahead):
             return None
         ahead += 1
         return ahead if starts_clause(self.reader, ahead) else None
@@ -328,10 +328,10 @@ class Discourse:
         if joint and self.number == 1 and not self.clauses and said[-1] in ("lastly", "finally"):
             number = len(nouns.NUMERALS)
         if number is None or joint is None:
-            if self.number > 1 and self.reader.sees("first", "opener"):
+            if self.number > 1 and self.reader.is_at("first", "opener"):
                 self.reader.refuse_finally(_IN_TURN)
             return
-        bare = self.reader.sees("word") and len(self.reader.peek().text) > 1
+        bare = self.reader.is_at("word") and len(self.reader.peek().text) > 1
         if number <= self.number or (bare and joint.text in nouns.ORDINALS):
             self.reader.refuse_finally("unclear which step this is; say 'then the …'", joint)
         self.number = number
@@ -481,7 +481,7 @@ class Discourse:
             if self.goal is None:
                 self.reader.refuse_finally("unclear where to; say 'on the way to …'", clause.token)
             self.detour = clause.token  # "go to a. on the way, go to b"
-        ends = len(sequence) == 1 and not meaning.follows and self.reader.sees("stop", "end")
+        ends = len(sequence) == 1 and not meaning.follows and self.reader.is_at("stop", "end")
         first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
         if (first or clause.enroute) and sequence and meaning.goals:
             put_first(meaning, sequence, clause.first)  # "…, but first go to the sofa"
@@ -509,14 +509,14 @@ class Discourse:
     def _joint(self) -> Token | None:
         """Skip the words that join this clause to the next; return None if the sequence ends."""
         reader = self.reader
-        if reader.sees("comma") and reader.sees("or", ahead=1):
+        if reader.is_at("comma") and reader.is_at("or", ahead=1):
             return None
         begin, joint = reader.at, reader.peek()
         while token := reader.take(*JOINTS):
             if JOINTS.index(token.kind) >= JOINTS.index(joint.kind):
                 joint = token
-        last = reader.sees("filler", "addressed") or (self.clauses and reader.sees("any order"))
-        if last and reader.sees("stop", "end", ahead=1):
+        last = reader.is_at("filler", "addressed") or (self.clauses and reader.is_at("any order"))
+        if last and reader.is_at("stop", "end", ahead=1):
             reader.at += 1  # "…, please.", "…, but the order is up to you."
             return None
         if self.clauses and self._halts():
@@ -529,13 +529,13 @@ class Discourse:
             if not starts_clause(reader):
                 reader.refuse("expected a clause here")
             return joint
-        if reader.sees("end", "stop", "or"):
+        if reader.is_at("end", "stop", "or"):
             return None
-        verb = reader.peek().text.split()[0] if reader.sees("verb") else ""
+        verb = reader.peek().text.split()[0] if reader.is_at("verb") else ""
         no_order = verb.endswith(("ing", "s")) and not verb.endswith("ss")  # "…, it goes to b"
         starts = starts_clause(reader) and self._begins_well() and not no_order
         if not starts:
-            if reader.sees("to") and reader.peek(-1).text in LEADING:
+            if reader.is_at("to") and reader.peek(-1).text in LEADING:
                 reader.refuse_finally(
                     "unclear: one thing that leads to the other, or both in turn? say 'then to …'"
                 )
@@ -544,4 +544,4 @@ class Discourse:
 
     def _begins_well(self) -> bool:
         """Return True if a clause without a joint before it has its own verb."""
-        return not self.reader.sees("word", "quoted", "to") or len(self.reader.peek().text) == 1
+        return not self.reader.is_at("word", "quoted", "to") or len(self.reader.peek().text) == 1

@@ -260,7 +260,9 @@ def _thing(name: str) -> str:
     spoken = name if len(name) == 1 else f"the {name}"
     try:
         reader = TokenReader(spoken)
-        if take_noun_phrase(reader, Antecedents()) == NounPhrase(((name,),)) and reader.sees("end"):
+        if take_noun_phrase(reader, Antecedents()) == NounPhrase(((name,),)) and reader.is_at(
+            "end"
+        ):
             return spoken
     except TranslationError:
         pass

@@ -14,7 +14,8 @@ PARTS = {
           "and tell me if|and tell me whether|for me if|for me whether|out if|out whether|"
           "and check if|and look if|quickly if|again if|again whether)",
     "check": """
-        (check|see|look|verify|find out|control|have a look|take a look|have a quick look|confirm|
+        (check|see|look|look see|look and see|verify|find out|control|have a look|take a look|have
+        a quick look|confirm|
         double check|peek|inspect|have a peek|take a peek|tell me)
         """,
     "still": "[still|really|actually|also|now|already|always]*",
@@ -40,7 +41,7 @@ PARTS = {
         """,
     "time": "[, [only|for|during] <span> [long]] [again|once more|one more time|"
             "before (we|i|they) (start|begin|leave|open|close)]*",
-    "where": "(at|in|by|near|inside|next to|in front of)",
+    "where": "(at|in|by|near|near to|close to|inside|next to|in front of)",
     "patrol": """
         [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|
         [go|be] on patrol|[do|doing|make|making] [your|the|some] rounds|go round|

@@ -75,7 +75,8 @@ _EXPLORES = compiled(
     give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
             (once-over|once over|look|scan|sweep|look over|check|going over|look-over|inspection)
             {time}
-    (have|take|make) a [good|proper|quick|close]* look (round|around|in|at|inside) (<room>|{whole})
+    (have|take|make) a [good|proper|quick|close]* (look|scout|nose|wander)
+            (round|around|in|at|inside) (<room>|{whole})
             {time}
     """,
     PARTS,
@@ -150,17 +151,10 @@ _INTRODUCED = re.compile(
 _ROOM_WITH = re.compile(
     rf" (?P<thing>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
 )
-_SOME_ROOM = re.compile(rf"\b{ARTICLE} room(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)", re.I)
 _PERMITS = re.compile(
     r"(?:so |and )?(?:you|the robot) (?:now )?(?:can|may|are (?:allowed|free|welcome) to) (?:now )?"
     rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
     re.I,
-)
-_ON_THE_WAY = re.compile(r'\bon (?:the|your) way,? (?:there,? )?(?:then )?go to "', re.I)
-_LOOSE = re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I)
-_ONLY_THERE = (
-    "the robot can only check whether a thing is there; say for example 'check whether the stove "
-    "is in the kitchen'"
 )
 _NOWHERE = nouns.listed(
     """way foot own order point least most floor floors last path road route place places spot area
@@ -184,6 +178,7 @@ _NUMBERED = re.compile(
 )
 _PLAINER = (
     (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
+    (re.compile(r", after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
@@ -197,12 +192,39 @@ _THERE_AND = re.compile(
     rf"(?= (?:(?P<finds>find|look for)|look at|inspect|examine|{any_of('work')}) )",
     re.I,
 )
-_DANGLING = re.compile(
-    rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*"(?:,| and then| and| or| then)+ (?:{ARTICLE} |")'
-    rf'|"[^"]* [^"]*" (?:and|or) {any_of("relation")} '
-    rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) (?:{ARTICLE}|{any_of("room")}) ',
-    re.I,
+_UNCLEAR = (
+    (
+        re.compile(
+            rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*"(?:,| and then| and| or| then)+ '
+            rf'(?:{ARTICLE} |")'
+            rf'|"[^"]* [^"]*" (?:and|or) {any_of("relation")} '
+            rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) (?:{ARTICLE}|{any_of("room")}) ',
+            re.I,
+        ),
+        "unclear what to do with the second one; say it in a sentence of its own",
+    ),
+    (
+        re.compile(r'\bon (?:the|your) way,? (?:there,? )?(?:then )?go to "', re.I),
+        "name what comes first, first",
+    ),
+    (
+        re.compile(r"(?<=\w) stop (?=(?:go|come|drive|find|look|return)\b)", re.I),
+        "stop there, or instead? use two sentences",
+    ),
+    (
+        re.compile(
+            rf"\b{ARTICLE} room(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)",
+            re.I,
+        ),
+        "unclear which room; name it",
+    ),
+    (
+        re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I),
+        "the robot can only check whether a thing is there; say for example 'check whether the "
+        "stove is in the kitchen'",
+    ),
 )
+"""Patterns of what is still unclear when all is spelled out, and the reason of each."""
 _LEAD = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
 _GOES_TO = re.compile(rf"{_LEAD}{any_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _GOES_ROOM = re.compile(rf"{_LEAD}(?:go|drive|come) (?P<name>{NAME})", re.I)
@@ -261,15 +283,10 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     text = _EXPLORED_TWICE.sub(r"\1", text)
     text = restore_places(text, known)
     text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
-    if dangling := _DANGLING.search(text):
-        hint = "unclear what to do with the second one; say it in a sentence of its own"
-        raise UnclearError(f"instruction: {dangling[0].strip()}: {hint}", dangling[0].strip())
-    if _ON_THE_WAY.search(text):
-        raise UnclearError("instruction: 'on the way': name what comes first, first")
-    if room := _SOME_ROOM.search(text):
-        raise UnclearError(f"instruction: {room[0]!r}: unclear which room; name it", room[0])
-    if loose := _LOOSE.search(text):
-        raise UnclearError(f"instruction: {loose[0]!r}: {_ONLY_THERE}", loose[0])
+    for unclear, hint in _UNCLEAR:
+        if found := unclear.search(text):
+            part = found[0].strip()
+            raise UnclearError(f"instruction: {part!r}: {hint}", part)
     refuse_impossible(text.strip())
     return text.strip()
 

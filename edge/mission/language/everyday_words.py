@@ -11,6 +11,7 @@ from edge import names
 from edge.memory import kind_of_room
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import spelled_out
+from edge.mission.language.places import is_marked
 
 _ROWS: dict[str, str] = {
     # Words around an order, which do not change it.
@@ -32,7 +33,8 @@ _ROWS: dict[str, str] = {
         you (must|should|shall|have to|need to|are to); it would be (nice|great|lovely) if you
         (could|would); be (a|an) (dear|pal|darling|sweetheart|love|angel|star|good
         (robot|boy|girl)) and; do me a favour and;
-        do me a favor and; go ahead and; make sure (to|you|that you); be sure to; try to; let us;
+        do me a (favor|kindness) and; oi; go ahead and; make sure (to|you|that you); be sure to;
+        try to; let us;
         mind (that|) you;
         i wonder if you could; why do not you; why do n't you; time to; in your memory;
         hurry up and; hurry and;
@@ -221,7 +223,8 @@ def is_room(name: str) -> bool:
     >>> is_room("living room"), is_room("room 12"), is_room("kitchen table")
     (True, True, False)
     """
-    return _ROOM_HEAD.fullmatch(name) is not None or kind_of_room(name) is not None
+    by_name = is_marked(name) or _ROOM_HEAD.fullmatch(name) is not None
+    return by_name or kind_of_room(name) is not None
 
 
 def bare(name: str) -> str:

@@ -99,7 +99,7 @@ class Flow:
                 self.passed and not self.verb and not clause.negated and kind in ("", "comma"),
             )
         )
-        last = reader.sees("end") or reader.sees("end", ahead=1)
+        last = reader.is_at("end") or reader.is_at("end", ahead=1)
         passing = through and moves and not after and not self.passed
         if passing and not sequence and not also and last:
             clause.enroute = asked  # "go to a. Please go through b."

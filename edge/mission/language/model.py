@@ -76,14 +76,15 @@ class CandidateReading:
     Attributes:
         formula: a formula of the language.
         p: its share of the probability of all hypotheses.
-        told: log probability of the sentence given the formula, by the best token sequence.
+        back_translation_log_p: log probability of the sentence given the formula, by the best token
+            sequence.
         tokens: that token sequence.
         idle: True if it asks for no object, such as a ban alone.
     """
 
     formula: Formula
     p: float
-    told: float
+    back_translation_log_p: float
     tokens: tuple[str, ...]
     idle: bool
 
@@ -94,12 +95,12 @@ class NeuralReading:
 
     Attributes:
         formulas: possible formulas, the most likely first.
-        sure: True if the first may be carried out without a question.
+        confident: True if the first may be carried out without a question.
         doubts: unknown words and their assumed replacements, shown with the question.
     """
 
     formulas: tuple[Formula, ...]
-    sure: bool
+    confident: bool
     doubts: tuple[str, ...] = ()
 
 
@@ -156,8 +157,11 @@ class NeuralTranslator:
         return (
             first.p >= TRUSTED_P
             and set(propositions(first.formula)) == set(said.names)
-            and first.told >= TRUSTED_START + TRUSTED_WORD * len(words)
-            and all(first.told >= other.told - TRUSTED_MARGIN for other in others)
+            and first.back_translation_log_p >= TRUSTED_START + TRUSTED_WORD * len(words)
+            and all(
+                first.back_translation_log_p >= other.back_translation_log_p - TRUSTED_MARGIN
+                for other in others
+            )
             and not self._left_over(first, words)
         )
 
@@ -172,7 +176,7 @@ class NeuralTranslator:
             meaning
             for meaning in meanings
             if meaning.p >= OFFERED_P
-            and meaning.told >= OFFERED_WORD * len(words)
+            and meaning.back_translation_log_p >= OFFERED_WORD * len(words)
             and set(propositions(meaning.formula)) == set(said.names)
             and not meaning.idle
             and is_plain(meaning.formula)

@@ -51,7 +51,7 @@ def take_name(reader: TokenReader) -> str:
     if not words:
         refuse_missing_name(reader, start)
     _check(reader, words)
-    if reader.sees("article"):
+    if reader.is_at("article"):
         reader.refuse("unknown word", words[0])
     text = _spelled(words)
     return _canonical(reader, text, words[0])
@@ -68,7 +68,7 @@ def refuse_missing_name(reader: TokenReader, start: Token | None = None) -> NoRe
 def _words(reader: TokenReader, article: bool) -> list[Token]:
     """Take the words of a name; after an article it may begin with a verb."""
     words: list[Token] = []
-    while reader.sees("word", "group") and not is_letter(reader.peek()):
+    while reader.is_at("word", "group") and not is_letter(reader.peek()):
         particle = reader.peek().text in AFTER_VERB and not (
             article and not words and nouns.is_noun(reader.peek(1).text)
         )  # "the back door"
@@ -119,7 +119,7 @@ def _advance(reader: TokenReader) -> int:
 
 def is_indefinite(reader: TokenReader) -> bool:
     """Return True if an `a` or `an` comes that is an article."""
-    return reader.sees("word") and reader.peek().text in ("a", "an") and _goes_on(reader)
+    return reader.is_at("word") and reader.peek().text in ("a", "an") and _goes_on(reader)
 
 
 def _goes_on(reader: TokenReader) -> bool:
@@ -134,7 +134,7 @@ def _hardly_a_name(reader: TokenReader) -> bool:
     """Return True if `a` is probably an article, as in "a walk": no other letter is a name."""
     if reader.peek(-1).text == "be":  # "be a dear"
         return True
-    if not reader.sees("verb", "times", "immediately", "filler", "addressed", ahead=1):
+    if not reader.is_at("verb", "times", "immediately", "filler", "addressed", ahead=1):
         return False
     if reader.peek(1).text.startswith("at "):  # "avoid a at all costs"
         return False
@@ -161,7 +161,7 @@ def _check(reader: TokenReader, words: list[Token]) -> None:
     close = nouns.meant(texts[odd])
     if close and not nouns.is_noun(texts[odd]):
         reader.refuse(f"{one_line(texts[odd], 40)}: {close}?", words[odd])
-    if reader.sees("article", "pronoun"):
+    if reader.is_at("article", "pronoun"):
         reader.refuse("unknown verb", words[0])
     whole = one_line(" ".join(texts), 40)
     if odd:
@@ -181,8 +181,8 @@ def _canonical(reader: TokenReader, text: str, token: Token) -> str:
 def number_ahead(reader: TokenReader, last: Sequence[Sequence[str]]) -> Token | None:
     """Return the token that joins "1" and "2" in "landmarks 1 and 2"; None for no such list."""
     head = _numbered_head(last[-1][-1])
-    ahead = 1 if reader.sees("comma") else 0
-    if reader.sees("and", "or", ahead=ahead):
+    ahead = 1 if reader.is_at("comma") else 0
+    if reader.is_at("and", "or", ahead=ahead):
         ahead += 1
     goes_on = head and len(last) == 1 and ahead
     return reader.peek(ahead - 1) if goes_on and is_number(reader, ahead) else None
@@ -205,11 +205,11 @@ def _numbered_head(name: str) -> str:
 
 def is_number(reader: TokenReader, ahead: int = 0) -> bool:
     """Return True if that token is a number that counts no visits."""
-    if not reader.sees("number", ahead=ahead) or reader.sees("times", "or more", ahead=ahead + 1):
+    if not reader.is_at("number", ahead=ahead) or reader.is_at("times", "or more", ahead=ahead + 1):
         return False
-    if reader.sees("or", ahead=ahead + 1) and reader.sees("times", ahead=ahead + 3):
+    if reader.is_at("or", ahead=ahead + 1) and reader.is_at("times", ahead=ahead + 3):
         return False  # "one or two times"
     pair = [reader.peek(ahead).text, reader.peek(ahead + 1).text]
-    if names.number(pair) is not None and reader.sees("times", ahead=ahead + 2):
+    if names.number(pair) is not None and reader.is_at("times", ahead=ahead + 2):
         return False  # "twenty one times"
-    return not reader.sees("group", ahead=ahead + 1)
+    return not reader.is_at("group", ahead=ahead + 1)

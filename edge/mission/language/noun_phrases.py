@@ -86,7 +86,7 @@ class Antecedents:
 def starts_noun_phrase(reader: TokenReader, ahead: int = 0) -> bool:
     """Return True if a noun phrase can begin at that token."""
     token = reader.peek(ahead)
-    if token.kind in ("number", "article") and reader.sees("group", ahead=ahead + 1):
+    if token.kind in ("number", "article") and reader.is_at("group", ahead=ahead + 1):
         return True
     return token.kind in _ELEMENT and not (token.kind == "word" and token.text in AFTER_VERB)
 
@@ -126,18 +126,18 @@ def take_noun_phrase(
         ahead = _joint_length(reader)
         if ahead is None or (way and reader.peek(ahead - 1).kind == "to"):
             break
-        aside = reader.sees("comma") and reader.sees("or", ahead=1)
+        aside = reader.is_at("comma") and reader.is_at("or", ahead=1)
         if aside and not banned and "comma" not in commas:
             break  # "the bed, or the sofa": an alternative to all before it
-        joined = any(reader.sees("and", "or", ahead=i) for i in range(ahead))
-        if not joined and reader.sees("to", ahead=ahead - 1):
+        joined = any(reader.is_at("and", "or", ahead=i) for i in range(ahead))
+        if not joined and reader.is_at("to", ahead=ahead - 1):
             break  # "not the elevator, to the second floor"
         if not banned and joined and _has_its_own_time(reader, ahead):
             break  # "…, and the bathroom after the hallway"
         commas |= {reader.peek(i).kind for i in range(ahead)}
         if not subject and _is_subject(reader, ahead):
             break
-        joint = next((i for i in range(ahead) if reader.sees("and", "or", ahead=i)), 0)
+        joint = next((i for i in range(ahead) if reader.is_at("and", "or", ahead=i)), 0)
         between.append(reader.peek(joint))
         reader.at += ahead
         elements.append(_element(reader, memory))
@@ -166,15 +166,15 @@ def _joint_length(reader: TokenReader) -> int | None:
     """Return the number of tokens before the next element of the list; None if the list ends."""
     if is_letter(reader.peek(-1)) and is_letter(reader.peek()):
         return 0
-    ahead = 1 if reader.sees("comma") else 0
-    if reader.sees("and", "or", ahead=ahead):
+    ahead = 1 if reader.is_at("comma") else 0
+    if reader.is_at("and", "or", ahead=ahead):
         ahead += 1
-    if ahead and reader.sees("to", ahead=ahead):
+    if ahead and reader.is_at("to", ahead=ahead):
         if reader.peek(ahead).text in ("into", "onto"):
             return None  # "through a and into b" is an order
         ahead += 1
     aside = (*COUNTING, "without", "while")
-    if reader.sees("all of", ahead=ahead) and reader.sees(*aside, ahead=ahead + 1):
+    if reader.is_at("all of", ahead=ahead) and reader.is_at(*aside, ahead=ahead + 1):
         return None  # "a and b, each only once", "all without passing c"
     if reader.peek(ahead).text in ("it", *LEAVE):
         return None  # "go to a and it must go to b"
@@ -183,12 +183,12 @@ def _joint_length(reader: TokenReader) -> int | None:
 
 def _has_its_own_time(reader: TokenReader, ahead: int) -> bool:
     """Return True if the element there has its own "after" or "before" ("… and b after c")."""
-    while reader.sees("word", "quoted", "article", "place", "group", ahead=ahead):
+    while reader.is_at("word", "quoted", "article", "place", "group", ahead=ahead):
         ahead += 1
     if reader.peek(ahead).text in ("after that", "afterwards", "later"):
-        return reader.sees("comma", "stop", "end", ahead=ahead + 1)
-    own = reader.sees("after", "before", ahead=ahead)
-    own = own and not reader.sees("comma", "stop", "end", "and", ahead=ahead + 1)
+        return reader.is_at("comma", "stop", "end", ahead=ahead + 1)
+    own = reader.is_at("after", "before", ahead=ahead)
+    own = own and not reader.is_at("comma", "stop", "end", "and", ahead=ahead + 1)
     before = reversed(reader.tokens[: reader.at])
     said = itertools.takewhile(lambda token: token.kind not in ("stop", "then"), before)
     return own and any(token.kind in ("after", "before") for token in said)  # "a after b, and …"
@@ -196,9 +196,9 @@ def _has_its_own_time(reader: TokenReader, ahead: int) -> bool:
 
 def _is_subject(reader: TokenReader, ahead: int) -> bool:
     """Return True if the element there is the subject of another clause ("… and b is visited")."""
-    while reader.sees("word", "quoted", "article", "place", "all of", "group", ahead=ahead):
+    while reader.is_at("word", "quoted", "article", "place", "all of", "group", ahead=ahead):
         ahead += 1
-    return reader.sees(*_STARTS_PREDICATE, ahead=ahead)
+    return reader.is_at(*_STARTS_PREDICATE, ahead=ahead)
 
 
 _ONE_OF = ("one of", "either of", "either one of", "at least one of")
@@ -214,7 +214,7 @@ _BEEN = (
 def _take_collective(reader: TokenReader, memory: Antecedents) -> str:
     """Parse `each place`, `any of them`, `previously visited locations`; return "" if not found."""
     ahead = 0
-    while reader.sees("all of", "either", "article", ahead=ahead) or (
+    while reader.is_at("all of", "either", "article", ahead=ahead) or (
         reader.peek(ahead).text in _EARLIER
     ):
         ahead += 1
@@ -222,15 +222,15 @@ def _take_collective(reader: TokenReader, memory: Antecedents) -> str:
     of_them = last.text in PLURALS and ahead > 0 and first.kind in ("all of", "either")
     of_them = of_them and first.text not in _ONE_OF
     follows = ("must", "be", "can", "comma", "stop", "end")
-    both = first.text in ("both", "all") and not reader.sees("not", ahead=-1)  # "but not both"
-    if ahead == 1 and both and reader.sees(*follows, ahead=1):
+    both = first.text in ("both", "all") and not reader.is_at("not", ahead=-1)  # "but not both"
+    if ahead == 1 and both and reader.is_at(*follows, ahead=1):
         of_them, ahead = True, 0  # "both must be visited", "visit both"
     if last.text in PLURALS and reader.peek(ahead + 1).text == ":":
         return ""  # "at least one of these: a, b and c"
     named = memory.named.groups if memory.named else ()
     if of_them and len(named) > 1 and named != memory.every:
         return ""  # those named last
-    places = last.kind == "group" and (ahead > 0 or reader.sees("out of turn", ahead=1))
+    places = last.kind == "group" and (ahead > 0 or reader.is_at("out of turn", ahead=1))
     if not (of_them or places):
         return ""
     if starts_noun_phrase(reader, ahead + 1) or is_number(reader, ahead + 1):
@@ -263,15 +263,15 @@ def _meant_by(token: Token, reader: TokenReader, memory: Antecedents) -> NounPhr
 
 def _element(reader: TokenReader, memory: Antecedents) -> tuple[tuple[str, ...], ...]:
     """Parse one element of a list and return its groups."""
-    if reader.sees("all of") and reader.peek(1).text in PLURALS and reader.peek(2).text == ":":
+    if reader.is_at("all of") and reader.peek(1).text in PLURALS and reader.peek(2).text == ":":
         reader.at += 3  # "all of these: a, b and c"
-    elif reader.take("all of") or (reader.sees("group", ahead=1) and not _is_singled(reader)):
+    elif reader.take("all of") or (reader.is_at("group", ahead=1) and not _is_singled(reader)):
         reader.skip("number", "article", "group", "comma")
     if not _is_singled(reader):
         reader.skip("group")
     if token := reader.take("pronoun"):
         meant = _meant_by(token, reader, memory).groups
-        if reader.sees("all of") and reader.sees("comma", "stop", "end", "and", ahead=1):
+        if reader.is_at("all of") and reader.is_at("comma", "stop", "end", "and", ahead=1):
             reader.at += 1  # "them both"
         return meant
     if token := reader.take("either"):
@@ -286,8 +286,8 @@ def _element(reader: TokenReader, memory: Antecedents) -> tuple[tuple[str, ...],
 
 def _is_singled(reader: TokenReader) -> bool:
     """Return True if a number selects one of a kind here: "landmark two", "the second room"."""
-    ahead = 1 if reader.sees("article") else 0
-    return reader.sees("group", ahead=ahead) and is_number(reader, ahead + 1)
+    ahead = 1 if reader.is_at("article") else 0
+    return reader.is_at("group", ahead=ahead) and is_number(reader, ahead + 1)
 
 
 def _choice(reader: TokenReader, every: bool) -> tuple[str, ...]:

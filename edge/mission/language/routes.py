@@ -43,7 +43,7 @@ def take_route(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool
     if len(clause.things.groups) > 1:
         reader.refuse("unclear which one this is on the way to; use two sentences", token)
     pass_by(reader, clause, take_noun_phrase(reader, memory), token)
-    ahead = 1 if reader.sees("comma") else 0
+    ahead = 1 if reader.is_at("comma") else 0
     then = reader.peek(ahead)
     if then.kind == "then" and starts_noun_phrase(reader, ahead + 1) and reader.pick(then, 2) == 1:
         reader.at += ahead + 1  # "via the sofa and then the bed": both may be on the way
@@ -52,7 +52,7 @@ def take_route(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool
         reader.at += ahead + 1
         reader.at += _way_length(reader)[0]  # "through the sofa and then through the bed"
         pass_by(reader, clause, take_noun_phrase(reader, memory), then)
-        ahead = 1 if reader.sees("comma") else 0
+        ahead = 1 if reader.is_at("comma") else 0
         then = reader.peek(ahead)
     clause.only_way = clause.only_way or only or bool(reader.take("only"))
     return True
@@ -60,9 +60,9 @@ def take_route(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool
 
 def _way_length(reader: TokenReader, begin: int = 0) -> tuple[int, bool]:
     """Return the number of tokens before a passed object (0 if none), and True if one is "only"."""
-    ahead = begin + (1 if reader.sees("comma", ahead=begin) else 0)
+    ahead = begin + (1 if reader.is_at("comma", ahead=begin) else 0)
     aside = ahead > begin
-    only = reader.sees("only", ahead=ahead)
+    only = reader.is_at("only", ahead=ahead)
     ahead += only
     token, follower = reader.peek(ahead), reader.peek(ahead + 1)
     if token.kind == "via" or (token.text in PASSING[:4] and (only or not aside)):
@@ -90,9 +90,9 @@ def pass_by(reader: TokenReader, clause: Clause, passed: NounPhrase, token: Toke
 def bound_ahead(reader: TokenReader, clause: Clause) -> bool:
     """Return True if a destination comes here: "on the way to x", "to reach x"."""
     if reader.peek().text in ("when", "while") and reader.peek(1).text == "you":
-        goes = reader.peek(2).text in _SETS_OUT and reader.sees("to", ahead=3)
+        goes = reader.peek(2).text in _SETS_OUT and reader.is_at("to", ahead=3)
         return goes and (clause.negated or clause.mood != "must")  # "pass a when you go to b"
-    return reader.sees("bound") or (reader.sees("to") and reader.sees("verb", ahead=1))
+    return reader.is_at("bound") or (reader.is_at("to") and reader.is_at("verb", ahead=1))
 
 
 def take_bound(reader: TokenReader, memory: Antecedents, clause: Clause) -> None:
@@ -141,7 +141,7 @@ def take_exception(reader: TokenReader, memory: Antecedents) -> NounPhrase | Non
         ahead += 1
         token, follower = reader.peek(ahead), reader.peek(ahead + 1)
         if token.text in ("that", "which") and follower.kind == "be":
-            if not reader.sees("not", ahead=ahead + 2):
+            if not reader.is_at("not", ahead=ahead + 2):
                 return None
             ahead += 3
         elif (token.text in ("that", "which") and follower.kind == "not") or (

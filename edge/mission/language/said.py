@@ -178,7 +178,7 @@ def _made(kind: str, slots: Mapping[str, str]) -> Said:
     if kind in QUESTIONS:
         about, relation = bare(slots.get("thing", "")), slots.get("relation", "").lower()
         anchor = bare(slots.get("anchor", ""))
-        if relation in ("in", "inside", "at") and is_room(anchor):
+        if relation in ("in", "inside", "at", "on") and is_room(anchor):
             room = anchor
         elif anchor:
             about = f"{about} {relation} the {anchor}".strip()

@@ -29,7 +29,7 @@ _HESITATION = re.compile(
 )
 _TWICE = re.compile(
     r"\b((?:the|an?|to|and|in|into|of|i|you|go|please|for|then|with|on|my|it|is|stop|no|where|what|"
-    r"can|could|look)(?: the| to| a| for)?)(?: \1\b)+",
+    r"can|could|look|wait)(?: the| to| a| for)?)(?: \1\b)+",
     re.I,
 )
 _RESTART = re.compile(
@@ -220,7 +220,9 @@ def without_reasons(text: str) -> tuple[str, tuple[str, ...]]:
             reasons.append(piece)
         else:
             kept.append(at)
-    used = any(re.search(r"\b(?:it|them)\b", pieces[at], re.I) for at in kept)
+    used = any(
+        re.search(r"\b(?:it|them|there|in again|enter again)\b", pieces[at], re.I) for at in kept
+    )
     if not reasons or not kept or used:
         return text, ()
     joined = "".join(pieces[at] + (pieces[at + 1] if at + 1 < len(pieces) else "") for at in kept)

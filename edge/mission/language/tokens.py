@@ -226,7 +226,7 @@ class TokenReader:
         """Return the token `ahead` places after the next one; "end" beyond the last."""
         return self.tokens[min(self.at + ahead, len(self.tokens) - 1)]
 
-    def sees(self, *kinds: str, ahead: int = 0) -> bool:
+    def is_at(self, *kinds: str, ahead: int = 0) -> bool:
         """Return True if that token has one of these kinds."""
         return self.peek(ahead).kind in kinds
 

@@ -87,7 +87,7 @@ def refuse_unsupported(reader: TokenReader) -> None:
     denied = False
     for at, token in enumerate(reader.tokens):
         reader.at = at
-        if denied and token.kind == "then" and reader.sees("article", "quoted", ahead=1):
+        if denied and token.kind == "then" and reader.is_at("article", "quoted", ahead=1):
             reader.refuse_finally(_SHUN, token)  # "do not go to a and then the b"
         if token.kind in ("stop", "comma", "but", "then"):
             denied = False
@@ -161,13 +161,13 @@ def _handles(reader: TokenReader, denied: bool) -> str:
     if first in ("pass", "passing", "cross", "crossing") and reader.peek(1).text in ("up", "out"):
         return _LEFT_OUT  # "pass up the sofa"
     handles = first.startswith(_HANDLED) and _is_thing(reader, ahead)
-    opens = first.startswith(_OPENS) and reader.sees("article", ahead=ahead)
+    opens = first.startswith(_OPENS) and reader.is_at("article", ahead=ahead)
     return _DENIED if denied and (handles or opens) else ""
 
 
 def _is_thing(reader: TokenReader, ahead: int) -> bool:
     """Return True if an article and a known name that is no place come there."""
-    article = reader.sees("article", ahead=ahead) or reader.peek(ahead).text in ("a", "an")
+    article = reader.is_at("article", ahead=ahead) or reader.peek(ahead).text in ("a", "an")
     return article and bool(_named(reader, ahead)) and not _is_place(reader, ahead)
 
 
@@ -178,14 +178,14 @@ def _is_no_order(reader: TokenReader) -> str:
         return _OTHERS
     if token.kind == "verb" and token.text in _CAUSES and _is_thing(reader, 1):
         ahead = 2
-        while reader.sees("word", ahead=ahead):
+        while reader.is_at("word", ahead=ahead):
             ahead += 1
-        ahead += reader.sees("to", ahead=ahead)
-        return _OTHERS if reader.sees("verb", ahead=ahead) else ""  # "make the dog go to a"
+        ahead += reader.is_at("to", ahead=ahead)
+        return _OTHERS if reader.is_at("verb", ahead=ahead) else ""  # "make the dog go to a"
     if before is not None and before.kind not in ("stop", "comma"):
         return ""
-    sees = token.kind == "can" and reader.sees("you", ahead=1) and reader.peek(2).text == "see"
-    must = token.text == "must" and reader.sees("you", ahead=1)
+    sees = token.kind == "can" and reader.is_at("you", ahead=1) and reader.peek(2).text == "see"
+    must = token.text == "must" and reader.is_at("you", ahead=1)
     return _ASKED if sees or must else ""
 
 
@@ -209,7 +209,7 @@ def _is_letter(token: Token) -> bool:
 
 def _trails(reader: TokenReader) -> bool:
     """Return whether the "always" of "avoid a until b, and c always" comes."""
-    if not reader.sees("always"):
+    if not reader.is_at("always"):
         return False
     begin = reader.at
     while begin and reader.tokens[begin - 1].kind in ("word", "article", "quoted", "number"):
@@ -223,9 +223,9 @@ def _trails(reader: TokenReader) -> bool:
 
 def _is_soft(reader: TokenReader) -> bool:
     """Return True if "if you can", "if possible", or "every time" without a continuation comes."""
-    if not reader.sees("when"):
+    if not reader.is_at("when"):
         return False
-    willing = reader.sees("you", ahead=1) and reader.peek(2).text in ("can", "could", "want")
+    willing = reader.is_at("you", ahead=1) and reader.peek(2).text in ("can", "could", "want")
     return willing or _ends(reader, 1) or reader.peek(1).text in ("possible", "necessary", "needed")
 
 
@@ -234,7 +234,7 @@ def _before(reader: TokenReader) -> Token | None:
 
 
 def _ends(reader: TokenReader, ahead: int) -> bool:
-    return reader.sees("stop", "comma", "end", "but", ahead=ahead)
+    return reader.is_at("stop", "comma", "end", "but", ahead=ahead)
 
 
 def _leaves(reader: TokenReader, denied: bool) -> bool:
@@ -266,9 +266,9 @@ def _stays(reader: TokenReader, denied: bool) -> bool:
         before = next(t for t in [*reader.tokens[reader.at - 1 :: -1], token] if t.kind != "filler")
         return reader.at > 0 and denied and before.kind in _DENYING
     ahead = 1
-    while reader.sees("you", "pronoun", ahead=ahead) or reader.peek(ahead).text in _SELF:
+    while reader.is_at("you", "pronoun", ahead=ahead) or reader.peek(ahead).text in _SELF:
         ahead += 1  # "keep the robot on the path"
-    return reader.sees("place", "to", ahead=ahead) or reader.peek(ahead).text in _KEPT_BY
+    return reader.is_at("place", "to", ahead=ahead) or reader.peek(ahead).text in _KEPT_BY
 
 
 def _times(reader: TokenReader) -> bool:
@@ -284,7 +284,7 @@ def _times(reader: TokenReader) -> bool:
 
 
 def _over(reader: TokenReader, ahead: int) -> bool:
-    return _ends(reader, ahead) or not reader.sees("word", ahead=ahead)
+    return _ends(reader, ahead) or not reader.is_at("word", ahead=ahead)
 
 
 def _says_where(reader: TokenReader, ahead: int) -> bool:
@@ -321,10 +321,10 @@ def _is_place(reader: TokenReader, ahead: int) -> bool:
 
 def _named(reader: TokenReader, ahead: int) -> str:
     """Return the known name that begins there, after an optional article; "" if there is none."""
-    while reader.sees("article", "all of", ahead=ahead) or reader.peek(ahead).text in ("a", "an"):
+    while reader.is_at("article", "all of", ahead=ahead) or reader.peek(ahead).text in ("a", "an"):
         ahead += 1
     words: list[str] = []
-    while reader.sees("word", "group", ahead=ahead) and len(words) < _LONGEST:
+    while reader.is_at("word", "group", ahead=ahead) and len(words) < _LONGEST:
         words.append(reader.peek(ahead).text)
         ahead += 1
     known = (" ".join(words[:n]) for n in range(len(words), 0, -1))

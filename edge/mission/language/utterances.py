@@ -21,7 +21,7 @@ PARTS = {
     "you": "[did|have|had|has|do] (you|the robot|anyone|anybody) "
            "[have|had|did|ever|already|just|last|recently|by [any] chance|maybe|happen to]*",
     "tell": """
-        [can you|could you] [please] (tell me|say|show me|do you (know|remember)|you know|
+        [can you|could you] [please] (tell me|say [me]|know|show me|do you (know|remember)|you know|
         [i wonder|any idea|i want to know|remind me|you remember|do you happen to know|
         have you any idea])
         """,
@@ -33,8 +33,8 @@ PARTS = {
         [here|now|right here|where you are|you are at|you are in]*
         """,
     "this_room": "(this|the) room [here|you are in|where you are|we are in]",
-    "keep": "(remember|save|store|note|mark|call|name|learn|label|register|memorize|memorise|set|"
-            "keep in mind|know) [that|down]",
+    "keep": "(remember|log|save|store|note|mark|call|name|learn|label|register|memorize|memorise|"
+            "set|keep in mind|know) [that|down]",
     "go": """
         [to|even|also]
             (use|access|go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
@@ -54,7 +54,8 @@ PARTS = {
         (must|may|can|should|shall|will) not|not [may|can|should]|
         (are|have) not (allowed|supposed|permitted|welcome)|are (forbidden|banned)
             [from]|no [more]|
-        it is (forbidden|prohibited|not allowed) [for you]|forbidden|(i|we) do not want you|
+        it is (forbidden|prohibited|not allowed|not permitted) [for you]|forbidden|
+        (i|we) (do not want|will not have) you|
         (i|we) would (rather|prefer) [that] you (did not|do not|not))
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
         """,
@@ -76,8 +77,8 @@ PARTS = {
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
             "your rounds|your round|your errand|your job|your work|your way|mission|"
             "what i [just] said|(that|the|my) [last] (order|command|instruction|task|job|errand)]",
-    "quit": "(cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} "
-            "[about (it|that)]",
+    "quit": "((cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} "
+            "[about (it|that)]|(leave|bin|forget) (it|that))",
     "reason": """
         [, [and] ((until|while|because|so) (i|we|he|she|they|it|someone|somebody|you hear) ...|
         for (me|us|him|her|them)|until (further notice|then)|then (go on|continue)|
@@ -126,6 +127,8 @@ QUESTIONS = {
         {tell} where (can|could|do|should|would|will|might) (i|we) (find|see|get|look for|go for)
             <thing>
         {tell} [in] (which|what) room [there] (is|are|was|were) <thing> [in] {last}
+        {tell} (which|what) room (has|have) <thing> [in it] {last}
+        {tell} where did <thing> (go|end up|get to|go to)
         {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
         (i|we) [seem to] [have] (can not find|do not find|lost|mislaid|misplaced|am looking for|
             are looking for|miss) <thing> , (where (is|are) (it|they)|
@@ -137,7 +140,7 @@ QUESTIONS = {
         (can|could|do) you [still] see <thing> {in} {last}
         {tell} {you} {seen} [any|of|already]* <thing>
             {in} {last}
-        seen [any|of|already]* <thing> {in} {last}
+        (seen|spotted|noticed) [any|of|already]* <thing> {in} {last}
         {tell} [is|was|are|were] there <thing> {in} {last}
         (do you know if|do you know whether) there (is|are) <thing> {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
@@ -180,12 +183,13 @@ ORDERS = {
             [now|again]* to {go} <room>
             [again|now]*
         {may} {go} again [in|into|to]* <room> [now]
-        {may} {go} <room> (again|freely|as before|as you like) [now|again]*
+        {may} {go} <room> (again|freely|as before|as you like) [now|again]* {reason}
         [from now on|now]* {may} again {go} <room> [now]
         <room> (is|are) (open|free|allowed|accessible|okay|ok|available|fine|clear|permitted)
             [for you|to enter] again [for you|now]*
-        <room> (is|are) (open|free|okay|ok|fine|clear|clean|dry|empty) [again|now]* {may}
-            [go|drive|come|enter|get|be|back]* (there|in there|in it|in|it|inside) again
+        <room> (is|are) (open|free|okay|ok|fine|clear|clean|dry|empty|done|finished|ready)
+            [again|now]* {may} [go|drive|come|enter|get|be|back]*
+            [there|in there|in it|in|it|inside] again
         <room> (is|are) (no longer|not) (off limits|forbidden|closed) [for you|anymore|any
             more|now]*
         ... in <room> {may} [go|drive|come|enter|get|be|back]* (there|in there|in|inside) again
@@ -229,14 +233,16 @@ CONTROL = {
             [now|to|please]*
             (go on|carry on|crack on|press on|continue|resume|keep going|keep on|keep moving|
             keep driving|get moving|get going|go ahead|
-            off you go|proceed|move on|drive on|start again|move again|go again|drive again|unpause)
+            off you go|as you were|proceed|move on|drive on|start again|
+            move again|go again|drive again|unpause)
             [now|then|again|please|with|as before|what you (were|was) doing [before]|
             where you left off|where you stopped|from where you stopped|doing that|driving|
             searching|looking]* {task}
         [you|robot|the robot] (can|may) [now] (move|drive) [now|again]
     """,
     "cancel": """
-        {quit} [{quit}]* [, (i|we) (need|want) you (elsewhere|here|somewhere else)]
+        {quit} [, {quit}]*
+            [, you are (done|finished)|, (i|we) (need|want) you (elsewhere|here|somewhere else)]
         do nothing (more|else|further)
         [you (can|may)] forget [about] {task}
         [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
@@ -248,10 +254,11 @@ CONTROL = {
             not move|
             stay (where you are|there|still|put|right there)|stop|hold your horses|not move|brake|
             keep still|you can stop|be still|stand there|emergency stop|not so fast|
-            do not (go|drive) (on|any further|further|anywhere)|remain (there|where you are)|
+            do not (go|drive|rush|run) (on|off|away|any further|further|anywhere)|
+            remain (there|where you are)|
             stop it|stop that) {there} {reason}
-        (pause|interrupt|suspend) {task} {there}
-        {halt} {there} [{halt} {there}]* {reason}
+        (pause|interrupt|suspend) {task} {there} [for] [<span>]
+        [make a|come to a] {halt} {there} [{halt} {there}]* {reason}
         (wait|stay|stop|do not move|stand|
             stand still|pause|remain|hold [on|up]|hang on|rest|park|sit
             tight|stand

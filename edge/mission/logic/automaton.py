@@ -35,7 +35,7 @@ class Automaton:
 
     Attributes:
         formula: the compiled formula.
-        letters: its propositions, in order of first appearance.
+        propositions: its propositions, in order of first appearance.
         delta: (n_states, len(letters) + 1) int32, the next state for each letter; the last column
             is NOTHING.
         accepting: (n_states,) bool.
@@ -44,7 +44,7 @@ class Automaton:
     """
 
     formula: Formula
-    letters: tuple[str, ...]
+    propositions: tuple[str, ...]
     delta: np.ndarray
     accepting: np.ndarray
     steps_left: np.ndarray
@@ -55,11 +55,11 @@ class Automaton:
 
     @cached_property
     def _column(self) -> dict[str, int]:
-        return {name: k for k, name in enumerate(self.letters)}
+        return {name: k for k, name in enumerate(self.propositions)}
 
     def step(self, state: int, letter: str | None) -> int:
         """Return the state after one step; a letter outside the formula counts as NOTHING."""
-        return int(self.delta[state, self._column.get(letter or NOTHING, len(self.letters))])
+        return int(self.delta[state, self._column.get(letter or NOTHING, len(self.propositions))])
 
     def run(self, word: Sequence[str | None]) -> int:
         """Return the state after a trace."""
@@ -72,23 +72,23 @@ class Automaton:
         """Return True if a trace fulfils the formula."""
         return bool(self.accepting[self.run(word)])
 
-    def dead(self, state: int) -> bool:
+    def is_dead(self, state: int) -> bool:
         """Return True if success is impossible from this state."""
         return bool(self.steps_left[state] < 0)
 
     @property
     def possible(self) -> tuple[str, ...]:
         """The letters that do not make success impossible in every state: not only forbidden."""
-        alive = [q for q in range(self.n_states) if not self.dead(q)]
+        alive = [q for q in range(self.n_states) if not self.is_dead(q)]
         return tuple(
             letter
-            for letter in self.letters
-            if any(not self.dead(self.step(q, letter)) for q in alive)
+            for letter in self.propositions
+            if any(not self.is_dead(self.step(q, letter)) for q in alive)
         )
 
     def edges(self, state: int) -> Iterator[tuple[str, int]]:
         """Return pairs of a letter and the next state, NOTHING last."""
-        return zip((*self.letters, NOTHING), self.delta[state].tolist(), strict=True)
+        return zip((*self.propositions, NOTHING), self.delta[state].tolist(), strict=True)
 
 
 def compile_formula(
@@ -125,7 +125,7 @@ def shortest_trace(
     first: Automaton, second: Automaton, wanted: Callable[[int, int], bool]
 ) -> tuple[str, ...] | None:
     """Return a shortest trace to a pair of states that `wanted` accepts; None if there is none."""
-    letters = (*dict.fromkeys((*first.letters, *second.letters)), NOTHING)
+    letters = (*dict.fromkeys((*first.propositions, *second.propositions)), NOTHING)
     seen = {(0, 0)}
     queue: deque[tuple[int, int, tuple[str, ...]]] = deque([(0, 0, ())])
     while queue:

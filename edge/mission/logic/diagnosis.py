@@ -44,7 +44,7 @@ def diagnose(
     nothing = automaton.delta[:, -1]
     unused = tuple(
         name
-        for k, name in enumerate(automaton.letters)
+        for k, name in enumerate(automaton.propositions)
         if np.array_equal(automaton.delta[:, k], nothing)
     )
     conflict: tuple[Formula, ...] = ()

@@ -46,7 +46,7 @@ class InOrderPlanner:
         return TargetPlan(first or None, tuple(steps), cost, True, (), reason, ((first, cost),))
 
     def _first(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:
-        for letter in (*self.automaton.letters, NOTHING):
+        for letter in (*self.automaton.propositions, NOTHING):
             after = self.automaton.step(state, letter)
             if letter not in failed and after != state and hopeful[after]:
                 return letter
@@ -55,7 +55,7 @@ class InOrderPlanner:
     def _hopeful(self, failed: frozenset[str]) -> np.ndarray:
         """Return (n,) bool: states from which acceptance needs no failed object."""
         a = self.automaton
-        usable = [i for i, letter in enumerate((*a.letters, NOTHING)) if letter not in failed]
+        usable = [i for i, letter in enumerate((*a.propositions, NOTHING)) if letter not in failed]
         hopeful = a.accepting.copy()
         while True:
             more = hopeful | hopeful[a.delta[:, usable]].any(axis=1)

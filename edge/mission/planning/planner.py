@@ -77,7 +77,7 @@ def warm_up(weights: str) -> None:
     """Compile the planner's kernels for these weights, or load them from the cache."""
     automaton = Automaton(
         formula=Formula("ap", name="a"),
-        letters=("a",),
+        propositions=("a",),
         delta=np.array([[1, 0], [1, 1]], np.int32),
         accepting=np.array([False, True]),
         steps_left=np.array([1, 0], np.int32),

@@ -56,7 +56,7 @@ class VitlPlanner:
         """
         self.automaton = automaton
         self.known_reached = known_reached
-        k, n = len(automaton.letters), automaton.n_states
+        k, n = len(automaton.propositions), automaton.n_states
         self._by_distance = config.weights == "distance"
         self._explore_m = config.explore_m
         places = k + 1 if self._by_distance else 1
@@ -91,7 +91,7 @@ class VitlPlanner:
             self._first_cost, self._first_steps,
         )  # fmt: skip
         cost, steps = self._first_cost.tolist(), self._first_steps.tolist()
-        names = (*a.letters, NOTHING)
+        names = (*a.propositions, NOTHING)
         ranked = sorted(
             (c for c in range(len(names)) if cost[c] != kernels.UNREACHABLE),
             key=lambda c: (cost[c], steps[c], names[c] != current),
@@ -127,7 +127,7 @@ class VitlPlanner:
     def _kept(self, ranked: list[int], cost: list[int], current: str | None) -> int:
         """Return the current target's letter if it is within the margin, else the best letter."""
         limit = cost[ranked[0]] + round(REPLAN_MARGIN_M * kernels.SCALE)
-        letters = self.automaton.letters
+        letters = self.automaton.propositions
         if current in letters:
             c = letters.index(current)
             if c in ranked and cost[c] <= min(limit, int(kernels.FAILED) - 1):
@@ -140,7 +140,7 @@ class VitlPlanner:
             a.delta, a.accepting, self._weight, self._cost, self._steps, state, self._here,
             first, self._path,
         )  # fmt: skip
-        names = (*a.letters, NOTHING)
+        names = (*a.propositions, NOTHING)
         return tuple(names[c] for c in self._path[:length].tolist())
 
     def _float(self, cost: int) -> float:
@@ -153,7 +153,7 @@ class VitlPlanner:
 
     def _weigh(self, knowledge: MissionKnowledge) -> None:
         """Write the weights (eq. 1, or metres) to `_weight`."""
-        letters, weight = self.automaton.letters, self._weight
+        letters, weight = self.automaton.propositions, self._weight
         known = knowledge.detected
         if self.known_reached:
             known = known | knowledge.reached

@@ -71,7 +71,7 @@ def far_px(card: DetectCard) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class _PromptSet:
     """The current prompts and all buffers that are bound for them; replaced as a whole."""
 
     prompts: tuple[str, ...]
@@ -95,15 +95,15 @@ class _Placement:
     resized: np.ndarray | None
 
 
-class _Kept(NamedTuple):
+class _BoxBuffer(NamedTuple):
     """Candidates after suppression: index, box in the image, and True if the image cuts it off."""
 
-    kept: np.ndarray
+    selected: np.ndarray
     xyxy_px: np.ndarray
     cut: np.ndarray
 
     @classmethod
-    def of(cls, n: int) -> _Kept:
+    def of(cls, n: int) -> _BoxBuffer:
         return cls(np.empty(n, np.int32), np.empty((n, 4), np.float32), np.empty(n, np.bool_))
 
 
@@ -172,19 +172,19 @@ class OnnxDetector:
         self._anchors = self._count_anchors()
         self._top = np.empty(self._anchors, np.float32)
         self._against = np.empty(MAX_DETECTIONS, np.float32)
-        self._mine, self._around = (_Kept.of(MAX_DETECTIONS) for _ in range(2))
+        self._target_boxes, self._context_boxes = (_BoxBuffer.of(MAX_DETECTIONS) for _ in range(2))
         self.set_prompts(prompts)
 
     @property
     def prompts(self) -> tuple[str, ...]:
-        return self._asked.prompts
+        return self._prompt_set.prompts
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
         """See `Detector.set_prompts`."""
         with raise_as_model_error(f"model {self.name}: it cannot be given the prompts"):
-            self._asked = self._ask(check_prompts(prompts))
+            self._prompt_set = self._encode_prompts(check_prompts(prompts))
 
-    def _ask(self, prompts: tuple[str, ...]) -> _Asked:
+    def _encode_prompts(self, prompts: tuple[str, ...]) -> _PromptSet:
         """Encode prompts and bind buffers for them, which may take GPU memory."""
         columns = text_classes_for(prompts, self._background, self._text)
         text = self._text.embed(columns.words)
@@ -200,8 +200,8 @@ class OnnxDetector:
             live=("images",),
         )
         most = self._anchors * (len(prompts) + len(columns.context))
-        return _Asked(
-            prompts, columns, np.empty((self._anchors, columns.things), np.float32),
+        return _PromptSet(
+            prompts, columns, np.empty((self._anchors, columns.n_classes), np.float32),
             np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32), bound,
         )  # fmt: skip
 
@@ -219,7 +219,7 @@ class OnnxDetector:
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`."""
         start_ns = time.perf_counter_ns()
-        rgb, asked = check_rgb(observation), self._asked
+        rgb, asked = check_rgb(observation), self._prompt_set
         self._fill_input(rgb)
         filled_ns = time.perf_counter_ns()
         boxes, scores = asked.bound.run()
@@ -227,7 +227,7 @@ class OnnxDetector:
         found, around = self._pick(asked, boxes[0], scores[0])
         end_ns = time.perf_counter_ns()
         self.stages_ns = (filled_ns - start_ns, ran_ns - filled_ns, end_ns - ran_ns)
-        mine, others = found.kept, around.kept
+        mine, others = found.selected, around.selected
         return Detections(
             observation=observation,
             xyxy_px=found.xyxy_px.copy(),
@@ -257,10 +257,10 @@ class OnnxDetector:
         Raises:
             ModelError: the model returns invalid boxes or scores.
         """
-        asked = self._asked
+        asked = self._prompt_set
         self._fill_input(np.ascontiguousarray(rgb))
         boxes, scores = asked.bound.run()
-        kernels.best_per_class(scores[0], asked.columns.thing, asked.folded)
+        kernels.best_per_class(scores[0], asked.columns.class_of_text, asked.folded)
         if invalid := kernels.count_unsound(boxes[0], asked.folded, self._far_px):
             raise ModelError(f"model {self.name}: {invalid} boxes are {UNSOUND}")
         return asked.folded[:, : len(asked.prompts)].max(axis=0)
@@ -272,7 +272,7 @@ class OnnxDetector:
     def close(self) -> None:
         """Release the session and its buffers; do not call `detect` afterwards."""
         self._session = None
-        self._asked = replace(self._asked, bound=None)
+        self._prompt_set = replace(self._prompt_set, bound=None)
 
     def _count_anchors(self) -> int:
         """Return the number of boxes of an image, from a run on an empty image.
@@ -317,7 +317,9 @@ class OnnxDetector:
         top, left = (h - new_h) // 2, (w - new_w) // 2
         return _Placement(width_px, height_px, scale, top, left, resized)
 
-    def _pick(self, asked: _Asked, boxes: np.ndarray, scores: np.ndarray) -> tuple[_Kept, _Kept]:
+    def _pick(
+        self, asked: _PromptSet, boxes: np.ndarray, scores: np.ndarray
+    ) -> tuple[_BoxBuffer, _BoxBuffer]:
         """Return the boxes of targets and of the context.
 
         The scores that compete with the targets go to `_against`.
@@ -329,7 +331,7 @@ class OnnxDetector:
         """
         tau, targets = np.float32(self.config.tau_vl), len(asked.prompts)
         named = targets + len(asked.columns.context)
-        kernels.best_per_class(scores, asked.columns.thing, asked.folded)
+        kernels.best_per_class(scores, asked.columns.class_of_text, asked.folded)
         found, invalid = kernels.candidates(
             boxes, asked.folded, named, tau, self._far_px, asked.anchor, asked.label, asked.score,
             self._top,
@@ -341,16 +343,21 @@ class OnnxDetector:
                     self.name, invalid, self._anchors, UNSOUND,
                 )  # fmt: skip
             self.invalid_boxes += invalid
-        mine = self._keep(asked, boxes, found, (0, targets), self._mine)
+        mine = self._suppress(asked, boxes, found, (0, targets), self._target_boxes)
         kernels.competing_scores(
             boxes, asked.folded, asked.columns.competes, tau, self._top, asked.anchor, asked.label,
-            mine.kept, len(mine.kept), mine.cut, NMS_IOU, self._against,
+            mine.selected, len(mine.selected), mine.cut, NMS_IOU, self._against,
         )  # fmt: skip
-        return mine, self._keep(asked, boxes, found, (targets, named), self._around)
+        return mine, self._suppress(asked, boxes, found, (targets, named), self._context_boxes)
 
-    def _keep(
-        self, asked: _Asked, boxes: np.ndarray, found: int, labels: tuple[int, int], out: _Kept
-    ) -> _Kept:
+    def _suppress(
+        self,
+        asked: _PromptSet,
+        boxes: np.ndarray,
+        found: int,
+        labels: tuple[int, int],
+        out: _BoxBuffer,
+    ) -> _BoxBuffer:
         """Suppress and map the candidates with a label in `labels`, a half-open range.
 
         Returns:
@@ -359,10 +366,10 @@ class OnnxDetector:
         place, one_word = self._place, labels[0] > 0
         n = kernels.suppress(
             boxes, asked.anchor, asked.label, asked.score, found, *labels, one_word,
-            NMS_IOU, out.kept,
+            NMS_IOU, out.selected,
         )  # fmt: skip
         n = kernels.to_image(
-            boxes, asked.anchor, out.kept, n, place.scale, place.top, place.left,
+            boxes, asked.anchor, out.selected, n, place.scale, place.top, place.left,
             place.width_px, place.height_px, out.xyxy_px, out.cut,
         )  # fmt: skip
-        return _Kept(*(array[:n] for array in out))
+        return _BoxBuffer(*(array[:n] for array in out))

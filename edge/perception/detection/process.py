@@ -122,13 +122,13 @@ class ProcessDetector(SupervisedProcess):
     def _ready(self, again: bool) -> None:
         """See `SupervisedProcess`."""
         self._reported = Health()
-        self._say(Health())
+        self._set_state(Health())
 
     def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
         """See `SupervisedProcess`; the state is `degraded` if the model can no longer be loaded."""
         known = failed is None or isinstance(failed, ModelProcessError)
         state = "restarting" if known and not pause.limit else "degraded"
-        self._say(Health(state, f"{why}; {self._outlook(pause)}"))
+        self._set_state(Health(state, f"{why}; {self._outlook(pause)}"))
 
     def _is_cancelled(self, first: Future[None]) -> bool:
         return self._closing.is_set() or (self._cancelled.is_set() and not first.done())
@@ -143,7 +143,7 @@ class ProcessDetector(SupervisedProcess):
             return f"restarts in {pause.seconds:.1f} s"
         return f"ended too often, restarts in {pause.seconds:.0f} s"
 
-    def _say(self, health: Health) -> None:
+    def _set_state(self, health: Health) -> None:
         """Set the state, and log it if it changed."""
         level = {"ok": logging.INFO, "restarting": logging.WARNING}.get(health.state, logging.ERROR)
         if health != self._own:

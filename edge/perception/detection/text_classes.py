@@ -21,16 +21,16 @@ class TextClasses:
 
     Attributes:
         words: (columns) text of each column, for the text encoder.
-        thing: (columns,) int32, index of each column's thing, ascending.
-        things: number of things.
+        class_of_text: (columns,) int32, index of each column's thing, ascending.
+        n_classes: number of things.
         context: canonical names of the things from `len(prompts)` on.
         competes: (2, prompts, things) bool, True if a thing is another object than the prompt's.
             Row 0 is for an object wholly in view, row 1 for one that the image border cuts off.
     """
 
     words: tuple[str, ...]
-    thing: np.ndarray
-    things: int
+    class_of_text: np.ndarray
+    n_classes: int
     context: tuple[str, ...]
     competes: np.ndarray
 

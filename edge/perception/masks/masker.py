@@ -34,14 +34,14 @@ class Masker:
         timed: False: no time limit, so that a run replays the same.
 
     Attributes:
-        made: number of boxes with a mask.
-        late: number of boxes skipped for lack of time.
+        n_masks: number of boxes with a mask.
+        n_skipped: number of boxes skipped for lack of time.
         failed: number of images on which the segmenter failed.
         last_error: the newest error, one line; empty if there was none.
     """
 
     def __init__(self, segmenter: Segmenter, settings: Settings, timed: bool = True) -> None:
-        self.made = self.late = self.failed = 0
+        self.n_masks = self.n_skipped = self.failed = 0
         self.last_error = ""
         self._segmenter, self._most = segmenter, settings.max_boxes
         self._limit_s = settings.time_limit_s if timed else None
@@ -59,8 +59,8 @@ class Masker:
                 rgb = check_rgb(found.observation)
                 done = self._segmenter.segment(rgb, boxes[rows], drawn, Deadline(self._limit_s))
                 masks[rows] = drawn
-                self.late += len(rows) - done
-                self.made += int(drawn.any(axis=(1, 2)).sum())
+                self.n_skipped += len(rows) - done
+                self.n_masks += int(drawn.any(axis=(1, 2)).sum())
             except Exception as error:  # keep the detections
                 self._failed(error)
         took_ns = perf_counter_ns() - start_ns
@@ -69,7 +69,7 @@ class Masker:
     def status(self) -> dict[str, object]:
         """Return counts for the status message, JSON-ready."""
         return {
-            "model": self._segmenter.name, "made": self.made, "late": self.late,
+            "model": self._segmenter.name, "made": self.n_masks, "late": self.n_skipped,
             "failed": self.failed, "last_error": self.last_error,
         }  # fmt: skip
 

@@ -62,7 +62,7 @@ class ObjectPrior:
         """Return the row of a word, by its canonical name; -1 if the table lacks it."""
         return _rows(self.things).get(names.canonical(word), -1)
 
-    def lift(self, words: Sequence[str]) -> np.ndarray:
+    def likelihood_ratio(self, words: Sequence[str]) -> np.ndarray:
         """Return the likelihood ratio that a room holds one thing, given another in it.
 
         P(a | b) / P(a) = P(a and b) / (P(a) P(b)), drawn towards 1 by two pseudo-rooms in which

@@ -99,23 +99,25 @@ class ModelProcessClient:
                 process.
             ModelProcessError: it ended, took too long, or is no longer wanted.
         """
-        while "health" in (header := self._hear(timeout_s, cancelled, limit)):
+        while "health" in (header := self._receive_next(timeout_s, cancelled, limit)):
             progress(self._decode(wire.decode_health, header))
         wire.raise_error(header, self.name)
         return header
 
-    def _hear(self, timeout_s: float, cancelled: Callable[[], bool], limit: str) -> dict[str, Any]:
+    def _receive_next(
+        self, timeout_s: float, cancelled: Callable[[], bool], limit: str
+    ) -> dict[str, Any]:
         """Return the next message of a process that is not ready yet; see `wait_ready`."""
         deadline_s = time.monotonic() + timeout_s
         while (message := _receive(self._control)) is None:
             if cancelled():
-                raise self.give_up("stopped during its start")
+                raise self.kill("stopped during its start")
             if time.monotonic() >= deadline_s:
-                raise self.give_up(f"not ready after {timeout_s:g} s ({limit}): killed")
+                raise self.kill(f"not ready after {timeout_s:g} s ({limit}): killed")
         if not message:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 code = self._process.wait(_END_S)
-                raise self.give_up(f"{_how(code)} before it was ready")
+                raise self.kill(f"{_how(code)} before it was ready")
         return self._decode(read_json_object, message)
 
     def _decode(self, decode: Callable[[Any], T], message: Any) -> T:
@@ -123,7 +125,7 @@ class ModelProcessClient:
         try:
             return decode(message)
         except ValueError as error:
-            raise self.give_up(f"damaged message ({error}): killed") from None
+            raise self.kill(f"damaged message ({error}): killed") from None
 
     def detect(
         self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float
@@ -184,9 +186,9 @@ class ModelProcessClient:
             header = read_json_object(head)
             answer = None if "error" in header else decode(seq, header, block)
         except ValueError as error:
-            raise self.give_up(f"damaged answer ({error}): killed") from None
+            raise self.kill(f"damaged answer ({error}): killed") from None
         if header.get("error") == "MemoryError":
-            raise self.give_up("out of memory: killed")
+            raise self.kill("out of memory: killed")
         wire.raise_error(header, self.name)
         assert answer is not None
         return answer
@@ -202,10 +204,10 @@ class ModelProcessClient:
             elif time.monotonic() - deadline_s >= min(
                 _queued_s(self._process.pid) - before_s, timeout_s
             ):
-                raise self.give_up(f"no answer within {timeout_s:g} s ({limit}): killed")
+                raise self.kill(f"no answer within {timeout_s:g} s ({limit}): killed")
         if not (sent and message):  # the other end is closed
             self._ended.wait(_END_S)
-            raise self.give_up("takes no requests: killed")
+            raise self.kill("takes no requests: killed")
         return message
 
     def check(self, prompts: Sequence[str], timeout_s: float) -> bool:
@@ -227,12 +229,12 @@ class ModelProcessClient:
                     try:
                         header = read_json_object(message)
                     except ValueError as error:  # not the fault of the prompts
-                        self.give_up(f"damaged message ({error}): killed")
+                        self.kill(f"damaged message ({error}): killed")
                         return False
         wire.raise_error(header, self.name)
         return True
 
-    def give_up(self, why: str) -> ModelProcessError:
+    def kill(self, why: str) -> ModelProcessError:
         """Kill the process; return the error to raise. The first reason counts."""
         self.fault = self.fault or f"model {self.name}: its process: {why}"
         self._process.kill()
@@ -263,11 +265,11 @@ class ModelProcessClient:
         try:
             self.join(_KILL_S)
         except subprocess.TimeoutExpired:
-            self.leave()
+            self.abandon()
         with self._asking, self._checking:
             self._channels.close()
 
-    def leave(self) -> None:
+    def abandon(self) -> None:
         """Leave a process that survives SIGKILL, and wake up all callers that wait for it."""
         self.fault = self.fault or f"model {self.name}: its process: left behind"
         self._ended.set()

@@ -100,7 +100,7 @@ class SupervisedProcess(ABC):
             link.stop()
         self._thread.join(_CLOSE_S)
         if self._thread.is_alive() and (link := self._link) is not None:
-            link.leave()
+            link.abandon()
         self._frames.close()
 
     def _run(self, first: Future[None]) -> None:

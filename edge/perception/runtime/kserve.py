@@ -114,7 +114,7 @@ class KServeSession:
         with self._lock:
             self._closed, under_way = True, self._under_way
         if under_way is not None:
-            under_way.give_up(RequestCancelledError())
+            under_way.cancel(RequestCancelledError())
         self._hang_up(at_work=under_way is not None)
 
     def _connect(self, until_s: float) -> _Line:

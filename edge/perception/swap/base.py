@@ -40,7 +40,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
     """One model that is to replace a worker's model.
 
     Its own thread loads and tries the model, and at the end closes the model that lost. The
-    worker's thread calls `see`; the caller of `ModelSwap.step` calls the other methods.
+    worker's thread calls `on_result`; the caller of `ModelSwap.step` calls the other methods.
 
     Attributes:
         name: name of the new model.
@@ -51,7 +51,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
         trying: True while the model is loaded or tried.
         switched: True once the model runs, on probation.
         fault: the reason to reject the model, in one line; empty if there is none.
-        over: set once it is decided which of the two models stays.
+        decided: set once it is decided which of the two models stays.
     """
 
     def __init__(self, name: str, worker: ModelWorker[Any, Any, Model]) -> None:
@@ -60,15 +60,15 @@ class SwapAttempt(ABC, Generic[Model, Item]):
         self.model: Model | None = None
         self.busy = self.finding = self.fault = ""
         self.trying, self.switched, self._won = True, False, False
-        self.over = threading.Event()
+        self.decided = threading.Event()
 
     def start(self) -> None:
         """Load and try the model, on the attempt's thread."""
-        self._worker.watch = self.see
+        self._worker.on_result = self.on_result
         self.thread = start_detached_thread("swap", self._run)
 
     @abstractmethod
-    def see(self, model: Model, item: Item, outcome: object) -> None:
+    def on_result(self, model: Model, item: Item, outcome: object) -> None:
         """Record the outcome of an item; see `ModelWorker.watch`."""
 
     @abstractmethod
@@ -121,8 +121,8 @@ class SwapAttempt(ABC, Generic[Model, Item]):
     def end(self) -> None:
         """Close the model that does not run, on the attempt's thread: the swap is decided."""
         self._won = self._worker.model is self.model
-        self._worker.watch = None
-        self.over.set()
+        self._worker.on_result = None
+        self.decided.set()
 
     def _run(self) -> None:
         """Run the attempt's thread, which ends once the model that lost is closed."""
@@ -134,7 +134,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
             log.debug("model %s", self.name, exc_info=True)
             self.fault = failure(error)
         self.trying = False
-        self.over.wait()
+        self.decided.wait()
         loser = self.previous if self._won else self.model
         self.previous = self.model = None
         if loser is None:

@@ -67,7 +67,7 @@ class _ChoiceAttempt(SwapAttempt[Scorer, Question]):
     def probation(self) -> str:
         return f"{PROBATION} answers"
 
-    def see(self, model: Scorer, item: Question, outcome: object) -> None:
+    def on_result(self, model: Scorer, item: Question, outcome: object) -> None:
         if model is not self.model:
             return
         if not isinstance(outcome, Exception):

@@ -141,8 +141,10 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
             self.fault = f"too slow: {pace}, perception.swap.budget_ms is {swap.budget_ms:g}"
         return pace
 
-    def see(self, model: Detector, item: Observation, outcome: Detections | Exception) -> None:
-        """See `SwapAttempt.see`: an image for the trial, or one of the probation."""
+    def on_result(
+        self, model: Detector, item: Observation, outcome: Detections | Exception
+    ) -> None:
+        """See `SwapAttempt.on_result`: an image for the trial, or one of the probation."""
         if item.rgb is None or self.fault:  # a missing image is not the detector's fault
             return
         try:
@@ -169,12 +171,12 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         wanted = with_model(self.perception, self.name)
         if wanted.isolation == "thread":
             self._try_apart(wanted.model_copy(update={"isolation": "process"}))
-            if self.over.is_set():
+            if self.decided.is_set():
                 return
         self.model = self._load(wanted)
         self.busy = ""
         self._await_samples()
-        if self.over.is_set():  # aborted, perhaps while the model was loading
+        if self.decided.is_set():  # aborted, perhaps while the model was loading
             return
         self._follow_prompts()
         running = self.previous.name
@@ -183,7 +185,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
             same_family(self.name, running), self._force,
         )  # fmt: skip
         self.trying = False
-        while not (self.switched or self.over.wait(LOOK_S)):
+        while not (self.switched or self.decided.wait(LOOK_S)):
             self._follow_prompts()
 
     def _try_apart(self, perception: PerceptionConfig) -> None:
@@ -202,10 +204,10 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
 
     def _load(self, perception: PerceptionConfig) -> Detector:
         prompts = self._worker.detector.prompts
-        return self._make(perception, prompts, self._loading, cancelled=self.over)
+        return self._make(perception, prompts, self._loading, cancelled=self.decided)
 
     def _await_samples(self) -> None:
-        while len(self._samples) < IMAGES and not self.over.is_set():
+        while len(self._samples) < IMAGES and not self.decided.is_set():
             time.sleep(LOOK_S)
 
     def _follow_prompts(self) -> None:

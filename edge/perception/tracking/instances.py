@@ -73,7 +73,9 @@ class LabelResolver(Protocol):
             last: True if the search is over, so that the least bad one is good enough.
         """
 
-    def why(self, label: str, instance: Instance, of: Callable[[str], Sequence[Instance]]) -> str:
+    def reason_for(
+        self, label: str, instance: Instance, of: Callable[[str], Sequence[Instance]]
+    ) -> str:
         """Return why an instance is the one of a label; "" for a plain name."""
 
 
@@ -144,7 +146,7 @@ class InstanceTracker:
         self.config = perception
         self.dropped = 0
         self.resolver: LabelResolver | None = None
-        self._sightings = sightings
+        self._objects = sightings
         self._tracks: dict[int, _Track] = {}
         self._next_id = 1
 
@@ -160,28 +162,28 @@ class InstanceTracker:
         track = self._tracks.get(instance_id)
         return track.instance if track else None
 
-    def of(self, label: str, sure: bool = False, doubted: bool = True) -> list[Instance]:
+    def of(self, label: str, only_confirmed: bool = False, doubted: bool = True) -> list[Instance]:
         """Return the instances of a label (or a synonym) that are worth driving to, best first.
 
         They were detected in at least `min_hits` images and are not rejected.
 
         Args:
             label: a prompt.
-            sure: True: only confirmed ones.
+            only_confirmed: True: only confirmed ones.
             doubted: True: also those that another object explains better.
         """
         if self.resolver is not None:
-            plain = partial(self._named, sure=sure, doubted=doubted)
+            plain = partial(self._named, only_confirmed=only_confirmed, doubted=doubted)
             if (found := self.resolver.resolve(label, plain, last=doubted)) is not None:
                 return found
-        return self._named(label, sure, doubted)
+        return self._named(label, only_confirmed, doubted)
 
-    def why(self, label: str, instance: Instance) -> str:
+    def reason_for(self, label: str, instance: Instance) -> str:
         """Return why an instance is the one that a label describes; "" for a plain name."""
-        plain = partial(self._named, sure=False, doubted=True)
-        return "" if self.resolver is None else self.resolver.why(label, instance, plain)
+        plain = partial(self._named, only_confirmed=False, doubted=True)
+        return "" if self.resolver is None else self.resolver.reason_for(label, instance, plain)
 
-    def _named(self, label: str, sure: bool, doubted: bool) -> list[Instance]:
+    def _named(self, label: str, only_confirmed: bool, doubted: bool) -> list[Instance]:
         name = names.canonical(label)
         found = [
             track.instance
@@ -189,7 +191,7 @@ class InstanceTracker:
             if track.name == name
             and track.instance.state != "rejected"
             and track.instance.hits >= self.config.min_hits
-            and (not sure or self.confirmed(track.instance))
+            and (not only_confirmed or self.confirmed(track.instance))
             and (doubted or not track.contested)
         ]
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
@@ -376,18 +378,18 @@ class InstanceTracker:
         """Highest id given so far; 0: none."""
         return self._next_id - 1
 
-    def recall(self, labels: Sequence[str]) -> None:
+    def promote_context(self, labels: Sequence[str]) -> None:
         """Make instances of context objects that answer to these labels, with their evidence.
 
         So a new target that was already seen as context need not be found again. Weak context
         objects, which would be forgotten at once, are skipped.
         """
-        if self._sightings is None:
+        if self._objects is None:
             return
         least = GONE * self.config.tau_det
         for label in labels:
             name = names.canonical(label)
-            for seen in self._sightings.answering(label):
+            for seen in self._objects.named(label):
                 known = self._match(name, *seen.center_m[:2].tolist())
                 weak = seen.confidence < least or seen.hits < self.config.min_hits
                 if weak or known is not None:
@@ -398,7 +400,7 @@ class InstanceTracker:
                     seen.near_hits, seen.weight, seen.total,
                 )  # fmt: skip
                 self._doubt(track)
-                self._judge(track)
+                self._update_state(track)
         self._limit()
 
     def clear(self) -> None:
@@ -512,7 +514,7 @@ class InstanceTracker:
         if track.good_ns != now_ns:
             track.good_ns = now_ns
             track.good_hits += 1
-            self._judge(track)
+            self._update_state(track)
 
     def _count_view(self, track: _Track, weight: float) -> None:
         track.views += weight
@@ -523,9 +525,9 @@ class InstanceTracker:
             track.good_hits //= 2
             track.target_sum *= 0.5
             track.competing_sum *= 0.5
-        self._judge(track)
+        self._update_state(track)
 
-    def _judge(self, track: _Track) -> None:
+    def _update_state(self, track: _Track) -> None:
         """Update the state from the evidence.
 
         An instance is confirmed if all of these hold:
@@ -554,10 +556,10 @@ class InstanceTracker:
 
     def _doubt(self, track: _Track) -> bool:
         """Update and return `contested`: True if another object explains the place better."""
-        if self._sightings is not None:
+        if self._objects is not None:
             instance = track.instance
             surer = SURER if instance.state == "confirmed" else 1.0
-            track.contested = self._sightings.doubts(
+            track.contested = self._objects.has_competing_object(
                 track.name, instance.points_m, track.radius_m, surer
             )
         return track.contested
@@ -598,7 +600,7 @@ class InstanceTracker:
         old.views += new.views
         old.target_sum += new.target_sum
         old.competing_sum += new.competing_sum
-        self._judge(old)
+        self._update_state(old)
         self._grow(old, b.points_m)
 
     def _limit(self) -> None:

@@ -80,7 +80,7 @@ class BackProjector:
         self._raster = _NO_RASTER
         self._cloud_points = _NO_POINTS
 
-    def lift(
+    def back_project(
         self, detections: Detections, floor_over_base_m: float = 0.0
     ) -> tuple[BackProjectedBoxes, BackProjectedBoxes | None]:
         """Back-project all boxes; those without enough returns are marked invalid, never left out.

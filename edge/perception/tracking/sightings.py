@@ -153,7 +153,7 @@ class ObjectTracker:
         perception: the configuration.
 
     Attributes:
-        shown: read-only view, for policies.
+        read_only: read-only view, for policies.
         observed: objects that the newest image showed with a strong box.
         vanished: certain objects that were not found at their place, nor elsewhere, oldest first.
         renamed: new id → old id of the objects that the newest image showed to have moved.
@@ -162,7 +162,7 @@ class ObjectTracker:
     def __init__(self, perception: config.PerceptionConfig) -> None:
         cap = MAX_SIGHTINGS
         self.config = perception
-        self._all = TrackedObjects(cap)
+        self._objects = TrackedObjects(cap)
         self._now = np.zeros(cap, np.float32)
         self._weight = np.zeros(cap, np.float32)
         self._total = np.zeros(cap, np.float32)
@@ -171,7 +171,7 @@ class ObjectTracker:
         self._counted = np.zeros((cap, 4), np.float32)
         self._number: dict[str, int] = {}
         self._competing: dict[str, np.ndarray] = {}
-        self._asked = np.zeros(0, np.bool_)
+        self._looked_for = np.zeros(0, np.bool_)
         self._asked_for: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
         self._columns: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int16),) * 2
         self._next_id = 1
@@ -179,13 +179,13 @@ class ObjectTracker:
         self._rows = np.zeros(cap, np.int32)
         self._farthest_m = 0.0  # at least the largest reach
         # Highest confidence so far. A row that was never certain was a mistake, and cannot move.
-        self._peak = np.zeros(cap, np.float32)
+        self._peak_confidence = np.zeros(cap, np.float32)
         self.observed: list[ObservedObject] = []
         self.vanished: list[VanishedObject] = []
         self.renamed: dict[int, int] = {}
-        self.shown = self._all.read_only()
+        self.read_only = self._objects.read_only()
 
-    def look(self, targets: BackProjectedBoxes, around: BackProjectedBoxes | None) -> None:
+    def update(self, targets: BackProjectedBoxes, around: BackProjectedBoxes | None) -> None:
         """Update the objects with all detections of one image, and with what it did not show.
 
         Args:
@@ -193,25 +193,27 @@ class ObjectTracker:
             around: boxes of context words, with positions; None: not looked for.
         """
         observation = targets.detections.observation
-        self._ask(targets.detections.prompts, () if around is None else around.detections.prompts)
+        self._set_words(
+            targets.detections.prompts, () if around is None else around.detections.prompts
+        )
         self.observed.clear()
         self.renamed.clear()
-        self._farthest_m = float(self._all.reach_m[: self._all.n].max(initial=0.0))
+        self._farthest_m = float(self._objects.reach_m[: self._objects.n].max(initial=0.0))
         for lifted, numbers in zip((targets, around), self._columns, strict=True):
             if lifted is not None:
-                self._take(lifted, numbers, observation)
+                self._merge_boxes(lifted, numbers, observation)
         self._unite()
         if observation.camera is not None:
             self._fuse(observation)
-        self._forget()
+        self._drop_missed()
         self._count()
 
-    def answering(self, label: str) -> Iterator[MappedObject]:
+    def named(self, label: str) -> Iterator[MappedObject]:
         """Yield all objects that a label names, kinds of it included, most confident first.
 
         The arrays are copies.
         """
-        s = self._all
+        s = self._objects
         kinds = [names.is_kind_of(word, label) for word in s.words]
         mine = [at for at in range(s.n) if kinds[s.word[at]] and s.n_points[at] > 0]
         for at in sorted(mine, key=lambda at: -s.confidence[at]):
@@ -221,7 +223,9 @@ class ObjectTracker:
                 int(s.hits[at]), int(s.near_hits[at]), int(s.last_seen_ns[at]),
             )  # fmt: skip
 
-    def doubts(self, name: str, surface_m: np.ndarray, radius_m: float, surer: float = 1.0) -> bool:
+    def has_competing_object(
+        self, name: str, surface_m: np.ndarray, radius_m: float, surer: float = 1.0
+    ) -> bool:
         """Return True if another object is more likely to stand at the place of an object.
 
         Only words that the detector looks for count: the others could never be missed.
@@ -232,7 +236,7 @@ class ObjectTracker:
             radius_m: reach of the object from its centre.
             surer: factor by which the other must be more confident.
         """
-        s, merge_m = self._all, self.config.merge_m
+        s, merge_m = self._objects, self.config.merge_m
         x_m, y_m, _ = surface_m.mean(axis=0).tolist()
         mine, word = 0.0, self._number.get(name, -1)
         at = self._match(word, x_m, y_m, merge_m + radius_m)
@@ -241,18 +245,18 @@ class ObjectTracker:
         against = kernels.competing_confidence(
             surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence,
             self._rows_near(x_m, y_m, merge_m + radius_m),
-            self._competing_with(name) * self._asked, merge_m + radius_m,
+            self._competing_with(name) * self._looked_for, merge_m + radius_m,
         )  # fmt: skip
         return against > surer * mine
 
     def _rows_near(self, x_m: float, y_m: float, within_m: float) -> np.ndarray:
         """Return the rows with a centre near a place, and others; valid until the next call."""
-        k = place_index.rows_near(self._index, self._all.n, x_m, y_m, within_m, self._rows)
+        k = place_index.rows_near(self._index, self._objects.n, x_m, y_m, within_m, self._rows)
         return self._rows[:k]
 
     def _match(self, word: int, x_m: float, y_m: float, within_m: float) -> int:
         """Return the row of a word nearest to a place, by centre and surface; -1: none is near."""
-        s, rows = self._all, self._rows_near(x_m, y_m, within_m + self._farthest_m)
+        s, rows = self._objects, self._rows_near(x_m, y_m, within_m + self._farthest_m)
         return int(
             kernels.match(
                 s.xyz_m, s.points_m, s.n_points, s.reach_m, s.word, rows, word, x_m, y_m, within_m
@@ -262,25 +266,25 @@ class ObjectTracker:
     def _competing_with(self, name: str) -> np.ndarray:
         """Return the weight of each word's confidence against an object, (words,) float32."""
         known = self._competing.get(name, _NONE)
-        if len(known) < len(self._all.words):
-            more = [_against(word, name) for word in self._all.words[len(known) :]]
+        if len(known) < len(self._objects.words):
+            more = [_against(word, name) for word in self._objects.words[len(known) :]]
             known = self._competing[name] = np.append(known, np.array(more, np.float32))
         return known
 
     def clear(self) -> None:
         """Forget every object; ids and words continue."""
-        self._all.generation += self._all.n > 0
-        self._all.n = 0
+        self._objects.generation += self._objects.n > 0
+        self._objects.n = 0
         self.vanished.clear()
-        place_index.rebuild(self._index, self._all.xyz_m, 0)
-        self._show()
+        place_index.rebuild(self._index, self._objects.xyz_m, 0)
+        self._update_view()
 
     def state_dict(self) -> Arrays:
         """Return all rows as plain arrays, with `words`, `next_id` and the vanished objects."""
-        columns = {name: array[: self._all.n].copy() for name, array in self._saved()}
+        columns = {name: array[: self._objects.n].copy() for name, array in self._saved()}
         gone = self.vanished
         return {
-            **columns, "words": np.array(self._all.words, np.str_),
+            **columns, "words": np.array(self._objects.words, np.str_),
             "next_id": np.array(self._next_id),
             "vanished_id": np.array([one.id for one in gone], np.int64),
             "vanished_word": np.array([one.word for one in gone], np.int16),
@@ -300,7 +304,7 @@ class ObjectTracker:
         Raises:
             ValueError: the state is invalid.
         """
-        s, words = self._all, state.get("words", np.zeros(0))
+        s, words = self._objects, state.get("words", np.zeros(0))
         rows = {
             tuple(name for name, _ in self._saved()): 1 << 13,
             ("words",): 1 << 15,
@@ -332,22 +336,22 @@ class ObjectTracker:
             self._place(at)
         self._next_id = max(self._next_id, int(state["next_id"]))
         # This run has not looked for anything yet.
-        self._asked, self._asked_for = np.zeros(len(s.words), np.bool_), ((), ())
+        self._looked_for, self._asked_for = np.zeros(len(s.words), np.bool_), ((), ())
         s.generation += 1
-        self._show()
+        self._update_view()
 
     def _saved(self) -> Iterator[tuple[str, np.ndarray]]:
-        s = self._all
+        s = self._objects
         yield from (
             ("xyz_m", s.xyz_m), ("word", s.word), ("confidence", s.confidence),
             ("last_seen_ns", s.last_seen_ns), ("id", s.id), ("hits", s.hits),
             ("near_hits", s.near_hits), ("points_m", s.points_m), ("n_points", s.n_points),
             ("weight", self._weight), ("total", self._total), ("cursor", self._cursor),
-            ("told", self._counted), ("peak", self._peak), ("moves", s.moves),
+            ("told", self._counted), ("peak", self._peak_confidence), ("moves", s.moves),
             ("first_seen_ns", s.first_seen_ns), ("came_from_m", s.came_from_m),
         )  # fmt: skip
 
-    def _ask(self, prompts: tuple[str, ...], words: tuple[str, ...]) -> None:
+    def _set_words(self, prompts: tuple[str, ...], words: tuple[str, ...]) -> None:
         """Set the words that the detector looked for in this image."""
         if (prompts, words) == self._asked_for:
             return
@@ -356,22 +360,22 @@ class ObjectTracker:
             self._numbers([names.canonical(names.head_phrase(prompt)) for prompt in prompts]),
             self._numbers(words),
         )  # fmt: skip
-        self._asked = np.zeros(len(self._all.words), np.bool_)
+        self._looked_for = np.zeros(len(self._objects.words), np.bool_)
         for numbers in self._columns:
-            self._asked[numbers] = True
+            self._looked_for[numbers] = True
 
     def _numbers(self, words: Sequence[str]) -> np.ndarray:
         for word in words:
             if word not in self._number:
-                self._number[word] = len(self._all.words)
-                self._all.words.append(word)
+                self._number[word] = len(self._objects.words)
+                self._objects.words.append(word)
         return np.array([self._number[word] for word in words], np.int16)
 
-    def _take(
+    def _merge_boxes(
         self, lifted: BackProjectedBoxes, numbers: np.ndarray, observation: Observation
     ) -> None:
         """Merge the boxes of one image, strongest first."""
-        seen, s, c = lifted.detections, self._all, self.config
+        seen, s, c = lifted.detections, self._objects, self.config
         pose = observation.pose
         for i in np.flatnonzero(lifted.valid).tolist():
             score, word = float(seen.score[i]), int(numbers[seen.class_id[i]])
@@ -403,7 +407,7 @@ class ObjectTracker:
 
     def _place(self, at: int) -> None:
         """Update the index and the reach after a change of a row's centre or surface."""
-        s = self._all
+        s = self._objects
         place_index.move(self._index, at, *s.xyz_m[at, :2].tolist())
         s.reach_m[at] = kernels.reach_of(s.xyz_m, s.points_m, s.n_points, at)
         self._farthest_m = max(self._farthest_m, float(s.reach_m[at]))
@@ -413,7 +417,7 @@ class ObjectTracker:
 
         An object that vanished after the row was first seen is a different one: both were seen.
         """
-        s = self._all
+        s = self._objects
         same = [
             one for one in self.vanished
             if one.word == s.word[at] and one.last_seen_ns < s.first_seen_ns[at]
@@ -424,7 +428,7 @@ class ObjectTracker:
             self._moved(at, one)
 
     def _moved(self, at: int, before: VanishedObject) -> None:
-        s = self._all
+        s = self._objects
         self.renamed[int(s.id[at])] = before.id
         s.id[at], s.first_seen_ns[at] = before.id, before.first_seen_ns
         s.came_from_m[at], s.moves[at] = before.xyz_m[:2], before.moves + 1
@@ -432,12 +436,12 @@ class ObjectTracker:
 
     def _vanish(self, at: int) -> None:
         """Drop a row; if it was certain, another row may be the same object, moved."""
-        s, c = self._all, self.config
+        s, c = self._objects, self.config
         one = VanishedObject(
             int(s.id[at]), int(s.word[at]), int(s.first_seen_ns[at]), int(s.last_seen_ns[at]),
             tuple(s.xyz_m[at].tolist()), int(s.moves[at]),
         )  # fmt: skip
-        certain = s.hits[at] >= c.min_hits and self._peak[at] >= c.tau_det
+        certain = s.hits[at] >= c.min_hits and self._peak_confidence[at] >= c.tau_det
         self._drop(at)
         if not certain:
             return
@@ -452,7 +456,7 @@ class ObjectTracker:
 
     def _unite(self) -> None:
         """Merge pairs of rows that are one object."""
-        s, near_m = self._all, 0.5 * self.config.merge_m
+        s, near_m = self._objects, 0.5 * self.config.merge_m
         while True:
             kept, gone = kernels.drifted(
                 self._index, s.xyz_m, s.word, s.n, self._now, near_m, self._rows
@@ -463,7 +467,7 @@ class ObjectTracker:
             s.xyz_m[kept] += share * (s.xyz_m[gone] - s.xyz_m[kept])
             for array in (self._weight, self._total, s.hits, s.near_hits):
                 array[kept] += array[gone]
-            for array in (self._now, s.confidence, s.last_seen_ns, self._peak):
+            for array in (self._now, s.confidence, s.last_seen_ns, self._peak_confidence):
                 array[kept] = max(array[kept], array[gone])
             s.first_seen_ns[kept] = min(s.first_seen_ns[kept], s.first_seen_ns[gone])
             kernels.add_points(
@@ -474,7 +478,7 @@ class ObjectTracker:
             self._drop(gone)
 
     def _found(self, word: int, xyz_m: tuple[float, float, float], stamp_ns: int) -> int:
-        s = self._all
+        s = self._objects
         if s.n == len(s.word):
             self._drop(int(np.argmin(s.confidence[: s.n] + self._now[: s.n])))
         at, s.n = s.n, s.n + 1
@@ -482,7 +486,7 @@ class ObjectTracker:
         s.points_m[at] = 0.0  # clear the old row: a checkpoint saves all of it
         s.confidence[at] = s.hits[at] = s.near_hits[at] = s.n_points[at] = 0
         self._weight[at] = self._total[at] = self._cursor[at] = self._now[at] = 0
-        s.reach_m[at] = s.moves[at] = s.came_from_m[at] = self._peak[at] = 0
+        s.reach_m[at] = s.moves[at] = s.came_from_m[at] = self._peak_confidence[at] = 0
         s.first_seen_ns[at] = stamp_ns
         self._counted[at] = -1.0
         self._next_id += 1
@@ -490,30 +494,30 @@ class ObjectTracker:
         return at
 
     def _fuse(self, observation: Observation) -> None:
-        s, c, camera = self._all, self.config, observation.camera
+        s, c, camera = self._objects, self.config, observation.camera
         far_m = min(2.0 * c.confirm_range_m, c.back_projection_max_range_m)
         depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
         kernels.fuse(
-            s.xyz_m, s.points_m, s.n_points, s.word, s.n, self._now, self._asked,
+            s.xyz_m, s.points_m, s.n_points, s.word, s.n, self._now, self._looked_for,
             invert(observation.T_map_base @ observation.T_base_camera), view_of(camera), depth,
             c.confirm_range_m, far_m, self._weight, self._total, s.confidence,
         )  # fmt: skip
 
-    def _forget(self) -> None:
+    def _drop_missed(self) -> None:
         """Drop the rows that were in view and not detected too often."""
-        s = self._all
+        s = self._objects
         weak = (s.confidence[: s.n] < GONE * self.config.tau_det) & (self._weight[: s.n] > 1.0)
         for at in np.flatnonzero(weak)[::-1].tolist():
             self._vanish(at)
 
     def _drop(self, at: int) -> None:
         """Drop a row; the last one takes its place."""
-        s = self._all
+        s = self._objects
         last = s.n - 1
         place_index.remove(self._index, at)
         for array in (
             s.xyz_m, s.word, s.confidence, s.last_seen_ns, s.id, s.hits, s.near_hits, s.points_m,
-            s.n_points, s.reach_m, s.moves, s.came_from_m, s.first_seen_ns, self._peak,
+            s.n_points, s.reach_m, s.moves, s.came_from_m, s.first_seen_ns, self._peak_confidence,
             self._now, self._weight, self._total, self._cursor, self._counted,
         ):  # fmt: skip
             array[at] = array[last]
@@ -525,18 +529,20 @@ class ObjectTracker:
 
     def _count(self) -> None:
         """Raise the generation if any confidence or place has changed enough."""
-        s, counted = self._all, self._counted
-        np.maximum(self._peak[: s.n], s.confidence[: s.n], out=self._peak[: s.n])
+        s, counted = self._objects, self._counted
+        np.maximum(
+            self._peak_confidence[: s.n], s.confidence[: s.n], out=self._peak_confidence[: s.n]
+        )
         moved = np.abs(s.confidence[: s.n] - counted[: s.n, 0]) > _MATTERS
         moved |= np.abs(s.xyz_m[: s.n] - counted[: s.n, 1:]).max(axis=1, initial=0) > 2 * _MATTERS
         if moved.any():
             at = np.flatnonzero(moved)
             counted[at, 0], counted[at, 1:] = s.confidence[at], s.xyz_m[at]
             s.generation += 1
-        self._show()
+        self._update_view()
 
-    def _show(self) -> None:
-        self.shown.n, self.shown.generation = self._all.n, self._all.generation
+    def _update_view(self) -> None:
+        self.read_only.n, self.read_only.generation = self._objects.n, self._objects.generation
 
 
 _VANISHED = tuple(

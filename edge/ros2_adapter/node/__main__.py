@@ -72,12 +72,12 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
         executor.add_node(node)
         ends = AdapterEnds(node, session, zenoh, node.create_guard_condition(lambda: None).trigger)
         heard = [FromRos(ends, one, find_type(one["type"])) for one in plan["heard"]]
-        often = [ToRos(ends, one, plan["max_bytes"]).look for one in plan["said"]]
-        seldom, action, due_s = [one.look for one in heard], None, 0.0
+        often = [ToRos(ends, one, plan["max_bytes"]).update for one in plan["said"]]
+        seldom, action, due_s = [one.update for one in heard], None, 0.0
         if plan["action"] is not None:
             action = NavigateProxy(ends, plan["action"], lambda: any(one.wanted for one in heard))
             often.append(action.pass_requests)
-            seldom.append(action.look)
+            seldom.append(action.update)
         log.info("passing up to %d topics in and %d out", len(heard), len(plan["said"]))
         while not stop.is_set():
             executor.spin_once(timeout_sec=GRAPH_S)

@@ -40,7 +40,7 @@ class ServiceProxy:
         self._waiting: dict[Any, Any] = {}  # future: query
         self._warned = False
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Offer the service while it has a server; otherwise drop pending requests."""
         if self._client.service_is_ready():
             if self._queryable is None:
@@ -132,10 +132,10 @@ class NavigateProxy:
         for one in self._services:
             one.pass_requests()
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Check for servers and receivers; cancel the goal if the service is gone."""
         for one in (*self._services, *self._topics):
-            one.look()
+            one.update()
         if self._is_followed():
             self._followed_s = time.monotonic()
         elif time.monotonic() - self._followed_s > GONE_S and self.cancel():

@@ -44,7 +44,7 @@ class Inbox:
 
     def __init__(self, kept: int, wake: Callable[[], None]) -> None:
         self._waiting: deque[Any] = deque(maxlen=kept)
-        self._kept, self._wake = kept, wake
+        self._capacity, self._wake = kept, wake
 
     def __call__(self, item: Any) -> None:
         self._waiting.append(item)
@@ -52,7 +52,7 @@ class Inbox:
 
     def take(self) -> Iterator[Any]:
         """Yield the items since the last call, at most `kept`, oldest first."""
-        for _ in range(self._kept):
+        for _ in range(self._capacity):
             try:
                 yield self._waiting.popleft()
             except IndexError:
@@ -125,7 +125,7 @@ class FromRos:
         else:
             self._publisher = ends.session.declare_publisher(key, congestion_control=drop)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Subscribe or unsubscribe as needed; log once why a topic may be silent."""
         self.wanted = not self._keeps and self._publisher.matching_status.matching
         is_subscribed, now_s = self._subscription is not None, time.monotonic()
@@ -171,7 +171,7 @@ class ToRos:
             find_type(passed["type"]), passed["ros"], make_qos(passed)
         )
 
-    def look(self) -> None:
+    def update(self) -> None:
         for sample in self._inbox.take():
             try:
                 self._publisher.publish(cdr_of(sample.payload, self._max_bytes))

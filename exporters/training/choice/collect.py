@@ -188,7 +188,7 @@ class _Collector:
         prior = self.loop.service.map.prior
         if prior is not None:
             for word, lift in zip(looks.CATEGORIES, out, strict=True):
-                prior.lift(word, np.ascontiguousarray(xy_m, np.float32), n, lift)
+                prior.likelihood_ratio(word, np.ascontiguousarray(xy_m, np.float32), n, lift)
         return out.T
 
     def _left_m(self, xy_m: np.ndarray) -> np.ndarray:

@@ -57,7 +57,7 @@ def looked(node: Ros2Node, what):
 
     def ask():
         node._looked_s = 0.0
-        node.look()
+        node.update()
         return what()
 
     return eventually(ask)
@@ -67,7 +67,7 @@ def test_a_peer_hears_us_and_lists_our_topic(port, node):
     heard = []
     peer = subscriber(port, "/goal_pose", POSE, heard.append)
     mine = node.publisher("/goal_pose", POSE)
-    assert looked(node, mine.heard)
+    assert looked(node, mine.has_subscribers)
     mine.put(messages.encode_pose_stamped(1_000_000_005, SE2(1.0, 2.0, 0.0)))
     (message,) = eventually(lambda: list(heard))
     assert (message.header.stamp.nanosec, message.pose.position.y) == (5, 2.0)
@@ -90,15 +90,15 @@ def test_we_hear_a_peer_and_which_type_it_sends(port, node):
 def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
     name = "nav2_msgs/action/NavigateToPose_GetResult"
     client = node.client("/navigate_to_pose/_action/get_result", name, 1.0)
-    assert (client.hash, client.served(), client.ask(b"x").over) == (None, False, True)
+    assert (client.hash, client.has_server(), client.call(b"x").done) == (None, False, True)
     server = Endpoint("SS", "other", "/nav", client.topic, name, "RIHS01_ab")
     token = names.endpoint_token(0, 90, 91, server, names.RELIABLE)
     with session.liveliness().declare_token(token):
         assert looked(node, lambda: client.hash == "RIHS01_ab")
-        assert not client.served(), "its token came before it"
+        assert not client.has_server(), "its token came before it"
         with session.declare_queryable(client.key(), zenoh.handlers.FifoChannel(1)):
-            assert looked(node, client.served)
-        assert looked(node, lambda: not client.served())
+            assert looked(node, client.has_server)
+        assert looked(node, lambda: not client.has_server())
 
 
 def test_a_service_of_a_peer_answers(port, node):
@@ -116,11 +116,11 @@ def test_a_service_of_a_peer_answers(port, node):
     )  # fmt: skip
     store = server.session_mgr.store
     client = node.client("/nav/cancel", name, PATIENCE_S)
-    assert looked(node, client.served)
-    reply = client.ask(navigation.encode_cancel(bytes(range(16))))
+    assert looked(node, client.has_server)
+    reply = client.call(navigation.encode_cancel(bytes(range(16))))
     payload = eventually(reply.poll)
     assert (payload[4], asked) == (2, [bytes(range(16))])
-    assert (reply.over, reply.poll()) == (True, None)
+    assert (reply.done, reply.poll()) == (True, None)
     server.close()
 
 
@@ -128,14 +128,14 @@ def test_a_service_of_a_peer_answers(port, node):
 def test_without_tokens_routing_tells_who_is_there(port, session, dialect):
     node = Ros2Node(session, 0, "edge_test", dialect)
     mine, client = node.publisher("/goal_pose", POSE), node.client("/nav/cancel", POSE, 5.0)
-    assert (mine.heard(), client.served()) == (False, False)
+    assert (mine.has_subscribers(), client.has_server()) == (False, False)
     with ours(port) as other:
         theirs = other.declare_subscriber(dialect.any_key(0, "/goal_pose"), lambda _: None)
         server = other.declare_queryable(client.key(), lambda _: None)
-        eventually(lambda: mine.heard() and client.served())
+        eventually(lambda: mine.has_subscribers() and client.has_server())
         theirs.undeclare()
         server.undeclare()
-        eventually(lambda: not (mine.heard() or client.served()))
+        eventually(lambda: not (mine.has_subscribers() or client.has_server()))
     node.close()
 
 
@@ -146,8 +146,8 @@ def test_a_flood_of_tokens_is_bounded_and_told(session, port, monkeypatch, caplo
         said = [Endpoint("MP", "z", "/n", f"/t{i}", POSE, "RIHS01_0") for i in range(9)]
         tokens = [names.endpoint_token(0, 0, i, e, names.RELIABLE) for i, e in enumerate(said)]
         open_tokens = [other.liveliness().declare_token(token) for token in tokens]
-        eventually(lambda: seen.look() and "more than 4 endpoints" in caplog.text)
-        eventually(lambda: not seen.look())
+        eventually(lambda: seen.update() and "more than 4 endpoints" in caplog.text)
+        eventually(lambda: not seen.update())
         assert sum(bool(seen.endpoints("MP", e.topic)) for e in said) == 4
         del open_tokens
     seen.close()

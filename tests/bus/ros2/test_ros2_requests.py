@@ -37,7 +37,7 @@ def ask(request, port) -> Iterator[Ask]:
     """Send a message until an answer comes; the loop only knows `list` and `remove`."""
     config = simulated({"ros2": {"via": request.param, "requests": True}})
     config = config.model_copy(update={"zenoh": zenoh_settings(port)})
-    verbs = {"list": Verb(reads=True), "remove": Verb(("name",), dict)}
+    verbs = {"list": Verb(read_only=True), "remove": Verb(("name",), dict)}
     queues = {
         key: RequestQueue(key, verbs, lambda request, _: {"did": request.do, **request.fields})
         for key in topics.REQUESTS
@@ -52,8 +52,8 @@ def ask(request, port) -> Iterator[Ask]:
         answers = node.subscription("/edge/answer", (STRING,), 8)
 
         def ask(payload: bytes) -> dict[str, Any]:
-            node.look()
-            eventually(lambda: node.look() or sent.heard())
+            node.update()
+            eventually(lambda: node.update() or sent.has_subscribers())
             sent.put(payload)
 
             def answer() -> list:

@@ -32,7 +32,7 @@ def bench(monkeypatch):
         config=simulated({"loop": {"hz": 100.0}}),
         source=SimpleNamespace(counters=Counter(observations=0, superseded=0)),
         worker=SimpleNamespace(stats=SimpleNamespace(done=0)),
-        service=SimpleNamespace(swapper=swapper, latency=LatencyRing(64)),
+        service=SimpleNamespace(detector_swap=swapper, latency=LatencyRing(64)),
     )
     bench = swap_bench.SwapBench(running, "new", 2.0)
 

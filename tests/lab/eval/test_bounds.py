@@ -14,7 +14,7 @@ from edge.lab.eval.columns import make_arms
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import plan
 from edge.lab.sim.worlds import load_world
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates, PolicyInput
+from edge.policies.base import FRONTIER, INSTANCE, SPIN, Candidates, PolicyInput
 
 RADIUS_M = 0.2
 PLACE, ROOM = "edge.lab.eval.bounds:KnownPlace", "edge.lab.eval.bounds:KnownRoom"
@@ -56,7 +56,7 @@ def test_a_known_place_is_gone_to_the_shortest_way(world, target, best):
 
 def test_a_known_place_looks_round_first_and_goes_to_no_look_alike(world):
     seen = [(FRONTIER, 4.0, 2.0, 3.0, 1.0), (INSTANCE, 2.0, 3.0, 1.0, 0.0),
-            (INSTANCE, 6.0, 2.0, 5.0, 0.0), (LOOK, 1.0, 2.0, 0.1, 4.0)]  # fmt: skip
+            (INSTANCE, 6.0, 2.0, 5.0, 0.0), (SPIN, 1.0, 2.0, 0.1, 4.0)]  # fmt: skip
     score = KnownPlace(world, RADIUS_M).score(context("bed", *seen))
     assert score[3] > score[0] > 0.0
     assert score[2] > score[1] == 0.0

@@ -92,8 +92,8 @@ def looks(instruction: str, seed: int, start=None) -> list[tuple[int, bool, tupl
     while not loop.service.status.done:
         loop.step()
         run, pose = loop.service.mission, loop.drive.motion.pose
-        known = len(loop.service.map.tracker.of(run.target, sure=True)) > 0
-        found.append((run.turns, known, (pose.x_m, pose.y_m, pose.yaw_rad)))
+        known = len(loop.service.map.tracker.of(run.target, only_confirmed=True)) > 0
+        found.append((run.retargets, known, (pose.x_m, pose.y_m, pose.yaw_rad)))
     assert loop.service.status.phase == "reached"
     return found
 

@@ -44,8 +44,8 @@ def test_the_service_understands_each_sentence_as_it_is_meant():
     drawn = draw_missions(THINGS, 60, 2)
     assert {mission.family for mission in drawn} == {f.name for f in missions.FAMILIES}
     for mission in drawn:
-        brief = prepare(simulated({"mission": {"instruction": mission.instruction}}).mission)
-        assert brief.translation.formula == mission.formula, mission.instruction
+        spec = prepare(simulated({"mission": {"instruction": mission.instruction}}).mission)
+        assert spec.translation.formula == mission.formula, mission.instruction
 
 
 def test_missions_are_planned_over_what_a_robot_gets_to(world):
@@ -72,7 +72,7 @@ def shortest(automaton, near, free, start):
         if automaton.accepting[s]:
             return d
         after = [(d, r, c, automaton.step(s, ""))]
-        after += [(d, r, c, automaton.step(s, x)) for x in automaton.letters if near[x][r, c]]
+        after += [(d, r, c, automaton.step(s, x)) for x in automaton.propositions if near[x][r, c]]
         for dr, dc in itertools.product((-1, 0, 1), repeat=2):
             q, p = r + dr, c + dc
             if 0 <= q < free.shape[0] and 0 <= p < free.shape[1] and free[q, p]:
@@ -105,7 +105,7 @@ def test_the_shortest_way_is_that_of_the_best_order(data, text):
     cells = data.draw(st.lists(st.sampled_from("....#abc"), min_size=30, max_size=30))
     plan = np.array(cells).reshape(5, 6)
     free = plan != "#"
-    near = {x: plan == x for x in automaton.letters}
+    near = {x: plan == x for x in automaton.propositions}
     mine = cost_to_go_cells(automaton, near, free)
     for start in zip(*np.nonzero(free), strict=True):
         start = tuple(map(int, start))

@@ -190,17 +190,15 @@ def story_of(
     """Return the log of a mission given as a formula; steps are (seconds, kind, label, text)."""
     parsed = parse_ltl(formula)
     automaton = compile_formula(parsed)
-    brief = replace(
-        facts().brief, automaton=automaton, targets=automaton.letters,
+    spec = replace(
+        facts().spec, automaton=automaton, targets=automaton.propositions,
         translation=Translation(instruction, parsed, "in words", "ltl"),
     )  # fmt: skip
     told = tuple(
         MissionEvent(round(t_s * S), kind, label, 0, text)  # the states are not looked at
         for t_s, kind, label, text in steps
     )
-    return replace(
-        facts(), brief=brief, state=automaton.run(word), trace=word, plan=DEAD, steps=told
-    )
+    return replace(facts(), spec=spec, state=automaton.run(word), trace=word, plan=DEAD, steps=told)
 
 
 def mission_run() -> RunRecord:

@@ -104,7 +104,7 @@ def test_the_titles_say_all_that_the_automaton_does(automaton):
         for letter, to in automaton.edges(node.state):
             word = letter or "nothing"
             if word in lost:
-                assert automaton.dead(to)
+                assert automaton.is_dead(to)
                 assert word not in steps[node.state]
             else:
                 assert steps[node.state].get(word, node.state) == to
@@ -126,10 +126,10 @@ def test_the_way_and_the_plan():
 @pytest.mark.parametrize("reached", [0, 2, 5])
 def test_of_a_large_automaton_the_part_that_matters(n, reached):
     a = unordered(n)
-    path, plan = a.letters[:reached], a.letters[reached:]
+    path, plan = a.propositions[:reached], a.propositions[reached:]
     scene = make_automaton_graph(a, a.run(path), plan, path)
     states = [node.state for node in scene.nodes]
-    on_the_way = {a.run(a.letters[:k]) for k in range(n + 1)}
+    on_the_way = {a.run(a.propositions[:k]) for k in range(n + 1)}
     assert len(states) == len(set(states)) <= MAX_PART < MAX_WHOLE
     assert set(states) >= on_the_way
     assert f"{len(states)} of {a.n_states} states shown" in scene.note
@@ -176,27 +176,27 @@ def test_every_arrow_goes_column_by_column_and_no_two_things_share_a_place(autom
 @pytest.mark.parametrize("name", FORMULAS)
 def test_no_label_covers_another_or_a_state(name):
     a = automaton(name)
-    placed = boxes(draw(make_automaton_graph(a, 0, a.letters[:1])))
+    placed = boxes(draw(make_automaton_graph(a, 0, a.propositions[:1])))
     assert not any(one.overlaps(other) for one, other in combinations(placed, 2))
 
 
 @pytest.mark.parametrize("name", FORMULAS)
 def test_svg_is_whole_safe_and_always_the_same(name):
     a = automaton(name)
-    svg = draw_svg(a, 0, a.letters[:1])
+    svg = draw_svg(a, 0, a.propositions[:1])
     tags = {e.tag.rpartition("}")[2] for e in ElementTree.fromstring(svg).iter()}
     assert not tags & {"script", "image", "foreignObject", "a"}
     assert not re.search(rb'href="[^#]|url\([^#]|<script', svg)
     assert CURRENT.encode() in svg
     assert all(len(text) < 60 for text in texts(svg) if "x" * 9 in text)
     assert len(svg) < 200_000
-    assert svg == draw_svg(a, 0, a.letters[:1])
+    assert svg == draw_svg(a, 0, a.propositions[:1])
 
 
 @pytest.mark.parametrize("name", ["true", "false", "choice", "hostile", "case 1"])
 def test_png(name):
     a = automaton(name)
-    png = canvas.png(draw(make_automaton_graph(a, 0, a.letters[:1])))
+    png = canvas.png(draw(make_automaton_graph(a, 0, a.propositions[:1])))
     assert png.startswith(b"\x89PNG")
     assert png != canvas.png(draw(make_automaton_graph(a, None)))
 
@@ -215,7 +215,7 @@ STATEMENT = re.compile(
 @pytest.mark.parametrize("name", FORMULAS)
 def test_dot_is_valid_and_has_every_way(name):
     a = automaton(name)
-    first, *lines, last = to_dot(a, 0, a.letters[:1]).rstrip("\n").split("\n")
+    first, *lines, last = to_dot(a, 0, a.propositions[:1]).rstrip("\n").split("\n")
     assert (first, last) == ("digraph automaton {", "}")
     ways = set()
     for line in lines:

@@ -51,7 +51,7 @@ def test_any_names_and_many(run, name, n):
     letters = [f'"{name.replace(chr(34), chr(39))} {k}"' for k in range(n)]
     steps = [(0.5 * k, "target", letter.strip('"'), BAD) for k, letter in enumerate(letters)]
     told = story_of(f"F({' | '.join(letters)}) & F tv", (), steps, BAD * 300)
-    record = replace(run, mission_facts=told, targets=told.brief.automaton.letters)
+    record = replace(run, mission_facts=told, targets=told.spec.automaton.propositions)
     text = page.html(record, picture.png(record))
     reader = Reader(text)
     assert "script" not in reader.tags

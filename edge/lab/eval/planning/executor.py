@@ -64,7 +64,7 @@ class PlanningProblem:
     @classmethod
     def of(cls, automaton: Automaton, others: int) -> PlanningProblem:
         """Build the problem of an automaton in a world with `others` unnamed objects."""
-        n_letters = len(automaton.letters)
+        n_letters = len(automaton.propositions)
         by_letter, nothing = automaton.delta[:, :n_letters], automaton.delta[:, n_letters:]
         moves = np.hstack([by_letter, np.repeat(nothing, others, axis=1), nothing])
         return cls(

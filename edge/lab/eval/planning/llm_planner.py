@@ -152,8 +152,10 @@ class LlmPlanner:
                 answer = self._client.ask([{"role": "user", "content": question}], **OPTIONS)
             except TokenLimitError as error:
                 answer = error.answer
-            k = parse_answer(answer, self._automaton.letters)
-            self._answers[question] = None if k in (DONE, INVALID) else self._automaton.letters[k]
+            k = parse_answer(answer, self._automaton.propositions)
+            self._answers[question] = (
+                None if k in (DONE, INVALID) else self._automaton.propositions[k]
+            )
         return self._answers[question]
 
 

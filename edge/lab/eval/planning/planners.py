@@ -115,7 +115,7 @@ def valid_targets(problem: PlanningProblem) -> list[list[int]]:
 
 def _asking(planner: Planner, problem: PlanningProblem) -> ChooseTarget:
     """Return a planner of the service as a `ChooseTarget` with a cache of its answers."""
-    letters = problem.automaton.letters
+    letters = problem.automaton.propositions
     index = {letter: i for i, letter in enumerate(letters)}
     own = (1 << problem.n_propositions) - 1
     answers: dict[tuple[int, int, int, int], int] = {}

@@ -107,7 +107,7 @@ def _run_offline(tasks: list[BenchmarkTask], settings: Settings, jobs: int) -> S
     from edge.lab.eval.planning.sweep import run_tasks
 
     with ProgressBar("tasks", len(tasks)) as bar:
-        return run_tasks(tasks, settings, jobs, bar.reach)
+        return run_tasks(tasks, settings, jobs, bar.set_done)
 
 
 def _run_llm(tasks, settings, args, client, results):  # type: ignore[no-untyped-def]
@@ -121,7 +121,7 @@ def _run_llm(tasks, settings, args, client, results):  # type: ignore[no-untyped
     rows = np.linspace(0, len(tasks) - 1, n).round().astype(int).tolist()
     total = n * len(settings.p_obs) * settings.episodes
     with ProgressBar("runs of the language model", total) as bar:
-        own, failure = run_llm(tasks, rows, settings, client, args.jobs, bar.reach)
+        own, failure = run_llm(tasks, rows, settings, client, args.jobs, bar.set_done)
     return merged(results, own), failure
 
 

@@ -57,7 +57,7 @@ def soak_config(config: Config, out: Path) -> Config:
         UserError: it runs in lockstep, and not in real time.
     """
     if config.loop.lockstep or config.sim.lockstep:
-        where = config.at("loop.lockstep", "sim.lockstep")
+        where = config.locate("loop.lockstep", "sim.lockstep")
         raise UserError(
             f"{where}, sim.lockstep: edge soak runs in real time; set both keys to false"
         )

@@ -123,8 +123,8 @@ class RecordingCheck:
         except RecordingError as error:
             self._report(str(error))
             return
-        if reading.cut not in ("", "cut off"):
-            self._report(f"{path.name}: {reading.cut}")
+        if reading.truncation not in ("", "cut off"):
+            self._report(f"{path.name}: {reading.truncation}")
         self.files += 1
         self.messages += read
 

@@ -108,7 +108,7 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
     config = config.model_copy(update={"sim": sim})
     if config.sensors.lidar is None:
         raise SceneCaptureError(
-            f"{config.at('sensors.lidar')}: missing, but street:N needs a LiDAR; add this section"
+            f"{config.locate('sensors.lidar')}: missing, but street:N needs a LiDAR; add this section"
         )
     world = load_world(config)
     camera, lidar = CameraRig(config, world), LidarRig(config, world)
@@ -164,14 +164,14 @@ def detector_pipeline(
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
         raise SceneCaptureError(
-            f"{config.at('perception.detector.kind')}: the simulated detector (sim) sees "
+            f"{config.locate('perception.detector.kind')}: the simulated detector (sim) sees "
             "nothing in a real picture; choose a model (onnx), or give --objects labels"
         )
     # The detector always looks for its background, but it needs at least one word.
     words = tuple(words) or tuple(detector.background or ())[:1]
     if not words:
         raise SceneCaptureError(
-            f"{config.at('perception.detector.background')}: empty; give names of objects to detect"
+            f"{config.locate('perception.detector.background')}: empty; give names of objects to detect"
         )
     with open_pipeline(config.perception, words, truth) as pipeline:
         yield pipeline, detector.model if detector.kind == "onnx" else "the simulated detector"
@@ -181,7 +181,7 @@ def _plugin_pipeline(
     config: Config, own: PipelinePlugin, words: tuple[str, ...]
 ) -> PerceptionPipeline:
     """Return the plugin pipeline of `tasks.pipeline`; its errors become `SceneCaptureError`."""
-    where = config.at("tasks.pipeline")
+    where = config.locate("tasks.pipeline")
     given: dict[str, Any] = {"perception": config.perception, "words": words}
     needs = ("tags", "boxes", "masks", "captions", "embeddings")
     make = component_factory(

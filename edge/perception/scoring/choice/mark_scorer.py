@@ -180,14 +180,14 @@ class MarkScorer:
         self.name, self._card = card.name, card
         self._network, self._limit_s = network, limit_s
 
-    def look(self, view: MarkedView) -> MarkInput:
+    def prepare(self, view: MarkedView) -> MarkInput:
         """Prepare the network's input; the observation is not needed afterwards.
 
         Raises:
             ModelError: the observation has no image, or there is no map with paths to the marks.
         """
         rgb = view.observation.rgb
-        if rgb is None or view.ways is None:
+        if rgb is None or view.mark_costs is None:
             why = (
                 f"observation {view.observation.seq} has no camera image"
                 if rgb is None
@@ -198,8 +198,8 @@ class MarkScorer:
         image, scale, top, left = letterboxed(rgb, hw, self._card.preprocess.letterbox_pad)
         if image is rgb:
             image = rgb.copy()
-        rows = as_input(view.marks[:MAX_MARKS], view.ways, scale, top, left, hw)
-        return MarkInput(view, image, rows, view.ways.others)
+        rows = as_input(view.marks[:MAX_MARKS], view.mark_costs, scale, top, left, hw)
+        return MarkInput(view, image, rows, view.mark_costs.others)
 
     def answer(self, looked: MarkInput) -> FrontierChoice | None:
         """Get both answers at once.

@@ -32,7 +32,7 @@ class ChoiceModel(Protocol):
     """Interface of the model; see `LanguageModel`."""
 
     name: str
-    sees: bool
+    takes_images: bool
 
     def ask(
         self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice], limit_s: float
@@ -65,13 +65,13 @@ class OnnxFrontierScorer:
         self.name = model.name
         self._model, self._max_px, self._limit_s = model, max_image_px, time_limit_s
 
-    def look(self, view: MarkedView) -> ModelPrompt:
+    def prepare(self, view: MarkedView) -> ModelPrompt:
         """Prepare the model's input; the observation is not needed afterwards.
 
         Raises:
             ModelError: the model takes images, and the observation has none.
         """
-        if not self._model.sees:
+        if not self._model.takes_images:
             return ModelPrompt(view, describe(view), view.marks)
         rgb = view.observation.rgb
         if rgb is None:

@@ -90,14 +90,14 @@ class ProcessModel(_Process):
 
     Attributes:
         name: the model's card.
-        sees: see `LanguageModel`.
+        takes_images: see `LanguageModel`.
     """
 
     def __init__(
         self, card: ChoiceCard, choice: config.ChoiceOnnx, rules: config.ModelProcessConfig
     ) -> None:
         """See `_Process`."""
-        self.sees = card.vision_encoder is not None
+        self.takes_images = card.vision_encoder is not None
         super().__init__(card, choice, rules)
 
     def ask(

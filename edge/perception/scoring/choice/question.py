@@ -79,18 +79,18 @@ class MarkedView:
         observation: its image is read while the caller holds it.
         target: what is looked for.
         marks: from left to right; only the first `MAX_MARKS` get letters.
-        sightings: objects in view, for a model that takes no images.
-        lift: (n,) float32, likelihood ratio of the target near each mark to near an average place,
-            by all that was seen; None: there is no prior.
-        ways: paths to the marks; None: there is no map.
+        objects: objects in view, for a model that takes no images.
+        likelihood_ratio: (n,) float32, of the target near each mark, compared with an average
+            place, by all that was seen; None: there is no prior.
+        mark_costs: paths to the marks; None: there is no map.
     """
 
     observation: Observation
     target: str
     marks: tuple[Mark, ...]
-    sightings: tuple[DetectedObject, ...] = ()
-    lift: np.ndarray | None = None
-    ways: MarkCosts | None = None
+    objects: tuple[DetectedObject, ...] = ()
+    likelihood_ratio: np.ndarray | None = None
+    mark_costs: MarkCosts | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +160,7 @@ def describe(view: MarkedView) -> str:
     It can go on in these directions:
     - A: ahead, 3.0 m
     """
-    seen = [f"- {s.label}, {_where(s.bearing_rad, s.distance_m)}" for s in view.sightings]
+    seen = [f"- {s.label}, {_where(s.bearing_rad, s.distance_m)}" for s in view.objects]
     ways = [
         f"- {letter}: {_where(mark.bearing_rad, mark.distance_m)}"
         for letter, mark in zip(LETTERS, view.marks[:MAX_MARKS], strict=False)

@@ -74,7 +74,7 @@ class ServerFrontierScorer:
         self._client = client
         self._show = show
 
-    def look(self, view: MarkedView) -> ServerPrompt:
+    def prepare(self, view: MarkedView) -> ServerPrompt:
         """Prepare the model's input; the observation is not needed afterwards."""
         return self._show(view)
 

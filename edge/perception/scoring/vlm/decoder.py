@@ -20,17 +20,17 @@ class KeyValueCache(NamedTuple):
 
     Attributes:
         length: number of tokens.
-        kept: (1, heads, length, d) each.
+        arrays: (1, heads, length, d) each.
     """
 
     length: int
-    kept: dict[str, np.ndarray]
+    arrays: dict[str, np.ndarray]
 
     def first(self, length: int) -> KeyValueCache:
         """Return the cache of the first tokens only."""
         if length >= self.length:
             return self
-        cut = {name: np.ascontiguousarray(a[:, :, :length]) for name, a in self.kept.items()}
+        cut = {name: np.ascontiguousarray(a[:, :, :length]) for name, a in self.arrays.items()}
         return KeyValueCache(length, cut)
 
 
@@ -144,7 +144,7 @@ class Decoder:
             for name, value in self._inputs.items()
             if name in offered
         }
-        found = self._session.run(list(wanted), {**feeds, **past.kept}, self._deadline.options)
+        found = self._session.run(list(wanted), {**feeds, **past.arrays}, self._deadline.options)
         by_name = dict(zip(wanted, found, strict=True))
         logits = by_name.pop(_LOGITS, np.empty(0, np.float32))
         kept = {_PAST + name.removeprefix(_PRESENT): a for name, a in by_name.items()}

@@ -45,7 +45,7 @@ class LanguageModel:
 
     Attributes:
         name: its card.
-        sees: True if it takes images, False if it takes text only.
+        takes_images: True if it takes images, False if it takes text only.
 
     Raises:
         ModelError: a file is missing, damaged or not of the published layout, the files do not
@@ -69,12 +69,12 @@ class LanguageModel:
                 check_fixed(where, PROVIDERS_KEY)
             return open_session(where, providers, threads, device_id, key=PROVIDERS_KEY)
 
-        self.name, self.sees = card.name, card.vision_encoder is not None
+        self.name, self.takes_images = card.name, card.vision_encoder is not None
         self._card, self._deadline = card, InferenceTimeout(card.name)
         self._prompter = Prompter(files)
         self._ids = self._spelled({answer for one in asked for answer in one.answers})
         self._vision: Any = None
-        if self.sees:
+        if self.takes_images:
             token = self._prompter.image_token
             self._prepare = make_prepare(files, token, card.image_tokens)
             self._vision = open_part(card.vision_encoder)
@@ -82,7 +82,7 @@ class LanguageModel:
         self._decoder = Decoder(files, open_part(card.decoder), embedding, self._deadline)
         self._kept_ids, self._kept = np.empty(0, np.int64), self._decoder.nothing
         blank = np.zeros((_BLANK_PX, _BLANK_PX, 3), np.uint8)
-        self.ask("Be brief.", blank if self.sees else "Nothing.", asked, FIRST_RUN_S)
+        self.ask("Be brief.", blank if self.takes_images else "Nothing.", asked, FIRST_RUN_S)
 
     def _spelled(self, answers: set[str]) -> dict[str, np.ndarray]:
         ordered = sorted(answers)
@@ -129,7 +129,7 @@ class LanguageModel:
         if words is None:
             picture = self._prepare(view)
             texts = [text.replace(prompter.image_token, picture.text) for text in texts]
-            features, grid = self._look(picture.feeds), picture.grid
+            features, grid = self._image_features(picture.feeds), picture.grid
         ids = [prompter.ids(text) for text in texts]
         self._check_sizes(ids, features)
         shared = min(common_prefix(ids[0], other) for other in ids)
@@ -173,7 +173,7 @@ class LanguageModel:
                 rows[here] = features[before : before + int(here.sum())]
         return rows
 
-    def _look(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
+    def _image_features(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
         """Return the (n, d) features of an image."""
         taken = {}
         for value in self._vision.get_inputs():

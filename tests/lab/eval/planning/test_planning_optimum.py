@@ -29,7 +29,7 @@ class Exploration:
 
     def __init__(self, automaton, p_obs, extra=0):
         self.a, self.p_obs = automaton, p_obs
-        self.letters = automaton.letters
+        self.letters = automaton.propositions
         subsets = chain.from_iterable(
             combinations(self.letters, r) for r in range(len(self.letters) + 1)
         )
@@ -124,7 +124,7 @@ def test_nothing_to_go_to(text, best):
 def test_looking_for_another_thing_can_be_better_luck():
     """At p_obs = 0.1 the tv's attempt, which serves nothing else, shows the chair 9 times of 10."""
     problem = problem_of("F chair & (F tv | true)")
-    letters = problem.automaton.letters
+    letters = problem.automaton.propositions
     assert letters[Optimum(problem, 0.1).choose(PlannerInput(0))] == "tv"
     assert letters[Optimum(problem, 0.5).choose(PlannerInput(0))] == "chair"
 
@@ -143,7 +143,7 @@ def test_looking_for_another_thing_can_be_better_luck():
 )  # fmt: skip
 def test_costs_are_those_of_policy_iteration(text, others, p_obs):
     problem = problem_of(text, others)
-    letters = problem.automaton.letters
+    letters = problem.automaton.propositions
     found = Optimum(problem, p_obs).value
     exact = Exploration(problem.automaton, p_obs, others).optimum()
     assert len(exact) > 0 or problem.accepting[0]

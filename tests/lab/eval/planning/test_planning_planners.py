@@ -64,7 +64,7 @@ def test_case_studies_optima_are_what_brute_force_finds():
         automaton = delexicalise(formula).automaton
         objects = propositions(formula)
         words = permutations(range(6), 3)
-        found = [w for w in words if automaton.accepts([automaton.letters[i] for i in w])]
+        found = [w for w in words if automaton.accepts([automaton.propositions[i] for i in w])]
         return {tuple(objects[i] for i in word) for word in found}
 
     assert optima(CASE_1) == {("bed", "plant", "tv"), ("plant", "bed", "tv")}

@@ -125,7 +125,7 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
             print("working", flush=True)
             time.sleep(3600)
         if __name__ == "__main__":
-            progress.ProgressBar.reach = reach
+            progress.ProgressBar.set_done = reach
             # Who was started in the background by a shell script ignores it.
             signal.signal(signal.SIGINT, signal.default_int_handler)
             args = make_parser().parse_args(["eval", "planning", *sys.argv[1:]])
