@@ -113,8 +113,7 @@ def _export(
     elif not (args.cache / fp32.file).is_file():
         raise ExportError(
             f"{args.cache / fp32.file}: no such file; give --weights FILE.pt, from which "
-            f"{fp32.name} is "
-            "made first"
+            f"{fp32.name} is made first"
         )
     return _export_derived(card, fp32, args, text)
 
@@ -237,8 +236,7 @@ def export_folder(args: argparse.Namespace) -> None:
     if kind not in FOLDERS:
         choices = ", ".join(FOLDERS)
         raise ExportError(
-            f"--weights {args.weights}: config.json: model_type {kind!r:.80} "
-            "cannot be exported "
+            f"--weights {args.weights}: config.json: model_type {kind!r:.80} cannot be exported "
             f"(choices: {choices})"
         )
     args.cache.mkdir(parents=True, exist_ok=True)
@@ -266,8 +264,7 @@ def main(argv: list[str] | None) -> None:
     parser.add_argument(
         "--weights",
         type=Path,
-        help="weights to export: a .pt file, or a model folder of "
-        "Hugging Face (default: quantize "
+        help="weights to export: a .pt file, or a model folder of Hugging Face (default: quantize "
         "the FP32 file in --cache)",
     )
     parser.add_argument(
@@ -289,8 +286,8 @@ def main(argv: list[str] | None) -> None:
     parser.add_argument(
         "--validation",
         type=Path,
-        help="folder of other images to compare the new model with its original on (default: every "
-        "fourth calibration image)",
+        help="folder of other images to compare the new model with its original on (default: "
+        "every fourth calibration image)",
     )
     parser.add_argument(
         "--vocabulary",

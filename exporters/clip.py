@@ -129,8 +129,7 @@ def _family(folder: Path) -> Family:
     if kind not in FAMILIES:
         raise ExportError(
             f"{folder}: config.json: model_type {one_line(kind)!r} has no image and text encoder "
-            "that "
-            f"can be exported (choices: {', '.join(FAMILIES)})"
+            f"that can be exported (choices: {', '.join(FAMILIES)})"
         )
     return FAMILIES[kind]
 

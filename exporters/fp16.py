@@ -26,8 +26,8 @@ def write_fp16(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe) -> None
     """Write the float16 model of `fp32` to `out`; see `to_fp16`."""
     if not feeds:
         raise ExportError(
-            "fp16: needs images to find the ranges of values; give a folder of "
-            "images (--calibration)"
+            "fp16: needs images to find the ranges of values; give a folder of images "
+            "(--calibration)"
         )
     model = onnx.load(fp32)
     with replace_atomically(out) as temporary:

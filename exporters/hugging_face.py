@@ -43,8 +43,8 @@ def model_type(folder: Path) -> str:
     found = read_json(folder / CONFIG).get("model_type")
     if not isinstance(found, str):
         raise ExportError(
-            f"{folder / CONFIG}: model_type is missing; give a model folder of "
-            "Hugging Face transformers"
+            f"{folder / CONFIG}: model_type is missing; give a model folder of Hugging Face "
+            "transformers"
         )
     return found
 
@@ -55,8 +55,7 @@ def weight_files(folder: Path) -> list[Path]:
     if not found:
         raise ExportError(
             f"{folder}: no *.safetensors; fetch the model's safetensors (a .bin file is not "
-            "opened, "
-            "because loading one can run code)"
+            "opened, because loading one can run code)"
         )
     return found
 
@@ -151,8 +150,7 @@ def check_tokens(folder: Path, tokens: Iterable[int], size: int) -> None:
     if (largest := max(tokens, default=0)) >= size:
         raise ExportError(
             f"{folder / TOKENIZER}: has a token {largest}, but the model only tokens 0 to "
-            f"{size - 1}, so "
-            "the files are of two models; fetch the folder again"
+            f"{size - 1}, so the files are of two models; fetch the folder again"
         )
 
 

@@ -121,8 +121,8 @@ def check_parity(report: ParityReport, limits: Mapping[str, float], what: str) -
     if not report.detections:
         raise ExportError(
             f"{what}: the original model detects nothing above {SCORE_THRESHOLD} in "
-            f"{report.images} "
-            "images, so the new model cannot be compared; give images that show the objects"
+            f"{report.images} images, so the new model cannot be compared; give images that show "
+            "the objects"
         )
     check_limits(report, limits, what)
 

@@ -55,9 +55,8 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
         raise ExportError(f"precision: no precision {precision!r} (choices: {choices})")
     if len(feeds) < MIN_IMAGES:
         raise ExportError(
-            f"--calibration: got {len(feeds)} images; give at least {MIN_IMAGES} from the "
-            "robot's camera "
-            "(40 or more for good scores)"
+            f"--calibration: got {len(feeds)} images; give at least {MIN_IMAGES} from the robot's "
+            "camera (40 or more for good scores)"
         )
     model = onnx.load(fp32)
     for_trt = precision == "int8-trt"

@@ -75,7 +75,6 @@ def nodes_like(model: onnx.ModelProto, patterns: tuple[str, ...]) -> list[str]:
         if not any(re.search(pattern, name) for name in names):
             raise ExportError(
                 f"FP32 model: no node has a name like {pattern}; export the model with `edge "
-                "models "
-                "export`, which keeps the module paths as node names"
+                "models export`, which keeps the module paths as node names"
             )
     return [name for name in names if any(re.search(p, name) for p in patterns)]

@@ -155,8 +155,7 @@ def load_model(folder: Path) -> tuple[nn.Module, Networks]:
     if kind not in FAMILIES:
         choices = ", ".join(FAMILIES)
         raise ExportError(
-            f"{folder}: config.json: model_type {one_line(kind)!r} cannot be "
-            "exported (choices: "
+            f"{folder}: config.json: model_type {one_line(kind)!r} cannot be exported (choices: "
             f"{choices})"
         )
     family = FAMILIES[kind]

@@ -96,9 +96,8 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
         if name in card_names() and load_card(name).derived_from != card.name:
             raise ExportError(
                 f"model {name}: a card has this name already, and is not made from {card.name}; "
-                "get that "
-                f"model with `edge models pull {name}`, or copy the card {card.name} to another "
-                "name"
+                f"get that model with `edge models pull {name}`, or copy the card {card.name} to "
+                "another name"
             )
     require_calibration(args.calibration, card.name)
     calibration, validation = pictures(args.calibration, args.validation)

@@ -75,8 +75,7 @@ def read_tables(detic: Path) -> dict[str, np.ndarray]:
         if rows.shape != (len(names), DIM):
             raise ExportError(
                 f"{path}: shape {rows.shape}, expected ({len(names)}, {DIM}) as in {file.name}; "
-                "clone Detic "
-                "again"
+                "clone Detic again"
             )
         for name, row in zip(names, rows.astype(np.float16), strict=True):
             found.setdefault(name.replace("_", " ").lower(), row)

@@ -312,8 +312,8 @@ def check_models(config: Config) -> Iterator[Finding]:
             yield from (_remote(name, server.url) for server in served)
     if away:
         what = (
-            f"{away} other models are not on this machine, and this configuration needs none "
-            "of them"
+            f"{away} other models are not on this machine, and this configuration needs none of "
+            "them"
         )
         yield Finding("ok", f"{what} (`edge models list`)")
 

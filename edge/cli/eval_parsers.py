@@ -39,20 +39,19 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--episodes", type=Path, metavar="FILE",
         help="run the episodes of this file, which --plan wrote; of this group's other options "
-        "only "
-        "--limit then has an effect",
+        "only --limit then has an effect",
     )  # fmt: skip
     option("--plan", type=Path, metavar="FILE", help="write the episodes to this file; run none")
     option(
         "--worlds", nargs="+", metavar="WORLDS",
-        help="worlds to run in: houses 0 to 74 of a ProcTHOR file (FILE.jsonl.gz[0:75]), generated "
-        "houses by seed (generated[1000:1050]), a built-in house (house:NAME) or a mesh with its "
-        "objects (MESH.glb,OBJECTS.json) (default: the configuration's sim.world)",
+        help="worlds to run in: houses 0 to 74 of a ProcTHOR file (FILE.jsonl.gz[0:75]), "
+        "generated houses by seed (generated[1000:1050]), a built-in house (house:NAME) or a mesh "
+        "with its objects (MESH.glb,OBJECTS.json) (default: the configuration's sim.world)",
     )  # fmt: skip
     option(
         "--targets", metavar="NAME,NAME,…",
-        help="objects to find; `common` means sixteen large objects of most homes; a target that a "
-        "world lacks is skipped there (default with --worlds: common)",
+        help="objects to find; `common` means sixteen large objects of most homes; a target that "
+        "a world lacks is skipped there (default with --worlds: common)",
     )  # fmt: skip
     option(
         "--starts",
@@ -76,8 +75,8 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option(
         "--moved", type=share, default=0.0, metavar="SHARE",
-        help="with --goals: share of the movable objects that are moved between two searches, "
-        "0 to 1 (default: 0)",
+        help="with --goals: share of the movable objects that are moved between two searches, 0 "
+        "to 1 (default: 0)",
     )  # fmt: skip
     task(
         "--zones", action="store_true",
@@ -100,9 +99,9 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     option = episodes.add_argument_group("arms to compare").add_argument
     option(
         "--arm", nargs="+", action="append", metavar=("NAME", "KEY=VALUE"),
-        help="variant of the configuration: its name and the keys that it changes, such as "
-        "--arm near policy.kind=nearest_frontier; may be repeated (default: only the "
-        "configuration as it is)",
+        help="variant of the configuration: its name and the keys that it changes, such as --arm "
+        "near policy.kind=nearest_frontier; may be repeated (default: only the configuration as "
+        "it is)",
     )  # fmt: skip
     option(
         "--arms", type=Path, metavar="FILE",
@@ -225,8 +224,7 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--constrain", choices=("gbnf", "guided_grammar", "none"), default="none",
         help="for --backend llm: request field that makes the server answer in the formulas' "
-        "grammar: "
-        "gbnf (llama.cpp), guided_grammar (vLLM 0.11 or newer), or none: no constraint "
+        "grammar: gbnf (llama.cpp), guided_grammar (vLLM 0.11 or newer), or none: no constraint "
         "(default: none)",
     )  # fmt: skip
     option(
@@ -241,14 +239,13 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--clean-up", type=Path, metavar="JSONL",
         help="also score Clean-up World's set, people's instructions for a robot in coloured "
-        "rooms: "
-        "its file golden.jsonl (default: skipped)",
+        "rooms: its file golden.jsonl (default: skipped)",
     )  # fmt: skip
     option(
         "--own", type=Path, metavar="TSV",
-        help="also score your own sentences: after a line of headings, each line has a sentence in "
-        "double quotes, a tab, and a JSON list of the correct formulas; [] in the list means that "
-        "a refusal is correct, too",
+        help="also score your own sentences: after a line of headings, each line has a sentence "
+        "in double quotes, a tab, and a JSON list of the correct formulas; [] in the list means "
+        "that a refusal is correct, too",
     )  # fmt: skip
     option(
         "--everyday", type=Path, metavar="JSONL",
@@ -300,9 +297,9 @@ def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
     option = trajectories.add_argument
     option(
         "places", nargs="*", default=["streets[0:200]"], metavar="PLACES",
-        help="built-in streets by number (streets[100:200] means 100 to 199; 0 to 99 were used for "
-        "tuning), kitti:FOLDER of a SemanticKITTI sequence, or house:CONFIG, a configuration with "
-        "a simulated house (default: streets[0:200])",
+        help="built-in streets by number (streets[100:200] means 100 to 199; 0 to 99 were used "
+        "for tuning), kitti:FOLDER of a SemanticKITTI sequence, or house:CONFIG, a configuration "
+        "with a simulated house (default: streets[0:200])",
     )  # fmt: skip
     option(
         "--methods", metavar="NAME;NAME;…",
@@ -336,8 +333,7 @@ def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--out", type=Path, default=Path("trajectories"), metavar="DIR",
         help="folder for outcomes.jsonl, episodes.jsonl and pictures; episodes that have an "
-        "outcome "
-        "there are not run again (default: ./%(default)s)",
+        "outcome there are not run again (default: ./%(default)s)",
     )  # fmt: skip
     trajectories.set_defaults(
         handler=lazy_handler("edge.lab.eval.trajectories.run", "run", lab=True)

@@ -197,8 +197,7 @@ def _check_there(copied: Mapping[str, Path]) -> None:
         if not os.path.isfile(path):  # unlike Path.is_file, does not raise without permission
             raise UnavailableError(
                 f"{secret}: {path}: no such file, or only root can see it; correct the path, or "
-                "run with "
-                "sudo"
+                "run with sudo"
             )
 
 

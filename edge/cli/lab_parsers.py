@@ -72,8 +72,7 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
     )
     service.add_argument(
         "--calibrate", action="store_true", help="only measure the speed of this computer, and "
-        "save "
-        "it: later budgets are scaled to it"
+        "save it: later budgets are scaled to it"
     )  # fmt: skip
     service.add_argument(
         "--recording", metavar="FILE", help="MCAP file to play (default: a simulated run, which "

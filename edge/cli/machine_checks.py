@@ -144,8 +144,8 @@ def check_shared_memory(config: Config) -> Iterator[Finding]:
         yield Finding("ok", f"shared memory: {SHM} has {size_mb} MB")
     else:
         todo = (
-            f"give {SHM} at least {MIN_SHM_MB} MB, else images may not fit "
-            "(docker run --shm-size=256m or --ipc=host)"
+            f"give {SHM} at least {MIN_SHM_MB} MB, else images may not fit (docker run "
+            "--shm-size=256m or --ipc=host)"
         )
         yield Finding("warn", f"shared memory: {SHM} has {size_mb} MB", todo)
 

@@ -117,8 +117,7 @@ def add_reading(parser) -> None:  # type: ignore[no-untyped-def]
     parser.add_argument(
         "--reading", type=count, metavar="N",
         help="for an ambiguous instruction: number of the reading to use, as `edge mission "
-        "explain` "
-        "lists them (default: refuse the instruction)",
+        "explain` lists them (default: refuse the instruction)",
     )  # fmt: skip
 
 

@@ -62,8 +62,7 @@ def _export(action: argparse.ArgumentParser) -> None:
     option(
         "--weights", type=Path, metavar="FILE",
         help="weights to export: a .pt file, or a model folder of Hugging Face (default: those "
-        "that "
-        "`edge models pull` fetched)",
+        "that `edge models pull` fetched)",
     )  # fmt: skip
     option(
         "--quantize", action="store_true",

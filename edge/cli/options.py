@@ -82,8 +82,8 @@ def require_lab() -> None:
     missing = [name for name in LAB_PACKAGES if find_spec(name) is None]
     if missing:
         raise UnavailableError(
-            f"{', '.join(missing)}: not installed, but needed by this command; run: "
-            "pip install 'edge-vln[lab]'"
+            f"{', '.join(missing)}: not installed, but needed by this command; run: pip install "
+            "'edge-vln[lab]'"
         )
 
 

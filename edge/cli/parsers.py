@@ -103,8 +103,7 @@ def _run(commands) -> None:  # type: ignore[no-untyped-def]
     install.add_argument("--name", type=unit_name, help="name of the unit (default: edge)")
     install.add_argument(
         "--user", help="user that runs the service (default: one that systemd creates, which "
-        "cannot "
-        "read home folders)"
+        "cannot read home folders)"
     )  # fmt: skip
     install.add_argument(
         "--out", metavar="FILE", help="file to write the unit to; `-` prints it (default: "
@@ -153,8 +152,8 @@ def _what(command: argparse.ArgumentParser) -> None:
 def _live(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--live", metavar="PORT", nargs="?", type=port, const=0, help="serve a live view on "
-        "this port until Ctrl-C (default port: http.port, else 7480, else a free one; default: "
-        "no live view)",
+        "this port until Ctrl-C (default port: http.port, else 7480, else a free one; default: no "
+        "live view)",
     )  # fmt: skip
     trust_option(command)
 
@@ -257,8 +256,7 @@ def _play(commands) -> None:  # type: ignore[no-untyped-def]
     pace = play.add_mutually_exclusive_group()
     pace.add_argument(
         "--rate", type=positive, default=1.0, metavar="N", help="speed of the recording: 2 means "
-        "twice "
-        "real time; late frames are dropped, as on a robot (default: %(default)g)"
+        "twice real time; late frames are dropped, as on a robot (default: %(default)g)"
     )  # fmt: skip
     pace.add_argument(
         "--fast", action="store_true", help="play as fast as possible, and drop no frame"
@@ -292,8 +290,8 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
     replay.add_argument(
         "--trust",
         action="store_true",
-        help="load the plugins and files that the recorded configuration names; plugins can do all "
-        "that you can, so use --trust only for recordings that you trust (default: refuse)",
+        help="load the plugins and files that the recorded configuration names; plugins can do "
+        "all that you can, so use --trust only for recordings that you trust (default: refuse)",
     )
     instead = replay.add_argument_group("write a file instead")
     kind = instead.add_mutually_exclusive_group()

@@ -89,8 +89,7 @@ def _family(asked: str, config: Config) -> str:
         return load_detector_card(detector.model).family
     raise UserError(
         f"{config.locate('perception.detector.kind')} is {detector.kind}, which has no model to "
-        "compare; "
-        f"give --models a family (choices: {', '.join(families()) or 'none'})"
+        f"compare; give --models a family (choices: {', '.join(families()) or 'none'})"
     )
 
 

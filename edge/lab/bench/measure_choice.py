@@ -28,9 +28,8 @@ def measure(job: ChoiceJob) -> ChoiceMeasurement:
         took_ms.append((time.perf_counter() - began) * 1e3)
         if found is None:  # no letter fits, so the image cannot be used for a comparison
             raise UserError(
-                f"image {view.observation.seq}: too small for the letters that mark "
-                "the frontiers; use "
-                "larger --images"
+                f"image {view.observation.seq}: too small for the letters that mark the "
+                "frontiers; use larger --images"
             )
         p.append([*found.p, found.elsewhere, found.scene])
     memory_mb = resident_mb() - before_mb

@@ -148,8 +148,7 @@ def run_bench(
         why = failing or ("use more --seconds" if own else "see the log")
         raise UserError(
             f"bench: measured {tick.n} ticks and {detections} detections in {seconds:g} s, needs "
-            "at "
-            f"least 1 of each: {why} (counters: {counters})"
+            f"at least 1 of each: {why} (counters: {counters})"
         )
     return {
         "table": report.table(),

@@ -99,8 +99,8 @@ def providers_here(asked: str | None) -> list[str]:
     for word in wanted:
         if word not in here:
             raise UserError(
-                f"bench --models: --providers: {word!r} is not available on this machine (choices: "
-                f"{', '.join(here)})"
+                f"bench --models: --providers: {word!r} is not available on this machine "
+                f"(choices: {', '.join(here)})"
             )
     return wanted
 

@@ -231,9 +231,8 @@ class GroundTruthReader:
                 break
             if time.monotonic() > until_s:
                 raise UserError(
-                    f"the simulator sent no ground truth for t = {stamp_ns * 1e-9:.2f} s; see "
-                    "the log "
-                    "above"
+                    f"the simulator sent no ground truth for t = {stamp_ns * 1e-9:.2f} s; see the "
+                    "log above"
                 )
             time.sleep(_POLL_S)
         data = self._heard[stamp_ns]

@@ -183,8 +183,7 @@ def plan(
     if targets and not episodes:
         raise UserError(
             f"no world has a start {min_distance_m:g} m or more of driving from one of the "
-            "targets; "
-            "choose other --targets or a smaller --min-distance"
+            "targets; choose other --targets or a smaller --min-distance"
         )
     return episodes
 
@@ -274,9 +273,9 @@ def _in_world(
                 found.append(make_episode(section, world.name, start, shortest_m, sensing, target))
         if strict and len(found) < starts:
             raise UserError(
-                f"world {world.name}: only {len(found)} of {starts} starts are "
-                f"{min_distance_m:g} m or "
-                f"more of driving from a {target}; give fewer --starts or a smaller --min-distance"
+                f"world {world.name}: only {len(found)} of {starts} starts are {min_distance_m:g} "
+                f"m or more of driving from a {target}; give fewer --starts or a smaller "
+                "--min-distance"
             )
         episodes += found
     return episodes
@@ -313,8 +312,7 @@ def read(path: Path) -> list[Episode]:
         lines = read_regular(path, MAX_BYTES).splitlines()
     except OSError as error:
         raise FileError(
-            f"{path}: cannot be read: {error.strerror or error}; `edge eval episodes "
-            "--plan FILE` "
+            f"{path}: cannot be read: {error.strerror or error}; `edge eval episodes --plan FILE` "
             "writes such a file"
         ) from None
     episodes: dict[str, Episode] = {}
@@ -331,8 +329,7 @@ def read(path: Path) -> list[Episode]:
             ) from None
         if episode.id in episodes:
             raise UserError(
-                f"{path}: line {number}: an earlier line has the same id "
-                f"{one_line(episode.id)}; "
+                f"{path}: line {number}: an earlier line has the same id {one_line(episode.id)}; "
                 "remove one of the lines"
             )
         episodes[episode.id] = episode

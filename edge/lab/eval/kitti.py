@@ -139,9 +139,8 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
         label = _array(folder / "labels" / f"{number:06d}.label", np.uint32, 1)
     if len(scan) != len(label):
         raise KittiError(
-            f"{folder}: frame {number}: {len(scan)} points but {len(label)} labels; "
-            "fetch both files "
-            "again"
+            f"{folder}: frame {number}: {len(scan)} points but {len(label)} labels; fetch both "
+            "files again"
         )
     fine = plausible_points(scan[:, :3])
     scan, label = scan[fine], label[fine]
@@ -359,9 +358,8 @@ def _bytes(path: Path) -> bytes:
         return read_regular(path)
     except OSError as error:
         raise KittiError(
-            f"{path}: cannot be read: {error.strerror or error}; give the folder of "
-            "a SemanticKITTI "
-            "sequence"
+            f"{path}: cannot be read: {error.strerror or error}; give the folder of a "
+            "SemanticKITTI sequence"
         ) from None
 
 
@@ -369,9 +367,8 @@ def _array(path: Path, of: type, columns: int) -> np.ndarray:
     data = _bytes(path)
     if len(data) % (columns * np.dtype(of).itemsize):
         raise KittiError(
-            f"{path}: {len(data)} bytes are not a multiple of {columns} "
-            f"{np.dtype(of)} values; fetch the "
-            "file again"
+            f"{path}: {len(data)} bytes are not a multiple of {columns} {np.dtype(of)} values; "
+            "fetch the file again"
         )
     return np.frombuffer(data, of)
 

@@ -93,8 +93,8 @@ def plan_sessions(
     if not sessions:
         raise UserError(
             f"no world has {count} of the targets, each {min_distance_m:g} m or more of driving "
-            "from "
-            "the one before; choose other --targets, fewer --goals or a smaller --min-distance"
+            "from the one before; choose other --targets, fewer --goals or a smaller "
+            "--min-distance"
         )
     return sessions
 
@@ -214,9 +214,8 @@ class _Session:
     def _move(self, number: int) -> None:
         if not isinstance(self._world, BoxWorld):
             raise UserError(
-                f"--moved: objects of the world {self._world.name} cannot be moved; "
-                "use houses (house, "
-                "generated or ProcTHOR)"
+                f"--moved: objects of the world {self._world.name} cannot be moved; use houses "
+                "(house, generated or ProcTHOR)"
             )
         pose = self.loop.drive.motion.pose
         rng = np.random.default_rng([number, *self._episode.id.encode()])

@@ -128,9 +128,8 @@ def load_house(section: WorldHouse, config: Config) -> BoxWorld:
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in HOUSES.glob("*.json")))
         raise WorldError(
-            f"{config.locate('sim.world.house')}: no file {path}; give a house file, or "
-            "a built-in house "
-            f"({choices})"
+            f"{config.locate('sim.world.house')}: no file {path}; give a house file, or a "
+            f"built-in house ({choices})"
         )
     return build_house(read_house(path), config)
 

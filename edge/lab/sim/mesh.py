@@ -55,7 +55,8 @@ def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
         from embreex import rtcore_scene  # noqa: F401
     except ImportError as error:
         raise WorldError(
-            f"{config.locate('sim.world.kind')}: mesh needs {error.name}, which is not installed; run: "
+            f"{config.locate('sim.world.kind')}: mesh needs {error.name}, which is not "
+            "installed; run: "
             "pip install 'edge-vln[worlds]' (x86_64 only), or choose another kind, such as house"
         ) from None
     path = resources.expand(section.mesh)

@@ -58,8 +58,8 @@ class DriveTrain:
         if clearance < robot.radius_m:
             raise WorldError(
                 f"sim.start: ({start.x_m:.2f}, {start.y_m:.2f}) m in {world.name} is "
-                f"{clearance:.2f} m "
-                f"from an obstacle, but the robot needs {robot.radius_m} m; choose another start"
+                f"{clearance:.2f} m from an obstacle, but the robot needs {robot.radius_m} m; "
+                "choose another start"
             )
         rng = np.random.default_rng(sim.seed)
         self._robot, self._world = robot, world

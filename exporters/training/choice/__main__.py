@@ -89,8 +89,7 @@ def _train(args: argparse.Namespace) -> None:
     if max(houses) >= HELD_OUT or min(measured) < HELD_OUT:
         raise ExportError(
             f"--houses, --held-out: got seeds up to {max(houses)} and from {min(measured)}; "
-            "--houses "
-            f"takes seeds below {HELD_OUT}, --held-out the others"
+            f"--houses takes seeds below {HELD_OUT}, --held-out the others"
         )
     paths = make_views(houses, args.out / "views", args.cores)
     make_views(measured, args.out / "held-out", args.cores)

@@ -140,8 +140,7 @@ def held_out(net: ChoiceNet, trunk: Trunk, model: Path, paths: list[Path]) -> di
     if off > MAX_LOGIT_ERROR:
         raise ExportError(
             f"{model}: not published: logits of the ONNX file differ by {off:.3f} from the "
-            "network's, "
-            f"allowed {MAX_LOGIT_ERROR:g}"
+            f"network's, allowed {MAX_LOGIT_ERROR:g}"
         )
     return {
         "first_seed": int(views.house.min()), "houses": len(set(views.house.tolist())),

@@ -112,8 +112,7 @@ def read(path: Path) -> list[Record]:
     except OSError as error:
         raise FileError(
             f"{path}: cannot be read: {error.strerror or error}; `edge eval episodes --out DIR` "
-            "writes "
-            "this file"
+            "writes this file"
         ) from None
     records = []
     for number, line in enumerate(content.split(b"\n")[:-1], start=1):

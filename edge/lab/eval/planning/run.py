@@ -71,8 +71,7 @@ def _report(
     except OSError as error:
         raise FileError(
             f"--out {out}: files cannot be written: {error.strerror}; the table above is "
-            "complete; for "
-            "the files, run again with another folder"
+            "complete; for the files, run again with another folder"
         ) from None
     print("\n".join(map(str, paths)))
     print(f"{seconds:.0f} s")

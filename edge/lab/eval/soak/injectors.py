@@ -103,8 +103,8 @@ def model_signalled(number: int) -> Injector:
         process = stage.model_process()
         if process is None:
             raise UserError(
-                "the model of the service has no process of its own; set "
-                "perception.isolation to process"
+                "the model of the service has no process of its own; set perception.isolation to "
+                "process"
             )
         os.kill(process.pid, number)
         yield from hold_until_end()

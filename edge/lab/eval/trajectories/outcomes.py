@@ -213,9 +213,8 @@ def gather(
     for outcome in outcomes:
         if outcome.episode not in by_id:
             raise UserError(
-                f"{EPISODES_NAME}: the episode {outcome.episode} is missing, but has "
-                "an outcome; choose "
-                "another --out"
+                f"{EPISODES_NAME}: the episode {outcome.episode} is missing, but has an outcome; "
+                "choose another --out"
             )
         at[row[_name(outcome, several)], column[outcome.episode]] = outcome
     shape = len(names), len(ids)

@@ -108,7 +108,8 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
     config = config.model_copy(update={"sim": sim})
     if config.sensors.lidar is None:
         raise SceneCaptureError(
-            f"{config.locate('sensors.lidar')}: missing, but street:N needs a LiDAR; add this section"
+            f"{config.locate('sensors.lidar')}: missing, but street:N needs a LiDAR; add this "
+            "section"
         )
     world = load_world(config)
     camera, lidar = CameraRig(config, world), LidarRig(config, world)
@@ -171,7 +172,8 @@ def detector_pipeline(
     words = tuple(words) or tuple(detector.background or ())[:1]
     if not words:
         raise SceneCaptureError(
-            f"{config.locate('perception.detector.background')}: empty; give names of objects to detect"
+            f"{config.locate('perception.detector.background')}: empty; give names of objects to "
+            "detect"
         )
     with open_pipeline(config.perception, words, truth) as pipeline:
         yield pipeline, detector.model if detector.kind == "onnx" else "the simulated detector"
