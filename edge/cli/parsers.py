@@ -225,8 +225,7 @@ def _fleet(commands) -> None:  # type: ignore[no-untyped-def]
     router.add_argument("endpoint", nargs="?", default="tcp/127.0.0.1:7447",
                         help="Zenoh endpoint to listen on (default: %(default)s)")  # fmt: skip
     router.add_argument("--file", metavar="FILE", help="Zenoh's own configuration file (JSON5), "
-    "such as "
-                        "config/secure/fleet-router.json5")  # fmt: skip
+                        "such as config/secure/fleet-router.json5")  # fmt: skip
     router.set_defaults(handler=lazy_handler("edge.cli.fleet", "route"))
 
 
