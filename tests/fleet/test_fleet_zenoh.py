@@ -111,7 +111,7 @@ def targets(*robots: FakeRobot) -> set[str]:
 
 def test_nobody_is_there(port, capsys):
     assert main(["fleet", "list", f"tcp/127.0.0.1:{port}"]) == 0
-    assert capsys.readouterr().out == "no robot found (at robots/*)\n"
+    assert capsys.readouterr().out == "no robot found (Zenoh keys robots/*)\n"
     assert main(["mission", "pause", "--fleet", f"tcp/127.0.0.1:{port}"]) == 69
 
 

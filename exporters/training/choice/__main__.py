@@ -47,8 +47,8 @@ def main(argv: list[str] | None) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, help="folder for images and weights (required)"
     )
-    parser.add_argument("--models", type=Path, default=Path("models"), help="folder for the model file "
-                        "and its card (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--models", type=Path, default=Path("models"), help="folder for the model "
+                        "file and its card (default: %(default)s)")  # fmt: skip
     parser.add_argument(
         "--seed", type=int, default=SEED, help="seed of the training (default: %(default)s)"
     )
