@@ -16,6 +16,7 @@ from edge.mission.language.everyday_words import (
     AFTER_A_NAME,
     ARTICLE,
     NAME,
+    NOWHERE,
     any_of,
     bare,
     is_room,
@@ -156,11 +157,6 @@ _PERMITS = re.compile(
     rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
     re.I,
 )
-_NOWHERE = nouns.listed(
-    """way foot own order point least most floor floors last path road route place places spot area
-    position location side one ones bit moment while"""
-)
-"""Words that name no object in "at some point", "on the way", "a place near the door"."""
 _RELATIONS = {
     "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
     "beside of": "beside", "behind of": "behind",
@@ -333,7 +329,7 @@ def _checked(found: re.Match[str]) -> str | None:
     if not slots.get("relation") and found[0].rstrip().endswith(found["thing"]):
         known = is_marked(thing) or nouns.unknown_in(thing.split()) is None
         named = known or re.match(r"(?!any|some)\w+ ", found["thing"][: -len(thing)])
-        nowhere = thing.startswith("rooms ") or thing.split()[-1] in _NOWHERE
+        nowhere = thing.startswith("rooms ") or thing.split()[-1] in NOWHERE
         if is_room(thing) or nowhere or not named:
             return None  # "check the kitchen" is no check of a thing, nor "check for any messages"
     if slots.get("into") and not is_room(bare(slots["into"])):
@@ -359,7 +355,7 @@ def _where(relation: str | None, anchor: str | None, other: str | None = None) -
     )
     verb = name == anchor.lower() and TABLE.get((words[0],)) == "verb" and len(words) > 1
     bare_by = relation == "by" and name == anchor.lower() and not is_marked(name)  # "by bus"
-    if idiom or verb or bare_by or is_vague(anchor) or words[-1] in _NOWHERE:
+    if idiom or verb or bare_by or is_vague(anchor) or words[-1] in NOWHERE:
         return None  # "at some point", "by passing the desk"
     if names.number(words) is not None:
         return None  # "between the two"
@@ -459,7 +455,7 @@ def _related(found: re.Match[str]) -> str | None:
     if not articled and (nouns.unknown_in(words) is not None or not led):
         return None  # "park at the dock": a verb, no thing
     if (
-        words[-1] in _NOWHERE
+        words[-1] in NOWHERE
         or (is_vague(" ".join(words)) and relation != "with")
         or (is_room(bare(thing)) and relation in ("by", "near", "at"))
     ):

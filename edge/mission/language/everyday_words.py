@@ -184,7 +184,7 @@ _ENDS_A_NAME = """
     between close nearest closest across top front look be me us him this how why standing
     sitting lying hanging it's already same order everywhere somewhere thing right yet like
     the a an my our your his her their those these some last lately recently earlier kept located
-    gone exactly been
+    gone exactly been ever always forever
     """
 AFTER_A_NAME = f"(?:{'|'.join(_ENDS_A_NAME.split())})"
 """Regular expression for a word that no name has."""
@@ -240,6 +240,11 @@ _STATES = nouns.listed(
     dangerous far near close alone warm cold hot dry wet missing awake asleep charged running
     working okay ok"""
 )
+NOWHERE = nouns.listed(
+    """way foot own order point least most floor floors last path road route place places spot area
+    position location side one ones bit moment while"""
+)
+"""Words that name no object in "at some point", "on the way", "a place near the door"."""
 _UNNAMED = {
     "no", "other", "another", "same", "every", "each", "all", "both", "anything", "something",
     "very", "really", "quite",

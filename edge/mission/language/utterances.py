@@ -21,11 +21,14 @@ PARTS = {
     "you": "[did|have|had|has|do] (you|the robot|anyone|anybody) "
            "[have|had|did|ever|already|just|last|recently|by [any] chance|maybe|happen to]*",
     "tell": """
-        [can you|could you] [please] (tell me|say [me]|know|show me|do you (know|remember)|you know|
-        [i wonder|any idea|i want to know|remind me|you remember|do you happen to know|
+        [(when|while|as) you (came|went|were|drove|passed|looked|got|walked) [past|by|through|
+            around|about|there|in there|out|last|earlier|this way|over there]*]
+        [can you|could you] [please] (tell me|say [me]|know|show me|do you [still] (know|remember)|you know|
+        [i wonder|any idea|i want to know|remind me|you remember|do you happen to (know|remember)|
         have you any idea])
         """,
-    "in": "[anywhere|somewhere|still|left]* [on your map|in your memory|<relation> <anchor>]",
+    "in": "[anywhere|somewhere|still|left]* [on your (map|way|tour|rounds|trip)|in your memory|"
+          "<relation> <anchor> [in <within>]]",
     # Orders to learn.
     "here": """
         ((the|this) (spot|place|position|location|point|corner)|this|here|it|where (you|we) are|
@@ -60,7 +63,7 @@ PARTS = {
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
         """,
     "while": """
-        [, [and|so] (for (now|today|me|us|good|ever)|from now on|anymore|any more|again|ever|at all|
+        [, [and|so] (not ever|for (now|today|me|us|good|ever)|from now on|anymore|any more|again|ever|at all|
         now|always|today|at the moment|no matter what|any longer|okay|alone|under any circumstances|
         until (further notice|tomorrow|tonight|later)|
         [until|while|because|since|as|as long as] (i|we|he|she|they|it|there|people|someone|
@@ -83,7 +86,7 @@ PARTS = {
         [, [and] ((until|while|because|so) (i|we|he|she|they|it|someone|somebody|you hear) ...|
         for (me|us|him|her|them)|until (further notice|then)|then (go on|continue)|
         (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would|come|go) ...|
-        there (is|are) ...)]
+        there (is|are) ...|let <thing> (through|past|by|pass|in|out))]
         """,
 }  # fmt: skip
 
@@ -118,7 +121,7 @@ QUESTIONS = {
     "where": """
         {tell} (where|whereabouts) [exactly|on earth|in the world] (is|are|was|were|have|has|did|do|
             stands|lies|sits)
-            [the (nearest|closest)] <thing> [is|are|was|were] {last}
+            [it|they] [the (nearest|closest)] <thing> [is|are|was|were] {last}
         {tell} where <thing> (is|are|was|were|has|have) {last}
         {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
         {tell} where [on earth|in the world|ever] [did|have|had] (i|we) [have|had|did]
@@ -141,7 +144,8 @@ QUESTIONS = {
         {tell} {you} {seen} [any|of|already]* <thing>
             {in} {last}
         (seen|spotted|noticed) [any|of|already]* <thing> {in} {last}
-        {tell} [is|was|are|were] there <thing> {in} {last}
+        {tell} [is|was|are|were] there [still|really|already] <thing> {in} {last}
+        any <thing> <relation> <anchor> {last}
         (do you know if|do you know whether) there (is|are) <thing> {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
             <thing> {in} {last}
@@ -272,16 +276,17 @@ CONTROL = {
 }
 """`do` of `Control` → its templates."""
 
-REASONS = """
-    [because|cause|since|as|so|and] (i|we|he|she|somebody|someone|people)
-            (am|is|are|was|were|have|has|had|will|got|just|heard|lost|saw|left|tore|think|feel|know|
-            do not|did not|can not|finished|moved|do|did|hear|see) ...
+IDIOMS = """
     [it|that] [is|makes] (all|no)* [the] (same|one|difference) [for me|for us|to me|to us]
     (no worries|no problem|no hurry|no rush|as you like|as you wish)
     do not (mind|worry about|bother about) (me|us|him|her|it|them)
     (i|we) [have] changed (my|our) mind
-    <thing> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
     you are doing (well|great|fine|good) ...
+    you are [going to be] (a|an|the|my|our) <thing>
+    you are (a|an|the|my|our) <thing> [now|today]
+    let us play [a game|<thing>]
+    [and|then|after that]* you are (done|finished|free)
+    (that|this) is (quite|more than)* (enough|all|it) [for (now|today)]
     [it] does not matter [to me|to us] [which|which one]
     you (pick|choose|decide)
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
@@ -289,8 +294,25 @@ REASONS = """
             emergency|hot|wet|dangerous|there anymore|busy|there any more|loud|nap time|bedtime|fun)
     (you|it) (are|will|is|would) [going to|not] (run into|bump into|hit|crash|squash|break|hurt|
             scare|fall|knock|crush|wake|in the way|in my way|too (fast|loud|close)) ...
+    [so|so that] you (know|learn|remember|will know|get to know) (what|who|where|your|the place|
+            the house|this place) ...
+    [for|in order] to (know|learn|get to know) (it|them|everything|the place|the house)
 """
-"""Clauses that only say why; see `tidy.is_reason` for words that none of them has."""
+"""Whole clauses that give no order."""
+REMARKS = """
+    [because|cause|since|as|so|and|while] (i|we|he|she|they|somebody|someone|people|
+            (my|our) <thing>) [have|has|had|am|are|is|was|were|will|can|could|just|only|
+            always|really|still|already|do not|did not|can not|could not|have not|has not|think]*
+            (am|is|are|was|were|have|has|had|got|just|heard|hear|lost|saw|see|left|tore|think|feel|
+            know|finished|moved|do|did|mopped|cleaned|washed|forgot|get|thought|will|<done>) ...
+    [because|cause|since|as|so|and] there (is|are|was|were) ...
+    <thing> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
+    [because|cause|since|as|so|and] <thing> (is|are|was|were) [still|so|very|all|just|too|now|being|
+            really|a bit|already]* (wet|dirty|asleep|sick|ill|tired|noisy|hot|cold|dark|busy|late|
+            upset|scared|slippery|hungry|sad|happy|sleeping|working|eating|cooking|resting|waiting)
+            ...
+"""
+"""Statements that give no order if no word of theirs directs the robot; see `remarks.is_remark`."""
 ASSENTS = """
     (it|that|this) is (all right|alright|okay|ok|fine|safe) [now|again]*
     (all|everything) [is] (clear|good|fine|safe|quiet|over) [now|again]*

@@ -1,0 +1,61 @@
+"""Recognition of remarks: clauses that give no order, such as "I heard a noise"."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+
+from edge.mission.language.everyday_words import ARTICLE
+from edge.mission.language.lexicon import PAST, TABLE
+from edge.mission.language.templates import compiled, first_match
+from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
+
+_DIRECTS = re.compile(
+    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! just)|except|unless|if|until|"
+    r"before|after|instead|but|first|second|third|next|last|then|avoid|never|allow|allowed|"
+    r"forbid|forbidden|prefer|mean|meant|hope|expect|insist|order|ask|tell|call|called|name|"
+    r"named|remember|it|them|find|limits|bounds|closed|taboo|private|go|stay|keep|you|"
+    r"no|none|nobody|nothing|without)\b|"
+    r"(?<!do )(?<!did )(?<!can )(?<!could )(?<!have )(?<!has )\bnot\b",
+    re.I,
+)
+"""Words that may change an order, so a clause with one of them is no mere remark."""
+_NAMED = re.compile(rf"{ARTICLE}$", re.I)
+SUBORDINATE = (
+    r"(?<!soon)(?<!far)(?<!long) (?=(?:because|cause|since|while|as|so|so that) "
+    r"(?:i|we|he|she|they|somebody|someone|people|there|my \w+|our \w+)\b|"
+    r"(?:so|so that) you (?:know|learn|remember|will know|get to know)\b|"
+    r"(?:for|in order) to (?:know|learn|get to know) )"
+)
+"""Regular expression for the space before a clause of reason without a comma."""
+
+
+def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:
+    """Return True for a clause that gives no order: "I heard a noise".
+
+    Args:
+        clause: no other text.
+        states: True if "the isolation is over" is one, too.
+        first: True if the clause begins the text, where "all clear" is one, too.
+    """
+    if first_match(_templates(IDIOMS + ASSENTS * first), clause) is not None:
+        return True
+    if _DIRECTS.search(clause) or _has_order(clause.lower().split()):
+        return False
+    return first_match(_templates(REMARKS + STATES * states), clause) is not None
+
+
+def _has_order(words: list[str]) -> bool:
+    """Return True if a verb in its base form comes that is no noun: "go", not "a walk"."""
+    return any(
+        TABLE.get((word,)) in ("verb", "avoid")
+        and word not in PAST
+        and not word.endswith(("ed", "ing"))
+        and not _NAMED.match(before)
+        for before, word in zip(["", *words], words, strict=False)
+    )
+
+
+@lru_cache(maxsize=8)
+def _templates(rows: str) -> list[re.Pattern[str]]:
+    return compiled(rows, {})
