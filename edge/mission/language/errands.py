@@ -15,8 +15,10 @@ from edge.mission.language.errand_parts import PARTS
 from edge.mission.language.everyday_words import (
     AFTER_A_NAME,
     ARTICLE,
+    MARK,
     NAME,
     NOWHERE,
+    PLAIN_NAME,
     any_of,
     bare,
     is_room,
@@ -95,10 +97,12 @@ _PATROLS = compiled(
     {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
     {patrol} <stops> , <often>
     {patrol} <stops> , [for|during] <span> [long]
-    {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|
-            all (day|night|the time))
+    {patrol} <stops> , [over and over|again and again|[and] (keep (going|on|driving)|carry on|
+            repeat|do not stop) [it|that]]* (forever|until (told|further notice)|
+            until (i|we|you hear) ...|all (day|night|the time)|over and over [again]|
+            again and again)
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
-    (do|make|drive|go|run|walk) <count> {rounds} (of|between|around|through|from|in) <stops>
+    (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
     """,
     PARTS,
 )
@@ -112,7 +116,7 @@ _ERRAND_AND_BACK = compiled(
 )
 _STARTS = compiled(
     """
-    {then} (come|go|get|drive|head|run|return|move) [back|home]* to {home}
+    {then} ((come|go|get|drive|head|run|return|move) [back|home]*|back) to {home}
     {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
             (start|starting) (point|place|position|pose|spot))
     """,
@@ -122,7 +126,11 @@ _BACK_TO = compiled(
     "{then} (return|[come|go|get|drive|head|run|move|be] [straight|right] back) to <thing>",
     PARTS,
 )
-_CALLS = compiled("(come|drive|get|move|roll) [over|right|up]* (here|to me|to us|over here)", PARTS)
+_CALLS = compiled(
+    "[over here [mate|robot|to me|to us] ,] (come|drive|get|move|roll) [over|right|up|here]* "
+    "(here|to me|to us)",
+    PARTS,
+)
 _BACKS = compiled("{then} {back}", PARTS)
 _WAITS = compiled(
     """
@@ -137,7 +145,7 @@ _WAITS = compiled(
 )
 _RELATED = re.compile(
     rf" (?P<thing>{NAME})(?: {any_of('standing')})? (?P<relation>{any_of('relation')})"
-    rf" (?P<anchor>{NAME})(?: and (?P<other>(?:the|a) {NAME})"
+    rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?: and (?P<other>(?:the|a) {NAME})"
     rf"| or (?:(?P<again>{any_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
     re.I,
 )
@@ -145,8 +153,24 @@ _INTRODUCED = re.compile(
     r"^ (?:there (?:is|are)|(?:we|i) (?:need|want|am looking for|can not find|"
     r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten))) "
     rf"(?P<thing>{NAME})(?: {any_of('standing')})?(?: (?P<relation>{any_of('relation')}) "
-    rf"(?P<anchor>{NAME}))?(?: somewhere)?(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
+    rf"(?P<anchor>{NAME}))?(?: (?:somewhere|anywhere))?(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
     r"(?:so |please |and )*(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
+    re.I,
+)
+_FIND = rf"(?:{any_of('find')}|find|get to|go to|locate)"
+_HINTED = re.compile(
+    rf"(?P<order> {_FIND}) (?P<thing>{NAME})[,.;] (?:and |i think )?(?:it|they)"
+    rf" (?:is|are|(?:should|must|will) be)(?: {any_of('standing')})? (?P<relation>"
+    rf"{any_of('relation')}) (?P<anchor>{NAME}){END}",
+    re.I,
+)
+_WANTED_FOUND = re.compile(
+    rf"^ (?:i|we) (?:need|want|would like) (?P<thing>(?:(?!{ARTICLE} ){NAME}|{NAME})(?: {any_of('relation')} {NAME})?)"
+    r" (?:to be )?found(?=[.!]*$)",
+    re.I,
+)
+_NEAREST = re.compile(
+    rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME}) (?:to|from|of) (?P<anchor>{NAME}){END}",
     re.I,
 )
 _ROOM_WITH = re.compile(
@@ -174,6 +198,10 @@ _NUMBERED = re.compile(
 )
 _PLAINER = (
     (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
+    (re.compile(r",? (?:and )?(?:(?:after|afterwards|then) (?:in|into)|at the end (?:in|into|to))"
+                rf" (?={ARTICLE} |{any_of('room')}\b|{MARK})", re.I), ", then to "),
+    (re.compile(r"\b(rounds|laps|loops|circles|tours|times):(?= )", re.I), r"\1,"),
+    (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
     (re.compile(r", after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
@@ -252,6 +280,9 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         text = pattern.sub(plain, text)
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
         ([_INTRODUCED], _introduced),
+        ([_HINTED], _hinted),
+        ([_WANTED_FOUND], lambda found: f" find {found['thing']}"),
+        ([_NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
         (_SEARCHES, _searched),
         (_PATROLS, _rounds),
         (_ROUNDS_FIRST, lambda found: None if found.start() else _rounds(found)),
@@ -313,6 +344,12 @@ def _introduced(found: re.Match[str]) -> str | None:
     return None if where is None else f" {found['order']} the {bare(found['thing'])}{where}"
 
 
+def _hinted(found: re.Match[str]) -> str | None:
+    """Return "find the mug, it should be on the desk" as the order to find the mug on the desk."""
+    where = _where(found["relation"], found["anchor"])
+    return None if where is None else f"{found['order']} the {bare(found['thing'])}{where}"
+
+
 def _searched(found: re.Match[str]) -> str | None:
     room = found.groupdict().get("room") or ""
     if (room and not is_room(bare(room))) or is_vague(found["thing"]):
@@ -338,6 +375,10 @@ def _checked(found: re.Match[str]) -> str | None:
         where = _where("in", slots.get("room") or slots["into"])
     else:
         where = _where(slots.get("relation"), slots.get("anchor"))
+    if slots.get("within"):
+        if where is None or not is_room(bare(slots["within"])):
+            return None
+        where += _where("in", slots["within"]) or ""
     if re.match(r" (?!and |then |but |when |while |in order )\w", found.string[found.end() :]):
         return None  # "check if the heater is on"
     return None if where is None else _go_to(f"{CHECK} {thing}{where}", found)
@@ -464,8 +505,10 @@ def _related(found: re.Match[str]) -> str | None:
         return None
     other = slots.get("other") if relation == "between" else None
     where = _where(relation, found["anchor"], other)
-    if where is None:
+    within = slots.get("within")
+    if where is None or (within and not is_room(bare(within.split(" ", 2)[2]))):
         return None
+    where += _where("in", within.split(" ", 2)[2]) or "" if within else ""
     rest = f" and {slots['other']}" if slots.get("other") and not other else ""
     name = bare(" ".join(words))
     if slots.get("else"):

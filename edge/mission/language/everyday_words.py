@@ -111,7 +111,7 @@ _ROWS: dict[str, str] = {
         back (in|into|to); make your way (over|back|) (to|into); get yourself (over|back|)
         (to|into);
         bring yourself (over|back|) to; report (to|at); head (back|over|) (for|towards); make for;
-        set off (for|to); show up (at|in); be off to; drop (in|) (at|by|into);
+        set off (for|to); show up (at|in); (go|drive|come) (as far as|until); be off to; drop (in|) (at|by|into);
         i need you (over|) (in|at|to); you are needed (in|at); (park|sleep|rest|charge|recharge)
         (yourself|) (at|in|on|by|near|next to); present yourself at; position yourself (at|in|by);
         place yourself (at|in|by); put yourself (at|in|by); get (over|back|) to; go and stand
@@ -132,7 +132,7 @@ _ROWS: dict[str, str] = {
     # What a robot with wheels, a camera and text cannot do: the beginning of a clause.
     # Verbs of carrying and handing, which are no order to drive to the thing.
     "carry": """
-        bring; fetch; carry; grab; lift; hold; hand; give; pass (me|us|him|her|it|them); pick; take;
+        bring; fetch; carry; grab; lift; hold; hand; open; close; shut; lock; unlock; give; pass (me|us|him|her|it|them); pick; take;
         deliver; collect; load; unload; throw; put; place; drop; move; push; pull; drag; pour;
         plug; unplug; make (me|us); get (me|us|the|my|a|an|some|that|it|them); serve; tow; stack;
         fold; build; shake; cut; charge my; hug; help me; cook;
@@ -140,7 +140,7 @@ _ROWS: dict[str, str] = {
     """,
     # Verbs of work at a thing: the robot drives there.
     "work": """
-        sweep; open; close; shut; lock; unlock; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
+        sweep; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
         feed; iron; water; empty; fill; (switch|turn) (on|off|up|down); knock; fix; repair; sort
     """,
     "talk": """
@@ -186,7 +186,9 @@ _ENDS_A_NAME = """
     the a an my our your his her their those these some last lately recently earlier kept located
     gone exactly been ever always forever
     """
-AFTER_A_NAME = f"(?:{'|'.join(_ENDS_A_NAME.split())})"
+AFTER_A_NAME = (
+    f"(?:{'|'.join(_ENDS_A_NAME.split())}|left(?= (?:on|in|under|at|by|near|next|behind|inside) ))"
+)
 """Regular expression for a word that no name has."""
 
 

@@ -141,6 +141,13 @@ def understand(said: str, sites: Collection[str] = ()) -> Said:
     whole = _plain(speech.text)
     if (found := _classified(whole, sites)) is not None:
         return found
+    question, _, order = speech.text.partition("?")
+    if _LOOK.fullmatch(stripped(order)):
+        asked_for = _classified(_plain(f"{question}?"), sites)
+        if isinstance(asked_for, MemoryQuestion) and asked_for.topic == "exists":
+            thing, room = asked_for.about, asked_for.room
+            check = f"check if there is a {thing}{f' in the {room}' * bool(room)}"
+            return MissionOrder(replace(speech, text=check))
     pieces = [stripped(piece) for piece in re.split(r"[.!?;,]+(?: |$)", speech.text)]
     pieces = [piece for piece in pieces if piece and not is_remark(piece, states=True)]
     kinds = [_classified(_plain(piece), sites) for piece in pieces]
@@ -149,11 +156,6 @@ def understand(said: str, sites: Collection[str] = ()) -> Said:
         return MissionOrder(speech)
     if None not in kinds and all(one == orders[0] for one in orders):
         return orders[0]
-    if len(pieces) == 2 and isinstance(kinds[0], MemoryQuestion) and _LOOK.fullmatch(pieces[1]):
-        thing, room = kinds[0].about, kinds[0].room
-        order = f"check if there is a {thing}{f' in the {room}' * bool(room)}"
-        if kinds[0].topic == "exists":
-            return MissionOrder(replace(speech, text=order))
     asked = [one for one in orders if isinstance(one, MemoryQuestion)]
     if len(asked) == len(kinds) == 2 and asked[1].about in ("", "it", "them"):
         return asked[0]
