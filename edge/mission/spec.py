@@ -102,6 +102,10 @@ class MissionSpec:
         return tuple(lines)
 
 
+_SMALL_WORDS = frozenset("the next near room and for from here there with wait".split())
+"""Words of names that say nothing about the thing."""
+
+
 def prepare(
     config: MissionConfig,
     instruction: str | None = None,
@@ -193,12 +197,23 @@ def translate(
     if letters == {"a"} and '"a"' not in text:
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
+    for reason in said.speech.reasons:
+        if shared := _shared_word(reason, translation.formula):
+            hint = f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
+            raise UnclearError(f"instruction: {one_line(reason)!r}: {hint}", reason)
     english = translation.english
     if unused := "; ".join(f"'{one_line(reason)}'" for reason in said.speech.reasons):
         english += f" (Not part of the order: {unused}.)"
     if asks_for_work(said.speech.text):
         english += " (The robot has no arms: it only drives there.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)
+
+
+def _shared_word(remark: str, formula: Formula) -> str:
+    """Return a word that a remark shares with a target or a ban; "" if there is none."""
+    targets = " ".join(ltl.propositions(formula)).lower()
+    spoken = set(re.findall(r"[a-z]{3,}", remark.lower())) - _SMALL_WORDS
+    return next((word for word in re.findall(r"[a-z]{3,}", targets) if word in spoken), "")
 
 
 def _is_read(instruction: str) -> bool:

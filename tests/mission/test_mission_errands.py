@@ -118,6 +118,7 @@ def test_an_errand_is_spelled_out(said, plain):
     ("said", "hint"),
     [
         ("bring me the mug", "no arms"),
+        ("open me the window", "no arms"),
         ("go to the kitchen and bring the mug", "no arms"),
         ("take this to the office", "no arms"),
         ("take out the garbage", "no arms"),
@@ -155,7 +156,6 @@ def test_what_cannot_be_done_is_refused_in_one_line(said, hint):
         "take the hallway to the bed",
         "take me to the bed",
         "clean the sofa",
-        "open the window",
     ],
 )
 def test_driving_is_no_handling(said):

@@ -34,10 +34,10 @@ PARTS = {
         investigate|get to know|
         [make|do] [an|the] exploration [of]|go exploring [in]|look through|search through|
         (look|drive|go|wander|roam|cruise|(have|take|make) a [good|quick] (look|wander|peek|tour)|
-        (do|make|take) a (tour|scan)|make a map) [all] (around|round|about) [in|inside|of|at]|
+        do a (tour|scan)|make a map) [all] (around|round|about) [in|inside|of|at]|
         check [out|around|through]|
         (do|make|take) a [full|complete|quick|thorough|proper|good]*
-        (round|tour|lap|loop|sweep|scan|search) (of|through|around)|
+        (round|tour|lap|loop|sweep|scan|search) (of|through|around|in)|
         (look|search|(take|have|make) a look) [around] (in|inside))
         """,
     "time": "[, [only|for|during] <span> [long]] [again|once more|one more time|"

@@ -97,10 +97,8 @@ _PATROLS = compiled(
     {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
     {patrol} <stops> , <often>
     {patrol} <stops> , [for|during] <span> [long]
-    {patrol} <stops> , [over and over|again and again|[and] (keep (going|on|driving)|carry on|
-            repeat|do not stop) [it|that]]* (forever|until (told|further notice)|
-            until (i|we|you hear) ...|all (day|night|the time)|over and over [again]|
-            again and again)
+    {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|
+            all (day|night|the time)|over and over [again]|again and again)
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
     (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
     """,
@@ -200,6 +198,9 @@ _PLAINER = (
     (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
     (re.compile(r",? (?:and )?(?:(?:after|afterwards|then) (?:in|into)|at the end (?:in|into|to))"
                 rf" (?={ARTICLE} |{any_of('room')}\b|{MARK})", re.I), ", then to "),
+    (re.compile(r",?(?: and)? (?:keep (?:going|on|at it|driving|doing (?:it|that))|carry on|"
+                r"go on|repeat (?:it|that|this)|over and over(?: again)?|again and again)"
+                r"(?=,? (?:until|forever)\b)", re.I), ""),
     (re.compile(r"\b(rounds|laps|loops|circles|tours|times):(?= )", re.I), r"\1,"),
     (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
     (re.compile(r", after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),

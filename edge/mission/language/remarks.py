@@ -20,7 +20,9 @@ _DIRECTS = re.compile(
     re.I,
 )
 """Words that may change an order, so a clause with one of them is no mere remark."""
-_NAMED = re.compile(rf"{ARTICLE}$", re.I)
+_NO_VERB_AFTER = re.compile(
+    rf"(?:{ARTICLE}|is|are|was|were|am|been|being|still|so|very|too|all|quite|really)$", re.I
+)
 SUBORDINATE = (
     r"(?<!soon)(?<!far)(?<!long) (?=(?:because|cause|since|while|as|so|so that) "
     r"(?:i|we|he|she|they|somebody|someone|people|there|my \w+|our \w+)\b|"
@@ -46,12 +48,12 @@ def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:
 
 
 def _has_order(words: list[str]) -> bool:
-    """Return True if a verb in its base form comes that is no noun: "go", not "a walk"."""
+    """Return True if a verb in its base form comes that is no noun or quality: "go", not "a walk"."""
     return any(
         TABLE.get((word,)) in ("verb", "avoid")
         and word not in PAST
         and not word.endswith(("ed", "ing"))
-        and not _NAMED.match(before)
+        and not _NO_VERB_AFTER.match(before)
         for before, word in zip(["", *words], words, strict=False)
     )
 

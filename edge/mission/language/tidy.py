@@ -45,7 +45,7 @@ _LIKE = re.compile(
 _MARK = rf"[ ,.]*\b{any_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 _CORRECTS = re.compile(_MARK, re.I)
 _OPENING = re.compile(
-    rf"(?:(?:{any_of('opening')}\b(?!(?<=you) see\b)|"
+    rf"(?:(?!let us play\b)(?:{any_of('opening')}\b(?!(?<=you) see\b)|"
     r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
     r"you (?!got|may|can|are|will|must|should|have|could|were)|"
     r"do (?=(?:go|come|find|check|look|have|please|you mind|stop|wait)\b))[ ,.!]*)+",

@@ -145,7 +145,7 @@ QUESTIONS = {
             {in} {last}
         (seen|spotted|noticed) [any|of|already]* <thing> {in} {last}
         {tell} [is|was|are|were] there [still|really|already] <thing> {in} {last}
-        any <thing> <relation> <anchor> {last}
+        any <thing> [left|still]* <relation> <anchor> {last}
         (do you know if|do you know whether) there (is|are) <thing> {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
             <thing> {in} {last}
