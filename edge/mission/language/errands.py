@@ -126,7 +126,7 @@ _BACK_TO = compiled(
 )
 _CALLS = compiled(
     "[over here [mate|robot|to me|to us] ,] (come|drive|get|move|roll) [over|right|up|here]* "
-    "(here|to me|to us)",
+    "(here|to me|to us) [[for] (a|one) (minute|moment|second|sec|bit)]",
     PARTS,
 )
 _BACKS = compiled("{then} {back}", PARTS)
@@ -157,8 +157,8 @@ _INTRODUCED = re.compile(
 )
 _FIND = rf"(?:{any_of('find')}|find|get to|go to|locate)"
 _HINTED = re.compile(
-    rf"(?P<order> {_FIND}) (?P<thing>{NAME})[,.;] (?:and |i think )?(?:it|they)"
-    rf" (?:is|are|(?:should|must|will) be)(?: {any_of('standing')})? (?P<relation>"
+    rf"(?P<order> {_FIND}) (?P<thing>{NAME})[,.;] (?:(?:it|they|he|she)"
+    rf" (?:is|are|(?:should|must|will) be)|i (?:have )?(?:left|put) (?:it|them))(?: {any_of('standing')})? (?P<relation>"
     rf"{any_of('relation')}) (?P<anchor>{NAME}){END}",
     re.I,
 )

@@ -33,7 +33,7 @@ _ROWS: dict[str, str] = {
         (could|would); be (a|an) (dear|pal|darling|sweetheart|love|angel|star|good
         (robot|boy|girl)) and; do me a favour and;
         do me a (favor|kindness) and; oi; go ahead and; make sure (to|you|that you); be sure to;
-        try to; let us;
+        try to; let us; (is it|it is|would it be) possible (for you|) to;
         mind (that|) you;
         i wonder if you could; why do not you; why do n't you; time to; in your memory;
         hurry up and; hurry and;
@@ -41,7 +41,8 @@ _ROWS: dict[str, str] = {
         follow the plan and; please to
     """,
     "closing": """
-        please; thanks; thank you; thank you very much; dear; love; buddy; robot; okay; ok; mate;
+        please; thanks; thank you; thank you (very|so) much; thanks (ever|) so much; many thanks; cheers; dear; love; buddy;
+        robot; okay; ok; mate; keep (that|it) in mind;
         pal; (would|will|could|can) you; for me; now; right now; right away; at once; immediately;
         honey; darling; sweetie; my dear; my friend; my love; sweetheart;
         as (fast|quickly|soon) as you can; (really|very|super|) (quickly|quick|fast); sharpish;

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from edge.mission.language.everyday_words import ARTICLE
+from edge.mission.language.everyday_words import ARTICLE, any_of
 from edge.mission.language.lexicon import PAST, TABLE
 from edge.mission.language.templates import compiled, first_match
 from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
@@ -14,9 +14,12 @@ _DIRECTS = re.compile(
     r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! just)|except|unless|if|until|"
     r"before|after|instead|but|first|second|third|next|last|then|avoid|never|allow|allowed|"
     r"forbid|forbidden|prefer|mean|meant|hope|expect|insist|order|ask|tell|call|called|name|"
-    r"named|remember|it|them|find|limits|bounds|closed|taboo|private|go|stay|keep|you|"
+    r"named|remember|find|which|whichever|whatever|either|order|ones?|both|twice|times|rounds?|"
+    r"else|others?|rest|also|well|(?:minute|hour|second)s?(?! ago)|limits|bounds|closed|taboo|private|go|stay|keep|you|"
     r"no|none|nobody|nothing|without)\b|"
-    r"(?<!do )(?<!did )(?<!can )(?<!could )(?<!have )(?<!has )\bnot\b",
+    r"(?<!do )(?<!did )(?<!can )(?<!could )(?<!have )(?<!has )\bnot\b|"
+    rf"\b(?:it|them)\b(?=.* {any_of('relation')} )|"
+    rf"^(?:he|she|they) (?:is|are|was|were|will be)(?: \w+ly)? {any_of('relation')} ",
     re.I,
 )
 """Words that may change an order, so a clause with one of them is no mere remark."""
@@ -25,7 +28,8 @@ _NO_VERB_AFTER = re.compile(
 )
 SUBORDINATE = (
     r"(?<!soon)(?<!far)(?<!long) (?=(?:because|cause|since|while|as|so|so that) "
-    r"(?:i|we|he|she|they|somebody|someone|people|there|my \w+|our \w+)\b|"
+    r"(?:i|we|he|she|they|somebody|someone|people|there|my|our)\b|"
+    r"(?:because|cause|since) (?:it|that|the)\b|"
     r"(?:so|so that) you (?:know|learn|remember|will know|get to know)\b|"
     r"(?:for|in order) to (?:know|learn|get to know) )"
 )

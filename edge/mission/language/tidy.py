@@ -18,6 +18,7 @@ _SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whi
 _IS = re.compile(
     r"(?<=\d)'s (?=\w+ed\b)|"
     r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|fine|enough|good|"
+    r"asleep|here|wet|dirty|sick|hot|cold|dark|\w+ing|"
     r"finished|done|coming|going|backing|blocked|busy)\b|"
     rf"{any_of('relation')} )",
     re.I,
@@ -26,7 +27,7 @@ _HESITATION = re.compile(
     rf"(?:(?P<comma>, )|(?<![\w'])){any_of('hesitation')}(?![\w'-]),?(?= |$)", re.I
 )
 _SMALL = (
-    "(?:the|an?|my|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|are|was|were|there|this|"
+    "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|are|was|were|there|this|"
     "that|here|for|then|with|where|what|can|could|would|do|did|have|please|go|come|find|look|stop|"
     "wait|no|me|from|ever)"
 )

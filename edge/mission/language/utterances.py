@@ -31,7 +31,7 @@ PARTS = {
           "<relation> <anchor> [in <within>]]",
     # Orders to learn.
     "here": """
-        ((the|this) (spot|place|position|location|point|corner)|this|here|it|where (you|we) are|
+        ((the|this|this here) (spot|place|position|location|point|corner)|this|here|it|where (you|we) are|
         your (position|location|place|spot))
         [here|now|right here|where you are|you are at|you are in]*
         """,
@@ -120,7 +120,7 @@ QUESTIONS = {
     """,
     "where": """
         {tell} (where|whereabouts) [exactly|on earth|in the world] (is|are|was|were|have|has|did|do|
-            stands|lies|sits)
+            stands|lies|sits|it is|it was|they are)
             [it|they] [the (nearest|closest)] <thing> [is|are|was|were] {last}
         {tell} where <thing> (is|are|was|were|has|have) {last}
         {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
@@ -284,7 +284,8 @@ IDIOMS = """
     you are doing (well|great|fine|good) ...
     you are [going to be] (a|an|the|my|our) <thing>
     you are (a|an|the|my|our) <thing> [now|today]
-    let us play [a game|<thing>]
+    let us play [a game|hide and seek|<thing>]
+    (i|we) need (one|it|them) [now|here|badly|urgently|today|soon]*
     [and|then|after that]* you are (done|finished|free)
     (that|this) is (quite|more than)* (enough|all|it) [for (now|today)]
     [it] does not matter [to me|to us] [which|which one]
@@ -306,10 +307,12 @@ REMARKS = """
             (am|is|are|was|were|have|has|had|got|just|heard|hear|lost|saw|see|left|tore|think|feel|
             know|finished|moved|do|did|mopped|cleaned|washed|forgot|get|thought|will|<done>) ...
     [because|cause|since|as|so|and] there (is|are|was|were) ...
+    (because|cause|since) <thing> (is|are|was|were|has|have|got) ...
+    (because|cause|since) (it|that) (is|was|has|smells|looks) ...
     <thing> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
     [because|cause|since|as|so|and] <thing> (is|are|was|were) [still|so|very|all|just|too|now|being|
             really|a bit|already]* (wet|dirty|asleep|sick|ill|tired|noisy|hot|cold|dark|busy|late|
-            upset|scared|slippery|hungry|sad|happy|sleeping|working|eating|cooking|resting|waiting)
+            upset|scared|slippery|hungry|sad|happy|sleeping|working|eating|cooking|resting|waiting|here)
             ...
 """
 """Statements that give no order if no word of theirs directs the robot; see `remarks.is_remark`."""
