@@ -199,7 +199,9 @@ def translate(
         raise UnclearError(f"instruction: {hint}")
     for reason in said.speech.reasons:
         if shared := _shared_word(reason, translation.formula):
-            hint = f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
+            hint = (
+                f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
+            )
             raise UnclearError(f"instruction: {one_line(reason)!r}: {hint}", reason)
     english = translation.english
     if unused := "; ".join(f"'{one_line(reason)}'" for reason in said.speech.reasons):

@@ -37,7 +37,7 @@ PARTS = {
         do a (tour|scan)|make a map) [all] (around|round|about) [in|inside|of|at]|
         check [out|around|through]|
         (do|make|take) a [full|complete|quick|thorough|proper|good]*
-        (round|tour|lap|loop|sweep|scan|search) (of|through|around|in)|
+        (round|tour|turn|lap|loop|sweep|scan|search) (of|through|around|in)|
         (look|search|(take|have|make) a look) [around] (in|inside))
         """,
     "time": "[, [only|for|during] <span> [long]] [again|once more|one more time|"

@@ -74,6 +74,7 @@ _EXPLORES = compiled(
     {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
             [everything] {time}
     {goes} {look} <stops> {time}
+    {goes} (see|look|check|find out) what is (in|inside) <room>
     {goes} {look} <room> [, (only|just) (this|that) (room|one)] {time}
     give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
             (once-over|once over|look|scan|sweep|look over|check|going over|look-over|inspection)
@@ -126,7 +127,7 @@ _BACK_TO = compiled(
 )
 _CALLS = compiled(
     "[over here [mate|robot|to me|to us] ,] (come|drive|get|move|roll) [over|right|up|here]* "
-    "(here|to me|to us) [[for] (a|one) (minute|moment|second|sec|bit)]",
+    "(here|to me|to us|to (where|wherever) (i am|we are)) [[for] (a|one) (minute|moment|second|sec|bit)]",
     PARTS,
 )
 _BACKS = compiled("{then} {back}", PARTS)
@@ -151,15 +152,15 @@ _INTRODUCED = re.compile(
     r"^ (?:there (?:is|are)|(?:we|i) (?:need|want|am looking for|can not find|"
     r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten))) "
     rf"(?P<thing>{NAME})(?: {any_of('standing')})?(?: (?P<relation>{any_of('relation')}) "
-    rf"(?P<anchor>{NAME}))?(?: (?:somewhere|anywhere))?(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
-    r"(?:so |please |and )*(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
+    rf"(?P<anchor>{NAME}))?(?: (?:somewhere|anywhere|again))?(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
+    r"(?:so |please |and |(?:can|could|would|will) you )*(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
     re.I,
 )
 _FIND = rf"(?:{any_of('find')}|find|get to|go to|locate)"
 _HINTED = re.compile(
-    rf"(?P<order> {_FIND}) (?P<thing>{NAME})[,.;] (?:(?:it|they|he|she)"
+    rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
     rf" (?:is|are|(?:should|must|will) be)|i (?:have )?(?:left|put) (?:it|them))(?: {any_of('standing')})? (?P<relation>"
-    rf"{any_of('relation')}) (?P<anchor>{NAME}){END}",
+    rf"{any_of('relation')}) (?P<anchor>{NAME})(?: i think)?{END}",
     re.I,
 )
 _WANTED_FOUND = re.compile(
@@ -203,7 +204,7 @@ _PLAINER = (
                 r"(?=,? (?:until|forever)\b)", re.I), ""),
     (re.compile(r"\b(rounds|laps|loops|circles|tours|times):(?= )", re.I), r"\1,"),
     (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
-    (re.compile(r", after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
+    (re.compile(r"(?:,|,? and) after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),

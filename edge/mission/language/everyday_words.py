@@ -33,7 +33,7 @@ _ROWS: dict[str, str] = {
         (could|would); be (a|an) (dear|pal|darling|sweetheart|love|angel|star|good
         (robot|boy|girl)) and; do me a favour and;
         do me a (favor|kindness) and; oi; go ahead and; make sure (to|you|that you); be sure to;
-        try to; let us; (is it|it is|would it be) possible (for you|) to;
+        try to; you (had|would) better; let us; (is it|it is|would it be) possible (for you|) to;
         mind (that|) you;
         i wonder if you could; why do not you; why do n't you; time to; in your memory;
         hurry up and; hurry and;

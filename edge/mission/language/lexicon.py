@@ -281,6 +281,8 @@ _ROWS: dict[str, str] = {
         closest|is nearer|is nearest|is easier|is quicker|is faster|is first|comes first|you find
         first|you see first|you (get to|come to|reach|spot|meet|come across|notice) first|
         you can find|you find|you see|works|will do);
+        (the first|first) (you see|you find|you spot|you get to|one you see|one you find|
+        one you spot|one you get to|one you come across);
         (one of them|one of these|one of the two|just one of them|only one of them|one|just one)
         (is|will be|would be) (enough|fine|okay|ok|good); one of them will do; one will do;
         (any|any one|either) of (them|the two|these) (is fine|is okay|will do|works);

@@ -13,7 +13,10 @@ from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
 _DIRECTS = re.compile(
     r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! just)|except|unless|if|until|"
     r"before|after|instead|but|first|second|third|next|last|then|avoid|never|allow|allowed|"
-    r"forbid|forbidden|prefer|mean|meant|hope|expect|insist|order|ask|tell|call|called|name|"
+    r"prefer|mean|meant|hop(?:e|ed|ing)|expect|"
+    r"(?:leav|skip|keep|clos|block|lock|shut|bann|forbid|exclud|omit)\w*|bans?|sa(?:y|ys|ying|id)|"
+    r"talking|thinking|wrong|mistaken?|done with|"
+    r"insist|order|ask|tell|call|called|name|"
     r"named|remember|find|which|whichever|whatever|either|order|ones?|both|twice|times|rounds?|"
     r"else|others?|rest|also|well|(?:minute|hour|second)s?(?! ago)|limits|bounds|closed|taboo|private|go|stay|keep|you|"
     r"no|none|nobody|nothing|without)\b|"

@@ -57,9 +57,7 @@ _ADDRESS = re.compile(r", (?:my )?(?:dear|love|darling|mate|buddy|friend|robot),
 _PLEASE = re.compile(r" ?\b(?:pretty )?please(?: to(?! the\b))?\b(?P<comma>,?) ?", re.I)
 _NO_END = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
 _ENDS = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
-_REFERS = re.compile(
-    r"\b(?:it|they|them|he|she|him|her|ones?|there|in again|enter again)\b", re.I
-)
+_REFERS = re.compile(r"\b(?:it|they|them|he|she|him|her|ones?|there|in again|enter again)\b", re.I)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ PARTS = {
     "last": """
         [last|before|lately|recently|anywhere|somewhere|around|about|here|earlier|today|right now|
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
-        yet|by now|by any chance|again|on your (map|way|tour|rounds|trip)|in your memory|
-        this (morning|afternoon|evening)|(when|while|as) you (were|was|drove|went|looked) ...|
+        yet|by now|by any chance|at all|again|on your (map|way|tour|rounds|trip)|in your memory|
+        this (morning|afternoon|evening)|(when|while|as) you [last] (were|was|drove|went|looked|came|passed|checked) ...|
         [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
         (got|gone|run off) to|ended up|[do] you (know|remember)|have you]*
         [(did|have) you [seen|see] (it|them|her|him|one)]
@@ -23,11 +23,11 @@ PARTS = {
     "tell": """
         [(when|while|as) you (came|went|were|drove|passed|looked|got|walked) [past|by|through|
             around|about|there|in there|out|last|earlier|this way|over there]*]
-        [can you|could you] [please] (tell me|say [me]|know|show me|do you [still] (know|remember)|you know|
+        [can you|could you] [please] (explain [me|to me]|i [do] wish i knew|tell me|say [me]|know|show me|do you [still] (know|remember)|you know|
         [i wonder|any idea|i want to know|remind me|you remember|do you happen to (know|remember)|
         have you any idea])
         """,
-    "in": "[anywhere|somewhere|still|left]* [on your (map|way|tour|rounds|trip)|in your memory|"
+    "in": "[anywhere|somewhere|still|left|at all]* [on your (map|way|tour|rounds|trip)|in your memory|"
           "<relation> <anchor> [in <within>]]",
     # Orders to learn.
     "here": """
@@ -65,7 +65,7 @@ PARTS = {
     "while": """
         [, [and|so] (not ever|for (now|today|me|us|good|ever)|from now on|anymore|any more|again|ever|at all|
         now|always|today|at the moment|no matter what|any longer|okay|alone|under any circumstances|
-        until (further notice|tomorrow|tonight|later)|
+        until (further notice|tomorrow|tonight|later)|forever [and ever]|
         [until|while|because|since|as|as long as] (i|we|he|she|they|it|there|people|someone|
         somebody|my (mother|father|husband|wife|baby|son|daughter|friend)|(the|a) (baby|patient|kid|
         kids|children|cleaner|doctor|floor|dog|cat)) [am|is|are|was|were|have|has|will|do|did|can|
@@ -73,7 +73,7 @@ PARTS = {
         """,
     # Control.
     "there": "[please|right|there|here|now|just|it|still|a bit|for me|for now|at once|immediately|"
-             "moving|driving|everything|where you are|what you are doing|the robot|robot|okay]*",
+             "moving|driving|hold on|hold it|wait|stop|everything|where you are|what you are doing|the robot|robot|okay]*",
     "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
             "[again|anymore|any more|a muscle])",
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
@@ -133,7 +133,7 @@ QUESTIONS = {
         {tell} (which|what) room (has|have) <thing> [in it] {last}
         {tell} where did <thing> (go|end up|get to|go to)
         {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
-        (i|we) [seem to] [have] (can not find|do not find|lost|mislaid|misplaced|am looking for|
+        (i|we) [seem to] [have] (can not find|do not find|look for|search [for]|lost|mislaid|misplaced|am looking for|
             are looking for|miss) <thing> , (where (is|are) (it|they)|
             (have|did) you (seen|see|noticed|notice|spotted|found) (it|them)) {last}
         {tell} the (place|location|position) of <thing>
@@ -152,7 +152,7 @@ QUESTIONS = {
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
         [it] (exists|exist) [there] <thing> {in} {last}
         (have (we|you)|you) got <thing> {in} {last}
-        {tell} (is|are) <thing> [still|already|really] <relation> <anchor> {last}
+        {tell} (is|are|was|were) <thing> [still|already|really] <relation> <anchor> {last}
         {tell} (is|are) <thing> [still|already|really|there|here|around]* {last}
         do you (know|remember) if there (is|are) <thing> {in} {last}
         how many <thing> {you} {seen} {in} {last}
@@ -175,6 +175,7 @@ ORDERS = {
         [you|must|should|have to|need to|to|always|better]* {away} [of|from] <room> {while}
         [you|must|should|have to]* avoid [going|to go] [to|into|in|through] <room> {while}
         {not} {go} <room> {while}
+        no (robots|robot|entry|access|going) [in|into|to|inside|for robots]* <room> {while}
         (in|into|to|inside) <room> {not} (go|enter|drive|be|come) {while}
         <room> (is|are|has|have|was|were) ... ({away} [out] [of it|from it|there]|
             {not} {go} [there|it|in there|in it|down there|inside]) {while}
@@ -237,7 +238,7 @@ CONTROL = {
             [now|to|please]*
             (go on|carry on|crack on|press on|continue|resume|keep going|keep on|keep moving|
             keep driving|get moving|get going|go ahead|
-            off you go|as you were|proceed|move on|drive on|start again|
+            off you go|as you were|proceed|move on|drive on|start again|back to work|
             move again|go again|drive again|unpause)
             [now|then|again|please|with|as before|what you (were|was) doing [before]|
             where you left off|where you stopped|from where you stopped|doing that|driving|
@@ -268,7 +269,7 @@ CONTROL = {
             tight|stand
             by|
             hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
-            [right here|right there|here|there|in here|in place|on the spot|where you are|for me|
+            [right here|right there|here|there|in here|in place|on the spot|where you are|for me|me|
             still|please|just|in this (spot|place)|at this (spot|place)|exactly|a (bit|moment|
             second|sec|while)]*
             [for] [<span>] [here|there|please|now|more|longer|then]* {reason}
@@ -282,8 +283,9 @@ IDIOMS = """
     do not (mind|worry about|bother about) (me|us|him|her|it|them)
     (i|we) [have] changed (my|our) mind
     you are doing (well|great|fine|good) ...
-    you are [going to be] (a|an|the|my|our) <thing>
-    you are (a|an|the|my|our) <thing> [now|today]
+    you are [going to be] (a|an|the|my|our) <thing> [now|today]
+    <thing> (are|is) (expecting|waiting for|looking for) (you|us|me) [there|now|already]
+    (they|he|she) (are|is) (expecting|waiting for|looking for) (you|us|me) [there|now|already]
     let us play [a game|hide and seek|<thing>]
     (i|we) need (one|it|them) [now|here|badly|urgently|today|soon]*
     [and|then|after that]* you are (done|finished|free)
@@ -305,7 +307,7 @@ REMARKS = """
             (my|our) <thing>) [have|has|had|am|are|is|was|were|will|can|could|just|only|
             always|really|still|already|do not|did not|can not|could not|have not|has not|think]*
             (am|is|are|was|were|have|has|had|got|just|heard|hear|lost|saw|see|left|tore|think|feel|
-            know|finished|moved|do|did|mopped|cleaned|washed|forgot|get|thought|will|<done>) ...
+            know|finished|moved|do|did|mopped|cleaned|washed|forgot|get|thought|found|will|<done>) ...
     [because|cause|since|as|so|and] there (is|are|was|were) ...
     (because|cause|since) <thing> (is|are|was|were|has|have|got) ...
     (because|cause|since) (it|that) (is|was|has|smells|looks) ...
