@@ -29,6 +29,7 @@ from edge.mission.language.english import describe
 from edge.mission.language.errands import CHECK, spell_out
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
+from edge.mission.language.nouns import listed
 from edge.mission.language.places import EXPLORED, quote_places
 from edge.mission.language.said import MissionOrder, NoMissionError, understand
 from edge.mission.language.tokens import UnclearError
@@ -102,7 +103,7 @@ class MissionSpec:
         return tuple(lines)
 
 
-_SMALL_WORDS = frozenset("the next near room and for from here there with wait".split())
+_SMALL_WORDS = frozenset(listed("the next near room and for from here there with wait"))
 """Words of names that say nothing about the thing."""
 
 

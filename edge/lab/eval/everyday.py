@@ -58,16 +58,15 @@ OUTCOMES = ("right", "asked or refused", "wrong")
 _ARTICLES = re.compile(r"\b(?:the|a|an|my|our|your) ")
 _LEARN = (
     (r"forget", ("forget",)),
-    (r"\b(?:lift|remove|allowed? (?:it )?again|ends?)\b.*|\b(?:may|can|allow)\b.* again|^(?:re-?)?open",
-     ("open",)),
+    (r"\b(?:lift|remove)|\b(?:may|can|allow(?:ed)?)\b.* again|^(?:re-?)?open", ("open",)),
     (r"\bstay(?:ing)? (?:only |just )?(?:in|inside|within)\b|stay-inside|\b(?:not|never) leave",
      ("stay_inside",)),
     (r"\b(?:ban|forbid|forbidden|prohibited|not|never|avoid|off limits|closed)\b"
      r"|\b(?:keep|stay)[- ](?:out|away|off)|no[- ]go", ("keep_out",)),
     (r"zone", ("stay_inside",)),
-    (r"remember|\b(?:name|call|mark|save|store|label|learn|place|room)\b|\bis\b", ("place", "room")),
+    (r"remember|\b(?:name|call|mark|save|store|label|learn|place|room|is)\b", ("place", "room")),
 )  # fmt: skip
-"""Words of `meaning`, else of `said`, and the orders that mean it; the first row that fits counts."""
+"""Words of `meaning`, else of `said`, and the orders that mean it; the first such row counts."""
 _CONTROL = {
     "pause": "stop|wait|pause|halt|hold", "resume": "go on|continue|resume",
     "cancel": "cancel|abort|give up",

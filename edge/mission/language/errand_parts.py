@@ -44,7 +44,8 @@ PARTS = {
             "before (we|i|they) (start|begin|leave|open|close)]*",
     "where": "(at|in|by|near|near to|close to|inside|next to|in front of)",
     "patrol": """
-        [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|going (round|around)|driving (round|around|between)|
+        [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|going
+        (round|around)|driving (round|around|between)|
         [go|be] on patrol|[do|doing|make|making] [your|the|some] rounds|go round|
         [go|drive|run|keep going|move|walk] back and forth|
         (do|run|drive|make) (laps|loops|circles|a (lap|loop|circle|circuit))|

@@ -127,7 +127,8 @@ _BACK_TO = compiled(
 )
 _CALLS = compiled(
     "[over here [mate|robot|to me|to us] ,] (come|drive|get|move|roll) [over|right|up|here]* "
-    "(here|to me|to us|to (where|wherever) (i am|we are)) [[for] (a|one) (minute|moment|second|sec|bit)]",
+    "(here|to me|to us|to (where|wherever) (i am|we are)) "
+    "[[for] (a|one) (minute|moment|second|sec|bit)]",
     PARTS,
 )
 _BACKS = compiled("{then} {back}", PARTS)
@@ -152,24 +153,28 @@ _INTRODUCED = re.compile(
     r"^ (?:there (?:is|are)|(?:we|i) (?:need|want|am looking for|can not find|"
     r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten))) "
     rf"(?P<thing>{NAME})(?: {any_of('standing')})?(?: (?P<relation>{any_of('relation')}) "
-    rf"(?P<anchor>{NAME}))?(?: (?:somewhere|anywhere|again))?(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
-    r"(?:so |please |and |(?:can|could|would|will) you )*(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
+    rf"(?P<anchor>{NAME}))?(?: (?:somewhere|anywhere|again))?"
+    r"(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
+    r"(?:so |please |and |(?:can|could|would|will) you )*"
+    r"(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
     re.I,
 )
 _FIND = rf"(?:{any_of('find')}|find|get to|go to|locate)"
 _HINTED = re.compile(
     rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
-    rf" (?:is|are|(?:should|must|will) be)|i (?:have )?(?:left|put) (?:it|them))(?: {any_of('standing')})? (?P<relation>"
+    rf" (?:is|are|(?:should|must|will) be)|i (?:have )?(?:left|put) (?:it|them))"
+    rf"(?: {any_of('standing')})? (?P<relation>"
     rf"{any_of('relation')}) (?P<anchor>{NAME})(?: i think)?{END}",
     re.I,
 )
 _WANTED_FOUND = re.compile(
-    rf"^ (?:i|we) (?:need|want|would like) (?P<thing>(?:(?!{ARTICLE} ){NAME}|{NAME})(?: {any_of('relation')} {NAME})?)"
+    rf"^ (?:i|we) (?:need|want|would like) (?P<thing>{NAME}(?: {any_of('relation')} {NAME})?)"
     r" (?:to be )?found(?=[.!]*$)",
     re.I,
 )
 _NEAREST = re.compile(
-    rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME}) (?:to|from|of) (?P<anchor>{NAME}){END}",
+    rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME})"
+    rf" (?:to|from|of) (?P<anchor>{NAME}){END}",
     re.I,
 )
 _ROOM_WITH = re.compile(

@@ -41,7 +41,8 @@ _ROWS: dict[str, str] = {
         follow the plan and; please to
     """,
     "closing": """
-        please; thanks; thank you; thank you (very|so) much; thanks (ever|) so much; many thanks; cheers; dear; love; buddy;
+        please; thanks; thank you; thank you (very|so) much; thanks (ever|) so much; many thanks;
+        cheers; dear; love; buddy;
         robot; okay; ok; mate; keep (that|it) in mind;
         pal; (would|will|could|can) you; for me; now; right now; right away; at once; immediately;
         honey; darling; sweetie; my dear; my friend; my love; sweetheart;
@@ -112,7 +113,8 @@ _ROWS: dict[str, str] = {
         back (in|into|to); make your way (over|back|) (to|into); get yourself (over|back|)
         (to|into);
         bring yourself (over|back|) to; report (to|at); head (back|over|) (for|towards); make for;
-        set off (for|to); show up (at|in); (go|drive|come) (as far as|until); be off to; drop (in|) (at|by|into);
+        set off (for|to); show up (at|in); (go|drive|come) (as far as|until); be off to; drop (in|
+        ) (at|by|into);
         i need you (over|) (in|at|to); you are needed (in|at); (park|sleep|rest|charge|recharge)
         (yourself|) (at|in|on|by|near|next to); present yourself at; position yourself (at|in|by);
         place yourself (at|in|by); put yourself (at|in|by); get (over|back|) to; go and stand
@@ -133,7 +135,8 @@ _ROWS: dict[str, str] = {
     # What a robot with wheels, a camera and text cannot do: the beginning of a clause.
     # Verbs of carrying and handing, which are no order to drive to the thing.
     "carry": """
-        bring; fetch; carry; grab; lift; hold; hand; open; close; shut; lock; unlock; give; pass (me|us|him|her|it|them); pick; take;
+        bring; fetch; carry; grab; lift; hold; hand; open; close; shut; lock; unlock; give; pass
+        (me|us|him|her|it|them); pick; take;
         deliver; collect; load; unload; throw; put; place; drop; move; push; pull; drag; pour;
         plug; unplug; make (me|us); get (me|us|the|my|a|an|some|that|it|them); serve; tow; stack;
         fold; build; shake; cut; charge my; hug; help me; cook;

@@ -11,14 +11,16 @@ from edge.mission.language.templates import compiled, first_match
 from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
 
 _DIRECTS = re.compile(
-    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! just)|except|unless|if|until|"
+    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! just)|"
+    r"except|unless|if|until|"
     r"before|after|instead|but|first|second|third|next|last|then|avoid|never|allow|allowed|"
     r"prefer|mean|meant|hop(?:e|ed|ing)|expect|"
     r"(?:leav|skip|keep|clos|block|lock|shut|bann|forbid|exclud|omit)\w*|bans?|sa(?:y|ys|ying|id)|"
     r"talking|thinking|wrong|mistaken?|done with|"
     r"insist|order|ask|tell|call|called|name|"
     r"named|remember|find|which|whichever|whatever|either|order|ones?|both|twice|times|rounds?|"
-    r"else|others?|rest|also|well|(?:minute|hour|second)s?(?! ago)|limits|bounds|closed|taboo|private|go|stay|keep|you|"
+    r"else|others?|rest|also|well|(?:minute|hour|second)s?(?! ago)|"
+    r"limits|bounds|closed|taboo|private|go|stay|keep|you|"
     r"no|none|nobody|nothing|without)\b|"
     r"(?<!do )(?<!did )(?<!can )(?<!could )(?<!have )(?<!has )\bnot\b|"
     rf"\b(?:it|them)\b(?=.* {any_of('relation')} )|"
@@ -55,7 +57,7 @@ def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:
 
 
 def _has_order(words: list[str]) -> bool:
-    """Return True if a verb in its base form comes that is no noun or quality: "go", not "a walk"."""
+    """Return True if a verb comes in its base form: "go", but not "a walk" or "is clean"."""
     return any(
         TABLE.get((word,)) in ("verb", "avoid")
         and word not in PAST

@@ -101,8 +101,8 @@ _ZONES = ("keep_out", "stay_inside", "open")
 _AS_QUESTIONS = (
     (re.compile(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", re.I), r"\1 there"),
     (re.compile(rf"^({NAME}),? (is|are|was|were) (?:it|they)(?= )", re.I), r"\2 \1"),
-    (re.compile(rf"^((?:in|on|under|at) {NAME}),? (?:there (is|are)|(is|are) there) ({NAME})(?=\?$)",
-                re.I), r"\2\3 there \4 \1"),
+    (re.compile(rf"^((?:in|on|under|at) {NAME}),? (?:there (is|are)|(is|are) there)"
+                rf" ({NAME})(?=\?$)", re.I), r"\2\3 there \4 \1"),
     (re.compile(rf"^({NAME}) (is|are|was|were)(?=(?: still| really)* {any_of('relation')} "
                 r"[^.;:!]*\?$)", re.I), r"\2 \1"),
 )  # fmt: skip

@@ -17,7 +17,8 @@ _FIRST_MARK = 0xE000  # private characters stand for quotations
 _SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is"}
 _IS = re.compile(
     r"(?<=\d)'s (?=\w+ed\b)|"
-    r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|fine|enough|good|"
+    r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|"
+    r"fine|enough|good|"
     r"asleep|here|wet|dirty|sick|hot|cold|dark|\w+ing|"
     r"finished|done|coming|going|backing|blocked|busy)\b|"
     rf"{any_of('relation')} )",

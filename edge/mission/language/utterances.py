@@ -8,7 +8,8 @@ PARTS = {
         [last|before|lately|recently|anywhere|somewhere|around|about|here|earlier|today|right now|
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
         yet|by now|by any chance|at all|again|on your (map|way|tour|rounds|trip)|in your memory|
-        this (morning|afternoon|evening)|(when|while|as) you [last] (were|was|drove|went|looked|came|passed|checked) ...|
+        this (morning|afternoon|evening)|(when|while|as) you [last] (were|was|drove|went|looked|
+            came|passed|checked) ...|
         [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
         (got|gone|run off) to|ended up|[do] you (know|remember)|have you]*
         [(did|have) you [seen|see] (it|them|her|him|one)]
@@ -23,15 +24,18 @@ PARTS = {
     "tell": """
         [(when|while|as) you (came|went|were|drove|passed|looked|got|walked) [past|by|through|
             around|about|there|in there|out|last|earlier|this way|over there]*]
-        [can you|could you] [please] (explain [me|to me]|i [do] wish i knew|tell me|say [me]|know|show me|do you [still] (know|remember)|you know|
+        [can you|could you] [please] (explain [me|to me]|i [do] wish i knew|tell me|say [me]|know|
+            show me|do you [still] (know|remember)|you know|
         [i wonder|any idea|i want to know|remind me|you remember|do you happen to (know|remember)|
         have you any idea])
         """,
-    "in": "[anywhere|somewhere|still|left|at all]* [on your (map|way|tour|rounds|trip)|in your memory|"
+    "in": "[anywhere|somewhere|still|left|at all]* [on your (map|way|tour|rounds|trip)|"
+          "in your memory|"
           "<relation> <anchor> [in <within>]]",
     # Orders to learn.
     "here": """
-        ((the|this|this here) (spot|place|position|location|point|corner)|this|here|it|where (you|we) are|
+        ((the|this|this here) (spot|place|position|location|point|corner)|this|here|it|where (you|
+            we) are|
         your (position|location|place|spot))
         [here|now|right here|where you are|you are at|you are in]*
         """,
@@ -63,7 +67,8 @@ PARTS = {
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
         """,
     "while": """
-        [, [and|so] (not ever|for (now|today|me|us|good|ever)|from now on|anymore|any more|again|ever|at all|
+        [, [and|so] (not ever|for (now|today|me|us|good|ever)|from now on|anymore|any more|again|
+            ever|at all|
         now|always|today|at the moment|no matter what|any longer|okay|alone|under any circumstances|
         until (further notice|tomorrow|tonight|later)|forever [and ever]|
         [until|while|because|since|as|as long as] (i|we|he|she|they|it|there|people|someone|
@@ -73,7 +78,8 @@ PARTS = {
         """,
     # Control.
     "there": "[please|right|there|here|now|just|it|still|a bit|for me|for now|at once|immediately|"
-             "moving|driving|hold on|hold it|wait|stop|everything|where you are|what you are doing|the robot|robot|okay]*",
+             "moving|driving|hold on|hold it|wait|stop|"
+             "everything|where you are|what you are doing|the robot|robot|okay]*",
     "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
             "[again|anymore|any more|a muscle])",
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
@@ -133,7 +139,8 @@ QUESTIONS = {
         {tell} (which|what) room (has|have) <thing> [in it] {last}
         {tell} where did <thing> (go|end up|get to|go to)
         {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
-        (i|we) [seem to] [have] (can not find|do not find|look for|search [for]|lost|mislaid|misplaced|am looking for|
+        (i|we) [seem to] [have] (can not find|do not find|look for|search [for]|lost|mislaid|
+            misplaced|am looking for|
             are looking for|miss) <thing> , (where (is|are) (it|they)|
             (have|did) you (seen|see|noticed|notice|spotted|found) (it|them)) {last}
         {tell} the (place|location|position) of <thing>
@@ -307,14 +314,16 @@ REMARKS = """
             (my|our) <thing>) [have|has|had|am|are|is|was|were|will|can|could|just|only|
             always|really|still|already|do not|did not|can not|could not|have not|has not|think]*
             (am|is|are|was|were|have|has|had|got|just|heard|hear|lost|saw|see|left|tore|think|feel|
-            know|finished|moved|do|did|mopped|cleaned|washed|forgot|get|thought|found|will|<done>) ...
+            know|finished|moved|do|did|mopped|cleaned|washed|forgot|get|thought|found|will|<done>)
+            ...
     [because|cause|since|as|so|and] there (is|are|was|were) ...
     (because|cause|since) <thing> (is|are|was|were|has|have|got) ...
     (because|cause|since) (it|that) (is|was|has|smells|looks) ...
     <thing> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
     [because|cause|since|as|so|and] <thing> (is|are|was|were) [still|so|very|all|just|too|now|being|
             really|a bit|already]* (wet|dirty|asleep|sick|ill|tired|noisy|hot|cold|dark|busy|late|
-            upset|scared|slippery|hungry|sad|happy|sleeping|working|eating|cooking|resting|waiting|here)
+            upset|scared|slippery|hungry|sad|happy|sleeping|working|eating|cooking|resting|
+            waiting|here)
             ...
 """
 """Statements that give no order if no word of theirs directs the robot; see `remarks.is_remark`."""
