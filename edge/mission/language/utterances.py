@@ -159,7 +159,8 @@ QUESTIONS = {
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
         [it] (exists|exist) [there] <thing> {in} {last}
         (have (we|you)|you) got <thing> {in} {last}
-        {tell} (is|are|was|were) <thing> [still|already|really] <relation> <anchor> {last}
+        {tell} (is|are|was|were) <thing> [still|already|really] <relation> <anchor>
+            [(in|inside) <within>] {last}
         {tell} (is|are) <thing> [still|already|really|there|here|around]* {last}
         do you (know|remember) if there (is|are) <thing> {in} {last}
         how many <thing> {you} {seen} {in} {last}
@@ -317,6 +318,7 @@ REMARKS = """
             know|finished|moved|do|did|mopped|cleaned|washed|forgot|get|thought|found|will|<done>)
             ...
     [because|cause|since|as|so|and] there (is|are|was|were) ...
+    (because|cause|since|while) (i|we|he|she|they|somebody|someone|people) ...
     (because|cause|since) <thing> (is|are|was|were|has|have|got) ...
     (because|cause|since) (it|that) (is|was|has|smells|looks) ...
     <thing> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
