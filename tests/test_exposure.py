@@ -38,7 +38,7 @@ def separators(nodes: list[ast.AST]) -> set[int]:
 
 
 @cache
-def amiss() -> tuple[list[tuple[str, str]], list[tuple[str, int]]]:
+def problems() -> tuple[list[tuple[str, str]], list[tuple[str, int]]]:
     """Addresses of every network that are said, and lines where a secret is compared.
 
     Trees are let go one by one: all of them, as objects that stay, slow every test that follows.
@@ -60,11 +60,11 @@ def amiss() -> tuple[list[tuple[str, str]], list[tuple[str, int]]]:
 
 
 def test_no_address_of_every_network_is_written_in_the_code():
-    assert amiss()[0] == []
+    assert problems()[0] == []
 
 
 def test_secrets_are_compared_in_constant_time():
-    assert amiss()[1] == []
+    assert problems()[1] == []
 
 
 def defaults(schema: dict, name: str = "") -> Iterator[tuple[str, object]]:

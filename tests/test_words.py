@@ -119,6 +119,38 @@ def test_no_word_of_the_old_dialect():
     assert found == []
 
 
+DEFINED = re.compile(r"^ *(?:async )?(?:def|class) (\w+)", re.MULTILINE)
+"""The name of a function or class."""
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("", []),
+        ("def begin_again(): ...", []),
+        ("    def begin_anew(self): ...", ["anew"]),
+        ("class Whoever: ...", ["Whoever"]),
+        ("value = anew", []),
+    ],
+)
+def test_old_words_in_names(source, words):
+    assert old_words_in_names(source) == words
+
+
+def old_words_in_names(source: str) -> list[str]:
+    """Return the banned words in the names of functions and classes."""
+    return [w for name in DEFINED.findall(source) for w in BANNED.findall(name.replace("_", " "))]
+
+
+def test_no_function_has_a_name_of_the_old_dialect():
+    found = [
+        f"{path.relative_to(ROOT)}: {word}"
+        for path in sources("edge", "exporters", "perf", "tests")
+        for word in old_words_in_names(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+
+
 def test_the_glossary_names_classes_that_exist():
     page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     table = page.split("## Words")[1].split("## Rules")[0]

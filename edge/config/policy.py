@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, ClassVar, Literal, Union
 
 from pydantic import Discriminator, Field, Tag
 
@@ -32,6 +32,8 @@ class _Selection(Section):
         spin: true: a full turn on the spot is a candidate, too.
     """
 
+    # Confirmed objects come before others, whatever their scores.
+    confirmed_first: ClassVar[bool] = True
     delta_reached_m: NonNegative = 0.5
     r_assoc_m: Positive = 0.6
     switch_margin: NonNegative = 0.3
@@ -75,6 +77,7 @@ class PolicySearch(_Selection):
     The score is multiplied by the likelihood ratio of the prior.
     """
 
+    confirmed_first: ClassVar[bool] = False  # the score has the certainty
     kind: Literal["search"] = "search"
     spin: bool = True
 

@@ -22,12 +22,12 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.goal_client import ARRIVED_M, GoalClient
 from edge.loop.search_state import LASTING_NS, LEFT, TURNS, NextBestView, SearchState
 from edge.loop.standstill import StandstillMonitor
-from edge.mapping.coverage import Viewpoint
+from edge.mapping.coverage import START_M, Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import FRONTIER, INSTANCE, SPIN, PolicyInput
-from edge.policies.select import CurrentGoal, choose, ranked
+from edge.policies.select import STOP_M, CurrentGoal, choose, ranked
 from edge.text import one_line
 from edge.types import CandidateKind, Goal, GoalStatus, Instance, MissionPhase
 
@@ -39,8 +39,12 @@ GRACE_NS = 300_000_000
 
 # A place whose cell is closed is reached next to it; a goal there that failed is tried again.
 _AT_PLACE_M, _PLACE_TRIES = 0.5, 3
-# A point in a room is reached on its own cell or the next one. The points move as the map grows.
-_POINT_SNAP_M, _SAME_POINT_M = np.array([0.08]), 0.6
+POINT_SNAP_M = np.array([0.08])
+"""A point in a room is reached on its own cell or the next one."""
+_SAME_POINT_M = 0.6  # the points move as the map grows
+
+# The robot stops by this nearer to an object than it must.
+_STOP_SHORT_M = 0.05
 
 _KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "spin")
 
@@ -118,6 +122,11 @@ class GoalTracker:
     # -- state for other modules --------------------------------------------------------------
 
     @property
+    def _stop_m(self) -> float:
+        """Stopping distance from an object: near enough to have reached it."""
+        return min(self._config.mission.reach_m - _STOP_SHORT_M, STOP_M[-1])
+
+    @property
     def goal(self) -> Goal | None:
         """Current goal of the robot, or None."""
         return None if self._tracked is None else self._tracked.goal
@@ -173,6 +182,8 @@ class GoalTracker:
         If no candidate is left, the robot turns on the spot. After that, discarded candidates get
         one more chance, and blocked places are opened again and tried once the travel-cost field
         reaches them. Last, the robot goes to viewpoints of objects that the detector saw badly.
+        If a remembered object is gone, it may be anywhere in known space: viewpoints then come
+        whenever they show more per metre than the best candidate.
 
         Args:
             context: Candidates, pose and time of the tick.
@@ -186,8 +197,12 @@ class GoalTracker:
         """
         self._discard_vanished(context)
         chosen = self._towards_best(context, score) or self._spin(context)
-        if chosen is not None or not self._search.exhausted:
-            self._next_view.abandon()
+        view = self._look_for_moved(context, grid, chosen, images)
+        if view is not None:
+            chosen = view
+        elif chosen is not None or not self._search.exhausted:
+            if chosen is not self._tracked:
+                self._next_view.abandon()
         elif not self._search.retry(context, grid, self._pool, self._tracker):
             chosen = self._look_again(context, grid, images)
         self._tracked = chosen
@@ -257,10 +272,10 @@ class GoalTracker:
         ):
             return goal
         path_m = np.empty(n, np.float32)
-        grid.travel_cost.path_lengths_m(points_m, np.zeros(n, np.int8), _POINT_SNAP_M, n, path_m)
+        grid.travel_cost.path_lengths_m(points_m, np.zeros(n, np.int8), POINT_SNAP_M, n, path_m)
         best = int(path_m.argmin())
         at = points_m[best].tolist()
-        cell = grid.travel_cost.nearest(at[0], at[1], float(_POINT_SNAP_M[0]))
+        cell = grid.travel_cost.nearest(at[0], at[1], float(POINT_SNAP_M[0]))
         if cell is None or not math.isfinite(path_m[best]):
             return None
         self._next_view.abandon()
@@ -296,14 +311,17 @@ class GoalTracker:
         """Return a goal for the best candidate; the current goal if it still serves."""
         c, policy, search = context.candidates, self._config.policy, self._search
         present, held = self._tracked, None
-        order = ranked(c, score, context.pose, policy.delta_reached_m)
+        reached_m, first = policy.delta_reached_m, policy.confirmed_first
+        order = ranked(c, score, context.pose, reached_m, first)
         if search.exhausted:
             lasting = c.first_seen_ns[order] <= c.stamp_ns - LASTING_NS
             order = order[lasting | (c.kind[order] == INSTANCE)]
         if present is not None:
             fickle = partial(search.often_left, present.goal.candidate_xy_m)
             held = CurrentGoal(present.goal, present.peak, fickle)
-        chosen = choose(context, score, order, held, policy.switch_margin, self._tracker.get)
+        chosen = choose(
+            context, score, order, held, policy.switch_margin, self._tracker.get, self._stop_m
+        )
         goal, peak, stays = chosen or (None, 0.0, False)
         if present is not None and present.goal.kind == "frontier" and not stays:
             search.left.append(present.goal.candidate_xy_m)
@@ -317,11 +335,12 @@ class GoalTracker:
 
     def _spin(self, context: PolicyInput) -> _TrackedGoal | None:
         """Return a goal that turns the robot on the spot, if it may turn."""
-        turning = self.goal is not None and self.goal.kind == "spin"
+        present = self._tracked
+        turning = present is not None and present.goal.kind == "spin" and present.view is None
         if not self._search.may_turn(turning, context.now_ns):
             return None
         if turning:
-            return self._tracked
+            return present
         at = context.pose
         yaw_rad = at.yaw_rad + 2.0 * math.pi / TURNS
         return _TrackedGoal(
@@ -340,6 +359,28 @@ class GoalTracker:
         yaw_rad = wrap_angle(view.heading_rad - grid.coverage.camera_yaw_rad)
         pose = SE2(view.x_m, view.y_m, yaw_rad)
         return _TrackedGoal(_free_goal(pose, context.now_ns, context.target), view=view)
+
+    def _look_for_moved(
+        self, context: PolicyInput, grid: RollingMap, chosen: _TrackedGoal | None, images: int
+    ) -> _TrackedGoal | None:
+        """Return a goal at a viewpoint if a remembered object is gone and no candidate is better.
+
+        The value of both is the area that is to be seen per length of path.
+        """
+        c, present = context.candidates, self._tracked
+        if not self._search.has_moved or (c.kind[: c.n] == INSTANCE).any():
+            return None
+        view = self._look_again(context, grid, images)
+        if view is None or chosen is None or view is present:
+            return view
+        at = c.index_of(FRONTIER, chosen.goal.candidate_id)
+        if chosen.goal.kind != "frontier" or at < 0:
+            return None  # a spin costs little
+        assert view.view is not None
+        path_m = grid.travel_cost.distance_m(view.goal.pose.x_m, view.goal.pose.y_m)
+        value = grid.coverage.area_m2(view.view) / (START_M + path_m)
+        other = float(c.gain_m2[at]) / (START_M + float(c.path_m[at]))
+        return view if value > (1.0 + self._config.policy.switch_margin) * other else None
 
     def _discard_vanished(self, context: PolicyInput) -> None:
         """Discard the goal's frontier if it vanished and is not reliable.
@@ -521,6 +562,7 @@ class GoalTracker:
                 self._discard(now_ns)
             return
         if verdict == "rejected":
+            self._search.has_moved |= self._tracker.confirmed(instance)
             self._tracker.reject(instance.id)
             self.abandon()
         else:

@@ -11,6 +11,7 @@ from edge.bus import topics
 from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_pose, check_text, shown
 from edge.config import TranslatorLtl
 from edge.errors import UserError
+from edge.loop.behaviours.room_targets import refuse_closed
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.result import mission_facts
 from edge.loop.said_requests import carry_out
@@ -263,6 +264,7 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
         raise UserError(f"mission {name} is already over on this robot: give it another id")
     if request.fields.get("if_free") and not mission.done:
         raise UserError(f"not free: {_last(service)}; wait for its end, or cancel it")
+    refuse_closed(request.prepared, service.site.known, service.map)
     service.begin(request.prepared, now_ns, name)
 
 

@@ -41,10 +41,13 @@ class SearchState:
         exhausted: True if no candidate was left and turns on the spot showed nothing new. Later
             candidates are used, but the robot does not turn again.
         left: Places of frontiers that were left before the robot arrived.
+        has_moved: True if a confirmed object was not seen again at its place. A restart forgets
+            it.
     """
 
     exhausted: bool = False
     left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
+    has_moved: bool = False
     _turns: int = 0  # since there was a candidate
     _idle_since_ns: int | None = None
     _second_chance: bool = False

@@ -120,6 +120,10 @@ class Coverage:
         """Return True if a view still shows enough places that were not seen well."""
         return self._planned(view, KEEP) >= self._least
 
+    def area_m2(self, view: Viewpoint) -> float:
+        """Return the area that a view still shows of places that were not seen well."""
+        return self._planned(view, KEEP) * (self._window.resolution_m * 2**self._bits) ** 2
+
     def write_off(self, view: Viewpoint) -> None:
         """Never seek the places of a view again that are still not seen well."""
         self._planned(view, WRITE_OFF)

@@ -20,8 +20,9 @@ _BESIDE = np.array([[1, 3], [0, 0], [1, 4], [0, 0], [0, 0], [3, 6], [0, 0], [4, 
 UNREACHED = np.int32(0)
 # Entries of `Wave.state`: cost being settled, cells queued, squared escape radius, start.
 _LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
-# An obstacle this near to a point of an object's surface is the object itself.
-_OWN_CELLS = 4
+# An obstacle this near to a point of an object's surface is the object itself. With more cells, the
+# robot would stop behind the wall that the object stands at: noise puts some points into that wall.
+_OWN_CELLS = 2
 
 
 class Wave(NamedTuple):

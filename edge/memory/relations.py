@@ -105,10 +105,6 @@ def described(text: str) -> DescribedThing | None:
         anchor = names.normalise(split["anchor"])
         if _SPLIT.match(anchor):
             raise _undecidable(text, "a second relation")
-        if relation == "in" and not names.is_known(anchor):
-            raise _undecidable(
-                text, f"'in the {anchor}', since it knows no word {anchor!r} for a room or thing"
-            )
     nth, noun = _ordinal(noun)
     if not (relation or room or nth):
         return None
@@ -116,11 +112,16 @@ def described(text: str) -> DescribedThing | None:
 
 
 def _last_room(phrase: str) -> tuple[str, str] | None:
-    """Return the phrase without its last "in ROOM", and the room; None if there is none."""
+    """Return the phrase without its last "in ROOM", and the room; None if there is none.
+
+    A word for no known thing is the name that a person gave to a room.
+    """
     for word in (" in ", " inside "):
-        thing, _, room = phrase.rpartition(word)
-        if thing and is_room_name(names.normalise(room)):
-            return thing, names.normalise(room)
+        thing, _, text = phrase.rpartition(word)
+        room = names.normalise(text)
+        may_be_name = room and not names.is_known(room) and not _SPLIT.match(room)
+        if thing and (is_room_name(room) or may_be_name):
+            return thing, room
     return None
 
 

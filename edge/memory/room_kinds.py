@@ -55,7 +55,7 @@ def kind_of_room(word: str) -> str | None:
 def is_room_name(word: str) -> bool:
     """Return True for a word for a kind of room, and for a room's number, such as "room 3".
 
-    >>> is_room_name("the lounge"), is_room_name("room 3"), is_room_name("toilet")
+    >>> is_room_name("the lounge"), is_room_name("room three"), is_room_name("toilet")
     (True, True, False)
     """
     kind, *number = names.normalise(word).split()

@@ -25,6 +25,9 @@ SURE = 0.15
 SURE_KIND = 0.7
 """Smallest probability of a kind for a room to count as one."""
 _VOTE_M = 1.5  # distance at which an object's vote for the kind of a point has fallen to 1/e
+# Largest vote of an object against a kind. The largest votes for one are near 1; the log of a very
+# small chance would outweigh them all.
+_MOST_AGAINST = 1.0
 PERIOD_NS = 250_000_000
 """Shortest time between two updates by new objects."""
 _REASONS = 2  # number of objects that an explanation names
@@ -159,6 +162,11 @@ class MappedRoom:
     def things(self) -> list[str]:
         """Things of the prior's table that were seen in it."""
         return [load().things[at] for at in np.flatnonzero(self.held)]
+
+    def closed_by(self, site: Site) -> str:
+        """Return the name of a zone if zones close all points to stand at; else ""."""
+        closed = [site.closed_by(x_m, y_m) for x_m, y_m in self.points_m.tolist()]
+        return closed[0] if all(closed) else ""
 
     def to_json(self) -> dict[str, Any]:
         """Return it JSON-ready."""
@@ -331,7 +339,8 @@ class RoomMemory:
         others = [self._table.kinds.index(k) for k in room.kinds if k in self._table.kinds]
         rows = [self._log_ratio[other] for other in others if other != column]
         against = np.maximum(0.0, np.max(rows, axis=0)) if rows else 0.0
-        says = (self._log_ratio[column] - against)[objects.row[mine]] * objects.weight[mine]
+        ratio = np.maximum(self._log_ratio[column] - against, -_MOST_AGAINST)
+        says = ratio[objects.row[mine]] * objects.weight[mine]
         apart_m = np.hypot(*(room.points_m[:, None] - objects.xyz_m[mine, :2]).transpose(2, 0, 1))
         return np.exp(-apart_m / _VOTE_M) @ says
 

@@ -13,7 +13,7 @@ from edge import names
 from edge.config import MissionConfig, TranslatorLtl
 from edge.errors import UserError
 from edge.geometry import SE2
-from edge.memory import Site, described
+from edge.memory import Site, described, is_room_name
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
@@ -259,7 +259,8 @@ def located(translation: Translation, site: Site) -> Translation:
 
     Raises:
         DestinationError: see `destination_of`.
-        MissionError: a zone closes a place.
+        RelationError: see `described`.
+        MissionError: a zone closes a place, or a thing is in a room that has no such name.
     """
     found: dict[str, Destination] = {}
     english = translation.english
@@ -270,10 +271,22 @@ def located(translation: Translation, site: Site) -> Translation:
             found[letter] = destination
             plain = describe_destination(letter, destination)
             english = english.replace(f'"{letter}"', plain)
+        else:
+            _refuse_unknown_room(letter, site)
     described, orders = describe(translation.formula), orders_of(translation.formula, found)
     if found and orders and translation.english.startswith(described):
         english = orders + translation.english[len(described) :]
     return replace(translation, destinations=found, english=english)
+
+
+def _refuse_unknown_room(letter: str, site: Site) -> None:
+    """Refuse a thing in a room that is no kind of room, and has its name from nobody."""
+    room = thing.room if (thing := described(letter)) is not None else ""
+    if room and not is_room_name(room) and site.room_name(room) is None:
+        raise MissionError(
+            f"mission: {one_line(letter, 80)}: no room or thing is called {one_line(room, 60)!r}; "
+            "leave it out, or give a room this name first"
+        )
 
 
 def _refuse_closed(name: str, destination: Destination, site: Site) -> None:

@@ -19,8 +19,8 @@ from edge.types import CandidateKind, Goal, Instance
 # A frontier within this distance of a vanished one replaces it.
 _HEIR_M = 1.0
 STOP_M = (0.7, 0.85)
-"""Stopping distances from an instance, in order of preference. The second one is for an object far
-back on a table, which the robot cannot get nearer to."""
+"""Stopping distances from a few points of an instance, in order of preference. The second one is
+for an object far back on a table, which the robot cannot get nearer to."""
 # The best cell may move by this distance, or by this share of the robot's distance to the cell,
 # before the goal is replaced.
 _MOVE_M, _MOVE_SHARE = 0.3, 0.25
@@ -49,12 +49,23 @@ class CurrentGoal(NamedTuple):
 
 
 def ranked(
-    candidates: Candidates, score: np.ndarray, pose: SE2, delta_reached_m: float
+    candidates: Candidates,
+    score: np.ndarray,
+    pose: SE2,
+    delta_reached_m: float,
+    confirmed_first: bool = True,
 ) -> np.ndarray:
     """Return the indices of the candidates in the order of algorithm 2.
 
-    Instances come before frontiers, confirmed instances first, then by score. Blocked candidates
-    and frontiers within `delta_reached_m` of the robot are left out.
+    Instances come before frontiers, then by score. Blocked candidates and frontiers within
+    `delta_reached_m` of the robot are left out.
+
+    Args:
+        candidates: the candidates.
+        score: (n,) float32, their scores.
+        pose: pose of the robot.
+        delta_reached_m: see above.
+        confirmed_first: True: confirmed instances come before other instances.
 
     Returns:
         (k,) int64.
@@ -64,9 +75,8 @@ def ranked(
     # An instance is never too close: the mission verifies it at its position.
     far = (dx * dx + dy * dy > delta_reached_m**2) | (kind[:n] != FRONTIER)
     alive = np.flatnonzero(far & ~candidates.blocked[:n])
-    order = np.lexsort(
-        (candidates.id[alive], -score[alive], ~candidates.confirmed[alive], kind[alive] != INSTANCE)
-    )
+    doubtful = ~candidates.confirmed[alive] & confirmed_first
+    order = np.lexsort((candidates.id[alive], -score[alive], doubtful, kind[alive] != INSTANCE))
     return alive[order]
 
 
@@ -77,6 +87,7 @@ def choose(
     held: CurrentGoal | None,
     margin: float,
     instance_of: InstanceOf,
+    stop_m: float = STOP_M[-1],
 ) -> tuple[Goal, float, bool] | None:
     """Return the best reachable candidate, or the current one if it is about as good.
 
@@ -87,6 +98,7 @@ def choose(
         held: the current goal, if any.
         margin: how much better another candidate must be, as a fraction of the current score.
         instance_of: returns the instance with an id, or None if it is gone.
+        stop_m: stopping distance from an instance, if enough of its points are as near.
 
     Returns:
         A goal, the best score of its candidate so far, and True if the candidate is unchanged.
@@ -96,7 +108,7 @@ def choose(
     present = -1 if held is None else _index_of(held.goal, context.candidates)
     may_stay = present in order
     for index in map(int, order):
-        cell = _cell(context, index, instance_of)
+        cell = _cell(context, index, instance_of, stop_m)
         if cell is None:
             continue
         if (
@@ -105,7 +117,7 @@ def choose(
             and index != present
             and not _beats(index, present, context, score, held, margin)
         ):
-            kept = _cell(context, present, instance_of)
+            kept = _cell(context, present, instance_of, stop_m)
             index, cell = (index, cell) if kept is None else (present, kept)
         value = float(score[index])
         if held is None or index != present:
@@ -134,7 +146,7 @@ def _beats(
     """
     kind, sure = context.candidates.kind, context.candidates.confirmed
     instances = kind[index] == INSTANCE, kind[present] == INSTANCE
-    if instances[0] != instances[1] or sure[index] != sure[present]:
+    if instances[0] != instances[1] or sure[index] > sure[present]:
         return True
     if kind[present] == SPIN:
         return False
@@ -165,7 +177,7 @@ def _serves(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
     return free and goal.pose.distance_to(*cell) < allowed_m
 
 
-def _cell(context: PolicyInput, index: int, instance_of: InstanceOf) -> Cell | None:
+def _cell(context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: float) -> Cell | None:
     """Return the reachable free cell for a candidate; None if there is none."""
     candidates, pose = context.candidates, context.pose
     kind, xy_m = int(candidates.kind[index]), candidates.xy_m[index]
@@ -176,11 +188,10 @@ def _cell(context: PolicyInput, index: int, instance_of: InstanceOf) -> Cell | N
         if instance is None or instance.state == "rejected":  # changed since it was gathered
             return None
         enough = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
-        for points in (enough, 1):
-            for within_m in STOP_M:
-                found = context.map.stopping_point(instance.points_m, within_m, points)
-                if found is not None:
-                    return found[0], found[1]
+        for within_m, points in ((stop_m, enough), *((within_m, 1) for within_m in STOP_M)):
+            found = context.map.stopping_point(instance.points_m, within_m, points)
+            if found is not None:
+                return found[0], found[1]
         surface_m = instance.points_m[:, :2]
         away = np.hypot(surface_m[:, 0] - pose.x_m, surface_m[:, 1] - pose.y_m)
         xy_m = surface_m[int(np.argmin(away))]

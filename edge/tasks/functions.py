@@ -164,7 +164,7 @@ class ScriptFunctions:
         if not isinstance(side, str) or side not in SIDES_RAD:
             raise CallError(f"offset: side: expected {_choices(SIDES_RAD)}, got {shown(side)}")
         angle_rad = self._looking(thing, seen_from) + SIDES_RAD[side]
-        return self.ground.outline(thing).point_at(angle_rad, self._beside_m(distance_m))
+        return self.ground.outline(thing).point_at(angle_rad, self._side_distance_m(distance_m))
 
     def arc(
         self, id: Any, start: Any, end: Any, side: Any, distance_m: Any = PASSING_DISTANCE_M
@@ -185,7 +185,7 @@ class ScriptFunctions:
         sweep_rad = (turn * (end_rad - begin_rad)) % (2.0 * math.pi) or 2.0 * math.pi
         steps = math.ceil(sweep_rad / _ARC_STEP_RAD)
         angles_rad = begin_rad + turn * np.linspace(0.0, sweep_rad, steps + 1)
-        outline, distance_m = self.ground.outline(thing), self._beside_m(distance_m)
+        outline, distance_m = self.ground.outline(thing), self._side_distance_m(distance_m)
         around_m = np.array([outline.point_at(angle, distance_m) for angle in angles_rad.tolist()])
         corners_m = around_m[simplified(around_m, _ARC_OFF_M)]
         return _points(resample(corners_m, 0.5 * self.limits.max_jump_m))
@@ -233,7 +233,7 @@ class ScriptFunctions:
         from_m = (pose.x_m, pose.y_m) if seen_from is None else self._point(seen_from, "seen_from")
         return self.heading(from_m, tuple(thing.position_m[:2].tolist()))
 
-    def _beside_m(self, distance_m: Any) -> float:
+    def _side_distance_m(self, distance_m: Any) -> float:
         distance_m = number(distance_m, "distance_m", _FARTHEST_BESIDE_M)
         if distance_m < 0:
             raise CallError("distance_m: it is below 0")

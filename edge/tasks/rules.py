@@ -115,7 +115,7 @@ def _segment(
         case "to":
             points = [functions.stopping_point(step.things[0].id, at)]
         case "beside":
-            points = [_beside(step.things[0], step.side, at, functions)]
+            points = [_next_to(step.things[0], step.side, at, functions)]
         case "between":
             wanted = _middle(step, functions)
             middle = functions.ground.nearest(*wanted, within_m=SNAP_M)
@@ -143,7 +143,7 @@ def _round(
         ways = []
         for side in [step.side] if step.side else ["left", "right"]:
             try:
-                points = _beside_points(replace(step, kind=kind), following, at, side, functions)
+                points = _side_points(replace(step, kind=kind), following, at, side, functions)
                 is_past = partial(_is_past, step.things[0], side)
                 ways.append((side, _through(at, points, functions, is_past)))
             except TrajectoryError as error:
@@ -221,7 +221,7 @@ def _turned_rad(thing: SceneObject, side: str, way: Sequence[Point]) -> np.ndarr
     return TURNS[side] * (angle_rad - angle_rad[0])
 
 
-def _beside_points(
+def _side_points(
     step: InstructionStep,
     following: InstructionStep | None,
     at: Point,
@@ -241,7 +241,7 @@ def _beside_points(
         end = centre_m(following.things[0])
     arc = functions.arc(thing.id, at, end, side, PASSING_DISTANCE_M)
     looking_rad = functions.heading(at, centre_m(thing))
-    points = [_beside(thing, side, at, functions)]
+    points = [_next_to(thing, side, at, functions)]
     k = min(range(len(arc)), key=lambda i: math.dist(arc[i], abeam))
     for point in arc[k + 1 :]:
         angle_rad = functions.heading(centre_m(thing), point)
@@ -273,7 +273,7 @@ def _through(
     return way
 
 
-def _beside(thing: SceneObject, side: str, seen_from: Point, functions: ScriptFunctions) -> Point:
+def _next_to(thing: SceneObject, side: str, seen_from: Point, functions: ScriptFunctions) -> Point:
     """Return a place for the robot on a side of an object, with a clear view of it.
 
     The place is `PASSING_DISTANCE_M` from the object, or nearer.

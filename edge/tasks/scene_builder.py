@@ -193,7 +193,9 @@ def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> Non
         objects.vote(label, points, 1)
         objects.vote(label, points_m[which[~own]], -1)
         if thing is not None:
-            objects.vote_against(thing, points_m[_beside(found, label, cloud_m, T_base_cloud)])
+            objects.vote_against(
+                thing, points_m[_outside_boxes(found, label, cloud_m, T_base_cloud)]
+            )
 
 
 def scene_of_map(
@@ -243,7 +245,7 @@ def _whole(instances: Sequence[Instance], seen: ObjectMap) -> list[MapObject]:
     return list(objects.values())
 
 
-def _beside(
+def _outside_boxes(
     found: Detections, label: str, cloud_m: np.ndarray, T_base_cloud: np.ndarray
 ) -> np.ndarray:
     """Return the points in the picture that are clearly outside every box of a label, (n,) bool."""
@@ -252,13 +254,13 @@ def _beside(
     ahead = z > 0.0
     z = np.where(ahead, z, 1.0)
     u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
-    beside = ahead & (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)
+    outside = ahead & (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)
     for box_px, k in zip(found.xyxy_px, found.class_id, strict=True):
         if found.prompts[k] == label:
             x0, y0, x1, y1 = box_px.tolist()
             mx, my = MARGIN_SHARE * (x1 - x0) + 1.0, MARGIN_SHARE * (y1 - y0) + 1.0
-            beside &= (u < x0 - mx) | (u > x1 + mx) | (v < y0 - my) | (v > y1 + my)
-    return beside
+            outside &= (u < x0 - mx) | (u > x1 + mx) | (v < y0 - my) | (v > y1 + my)
+    return outside
 
 
 def _in_boxes(

@@ -246,7 +246,7 @@ def test_a_card_names_every_file_and_each_has_its_hash(cache, kind):
         assert card["image_tokens"] > 0
 
 
-def test_weights_that_one_file_does_not_hold_are_beside_it(
+def test_weights_that_one_file_does_not_hold_are_next_to_it(
     cache, originals, rgb, folders, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(vlm_files, "ONE_FILE_BYTES", 10_000)

@@ -153,7 +153,7 @@ def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
     }
 
 
-def test_a_mission_is_taken_up_while_a_part_is_under_way_though_one_look_finds_another_lost():
+def test_a_mission_is_resumed_while_a_part_is_under_way_though_one_look_finds_another_lost():
     spec = prepare(LIMITS, instruction="go to the bed and the sofa")
     first = plan(spec, LIMITS, {}, share=True)
     bed, sofa = (part.id for part in first.parts)

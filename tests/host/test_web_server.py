@@ -100,7 +100,7 @@ def test_those_who_keep_connections_open_lock_nobody_out():
 
 
 @pytest.mark.parametrize("silent", [2 * MOST_OPEN, 0])
-def test_a_post_that_is_being_carried_out_is_answered_whoever_connects(silent):
+def test_a_post_that_is_being_carried_out_is_answered_by_other_connections(silent):
     """Strangers give way first, then those who know the token and wait for nothing."""
     begun, go_on = threading.Event(), threading.Event()
 

@@ -79,7 +79,7 @@ def test_a_mission_goes_on_where_kill_9_cut_it_off(edge, endpoint, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_damaged_checkpoint_is_set_aside_and_the_mission_begins_anew(edge, endpoint, tmp_path):
+def test_a_damaged_checkpoint_is_set_aside_and_the_mission_begins_again(edge, endpoint, tmp_path):
     kept = tmp_path / "mission.json"
     kept.write_text('{"format":"edge-mission","version":1,')
     mission = {"target": "bed", "checkpoint": str(kept)}

@@ -28,6 +28,7 @@ class Map:
     Attributes:
         asked: where to stop for an instance: how near, to how many points; nowhere is nearer than
             `least_m`, nor near to more than `most_points`.
+        view_m2: area that the view shows.
     """
 
     def __init__(self) -> None:
@@ -35,6 +36,7 @@ class Map:
         self.closed: list[tuple[float, float]] = []
         self.generation, self.closed_m = 7, []
         self.camera_yaw_rad, self.view, self.here = 0.0, None, HERE
+        self.view_m2 = 0.0
         self.travel_cost = self.coverage = self.bumps = self
         self.asked: list[tuple[float, int]] = []
         self.least_m, self.most_points = 0.0, 64
@@ -71,6 +73,12 @@ class Map:
 
     def write_off(self, view: Viewpoint) -> None:
         self.view = None
+
+    def area_m2(self, view: Viewpoint) -> float:
+        return self.view_m2
+
+    def distance_m(self, x: float, y: float) -> float:
+        return math.hypot(x, y)
 
 
 class Things(dict):
@@ -337,6 +345,45 @@ def test_what_was_seen_badly_is_looked_at_again_from_one_view():
     assert (case.goals.views, case.goals.exhausted) == (1, True)
 
 
+@pytest.mark.parametrize(
+    ("confirmed", "view_m2", "gain_m2", "expected"),
+    [
+        (True, 4.0, 0.5, "spin"),
+        # A frontier that shows more per metre comes first.
+        (True, 1.0, 3.0, "frontier"),
+        # A mistake tells nothing about known space.
+        (False, 4.0, 0.5, "frontier"),
+    ],
+)
+def test_if_a_confirmed_object_has_moved_known_space_is_searched(
+    confirmed, view_m2, gain_m2, expected
+):
+    case, there = Case(), SE2(2.5, 0.0, 0.0)
+    case.things.sure = (9,) if confirmed else ()
+    case.pool.candidates.path_m[:] = 1.0
+    case.pool.candidates.gain_m2[:] = gain_m2
+    case.map.view, case.map.view_m2 = Viewpoint(1.0, 0.0, 0.5), view_m2
+    case.choose(chair(9, 3.0, 0.8))
+    case.answer("reached")
+    case.goals.check_progress(case.map, there, case.mission, 0, case.now_ns, lambda _: False)
+    case.now_ns += 3 * S
+    case.goals.check_progress(case.map, there, case.mission, 9, case.now_ns, lambda _: False)
+    assert case.things[9].state == "rejected"
+    goal = case.choose(frontier(1, 3.0, 0.5))
+    assert goal.kind == expected
+    assert case.choose(frontier(1, 3.0, 0.5)) is goal
+    # Another such object is gone to before.
+    assert who(case.choose(frontier(1, 3.0, 0.5), chair(8, -3.0, 0.1))) == ("instance", 8)
+
+
+@pytest.mark.parametrize(("reach_m", "stop_m"), [(0.9, 0.85), (1.0, 0.85), (0.6, 0.55)])
+def test_the_robot_stops_where_it_has_reached_the_object(reach_m, stop_m):
+    case = Case()
+    case.goals.reconfigure(simulated({"mission": {"reach_m": reach_m}}))
+    case.choose(chair(9, 3.0, 0.8))
+    assert case.map.asked[0][0] == pytest.approx(stop_m)
+
+
 @pytest.mark.parametrize(("explored", "chances"), [(False, 4), (True, 1)])
 def test_a_frontier_that_vanishes_time_and_again_is_left_alone(explored, chances):
     """Four times while exploring, once where all was explored: it shows from afar alone."""
@@ -491,7 +538,7 @@ def test_every_arrival_is_verified_afresh(between):
     assert "rejected" in [thing.state for thing in case.things.values()]
 
 
-def test_a_stop_beside_what_must_not_be_reached_is_told_once_before():
+def test_a_stop_next_to_what_must_not_be_reached_is_told_once_before():
     case, told = Case(), []
     point = np.array([[3.4, 0.0, 0.5]], np.float32)
     lamp = Instance(5, "lamp", point[0], point, 0.8, 3, 0, 0)

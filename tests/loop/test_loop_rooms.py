@@ -11,8 +11,9 @@ from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
+from edge.loop.requests import handle_mission
 from edge.loop.site_requests import SITE_VERBS, handle_site
-from edge.memory import RoomName, Site
+from edge.memory import RoomName, Site, Zone
 from edge.mission.spec import prepare
 
 LIVING, KITCHEN = (1.6, 1.4), (8.5, 2.0)
@@ -122,6 +123,34 @@ def test_a_forbidden_room_is_closed_until_the_mission_ends(in_kitchen):
     service.fail("enough", 0)
     in_kitchen.step()
     assert not service.map.grid.zones.contains(*LIVING)
+
+
+CLOSED = Zone("annexe", "keep_out", ((6.0, -1.0), (12.0, -1.0), (12.0, 5.0), (6.0, 5.0)))
+
+
+def test_a_mission_to_a_room_that_a_zone_closes_is_refused(in_kitchen):
+    service, mission = in_kitchen.service, in_kitchen.config.mission
+    service.change_site(Site((CLOSED,)), 0)
+
+    def begin(instruction: str) -> None:
+        brief = prepare(mission, instruction, site=service.site.known)
+        handle_mission(service, Request("new", prepared=brief), in_kitchen.drive.motion.stamp_ns)
+
+    why = "mission: {} is closed by the zone 'annexe'; remove the zone or name another room"
+    for name, room in (("kitchen", "the kitchen"), ("room two", "room 2")):
+        with pytest.raises(UserError, match=why.format(name)):
+            begin(f"go to {room}")
+    begin("go to the sofa, but never enter the kitchen")
+    begin("go to the living room")
+    service.change_site(Site(), 0)
+    begin("go to the kitchen")
+
+
+def test_a_mission_to_a_closed_room_that_is_not_known_yet_fails_with_the_reason():
+    loop = driven("go to the canteen", CLOSED, RoomName("canteen", KITCHEN))
+    assert loop.service.status.phase == "failed", loop.notes.events
+    assert loop.service.status.reason == "a zone closes the canteen, room 2"
+    assert not is_in_kitchen(loop)
 
 
 def test_the_next_room_is_one_that_was_not_visited():

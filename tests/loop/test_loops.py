@@ -125,7 +125,7 @@ def test_a_wall_clock_that_is_set_does_not_end_a_mission(monkeypatch):
 
 
 @pytest.mark.parametrize("steps_s", [(1.0, -400.0, 1.0), (1.0, 1e9, 1.0), (1.0, -3e9, 2.5e9)])
-def test_a_sensor_clock_that_is_set_anew_neither_turns_lockstep_back_nor_ahead(steps_s):
+def test_a_sensor_clock_that_is_set_again_neither_turns_lockstep_back_nor_ahead(steps_s):
     """Else what waits until a time waits for ever, or a mission is over by its limit."""
     run, stop, times = running(True, time_limit_s=300.0), threading.Event(), []
     run.service.tick = lambda observation, now_ns: times.append(now_ns)

@@ -143,6 +143,17 @@ def test_a_check_in_a_room_looks_only_there(formula, answer, tmp_path):
     assert re.match(answer, status.reason), status.reason
 
 
+@pytest.mark.parametrize(("thing", "phase"), [("sofa", "reached"), ("bed", "failed")])
+def test_a_thing_in_a_named_room_is_only_that(thing, phase, tmp_path):
+    den = Site((RoomName("den", (2.0, 2.0)),))
+    loop = loop_of(tmp_path, "F start")
+    loop.service.change_site(den, loop.drive.motion.stamp_ns)
+    brief = prepare(loop.config.mission, formula=f'F "{thing} in the den"', site=den)
+    loop.service.begin(brief, loop.drive.motion.stamp_ns)
+    loop.run(120)
+    assert loop.service.status.phase == phase, loop.service.status
+
+
 def test_a_check_that_finds_nothing_tells_where_the_thing_was_before(tmp_path):
     loop = in_rooms(tmp_path, 'F "check bed in bedroom"').run(100)
     assert loop.service.status.reason.startswith("yes")

@@ -209,7 +209,7 @@ def test_while_another_model_comes_all_may_change_but_the_detector(
     assert bench.reload(config(perception={"tau_det": 0.4})) == "switched: perception.tau_det"
 
 
-def test_a_real_detector_is_made_anew_beside_the_one_at_work():
+def test_a_real_detector_is_made_again_next_to_the_one_at_work():
     first = load("demo").model_dump(exclude={"path"})
     first["loop"]["lockstep"] = first["sim"]["lockstep"] = True
     first["perception"]["isolation"] = "thread"

@@ -83,7 +83,7 @@ def test_a_model_that_is_swapped_in_is_loaded_in_a_process_first(isolation):
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_what_the_scorer_says_is_taken_up(lockstep):
+def test_what_the_scorer_says_is_used(lockstep):
     with serving(model()) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep)))
         if lockstep:  # at once, or a run would not replay the same

@@ -198,7 +198,7 @@ def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
     loop.service.close()
 
 
-def test_a_stop_beside_what_must_not_be_reached_is_reported_before():
+def test_a_stop_next_to_what_must_not_be_reached_is_reported_before():
     """The demo house has no such place, so the forbidden thing is put beside the goal."""
     loop = ClosedLoop(config("F television & (!lamp W television)"), colour=False)
     while not any(step.kind == "target" for step in loop.service.mission.log):

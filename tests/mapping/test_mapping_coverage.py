@@ -12,7 +12,7 @@ from mapping_twins import CAMERA, T_BASE_CAMERA, complete, look, room, seen_arou
 
 from edge.geometry import SE2, se3, to_optical
 from edge.mapping import coverage as cv
-from edge.mapping.coverage import COUNT, KEEP, WRITE_OFF, Coverage, Viewpoint
+from edge.mapping.coverage import COUNT, KEEP, LEAST_M2, WRITE_OFF, Coverage, Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import FREE, OCCUPIED, make_layers
 from edge.mapping.window import Window
@@ -167,6 +167,7 @@ def test_view_after_view_comes_to_an_end(how):
     while (view := searched(grid)) is not None:
         assert grid.travel_cost.distance_m(view.x_m, view.y_m) < math.inf
         assert grid.state_at(view.x_m, view.y_m) == 0
+        assert coverage.area_m2(view) > 0.9 * LEAST_M2
         views.append(view)
         before = np.count_nonzero(window(grid) >= 2)
         if how == "looked from there":
@@ -174,7 +175,9 @@ def test_view_after_view_comes_to_an_end(how):
                 ahead = SE2(view.x_m, view.y_m, view.heading_rad)
                 coverage.on_image(seen_from(ahead, to_optical(se3(0.0, 0.0, 0.6))), 1.6, 2)
             assert not coverage.is_worth_it(view)
+            assert coverage.area_m2(view) < 1.1 * LEAST_M2
         coverage.write_off(view)
+        assert coverage.area_m2(view) == 0.0
         assert np.count_nonzero(window(grid) >= 2) > before
         assert len(views) < 60
     assert len(views) > 3

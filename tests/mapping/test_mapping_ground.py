@@ -68,7 +68,7 @@ def test_without_returns_no_floor_is_known():
         (80.0, 0.3),
     ],
 )
-def test_the_floor_is_found_wherever_it_is(floor_z_m, base_m):
+def test_the_floor_is_found_at_any_height(floor_z_m, base_m):
     """An upper floor, a map whose z = 0 is the start of a base that is over the floor, and both."""
     grid = RollingMap(SMALL)
     for _ in range(2):

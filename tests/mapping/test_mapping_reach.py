@@ -156,6 +156,19 @@ def test_the_robot_stops_where_a_thing_is_first_near_and_in_sight():
     assert grid.travel_cost.stopping_point(more_m, 0.7)[2] < way_m
 
 
+def test_the_robot_does_not_stop_behind_the_wall_that_a_thing_stands_at():
+    grid = RollingMap(SMALL)
+    wall, thing = (1.0, -0.6, 0.0, 1.25, 2.5, 1.0), (1.25, 0.3, 0.0, 1.6, 0.7, 0.5)
+    for x, y in ((0.0, 0.0), (0.0, -1.2), (2.0, -1.2), (2.0, 1.8)):
+        for yaw in np.arange(0, 6.4, 0.3):
+            look(grid, SE2(x, y, yaw), [wall, thing, *room(2.5)])
+    complete(grid, SE2(0.0, 0.5, 0.0))
+    # Depth noise puts points of a thing at a wall into the wall.
+    surface_m = np.array([[1.15, 0.5, 0.4], [1.16, 0.6, 0.4], [1.6, 0.5, 0.4]], np.float32)
+    for points in (1, 2):
+        assert grid.travel_cost.stopping_point(surface_m, 0.85, points)[0] > 1.25, points
+
+
 def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
     grid = RollingMap(SMALL)
     for x, y in ((0.0, 0.0), (-1.0, 0.0)):

@@ -15,6 +15,7 @@ from edge.memory import (
     RoomName,
     RoomSurvey,
     Site,
+    Zone,
     kind_of_room,
     survey_rooms,
 )
@@ -151,6 +152,36 @@ def test_a_room_has_its_kind_from_the_objects_in_it():
     assert rooms.room_at(1.0, 1.0) is left
     here, there = rooms.kind_ratio("bathroom", np.array([(1, 1), (5, 2)], np.float32))
     assert there < 1 < here
+
+
+OPEN_PLAN = seen(
+    ("refrigerator", 0.5, 1.0), ("countertop", 0.5, 2.0), ("sofa", 5.5, 3.0), ("tv stand", 6.5, 1.0)
+)
+
+
+@pytest.mark.parametrize(("kind", "x_m"), [("kitchen", (0, 2)), ("living room", (5, 7))])
+def test_in_an_open_plan_room_a_kind_is_where_its_objects_are(kind, x_m):
+    (room,) = (rooms := memory(cut((0, 0, 70, 40)), things=OPEN_PLAN)).rooms
+    assert room.kinds == ("kitchen", "living room")
+    votes = rooms.votes(room, kind)
+    assert votes.shape == (len(room.points_m),)
+    assert x_m[0] < room.points_m[votes.argmax(), 0] < x_m[1]
+    assert votes.max() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "corners_m", "closed"),
+    [
+        ("keep_out", ((-1, -1), (4, -1), (4, 5), (-1, 5)), True),
+        ("keep_out", ((-1, -1), (4, -1), (4, 2), (-1, 2)), False),
+        ("stay_inside", ((-1, -1), (4, -1), (4, 5), (-1, 5)), False),
+        ("stay_inside", ((4, -1), (9, -1), (9, 5), (4, 5)), True),
+    ],
+)
+def test_a_room_is_closed_if_zones_close_all_of_it(kind, corners_m, closed):
+    (room,) = memory(cut(LEFT)).rooms
+    assert room.closed_by(UNNAMED) == ""
+    assert room.closed_by(Site((Zone("yard", kind, corners_m),))) == ("yard" if closed else "")
 
 
 def test_a_name_by_a_person_is_certain():

@@ -68,7 +68,7 @@ def test_unknown_cost_has_limits():
 
 
 @pytest.mark.parametrize(("half_m", "found"), [(0.3, True), (1.0, True), (1.5, False)])
-def test_an_object_is_reached_beside_it(half_m, found):
+def test_an_object_is_reached_next_to_it(half_m, found):
     """It stands in the middle of what is occupied."""
     snapshot = room(8, 4)
     fill(snapshot, 5 - half_m, 2 - half_m, 5 + half_m, 2 + half_m)

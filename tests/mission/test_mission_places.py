@@ -7,7 +7,7 @@ import pytest
 from edge.config import MissionConfig, parse
 from edge.errors import UserError
 from edge.geometry import SE2
-from edge.memory import Place, Site, Zone
+from edge.memory import Place, RoomName, Site, Zone
 from edge.mission.destinations import PlaceTarget
 from edge.mission.language.places import quote_places
 from edge.mission.spec import prepare
@@ -105,3 +105,25 @@ def test_a_file_of_places_needs_a_frame_that_lasts():
     with pytest.raises(UserError, match=r"mission\.site: .*set source\.localised to true"):
         parse(data)
     assert parse({**data, "source": {"kind": "zenoh", "localised": True}}).mission.site
+
+
+@pytest.mark.parametrize(
+    ("instruction", "formula", "prompts"),
+    [
+        ("go to the den", "F den", ("chair",)),
+        ("find the mug in the den", 'F "mug in the den"', ("mug",)),
+        ("look for the mug in the den, then go to the dock", 'F ("mug in the den" & F dock)',
+         ("mug",)),
+        ("explore the den", 'F "explored den"', ("chair",)),
+        ("find the mug in the crypt", "", ()),
+        ('go to "mug on desk in crypt"', "", ()),
+    ],
+)  # fmt: skip
+def test_a_thing_may_be_in_a_room_that_a_person_named(instruction, formula, prompts):
+    site, config = SITE.with_item(RoomName("den", (4.0, 2.0))), MissionConfig()
+    if not formula:
+        with pytest.raises(UserError, match=r"no room or thing is called 'crypt'; leave it out"):
+            prepare(config, instruction, site=site)
+        return
+    brief = prepare(config, instruction, site=site)
+    assert (str(brief.automaton.formula), brief.prompts) == (formula, prompts)

@@ -64,7 +64,7 @@ def test_a_failed_branch_gives_way_to_the_other_and_the_last_ends_it():
     assert "found no" in status.reason
 
 
-def test_what_failed_is_taken_up_again_only_when_another_one_is_seen():
+def test_what_failed_is_tried_again_only_when_another_one_is_seen():
     mission = begun()
     mission.on_detections({"chair": 4}, S)
     mission.abandon_target("no way to it", 2 * S)

@@ -69,7 +69,7 @@ def test_what_does_not_matter_is_not_looked_for():
 AMBIGUOUS = "the sofa must be visited before the bed"
 
 
-def test_whoever_gives_an_instruction_is_asked_and_the_configuration_cannot_be() -> None:
+def test_a_person_who_gives_an_instruction_is_asked_and_the_configuration_cannot_be() -> None:
     with pytest.raises(AmbiguousInstructionError) as caught:
         prepare(MissionConfig(), AMBIGUOUS)
     told = caught.value.details["readings"]

@@ -203,7 +203,7 @@ def test_right_is_the_mark_from_which_the_least_is_left_to_drive(yaw_rad, thing,
     assert not choices.right_of(np.array([choices._left_m(blind, view)])).any()
 
 
-def test_the_small_scorer_is_listed_beside_the_detectors_of_its_family(
+def test_the_small_scorer_is_listed_next_to_the_detectors_of_its_family(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))

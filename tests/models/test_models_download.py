@@ -41,14 +41,14 @@ def test_a_file_comes_whole(server, tmp_path, content):
     assert left(tmp_path) == {"w.pt": len(content)}
 
 
-def test_a_broken_connection_is_taken_up_where_it_ended(server, tmp_path):
+def test_a_broken_connection_is_resumed_where_it_ended(server, tmp_path):
     how = server.put("/w.pt", CONTENT, cut=40_000)
     fetch(server, tmp_path)
     assert [asked.get("range") for asked in how.asked] == [None, "bytes=40000-", "bytes=80000-"]
     assert (tmp_path / "w.pt").read_bytes() == CONTENT
 
 
-def test_a_part_of_an_earlier_run_is_taken_up(server, tmp_path):
+def test_a_part_of_an_earlier_run_is_resumed(server, tmp_path):
     how = server.put("/w.pt", CONTENT, cut=30_000)
     with pytest.raises(FetchError, match=r"w\.pt: closed the connection before its answer was"):
         fetch(server, tmp_path)

@@ -144,7 +144,7 @@ def test_a_bad_card_of_any_task_names_file_and_key(place, tmp_path, task, change
     assert all(line.startswith(str(tmp_path)) for line in str(error.value).splitlines())
 
 
-def test_a_model_shipped_beside_its_card_comes_before_the_cache(place, tmp_path):
+def test_a_model_shipped_next_to_its_card_comes_before_the_cache(place, tmp_path):
     place()
     card = put_model()
     shipped = tmp_path / "cards" / "tiny.onnx"

@@ -255,7 +255,7 @@ def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
         check_model(load_detector_card("tiny"))
 
 
-def test_contrasts_are_asked_for_beside_the_prompts(tiny, monkeypatch, make_observation):
+def test_contrasts_are_asked_for_next_to_the_prompts(tiny, monkeypatch, make_observation):
     detector = tiny(prompts=("chair",))
     seen = make_observation(rgb=image())
     assert detector.detect(seen).competing_score.tolist() == [0.0]

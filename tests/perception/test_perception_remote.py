@@ -130,7 +130,7 @@ def test_a_server_that_comes_later_is_found(model, far, picture):
         assert there.health() == ("ok", "")
 
 
-def test_the_pause_doubles_to_its_limit_and_begins_anew(model, far, picture):
+def test_the_pause_doubles_to_its_limit_and_begins_again(model, far, picture):
     with serving(KServe(model, behave=lambda h: h.send(b"", 503))) as server:
         there, pauses = far(server), []
         for _ in range(8):
@@ -246,7 +246,7 @@ def test_whatever_a_server_does_costs_an_image_and_is_told(
         assert there.health() == ("ok", "")
 
 
-def test_a_server_that_comes_back_with_another_model_is_taken_up(model, far, picture):
+def test_a_server_that_comes_back_with_another_model_is_used(model, far, picture):
     metadata = {"inputs": [{"name": "images", "datatype": "FP32", "shape": [1, 3, 64, 64]}]}
     with serving(KServe(model)) as server:
         there = far(server)
@@ -295,7 +295,7 @@ def _error(there, picture, later_s=0.0) -> str:
     return ""
 
 
-def test_beside_the_loop_the_newest_image_wins_and_frames_are_let_go(model, far, picture):
+def test_in_the_background_the_newest_image_wins_and_frames_are_let_go(model, far, picture):
     gate = threading.Event()
 
     def slowly(handler):

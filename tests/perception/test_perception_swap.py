@@ -179,7 +179,7 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
                            "it anyway"),
     ],
 )  # fmt: skip
-def test_a_model_that_does_badly_beside_the_running_one_is_refused(bench, new, reason):
+def test_a_model_that_does_badly_next_to_the_running_one_is_refused(bench, new, reason):
     b = bench(new)
     assert b.swap() == ("refused", f"{reason}; old goes on")
     assert b.said[1:] == [f"model new: refused: {reason}; old goes on"]

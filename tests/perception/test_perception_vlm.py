@@ -546,7 +546,7 @@ def test_a_card_of_another_task_and_one_that_is_not_there(models_dir):
             made(card=name)
 
 
-def test_weights_beside_a_network_must_be_among_the_cards_files(models_dir):
+def test_weights_next_to_a_network_must_be_among_the_cards_files(models_dir):
     card = publish(models_dir, "text")
     path = card.path_of(card.decoder)
     made = tiny_vlm.decoder(600, np.random.default_rng(0), "text", F32)

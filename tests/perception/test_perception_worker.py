@@ -117,7 +117,7 @@ def test_what_has_no_picture_is_no_failure(make_observation, looks_at, inline):
 
 
 @pytest.mark.parametrize("inline", [False, True])
-def test_whoever_watches_and_fails_stops_nothing(frames, inline, caplog):
+def test_a_callback_that_fails_stops_nothing(frames, inline, caplog):
     worker = DetectorWorker(fake := Fake(), inline)
 
     def watch(detector, observation, outcome):

@@ -22,6 +22,7 @@ from edge.policies.base import (
     scores_of,
 )
 from edge.policies.hvl import hvl_scores, relatedness, vl_scores
+from edge.policies.search import SearchPolicy
 from edge.policies.select import ranked
 from edge.types import ContextBoxes, Detections, Observation
 
@@ -157,6 +158,37 @@ def test_ranking_is_algorithm_2(entries, score, expected):
     assert order.tolist() == expected
 
 
+@pytest.mark.parametrize(("confirmed_first", "expected"), [(True, [1, 0, 2]), (False, [0, 1, 2])])
+def test_a_confirmed_instance_may_come_before_what_scores_more(confirmed_first, expected):
+    candidates = candidates_of((INSTANCE, 2, 0), (INSTANCE, 5, 0), (FRONTIER, 1, 0))
+    candidates.confirmed[1] = True
+    score = np.array([0.3, 0.2, 0.9], np.float32)
+    order = ranked(candidates, score, SE2(0, 0, 0), 0.5, confirmed_first)
+    assert order.tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("path_m", "best"),
+    [
+        # Ways to a confirmed object, and to one that may be another thing (confidence 0.36).
+        ((2.0, 2.0), 0),
+        ((2.0, 1.0), 0),
+        ((5.0, 2.0), 1),
+        ((9.0, 6.0), 0),
+    ],
+)
+def test_objects_are_visited_in_the_order_of_the_least_expected_path(path_m, best):
+    candidates = candidates_of((INSTANCE, 1, 0), (INSTANCE, 0, 1))
+    candidates.confirmed[0], candidates.confidence[1] = True, 0.36
+    candidates.path_m[:2] = path_m
+    score = SearchPolicy(PolicySearch()).score(context(candidates))
+    chance, cost_m = np.array([0.95, 0.6]), 1.0 + np.array(path_m)
+    expected_m = [
+        cost_m[i] + (1.0 - chance[i]) * cost_m[1 - i] for i in range(2)
+    ]  # the second trip from here again
+    assert int(score.argmax()) == int(np.argmin(expected_m)) == best
+
+
 CAMERA = CameraModel.from_hfov(320, 256, FOV)
 
 
@@ -235,7 +267,7 @@ BY_SIGHT = PolicyHvl(heuristics=False)
 BOTH = ("chair", "sofa")
 
 
-def test_what_was_seen_first_stays_with_the_frontier_wherever_it_stands_in_the_list():
+def test_what_was_seen_first_stays_with_the_frontier_at_any_place_in_the_list():
     policy = make_policy(BY_SIGHT)
     first = candidates_of((FRONTIER, 2, 0), (FRONTIER, 2, 1), (FRONTIER, 2, -1))
     bearing = math.atan2(1, 2)

@@ -55,7 +55,7 @@ def whole(tmp_path_factory) -> bytes:
 
 
 @given(share=st.floats(0, 1))
-def test_wherever_it_is_cut_the_beginning_is_read(tmp_path_factory, whole, share):
+def test_at_any_cut_the_beginning_is_read(tmp_path_factory, whole, share):
     path = tmp_path_factory.mktemp("cut") / "a.mcap"
     size = int(share * (len(whole) - 1))
     path.write_bytes(whole[:size])

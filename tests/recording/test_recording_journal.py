@@ -126,7 +126,7 @@ def test_recordings_of_before_there_were_masks_are_read():
     assert journal.detections_of(entry.fields["result"], found.observation).mask is None
 
 
-def test_what_was_found_beside_the_loop_comes_back():
+def test_what_was_found_in_the_background_comes_back():
     values = np.array([0.1, np.inf, np.nan], np.float32)
     label = np.repeat(np.array([[1, 2]], np.int16), 20, axis=1).repeat(20, axis=0)
     grid = Grid(np.full(label.shape, OPEN, np.uint8), (0.1, -0.2), 0.1)

@@ -217,7 +217,7 @@ class Thinks:
         self.told.release()
 
 
-def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
+def test_what_works_in_the_background_comes_when_it_came(tmp_path, monkeypatch):
     """On threads: a scorer, the survey for the planner, the cut into rooms."""
     config = small(
         loop={"lockstep": False},
@@ -308,7 +308,7 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
         (True, "another", ["", ""]),  # once more after the jump
     ],
 )
-def test_a_run_that_takes_up_its_map(tmp_path, monkeypatch, localised, boot, elsewhere):
+def test_a_run_that_restores_its_map(tmp_path, monkeypatch, localised, boot, elsewhere):
     """Killed, and started again: in a replay there is neither its computer nor its clock."""
     monkeypatch.setattr("edge.loop.map_checkpoint.boot_id", lambda: "this")
     path, left = tmp_path / "mission.json", tmp_path / "left.json"
@@ -568,7 +568,7 @@ def test_no_file(tmp_path):
         RecordedRun(tmp_path / "a.mcap")
 
 
-def test_detecting_anew(drive, tmp_path):
+def test_detecting_again(drive, tmp_path):
     with pytest.raises(ReplayError, match="sim cannot detect in images"):
         replay(RecordedRun(drive), detect=True)
     onnx = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "threads": 1}

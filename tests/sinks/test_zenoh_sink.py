@@ -147,7 +147,7 @@ def test_a_goal_is_sent_every_half_second_until_it_is_answered(clock, sink, ears
     assert ears.rest("goal") == []
 
 
-def test_an_accepted_goal_is_repeated_every_second_for_a_controller_that_starts_anew(
+def test_an_accepted_goal_is_repeated_every_second_for_a_controller_that_starts_again(
     clock, sink, ears
 ):
     sink.tick(result(goals=(goal(123),)))

@@ -83,7 +83,7 @@ def test_a_jump_starts_a_new_epoch_and_nothing_is_interpolated_over_it():
     assert se2_of(poses.pose_at(30)[0]).x_m == 2.0
 
 
-def test_a_sender_that_begins_anew_is_heard_again():
+def test_a_sender_that_begins_again_is_heard_again():
     poses = ring((10**9, 5.0))
     odd = [poses.push(i, SE2(0.0, 0.0, 0.0).matrix()) for i in range(RESET_AFTER + 2)]
     assert odd == ["backward"] * (RESET_AFTER - 1) + ["pose_jump", "", ""]

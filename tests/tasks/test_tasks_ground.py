@@ -55,7 +55,7 @@ def test_who_stands_in_the_house_gets_about_in_it_only():
 
 
 @pytest.mark.parametrize(("gap_m", "reachable"), [(ESCAPE_M - 0.2, True), (ESCAPE_M + 0.5, False)])
-def test_a_robot_too_close_to_something_begins_beside_it(gap_m, reachable):
+def test_a_robot_too_close_to_something_begins_next_to_it(gap_m, reachable):
     """Closed ground all around, out to `gap_m`."""
     wall = (-gap_m, gap_m, -gap_m, gap_m)
     assert ground_of(street(walls=(wall,)), 0.0).reachable.any() == reachable

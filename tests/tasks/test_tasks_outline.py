@@ -31,7 +31,7 @@ def test_where_the_map_has_nothing_it_is_the_box():
     assert got.point_at(0.0, 1.0) == pytest.approx((10.6, 2.0), abs=1e-3)
 
 
-def test_beside_is_measured_from_the_rim():
+def test_a_distance_is_measured_from_the_rim():
     got = outline(SOFA)
     assert got.point_at(math.pi / 2, 1.0) == pytest.approx((8.0, 4.6), abs=1e-3)
     corner = 1.6 + math.sqrt(0.5)
@@ -56,7 +56,7 @@ def test_what_nobody_saw_of_a_thing_is_of_it():
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, 8.0), st.booleans())
-def test_a_point_beside_is_so_far_from_the_hull(angle_rad, distance_m, corner):
+def test_a_point_next_to_it_is_so_far_from_the_hull(angle_rad, distance_m, corner):
     got = outline(SOFA, *([(6.0, 8.8, 0.0, 2.8)] if corner else []))
     at = got.point_at(angle_rad, distance_m)
     hull = (got.hull_m + got.middle_m).astype(np.float32)

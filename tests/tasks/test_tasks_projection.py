@@ -73,7 +73,7 @@ def test_what_stands_before_a_thing_is_not_it():
     assert len(pole_points) > 5
 
 
-def test_a_mask_leaves_out_what_its_box_holds_besides():
+def test_a_mask_leaves_out_what_its_box_holds_too():
     """The left half of the mask: the right one's points are another thing's."""
     left, right = Box(12.0, 1.0, (1, 1, 1.5)), Box(12.0, -1.0, (1, 1, 1.5))
     observation, hit = street([left, right])

@@ -397,7 +397,7 @@ def test_ground_that_nobody_has_seen_is_not_called_full():
         driven("go straight for 5 metres", scene)
 
 
-def test_the_other_side_of_a_wall_is_not_beside_a_thing():
+def test_the_other_side_of_a_wall_is_not_next_to_a_thing():
     """A sofa along a wall, with a table before it: behind the wall is the place nearest to it."""
     sofa = Thing("sofa", 8.0, 2.5, (3.0, 1.0), nearest=False)
     table = Thing("table", 8.0, 1.4, (3.0, 1.0))

@@ -242,7 +242,7 @@ def of_service(instances, boxes=STREET, found=False, blind_m=0.0):
     return scene_of_map(MapView(grid), observation, instances, 0.3, seen)
 
 
-def test_what_is_beside_a_things_box_in_other_pictures_is_not_of_it():
+def test_what_is_next_to_a_things_box_in_other_pictures_is_not_of_it():
     """The first box is too wide, and shows the post too; the others fit."""
     can, post = STREET[1], Box(9.0, -2.2, (1.0, 1.0, 1.2), 0.0, "post", (90, 90, 90))
     objects = ObjectMap()

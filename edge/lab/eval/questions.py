@@ -5,19 +5,23 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 
+import numpy as np
+
 from edge.bus.verbs import Request
 from edge.config import Config
 from edge.errors import UserError
 from edge.lab.eval.episodes import Episode, make_episode, world_setups
 from edge.lab.eval.ground_truth import named
 from edge.lab.eval.missions import MissionCostFields
+from edge.lab.eval.rooms import RoomVerdict, judge_rooms, true_room_at
 from edge.lab.sim.base import World, WorldError, free_poses
 from edge.loop.memory_requests import handle_memory
 from edge.loop.service import Service
 
 log = logging.getLogger("edge.lab.eval.questions")
 PLACE_M = 1.0
-RIGHT, WRONG_PLACE, NOT_SEEN = "right", "wrong place", "not seen"
+RIGHT, NOT_SEEN = "right", "not seen"
+WRONG_PLACE, WRONG_ROOM = "wrong place", "wrong room"
 EXPLORE = "explore the house"
 
 
@@ -57,19 +61,33 @@ def plan_questions(
 
 
 def answers_of(service: Service, world: World, asks: Sequence[str], now_ns: int) -> dict[str, str]:
-    """Ask a service for objects, and judge the first place of each answer.
+    """Ask a service for objects, and judge the first place of each answer, and its room.
 
     Returns:
-        By name: `RIGHT` if the place is within `PLACE_M` of the footprint of such an object,
-        `WRONG_PLACE` if not, `NOT_SEEN` if the answer has no place.
+        By name: `RIGHT`; `WRONG_PLACE` if the place is over `PLACE_M` from the footprints of such
+        objects; `WRONG_ROOM` if the answer does not name the kind of the true room, or another
+        kind too that is not there; `NOT_SEEN` if the answer has no place. Rooms are judged in
+        worlds that have their kinds.
     """
-    return {name: _verdict(service, world, name, now_ns) for name in asks}
+    rooms = judge_rooms(world, service.map.rooms) if asks and world.room_kinds else []
+    judged = {room.id: room for room in rooms}
+    return {name: _verdict(service, world, name, now_ns, judged) for name in asks}
 
 
-def _verdict(service: Service, world: World, name: str, now_ns: int) -> str:
+def _verdict(
+    service: Service, world: World, name: str, now_ns: int, judged: dict[int, RoomVerdict]
+) -> str:
     objects = handle_memory(service, Request("find", {"name": name}), now_ns)["objects"]
     if not objects:
         return NOT_SEEN
     x_m, y_m = objects[0]["xyz"][:2]
-    away_m = min(item.distance_m(x_m, y_m) for item in named(world, name))
-    return RIGHT if away_m <= PLACE_M else WRONG_PLACE
+    item = min(named(world, name), key=lambda one: one.distance_m(x_m, y_m))
+    if item.distance_m(x_m, y_m) > PLACE_M:
+        return WRONG_PLACE
+    at = int(true_room_at(world, np.array([item.center_m[:2]]))[0])
+    if at < 0 or not world.room_kinds:
+        return RIGHT
+    room, truth = service.map.rooms.room_at(x_m, y_m), world.room_kinds[at]
+    there = {truth} if room is None or room.id not in judged else {truth} | judged[room.id].also
+    named_right = room is not None and truth in room.kinds and there.issuperset(room.kinds)
+    return RIGHT if named_right else WRONG_ROOM

@@ -135,11 +135,11 @@ def street(*key: int) -> Street:
     breaks: list[tuple[int, float, float]] = []  # (side, from x, to x) without houses and kerbs
     if dice.chance(0.5):
         side, x_m, width_m = dice.pick((-1, 1)), dice.between(16.0, 30.0), dice.between(5.5, 7.0)
-        grounds.append(GroundArea(1, "road", _beside(side, x_m, x_m + width_m, half_m, 40.0)))
+        grounds.append(GroundArea(1, "road", _strip(side, x_m, x_m + width_m, half_m, 40.0)))
         breaks.append((side, x_m, x_m + width_m))
     if dice.chance(0.4):
         side, x_m = dice.pick((-1, 1)), dice.between(4.0, 12.0)
-        park = _beside(side, x_m, x_m + 9.0, outer_m, outer_m + 6.0)
+        park = _strip(side, x_m, x_m + 9.0, outer_m, outer_m + 6.0)
         if not any(park.meets(ground.rect.grown(1.0)) for ground in grounds[3:]):
             grounds.append(GroundArea(4, "parking", park))
             breaks.append((side, x_m, x_m + 9.0))
@@ -226,7 +226,7 @@ class _Things:
         return True
 
 
-def _beside(side: int, x0: float, x1: float, inner_m: float, outer_m: float) -> Rect:
+def _strip(side: int, x0: float, x1: float, inner_m: float, outer_m: float) -> Rect:
     low, high = sorted((side * inner_m, side * outer_m))
     return Rect(x0, low, x1, high)
 

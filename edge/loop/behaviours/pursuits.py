@@ -14,8 +14,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from edge.config import PolicySearch
-from edge.loop.behaviours.room_targets import RoomKindPrior, rooms_of
-from edge.loop.goal import GoalTracker
+from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
+from edge.loop.goal import POINT_SNAP_M, GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import (
     RECOGNISED_KINDS,
@@ -38,14 +38,16 @@ from edge.mission.destinations import (
 from edge.mission.run import MissionRun
 from edge.policies.base import FRONTIER, PolicyInput
 from edge.policies.search import SearchPolicy
+from edge.policies.select import ranked
 from edge.text import one_line
 from edge.types import Goal, Instance
 
 _MOST_NAMED = 12
-# Least votes for a kind at a goal, as a share of those at the best point; number of surveys that
-# must agree that the robot is inside.
+# Least votes for a kind at a goal, as a share of the range from the worst to the best point; number
+# of surveys that must agree that the robot is inside.
 _BEST, _SURVEYS = 0.9, 2
 _DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
+_AROUND_M = 3.0  # distance within which a room of a kind is explored before it counts as reached
 _LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
 _ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 Kind = TypeVar("Kind", bound="Destination | None")
@@ -262,6 +264,9 @@ class RoomPursuit(Pursuit[RoomTarget]):
     """
 
     _chosen = 0  # id of the room to go to
+    _entered = _explored = 0  # id of the room that the robot came to, and that has no frontier left
+    _arrived_m = np.zeros(2, np.float32)  # where it came to it
+    _closed: MappedRoom | None = None  # a room that it may be, but that zones close
     _is_final = False  # True if all is explored: the choice stays
     _surveyed: RoomSurvey | None = None  # the newest survey that agreed
     _agreed = 0  # number of surveys since the arrival that agree
@@ -271,6 +276,9 @@ class RoomPursuit(Pursuit[RoomTarget]):
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         mission, room = self._mission, self._choose(context)
+        if room is None and self._closed is not None and self._kind is None:
+            self.finish(context.now_ns)
+            return
         if room is None:
             mission.activity = "exploring to find it"
             super().check_progress(context, images)
@@ -298,16 +306,33 @@ class RoomPursuit(Pursuit[RoomTarget]):
         elif self._destination.which == "largest":
             room = max(self._map.rooms.rooms, key=lambda one: one.area_m2, default=None)
         elif kind is not None:
-            likely = [one for one in self._map.rooms.rooms if one.chance[kind] >= _LAST_CHANCE]
-            room = max(likely, key=lambda one: one.chance[kind], default=None)
-        if room is None or self._chosen == room.id:
+            room = self._most_likely(kind)
+        if self._closed is not None and (room is None or is_closed(room, self._map)):
+            reason = f"a zone closes {self._closed.phrase}, room {self._closed.id}"
+            self._mission.abandon_target(reason, now_ns)
+        elif room is None or self._chosen == room.id:
             super().finish(now_ns)
         else:
             self._chosen, self._is_final = room.id, True
 
+    def _most_likely(self, kind: str) -> MappedRoom | None:
+        """Return the room to try when none is certain; None if nothing speaks for any."""
+        rooms = [room for room in self._map.rooms.rooms if not is_closed(room, self._map)]
+        likely = max(rooms, key=lambda room: room.chance[kind], default=None)
+        if likely is None or likely.chance[kind] >= _LAST_CHANCE:
+            return likely
+        votes = [float(self._map.rooms.votes(room, kind).max()) for room in rooms]
+        return rooms[int(np.argmax(votes))] if max(votes) > 0.0 else None
+
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         target, grid, goals = self._destination, self._map.grid, self._goals
+        if target.which != "with":
+            prior = None if self._kind is None else RoomKindPrior(self._map.rooms, self._kind)
+            scores = SearchPolicy(PolicySearch()).score(replace(context, prior=prior))
+        scores = np.asarray(scores, np.float32)
         room = self._map.rooms.room(self._chosen)
+        if room is not None and self._has_frontiers(room, context):
+            return goals.choose(context, grid, scores, images)
         if room is not None:
             points_m, old, rooms = self._points_m(room), goals.goal, self._map.rooms
             keep = old is not None and rooms.entered(old.pose.x_m, old.pose.y_m) == room.id
@@ -318,10 +343,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
                 points_m = points_m[away_m >= min(_DEEPER_M, float(away_m.max()))]
             goal = goals.go_to_point(context, grid, points_m, self._mission.target, keep)
             return goal or goals.explore_towards(context, grid, room.xy_m, images)
-        if target.which != "with":
-            prior = None if self._kind is None else RoomKindPrior(self._map.rooms, self._kind)
-            scores = SearchPolicy(PolicySearch()).score(replace(context, prior=prior))
-        return goals.choose(context, grid, np.asarray(scores, np.float32), images)
+        return goals.choose(context, grid, scores, images)
 
     @property
     def _kind(self) -> str | None:
@@ -333,14 +355,18 @@ class RoomPursuit(Pursuit[RoomTarget]):
         """Return True if the robot is inside.
 
         Before its walls are known, a room may seem to go on behind a door. So a room of a kind is
-        reached only at a point near the objects that it was recognised by, and if the next surveys
-        agree. The goal is such a point, as long as it stays.
+        reached only when it is explored, at a point near the objects that it was recognised by,
+        and if the next surveys agree. The goal is such a point, as long as it stays.
         """
         inside = self._map.rooms.entered(context.pose.x_m, context.pose.y_m) == room.id
         if not inside or not self._by_kind(room):
             return inside
-        if not self._goals.arrived:
+        goal = self._goals.goal
+        if not self._goals.arrived or goal is None or goal.kind != "place":
             self._agreed = 0
+        elif self._explored != room.id:
+            self._entered = room.id
+            self._arrived_m = np.array((context.pose.x_m, context.pose.y_m), np.float32)
         elif self._map.rooms.survey is not self._surveyed:
             self._surveyed, self._agreed = self._map.rooms.survey, self._agreed + 1
         return self._agreed > _SURVEYS
@@ -348,14 +374,42 @@ class RoomPursuit(Pursuit[RoomTarget]):
     def _by_kind(self, room: MappedRoom) -> bool:
         return self._kind is not None and not room.is_named
 
+    def _has_frontiers(self, room: MappedRoom, context: PolicyInput) -> bool:
+        """Return True while a room that the robot came to by its kind is not explored around there.
+
+        All other frontiers are then blocked in this tick.
+        """
+        if self._entered != room.id or not self._by_kind(room):
+            return False
+        self._block_outside(room)
+        c, delta_m = self._map.pool.candidates, self._map.config.policy.delta_reached_m
+        c.blocked[: c.n] |= np.hypot(*(c.xy_m[: c.n] - self._arrived_m).T) > _AROUND_M
+        left = ranked(c, c.path_m[: c.n], context.pose, delta_m)
+        if np.isfinite(c.path_m[left]).any():
+            return True
+        self._entered, self._explored = 0, room.id
+        return False
+
+    def _is_in(self, xy_m: np.ndarray, room: MappedRoom) -> np.ndarray:
+        """Return (n,) bool: True for points (n, 2) that are in the room."""
+        survey = self._map.rooms.survey
+        return survey.ids[survey.regions.at(xy_m)] == room.id
+
+    def _block_outside(self, room: MappedRoom) -> None:
+        """Block the frontiers of this tick that are not in the room."""
+        c = self._map.pool.candidates
+        outside = ~self._is_in(c.xy_m[: c.n], room)
+        c.blocked[: c.n] |= outside & (c.kind[: c.n] == FRONTIER)
+
     def _points_m(self, room: MappedRoom) -> np.ndarray:
         """Return the points of a room to go to, (k, 2) float32, k > 0."""
         if not self._by_kind(room):
             return room.points_m
         assert self._kind is not None
-        votes = self._map.rooms.votes(room, self._kind)
-        most = float(votes.max())
-        return room.points_m[votes >= _BEST * most] if most > 0.0 else room.points_m
+        votes, near = self._map.rooms.votes(room, self._kind), self._paths_m(room, POINT_SNAP_M)
+        can = np.isfinite(near) if np.isfinite(near).any() else np.ones(len(near), np.bool_)
+        low, high = float(votes[can].min()), float(votes[can].max())
+        return room.points_m[can & (votes >= low + _BEST * (high - low))]
 
     def _choose(self, context: PolicyInput) -> MappedRoom | None:
         """Return the room to go to; None if none is known. A choice stays while it is possible."""
@@ -363,7 +417,9 @@ class RoomPursuit(Pursuit[RoomTarget]):
         kept = self._is_final or which == "next"
         if kept and (room := rooms.room(self._chosen)) is not None:
             return room
-        found = rooms_of(self._destination, self._map)
+        known = rooms_of(self._destination, self._map)
+        found = [room for room in known if not is_closed(room, self._map)]
+        self._closed = known[0] if known and not found else None
         if which == "next":
             here = rooms.room_at(context.pose.x_m, context.pose.y_m)
             beside = set() if here is None else {door.room for door in here.doors}
@@ -380,10 +436,15 @@ class RoomPursuit(Pursuit[RoomTarget]):
 
     def _path_m(self, room: MappedRoom) -> float:
         """Return the driving distance to a room; inf if no path is known."""
+        return float(self._paths_m(room, _ROOM_SNAP_M).min(initial=np.inf))
+
+    def _paths_m(self, room: MappedRoom, snap_m: np.ndarray) -> np.ndarray:
+        """Return the driving distance to each point of a room, (j,) float32; inf without a path."""
         n, path_m = len(room.points_m), np.empty(len(room.points_m), np.float32)
-        kind = np.zeros(n, np.int8)
-        self._map.grid.travel_cost.path_lengths_m(room.points_m, kind, _ROOM_SNAP_M, n, path_m)
-        return float(path_m.min(initial=np.inf))
+        self._map.grid.travel_cost.path_lengths_m(
+            room.points_m, np.zeros(n, np.int8), snap_m, n, path_m
+        )
+        return path_m
 
 
 class ExploreRoomPursuit(RoomPursuit):
@@ -442,17 +503,6 @@ class ExploreRoomPursuit(RoomPursuit):
         )
         if mission.retargets == turns and not mission.done and self._goals.candidates_exhausted:
             self.end(context.now_ns)
-
-    def _is_in(self, xy_m: np.ndarray, room: MappedRoom) -> np.ndarray:
-        """Return (n,) bool: True for points (n, 2) that are in the room."""
-        survey = self._map.rooms.survey
-        return survey.ids[survey.regions.at(xy_m)] == room.id
-
-    def _block_outside(self, room: MappedRoom) -> None:
-        """Block the frontiers of this tick that are not in the room."""
-        c = self._map.pool.candidates
-        outside = ~self._is_in(c.xy_m[: c.n], room)
-        c.blocked[: c.n] |= outside & (c.kind[: c.n] == FRONTIER)
 
 
 class CheckRoomPursuit(ExploreRoomPursuit):

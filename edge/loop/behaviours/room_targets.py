@@ -6,9 +6,11 @@ import numpy as np
 
 from edge.loop.prior import LEAST, MOST
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import MappedRoom, RoomMemory
+from edge.memory import MappedRoom, RoomMemory, Site
 from edge.mission.destinations import RoomTarget
 from edge.mission.run import MissionRun
+from edge.mission.spec import MissionError, MissionSpec
+from edge.text import one_line
 
 
 class RoomKindPrior:
@@ -33,6 +35,27 @@ def rooms_of(target: RoomTarget, here: SemanticMap) -> list[MappedRoom]:
         shown, min_hits = here.objects.read_only, here.config.perception.min_hits
         return rooms.with_thing(target.name, shown, min_hits)[:1]
     return []
+
+
+def is_closed(room: MappedRoom, here: SemanticMap) -> bool:
+    """Return True if zones, or the mission itself, close all of a room."""
+    return all(here.grid.zones.contains(x_m, y_m) for x_m, y_m in room.points_m.tolist())
+
+
+def refuse_closed(spec: MissionSpec, site: Site, here: SemanticMap) -> None:
+    """Refuse a mission to a room if a zone closes each room that it may mean.
+
+    Raises:
+        MissionError: there is such a zone.
+    """
+    for name in spec.automaton.possible:
+        target = spec.translation.destinations.get(name)
+        rooms = rooms_of(target, here) if isinstance(target, RoomTarget) else []
+        if rooms and all(zones := [room.closed_by(site) for room in rooms]):
+            raise MissionError(
+                f"mission: {one_line(name)} is closed by the zone {one_line(zones[0])!r}; remove "
+                "the zone or name another room"
+            )
 
 
 def known_targets(mission: MissionRun, here: SemanticMap) -> dict[str, int]:

@@ -233,7 +233,7 @@ class Clause:
         done: its verb is in the past: "you must have visited a (before b)".
         leads: "then" stands between its conditions and the rest.
         subject: it names who must act ("you must …").
-        foretold: it describes the future ("will", "can not").
+        in_future: it describes the future ("will", "can not").
         agent: its name for the robot ("the drone").
         verb: its verb; "" in a bare clause.
     """
@@ -275,7 +275,7 @@ class Clause:
     done: bool = False
     leads: bool = False
     subject: bool = False
-    foretold: bool = False
+    in_future: bool = False
     agent: str = ""
     verb: str = ""
 

@@ -105,7 +105,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
     main: Token | None = reader.peek()
     told = reader.tokens[begin : reader.at]
     clause.subject = any(t.kind in ("you", "ensure") for t in told)
-    clause.foretold = any(t.text == "will" or (t.kind == "can" and clause.negated) for t in told)
+    clause.in_future = any(t.text == "will" or (t.kind == "can" and clause.negated) for t in told)
     clause.agent = next((t.text for t in told if t.kind == "you" and " " in t.text), "")
     said = reader.tokens[begin : reader.at]
     if said and said[-1].kind == "must" and starts_noun_phrase(reader):

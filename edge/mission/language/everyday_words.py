@@ -11,6 +11,7 @@ from edge import names
 from edge.memory import kind_of_room
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import spelled_out
+from edge.mission.language.places import is_marked
 
 _ROWS: dict[str, str] = {
     # Words around an order, which do not change it.
@@ -228,7 +229,8 @@ def is_room(name: str) -> bool:
     >>> is_room("living room"), is_room("room 12"), is_room("kitchen table")
     (True, True, False)
     """
-    return _ROOM_HEAD.fullmatch(name) is not None or kind_of_room(name) is not None
+    by_name = is_marked(name) or _ROOM_HEAD.fullmatch(name) is not None
+    return by_name or kind_of_room(name) is not None
 
 
 def bare(name: str) -> str:

@@ -177,11 +177,11 @@ def _forbidden(
     if clause.count:
         _counted(clause, things, clause.count, meaning, times)
         _no_conditions(clause, reader)
-    elif _anew(clause, things, times) and not (
+    elif _is_again(clause, things, times) and not (
         clause.conditions or set(things.names) <= set(times)
     ):
         reader.refuse_finally("it was not asked for before; say 'never …'", clause.token)
-    elif _anew(clause, things, times) and all(
+    elif _is_again(clause, things, times) and all(
         c.things.names == things.names for c in clause.conditions
     ):
         for name in things.names:
@@ -199,7 +199,7 @@ def _forbidden(
     return meaning
 
 
-def _anew(clause: Clause, things: NounPhrase, times: Mapping[str, int]) -> bool:
+def _is_again(clause: Clause, things: NounPhrase, times: Mapping[str, int]) -> bool:
     """Return True if the clause forbids a second visit: "never go back to it"."""
     if clause.returns:
         return all(name in times for name in things.names)

@@ -48,7 +48,7 @@ def refuse_past_tense(reader: TokenReader, begin: int, verb: Token, clause: Clau
 def refuse_unclear(clause: Clause, reader: TokenReader) -> None:
     """Refuse parts of a clause that no formula over reached objects can express."""
     conditional = [c for c in clause.conditions if c.kind in ("when", "after") and not c.only]
-    if clause.foretold and clause.verb.split()[:1] in (["find"], ["see"]):
+    if clause.in_future and clause.verb.split()[:1] in (["find"], ["see"]):
         reader.refuse_finally("this describes the future; say what to do", clause.token)
     if clause.negated:
         if clause.next_step and not clause.conditions:

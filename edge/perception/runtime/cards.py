@@ -214,7 +214,7 @@ def expected_of_part(card: ChoiceCard, part: FolderFile) -> tuple[str | None, in
     """
     if part.sha256 is not None:
         return part.sha256, None
-    return _told_beside(card.path_of(part))
+    return _recorded_hash_and_size(card.path_of(part))
 
 
 def verify_file(card: FileCard, path: Path) -> bool:
@@ -280,10 +280,10 @@ def _expected(card: FileCard, path: Path) -> tuple[str | None, int | None]:
     """Return (sha256, size in bytes) from the card, else from the file's `sidecar`."""
     if card.sha256 is not None:
         return card.sha256, None
-    return _told_beside(path)
+    return _recorded_hash_and_size(path)
 
 
-def _told_beside(path: Path) -> tuple[str | None, int | None]:
+def _recorded_hash_and_size(path: Path) -> tuple[str | None, int | None]:
     made = _made(path)
     digest, size = made.get("sha256"), made.get("bytes")
     return digest if isinstance(digest, str) else None, size if isinstance(size, int) else None

@@ -302,7 +302,7 @@ def sample(view, x0, y0, x1, y1, max_range, samples):
 
 
 @jit
-def sample_beside(view, box, max_range, beside, n):
+def sample_margins(view, box, max_range, beside, n):
     """Sample a strip next to each side of a box.
 
     Args:
@@ -387,7 +387,7 @@ def choose_surface(view, box, samples, n, T, floor_z, max_range, scratch):
     chosen = np.argmax(found[:k, 2])
     claim = found[chosen, 2] / n
     if claim < 1.0 - LEAST_SHARE:
-        sample_beside(view, box, max_range, beside, n_beside)
+        sample_margins(view, box, max_range, beside, n_beside)
         best, before, claim = 0.0, 1.0, 0.0
         for j in range(k):
             if found[j, 2] < LEAST_SHARE * n:

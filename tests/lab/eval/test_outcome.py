@@ -35,7 +35,7 @@ def test_the_last_of_an_episode_and_column_counts(tmp_path):
     assert [o.reason for o in OutcomeFile(tmp_path).known.values()] == ["crashed: second"]
 
 
-def test_half_a_line_is_cut_off_and_written_anew(tmp_path):
+def test_half_a_line_is_cut_off_and_written_again(tmp_path):
     file = OutcomeFile(tmp_path)
     file.append(crashed_outcome(COLUMN, EPISODE, "whole"))
     with (tmp_path / NAME).open("ab") as raw:

@@ -159,7 +159,7 @@ def test_a_run_goes_on_where_it_was_broken_off(config, tmp_path):
     run_all(columns, episodes, out, tell=lambda *news: pytest.fail("run again"))
 
 
-def test_a_column_that_was_changed_is_run_anew_and_a_crash_as_well(config, tmp_path, monkeypatch):
+def test_a_column_that_was_changed_is_run_again_and_a_crash_as_well(config, tmp_path, monkeypatch):
     episodes, out = plan(config, [], ["bed"], 1, 0, 2.0), tmp_path / "out"
     (column,) = make_arms(config, {"it": {}})
     with monkeypatch.context() as patched:

@@ -255,7 +255,7 @@ def test_aws_house_agrees_with_its_makers_map(aws, shared_dir: Path):
 
 
 @pytest.mark.parametrize("label", ["trash can", "sofa", "chair", "bed", "desk"])
-def test_aws_targets_are_there_and_can_be_stood_beside(aws, label: str):
+def test_aws_targets_are_there_and_can_be_stood_next_to(aws, label: str):
     mine = [item for item in aws.objects if item.label == label]
     assert mine
     row, col = np.nonzero(aws.plan.reachable(aws.start.x_m, aws.start.y_m, 0.2))

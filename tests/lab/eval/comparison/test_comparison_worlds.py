@@ -42,7 +42,7 @@ def test_what_was_left_at_first_sight(house):
     assert np.isnan(np.delete(left_m.ravel(), 0)).all()
 
 
-def test_beside_a_wall_the_nearest_way_counts(house):
+def test_next_to_a_wall_the_nearest_way_counts(house):
     field = np.full(house.plan.grid.cells.shape, np.inf)
     row, column = house.plan.grid.cell_of(house.start.x_m, house.start.y_m)
     field[row, column + 3] = 4.0

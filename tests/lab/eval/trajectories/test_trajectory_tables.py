@@ -28,7 +28,7 @@ def test_of_nothing_there_are_no_tables():
     assert pictures.images(gather([], []), "svg") == {}
 
 
-def test_a_task_a_row_beside_the_paper():
+def test_a_task_a_row_next_to_the_paper():
     rows = table("tasks", OURS + A_STAR)
     assert [row[0] for row in rows] == [*CATEGORIES, "total"]
     total = rows[-1]
