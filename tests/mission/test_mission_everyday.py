@@ -207,6 +207,14 @@ def test_a_ban_is_kept_next_to_a_remark(ban, name, remark):
     assert remark in found.english
 
 
+@pytest.mark.parametrize(
+    "ban", ["do not do not enter", "don't uh don't enter", "never never enter"]
+)
+def test_a_negation_that_is_said_again_stays_one(ban):
+    found = translate(MissionConfig(), f"Go to the bed, {ban} the kitchen.", SITE)
+    assert str(found.formula) == "F bed & G !kitchen"
+
+
 def test_a_remark_about_a_target_is_asked_about():
     with pytest.raises(TranslationError, match="says more about 'sofa'"):
         translate(MissionConfig(), "Go to the bed, don't go near the sofa, I heard the sofa.", SITE)

@@ -208,6 +208,8 @@ _PLAINER = (
                 r"go on|repeat (?:it|that|this)|over and over(?: again)?|again and again)"
                 r"(?=,? (?:until|forever)\b)", re.I), ""),
     (re.compile(r"\b(rounds|laps|loops|circles|tours|times):(?= )", re.I), r"\1,"),
+    (re.compile(r"\bsomewhere (?=(?:in|on|at|under|near) )", re.I), ""),
+    (re.compile(r" (?:super |very |really )(?:fast|quick)(?=,? and\b)", re.I), ""),
     (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
     (re.compile(r"(?:,|,? and) after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
@@ -353,8 +355,10 @@ def _introduced(found: re.Match[str]) -> str | None:
 
 def _hinted(found: re.Match[str]) -> str | None:
     """Return "find the mug, it should be on the desk" as the order to find the mug on the desk."""
-    where = _where(found["relation"], found["anchor"])
-    return None if where is None else f"{found['order']} the {bare(found['thing'])}{where}"
+    thing, where = bare(found["thing"]), _where(found["relation"], found["anchor"])
+    if where is None or is_room(thing) or is_marked(thing) or is_vague(thing):
+        return None
+    return f"{found['order']} the {thing}{where}"
 
 
 def _searched(found: re.Match[str]) -> str | None:

@@ -21,7 +21,8 @@ _ROWS: dict[str, str] = {
         listen; dear; ah; and; then; carefully; good morning; good evening; attention; quick;
         quickly; yes;
         yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you go;
-        buddy; sorry; just; kindly; from now; from now on; for now; first; today;
+        buddy; sorry; just; kindly; from now; from now on; from today (on|); (make|pay) attention;
+        watch out; for now; first; today;
         (my|) (dear|love|darling|friend|sweetheart|sweetie);
         (could|can|would|will) you (just|maybe|perhaps|kindly|quickly|);
         (could|can|would|will) you (be so kind|be so good) (as|) to; (would|do) you mind;
@@ -54,7 +55,7 @@ _ROWS: dict[str, str] = {
         in case you did not know; for now; today; do not forget (that|it|); got it; did you get
         that; you hear;
         will you please; all right; alright; for us; sir; friend; be careful; and be careful;
-        carefully; come on; good robot; from now on; there is a good
+        carefully; come on; good robot; pronto; asap; from now on; there is a good
         (boy|robot|lad|girl|chap|fellow); to charge;
         for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
         (are|have) (done|finished|ready); no rush; just wondering; by the way; lying

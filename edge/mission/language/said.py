@@ -100,6 +100,7 @@ _NAMES = ("thing", "name", "anchor", "room")
 _ZONES = ("keep_out", "stay_inside", "open")
 _AS_QUESTIONS = (
     (re.compile(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", re.I), r"\1 there"),
+    (re.compile(r"^it (is|was) there (?=[^.;:!]*\?$)", re.I), r"\1 there "),
     (re.compile(rf"^({NAME}),? (is|are|was|were) (?:it|they)(?= )", re.I), r"\2 \1"),
     (re.compile(rf"^((?:in|on|under|at) {NAME}),? (?:there (is|are)|(is|are) there)"
                 rf" ({NAME})(?=\?$)", re.I), r"\2\3 there \4 \1"),

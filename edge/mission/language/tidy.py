@@ -30,9 +30,9 @@ _HESITATION = re.compile(
 _SMALL = (
     "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|are|was|were|there|this|"
     "that|here|for|then|with|where|what|can|could|would|do|did|have|please|go|come|find|look|stop|"
-    "wait|no|me|from|ever)"
+    "wait|no|not|never|me|from|ever)"
 )
-_BEGINS = "(?:where|what|go|come|is|was|did|can|could|find|look|stop|wait)"
+_BEGINS = "(?:where|what|go|come|is|are|was|did|do|have|can|could|find|look|stop|wait)"
 _REPEATED = re.compile(
     rf"(?<![\w'-])(?:({_SMALL}(?: {_SMALL}){{0,3}}|the [\w']+)(?: \1(?![\w'-]))+"
     rf"|({_BEGINS}(?: (?!(?:and|or|then)\b)[\w']+){{0,3}})(?: the| an?| my)?(?:,? \2(?![\w'-]))+)",
@@ -68,7 +68,7 @@ class TidySpeech:
     Attributes:
         text: what is left, in one line.
         reasons: clauses that were left out because they only say why.
-        corrected: True if it corrected itself.
+        corrected: True if it corrected itself or said words again.
         quoted: the quotations, which the text shows as private characters; see `restored`.
     """
 
@@ -111,12 +111,13 @@ def tidied(said: str) -> TidySpeech:
     text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
-    text = _LIKE.sub("", _REPEATED.sub(r"\1\2", text))
-    said_first = stripped(text)
-    text = _corrected(said_first)
-    kept, reasons = without_reasons(text)
+    once = _REPEATED.sub(r"\1\2", text)
+    said_first = stripped(_LIKE.sub("", once))
+    corrected = _corrected(said_first)
+    kept, reasons = without_reasons(corrected)
     kept = re.sub(r"[ ,;:]+([.!?])", r"\1", stripped(kept))
-    return TidySpeech(kept, reasons, text != said_first, tuple(quoted))
+    repaired = once != text or corrected != said_first
+    return TidySpeech(kept, reasons, repaired, tuple(quoted))
 
 
 def _expanded(found: re.Match[str]) -> str:

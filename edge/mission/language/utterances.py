@@ -34,7 +34,8 @@ PARTS = {
           "<relation> <anchor> [in <within>]]",
     # Orders to learn.
     "here": """
-        ((the|this|this here) (spot|place|position|location|point|corner)|this|here|it|where (you|
+        ((the|this|this here) (spot|place|position|location|point|corner|area|aisle|bay)|this|
+            here|it|where (you|
             we) are|
         your (position|location|place|spot))
         [here|now|right here|where you are|you are at|you are in]*
@@ -61,7 +62,7 @@ PARTS = {
         (must|may|can|should|shall|will) not|not [may|can|should]|
         (are|have) not (allowed|supposed|permitted|welcome)|are (forbidden|banned)
             [from]|no [more]|
-        it is (forbidden|prohibited|not allowed|not permitted) [for you]|forbidden|
+        it is (forbidden|prohibited|not allowed|not permitted) [for you|that you]|forbidden|
         (i|we) (do not want|will not have) you|
         (i|we) would (rather|prefer) [that] you (did not|do not|not))
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
@@ -86,8 +87,8 @@ PARTS = {
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
             "your rounds|your round|your errand|your job|your work|your way|mission|"
             "what i [just] said|(that|the|my) [last] (order|command|instruction|task|job|errand)]",
-    "quit": "((cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} "
-            "[about (it|that)]|(leave|bin|forget) (it|that))",
+    "quit": "((cancel|abort|kill|never mind|nevermind|quit|scrap|drop|give up|call off) [on] "
+            "{task} [about (it|that)]|(leave|bin|forget) (it|that))",
     "reason": """
         [, [and] ((until|while|because|so) (i|we|he|she|they|it|someone|somebody|you hear) ...|
         for (me|us|him|her|them)|until (further notice|then)|then (go on|continue)|
@@ -130,10 +131,11 @@ QUESTIONS = {
             [it|they] [the (nearest|closest)] <thing> [is|are|was|were] {last}
         {tell} where <thing> (is|are|was|were|has|have) {last}
         {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
-        {tell} where [on earth|in the world|ever] [did|have|had] (i|we) [have|had|did]
-            (put|leave|left|lost|forget|drop|dropped)
+        {tell} where [on earth|in the world|ever] [did|do|have|had] (i|we) [have|had|did]
+            (put|leave|left|lost|forget|drop|dropped|keep|kept|store)
             <thing> {last}
-        {tell} where (can|could|do|should|would|will|might) (i|we) (find|see|get|look for|go for)
+        {tell} where ((can|could|do|should|would|will|might) (i|we)|(i|we) (can|could)) (find|see|
+            get|look for|go for)
             <thing>
         {tell} [in] (which|what) room [there] (is|are|was|were) <thing> [in] {last}
         {tell} (which|what) room (has|have) <thing> [in it] {last}
@@ -185,7 +187,7 @@ ORDERS = {
         {not} {go} <room> {while}
         no (robots|robot|entry|access|going) [in|into|to|inside|for robots]* <room> {while}
         (in|into|to|inside) <room> {not} (go|enter|drive|be|come) {while}
-        <room> (is|are|has|have|was|were) ... ({away} [out] [of it|from it|there]|
+        <room> (is|are|has|have|was|were) ... ({away} [out] [of it|from it|of there|there]|
             {not} {go} [there|it|in there|in it|down there|inside]) {while}
         <room> (is|are) [now] (off limits|forbidden|out of bounds|closed|taboo|prohibited|
             not allowed|closed off|private|a no go zone|a no go area) [for you|to you|for robots]
@@ -246,7 +248,7 @@ CONTROL = {
             [now|to|please]*
             (go on|carry on|crack on|press on|continue|resume|keep going|keep on|keep moving|
             keep driving|get moving|get going|go ahead|
-            off you go|as you were|proceed|move on|drive on|start again|back to work|
+            off you go|on you go|as you were|proceed|move on|drive on|start again|back to work|
             move again|go again|drive again|unpause)
             [now|then|again|please|with|as before|what you (were|was) doing [before]|
             where you left off|where you stopped|from where you stopped|doing that|driving|
@@ -278,7 +280,8 @@ CONTROL = {
             by|
             hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
             [right here|right there|here|there|in here|in place|on the spot|where you are|for me|me|
-            still|please|just|in this (spot|place)|at this (spot|place)|exactly|a (bit|moment|
+            still|please|just|in this (spot|place)|at this (spot|place)|exactly|for a (bit|moment|
+            second|while)|a (bit|moment|
             second|sec|while)]*
             [for] [<span>] [here|there|please|now|more|longer|then]* {reason}
     """,
@@ -294,6 +297,7 @@ IDIOMS = """
     you are [going to be] (a|an|the|my|our) <thing> [now|today]
     <thing> (are|is) (expecting|waiting for|looking for) (you|us|me) [there|now|already]
     (they|he|she) (are|is) (expecting|waiting for|looking for) (you|us|me) [there|now|already]
+    (i|we) want to play [a game|<thing>]
     let us play [a game|hide and seek|<thing>]
     (i|we) need (one|it|them) [now|here|badly|urgently|today|soon]*
     [and|then|after that]* you are (done|finished|free)
