@@ -43,7 +43,9 @@ _MAX_JSON = 4096
 def main(config: Config, stop: threading.Event) -> int:
     """Run until `stop` is set; return the exit status."""
     run_unless_stopped(partial(warm_up, config), stop)
-    with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
+    with zenoh_session(
+        config.zenoh, "connect", stop, keep_zenoh_timeout=config.sim.lockstep
+    ) as session:
         bus = Bus(session, config)
         controller = Controller(config)
         try:

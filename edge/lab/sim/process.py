@@ -45,7 +45,9 @@ def main(config: Config, stop: threading.Event) -> int:
     world = load_world(config)
     first_ns = FIRST_STAMP_NS if config.sim.lockstep else time.time_ns()
     drive = DriveTrain(config.robot, config.sim, world, world.start, first_ns)
-    with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
+    with zenoh_session(
+        config.zenoh, "connect", stop, keep_zenoh_timeout=config.sim.lockstep
+    ) as session:
         bus = SimBus(session, config)
         log.info("simulating the robot %s in the world %s", config.robot_name, world.name)
         run = run_lockstep if config.sim.lockstep else run_real_time
