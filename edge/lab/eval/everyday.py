@@ -99,9 +99,11 @@ def everyday_cases(path: Path) -> list[dict[str, Any]]:
             cases = [json.loads(line) for line in file.read().decode().splitlines() if line.strip()]
         for case in cases:
             if not isinstance(case["said"], str) or not isinstance(case["expect"], str):
-                raise ValueError("said and expect must be text")
+                raise ValueError("the fields said and expect must be texts")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path}: not readable as everyday sentences: {error!r}") from error
+        raise UserError(
+            f"--everyday {path}: not in the format of docs/language.md: {error!r}"
+        ) from error
     return cases
 
 
