@@ -15,9 +15,11 @@ from edge.text import bounded_repr, one_line, read_json_object
 log = logging.getLogger(__name__)
 
 MAX_CHARS = 10_000
+"""Longest text field of a request, in characters."""
 MAX_ERROR_CHARS = 1000
+"""Longest error in an answer, in characters."""
 CANCELLED = "cancelled"
-"""The reason of a failed mission that a user cancelled without giving a reason."""
+"""Reason of a failed mission, if a user cancelled it without giving a reason."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,11 @@ class Verb:
         read: checks and converts the fields; raises ValueError with one line.
         prepare: slow part of the work: called with the fields on a thread of the server, one
             request at a time; raises UserError to refuse the request.
-        stops_robot: True if it stops the robot: never refused for lack of room; it refuses requests
-            that wait in the second lane of `RequestQueue`.
-        read_only: True if it changes nothing.
-        instead: returns the verb and the fields of the request that these fields mean, or None.
-            So "stop", said as an instruction, is as urgent as the verb for it.
+        stops_robot: True if the request stops the robot. It is never refused for lack of room, and
+            it refuses the requests that wait in the second lane of `RequestQueue`.
+        read_only: True if the request changes nothing.
+        instead: returns the verb and fields of another request that means the same, or None. So
+            the instruction "stop" is as urgent as the verb that stops the robot.
     """
 
     fields: tuple[str, ...] = ()
@@ -55,7 +57,10 @@ def read_request(payload: bytes, verbs: Mapping[str, Verb]) -> tuple[str, dict]:
     if not isinstance(do, str) or do not in verbs:
         raise ValueError(f"do: unknown {shown(do)} (choices: {', '.join(verbs)})")
     if unknown := sorted(data.keys() - set(verbs[do].fields)):
-        raise ValueError(f"{bounded_repr(unknown[0], 40)}: not allowed with do: {do}")
+        fields = ", ".join(verbs[do].fields) or "none"
+        raise ValueError(
+            f"{bounded_repr(unknown[0], 40)}: not a field of do: {do} (its fields: {fields})"
+        )
     fields = verbs[do].read(data)
     return verbs[do].instead(fields) or (do, fields)
 
@@ -71,7 +76,7 @@ def check_text(name: str, text: object, limit: int = MAX_CHARS) -> str:
     if len(text) > limit:
         raise ValueError(f"{name}: {len(text)} characters, at most {limit} are allowed")
     if any("\ud800" <= c <= "\udfff" for c in text):
-        raise ValueError(f"{name}: not Unicode text")
+        raise ValueError(f"{name}: not Unicode text: it holds half of a surrogate pair")
     return text
 
 
@@ -83,7 +88,7 @@ def check_flag(name: str, fields: Mapping[str, object]) -> bool:
     """
     flag = fields.get(name, False)
     if not isinstance(flag, bool):
-        raise ValueError(f"{name}: expected true or false")
+        raise ValueError(f"{name}: expected true or false, got {shown(flag)}")
     return flag
 
 
@@ -96,7 +101,9 @@ def check_pose(name: str, value: object) -> SE2:
     numbers = value if isinstance(value, list) else []
     valid = len(numbers) == 3 and all(type(n) in (int, float) for n in numbers)
     if not valid or not all(abs(n) <= FARTHEST_M for n in numbers):
-        raise ValueError(f"{name}: expected [x_m, y_m, yaw_rad], got {shown(value)}")
+        raise ValueError(
+            f"{name}: expected [x_m, y_m, yaw_rad], none beyond {FARTHEST_M:g}, got {shown(value)}"
+        )
     return SE2(*map(float, numbers))
 
 
@@ -120,8 +127,8 @@ class Request:
         finish: sends the reply to the queries.
         queries: the merged queries, in the server's own type.
         prepared: result of `Verb.prepare`.
-        ready: True if the loop may handle it.
-        overtaken: number of earlier requests, not yet started, that this one refused.
+        ready: True if the loop may handle the request.
+        cancelled: number of earlier requests, not yet started, that this request refused.
     """
 
     do: str
@@ -141,7 +148,7 @@ class Request:
         try:
             reply = json.dumps(data, allow_nan=False).encode()
         except (TypeError, ValueError) as error:
-            log.error("the answer to a request is not JSON: %s", error)
+            log.error("a bug in edge: an answer cannot be written as JSON: %s; report it", error)
             self.refuse("internal error: the answer is not JSON")
         else:
             self.finish(self.queries, reply, False)

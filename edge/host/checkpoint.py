@@ -38,12 +38,13 @@ log = logging.getLogger("edge.host.checkpoint")
 
 VERSION, OLDEST_VERSION = 5, 4
 MAX_STATE_BYTES = 8 << 20
-_MAX_DIRECTORY_BYTES = 64 << 10
-_END_BYTES = 22  # size of the last record of a zip archive without a comment
-_ZIP64 = b"PK\x06\x07"
-_HEAD = rb'"version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
-_ABOUT = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state":([^\n]*)\}\n'
-_FAR, _FAR_NS = 1 << 32, 1 << 61  # limits of integers: cells, and stamps or ids
+_MAX_DIRECTORY_BYTES = 64 << 10  # of the zip archive
+_ZIP_END_BYTES = 22  # size of the last record of a zip archive without a comment
+_ZIP64 = b"PK\x06\x07"  # begins a record that only archives over 4 GB need
+# The line of JSON behind `CheckpointFormat.begins`: up to the hash, and the rest.
+_HEAD_PATTERN = rb'"version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
+_REST_PATTERN = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state":([^\n]*)\}\n'
+_FAR, _FAR_NS = 1 << 32, 1 << 61  # largest cell index; largest stamp in ns, or id
 
 Arrays = dict[str, np.ndarray]
 Rows = dict[tuple[str, ...], int]
@@ -51,7 +52,7 @@ State = TypeVar("State")
 
 
 class CheckpointError(FileError):
-    """A path that cannot hold a checkpoint; the message says which, why, and what to do."""
+    """A path that cannot hold a checkpoint; the message has the path, the reason and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +113,7 @@ class CheckpointFormat(Generic[State]):
         state = self._adapter.dump_json(checkpoint.state)
         self._state(state)
         if any(array.dtype.hasobject for array in checkpoint.arrays.values()):
-            raise ValueError("an array holds Python objects")
+            raise ValueError("an array holds Python objects; only numbers and text can be saved")
         archive = io.BytesIO()
         np.savez(archive, **checkpoint.arrays)  # type: ignore[arg-type]
         about = b'"config":"%s","written_ns":%d,"state":%s}\n' % (
@@ -121,7 +122,9 @@ class CheckpointFormat(Generic[State]):
         body = about + archive.getvalue()
         content = self.begins + b'"version":%d,"sha256":"%s",' % (VERSION, _sha256(body)) + body
         if len(content) > self.max_bytes:
-            raise ValueError(f"{len(content)} bytes, at most {self.max_bytes} are allowed")
+            raise ValueError(
+                f"the {self.title} has {len(content)} bytes, at most {self.max_bytes} are allowed"
+            )
         return content
 
     def decode(self, content: bytes) -> Checkpoint[State]:
@@ -131,20 +134,21 @@ class CheckpointFormat(Generic[State]):
             ValueError: the content is not valid; one line.
         """
         if len(content) > self.max_bytes:
-            raise ValueError(f"more than {self.max_bytes} bytes")
-        head = re.match(re.escape(self.begins) + _HEAD, content)
+            raise ValueError(f"a {self.title} of more than {self.max_bytes} bytes")
+        head = re.match(re.escape(self.begins) + _HEAD_PATTERN, content)
         if head is None:
             raise ValueError(f"not a complete {self.title}")
         if not OLDEST_VERSION <= (version := int(head[1])) <= VERSION:
             raise ValueError(
-                f"version {version}, this program reads versions {OLDEST_VERSION} to {VERSION}"
+                f"written in version {version} of the format; this edge reads versions "
+                f"{OLDEST_VERSION} to {VERSION}"
             )
         if _sha256(memoryview(content)[head.end() :]) != head[2]:
-            raise ValueError("damaged: its checksum does not match")
-        about = re.compile(_ABOUT).match(content, head.end(), head.end() + MAX_STATE_BYTES)
+            raise ValueError("damaged: the checksum does not match")
+        about = re.compile(_REST_PATTERN).match(content, head.end(), head.end() + MAX_STATE_BYTES)
         if about is None:
             raise ValueError(f"not a complete {self.title}")
-        arrays = _arrays(content[about.end() :])
+        arrays = _read_archive(content[about.end() :])
         if version < VERSION:
             arrays = {self._renamed.get(name, name): array for name, array in arrays.items()}
         return Checkpoint(self._state(about[3]), arrays, about[1].decode(), int(about[2]))
@@ -164,32 +168,32 @@ def _sha256(content: bytes | memoryview) -> bytes:
     return hashlib.sha256(content).hexdigest().encode()
 
 
-def _arrays(content: bytes) -> Arrays:
+def _read_archive(content: bytes) -> Arrays:
     """Read an uncompressed archive, so that the arrays are not larger than the file."""
     # zipfile reads the whole directory when it opens the archive, so check its size before.
-    end = content[-_END_BYTES:]
+    end = content[-_ZIP_END_BYTES:]
     plain = end[:4] == b"PK\x05\x06" and end[-2:] == b"\0\0" and _ZIP64 not in content[-42:]
     if not plain or int.from_bytes(end[12:16], "little") > _MAX_DIRECTORY_BYTES:
-        raise ValueError("its directory of arrays is missing or too long")
+        raise ValueError("damaged: the list of arrays is missing or too long")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
             stored = all(m.compress_type == zipfile.ZIP_STORED for m in members)
             if not stored or sum(m.file_size for m in members) > len(content):
-                raise ValueError("more bytes than the file has")
-            return {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
+                raise ValueError("they are compressed, or have more bytes than the file")
+            return {m.filename.removesuffix(".npy"): _read_array(archive.read(m)) for m in members}
     except Exception as error:  # the parsers may raise anything on hostile input
-        raise ValueError(f"its arrays cannot be read: {one_line(error)}") from None
+        raise ValueError(f"damaged: the arrays cannot be read: {one_line(error)}") from None
 
 
-def _array(content: bytes) -> np.ndarray:
+def _read_array(content: bytes) -> np.ndarray:
     """Read one array. Its header must match the size, since NumPy allocates by the header."""
     file = io.BytesIO(content)
     np.lib.format.read_magic(file)
     shape, _, dtype = np.lib.format.read_array_header_1_0(file)
     n_bytes = math.prod(shape) * dtype.itemsize
     if dtype.kind not in "biufU" or not dtype.itemsize or n_bytes != len(content) - file.tell():
-        raise ValueError(f"an array {dtype} {shape} in {len(content)} bytes")
+        raise ValueError(f"an array {dtype} {shape} does not fit its {len(content)} bytes")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
 
@@ -208,17 +212,18 @@ def check_arrays(
     Args:
         state: arrays of the file.
         like: `state_dict` of the object; names, dtypes and shapes must be the same.
-        rows: groups of arrays with a variable number of rows → largest number. All arrays of a
-            group must have the same number.
-        most: arrays with values from 0 to this. Other floats must be within `FARTHEST_M`.
-        unique: arrays in which no value may occur twice.
+        rows: groups of arrays with a variable number of rows → largest number of rows. All arrays
+            of a group must have the same number.
+        most: name of an array → largest value; the smallest is 0. Other floats must be within
+            `FARTHEST_M`.
+        unique: names of arrays in which no value may occur twice.
 
     Raises:
         ValueError: an array is wrong; one line that names it.
     """
     if state.keys() != like.keys():
         name = min(state.keys() ^ like.keys())
-        raise ValueError(f"{name!r:.60} is {'missing' if name in like else 'unknown'}")
+        raise ValueError(f"the array {name!r:.60} is {'missing' if name in like else 'unknown'}")
     group_of = {name: group for group in rows for name in group}
     for name, array in state.items():
         group, model = group_of.get(name), like[name]
@@ -227,7 +232,9 @@ def check_arrays(
             shape = (min((*state[group[0]].shape[:1], rows[group])), *shape[1:])
         is_text = array.dtype.kind == model.dtype.kind == "U"
         if array.shape != shape or not (is_text or array.dtype == model.dtype):
-            raise ValueError(f"{name}: {array.dtype} {array.shape}, expected {model.dtype} {shape}")
+            raise ValueError(
+                f"{name} is {array.dtype} {array.shape}, expected {model.dtype} {shape}"
+            )
         if is_text:
             _check_names(name, array)
         elif array.size and array.dtype.kind in "if":
@@ -235,10 +242,10 @@ def check_arrays(
             far = _FAR_NS if name.endswith(("_ns", "id")) else far
             low, high = (0, most[name]) if name in most else (-far, far)
             if not (array.min() >= low and array.max() <= high):  # also False for NaN
-                raise ValueError(f"{name} is not from {low:g} to {high:g}")
+                raise ValueError(f"{name} has a value that is not from {low:g} to {high:g}")
     for name in unique:
         if len(np.unique(state[name])) < len(state[name]):
-            raise ValueError(f"{name} holds a value twice")
+            raise ValueError(f"{name} has the same value twice")
 
 
 def _check_names(name: str, words: np.ndarray) -> None:
@@ -256,7 +263,7 @@ def save(path: Path, checkpoint: Checkpoint[State], form: CheckpointFormat[State
         OSError: the file cannot be written; the previous one is unchanged.
         ValueError: `load` would refuse the checkpoint.
     """
-    path, content = _real(path), form.encode(checkpoint)
+    path, content = _resolve_links(path), form.encode(checkpoint)
     with replace_atomically(path, path.with_name(f".{path.name}.tmp")) as temporary:
         temporary.write_bytes(content)
     sync(path.parent)  # else a power cut may restore the old file
@@ -271,7 +278,7 @@ def load(path: Path, form: CheckpointFormat[State]) -> tuple[Checkpoint[State] |
     Raises:
         CheckpointError: the file cannot be read or renamed, or is no checkpoint.
     """
-    path = _real(path)
+    path = _resolve_links(path)
     content = _read(path, form, form.max_bytes + 1)
     if content is None:
         return None, ""
@@ -287,13 +294,12 @@ def set_aside(path: Path, problem: str) -> str:
     Raises:
         CheckpointError: the file cannot be renamed.
     """
-    path = _real(path)
+    path = _resolve_links(path)
     for n in itertools.count(1):
         aside = path.with_name(f"{path.name}.damaged-{n}")
         try:
-            os.close(
-                os.open(aside, os.O_CREAT | os.O_EXCL)
-            )  # reserves the name; a rename would overwrite
+            # Reserve the name: a rename would overwrite an existing file.
+            os.close(os.open(aside, os.O_CREAT | os.O_EXCL))
             os.replace(path, aside)
             break
         except FileExistsError:
@@ -310,7 +316,7 @@ class CheckpointWriter(Generic[State]):
 
     Args:
         path: file of the checkpoint.
-        form: its format.
+        form: format of the checkpoint.
         period_s: shortest time between periodic checkpoints (`is_due`).
 
     Attributes:
@@ -323,13 +329,13 @@ class CheckpointWriter(Generic[State]):
     """
 
     def __init__(self, path: Path, form: CheckpointFormat[State], period_s: float = 1.0) -> None:
-        self.path = _real(path)
+        self.path = _resolve_links(path)
         self.written = self.failed = 0
         self.problem = ""
         self._form = form
         self._period_ns = int(period_s * 1e9)
         self._posted_ns: int | None = None
-        _probe(self.path, form)
+        _check_writable(self.path, form)
         self._worker = Worker("checkpoint", self._write, finishes=True)
 
     @property
@@ -365,12 +371,12 @@ class CheckpointWriter(Generic[State]):
             self.failed += 1
         else:
             if self.problem:
-                log.info("mission.checkpoint: %s: written again", self.path)
+                log.info("mission.checkpoint: %s: can be written again", self.path)
             self.problem = ""
             self.written += 1
 
 
-def _real(path: Path) -> Path:
+def _resolve_links(path: Path) -> Path:
     """Resolve links, so that the target is replaced and a link stays a link."""
     return Path(os.path.realpath(path))
 
@@ -401,7 +407,7 @@ def _read(path: Path, form: CheckpointFormat[State], most: int) -> bytes | None:
     return content
 
 
-def _probe(path: Path, form: CheckpointFormat[State]) -> None:
+def _check_writable(path: Path, form: CheckpointFormat[State]) -> None:
     """Raise CheckpointError unless a checkpoint can be written at `path`."""
     _read(path, form, len(form.begins))
     try:

@@ -16,10 +16,12 @@ from edge.host.files import read_regular
 from edge.host.resources import expand
 
 COPIES = "CREDENTIALS_DIRECTORY"
+"""Environment variable with the folder of systemd's copies."""
 SHORTEST = 16
+"""Characters of the shortest token."""
 
 _OTHERS = stat.S_IROTH | stat.S_IWOTH
-_MAX_BYTES = 4096
+_MAX_BYTES = 4096  # of a file with a token
 
 
 def credential_path(name: str, path: str) -> Path:
@@ -67,7 +69,7 @@ def read_token(key: str, name: str) -> BearerToken:
     try:
         secret = read_regular(credential_path(key, name), _MAX_BYTES).strip()
     except OSError as error:
-        raise ConfigError(f"{key}: {name}: {error.strerror}") from None
+        raise ConfigError(f"{key}: {name}: cannot be read: {error.strerror}") from None
     if len(secret) < SHORTEST or not all(33 <= byte < 127 for byte in secret):
         raise ConfigError(
             f"{key}: {name}: expected one word of {SHORTEST} characters or more; "

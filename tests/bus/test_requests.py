@@ -225,7 +225,7 @@ def test_equal_new_missions_one_after_the_other_are_one(session, serve, given_te
 
 
 def test_a_flood_of_one_new_mission_leaves_room_for_others(session, serve, monkeypatch):
-    monkeypatch.setattr("edge.bus.request_queue._SAME", 4)
+    monkeypatch.setattr("edge.bus.request_queue._MAX_MERGED", 4)
     preparing = Preparing()
     server = serve(preparing)
     give(server, session, "a")
@@ -385,7 +385,7 @@ def test_requests_that_come_faster_than_they_are_received_are_noticed(session, s
     taken(server).answer({})
     assert (asking.answer, server.overruns) == ({}, 0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("edge.bus.requests._ARRIVED", 8)
+        patch.setattr("edge.bus.requests._RING_QUERIES", 8)
         flooded = RequestServer(Flood(), "edge/flooded", {}, broken)
         eventually(lambda: flooded.overruns >= 3)
         flooded.close()
@@ -395,7 +395,7 @@ def test_requests_that_come_faster_than_they_are_received_are_noticed(session, s
 def test_what_stops_the_robot_always_finds_a_place(session, serve):
     server = serve()
     flood = ["pause", "resume"] * 8
-    asked = waiting(server, session, flood[: request_queue._WAITING])
+    asked = waiting(server, session, flood[: request_queue._MAX_WAITING])
     for verb in ("status", "status"):
         assert "busy with other requests" in Asking(session, do=verb).refusal
     asked += waiting(server, session, ["pause", "cancel", "pause", "cancel"])
@@ -403,8 +403,8 @@ def test_what_stops_the_robot_always_finds_a_place(session, serve):
     while (request := server.poll()) is not None:
         done.append(request.do)
         request.answer({"did": request.do})
-    assert done == [*flood[: request_queue._WAITING], "pause", "cancel"]
-    assert [a.answer["did"] for a in asked[request_queue._WAITING :]] == ["pause", "cancel"] * 2
+    assert done == [*flood[: request_queue._MAX_WAITING], "pause", "cancel"]
+    assert [a.answer["did"] for a in asked[request_queue._MAX_WAITING :]] == ["pause", "cancel"] * 2
 
 
 def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(session, serve):
@@ -434,7 +434,7 @@ def test_a_session_that_is_closed_first_ends_the_server_too(session, serve, capl
     eventually(lambda: caplog.messages)
     server.close()
     assert [line.split(":")[0] for line in caplog.messages] == [
-        "requests are no longer accepted, the session is closed"
+        "requests are no longer accepted, the Zenoh session is closed"
     ]
     assert server.poll() is None
 

@@ -115,7 +115,7 @@ def test_a_host_without_an_address_is_not_waited_for_without_end(monkeypatch):
         bus.open_session(settings, "connect", stop, tell=told.append)
     assert "no address is known" in stopped.value.unknown
     assert told[0].startswith(why)
-    assert told[0].endswith("; trying for 30 s")
+    assert told[0].endswith("; trying again for up to 30 s")
     monkeypatch.setattr(bus, "HOST_S", 0.0)
     with pytest.raises(bus.BusError) as given_up:
         bus.open_session(settings, "connect")
@@ -160,7 +160,7 @@ def test_closing_waits_only_so_long_for_a_peer_that_takes_nothing(monkeypatch, c
     monkeypatch.setattr(bus, "CLOSE_S", 0.01)
     with bus.zenoh_session(ZenohConfig(endpoint="tcp/here:1"), "listen") as session:
         assert session is stuck
-    assert "a peer at tcp/here:1 accepts no data: closing without it" in caplog.text
+    assert "a peer at tcp/here:1 accepts no data: the session is given up" in caplog.text
     go.set()
 
 
@@ -180,9 +180,11 @@ def test_an_interpreter_ends_though_nobody_left_its_session(free_endpoint):
 def test_a_message_over_the_limit_is_left_out_and_its_sender_stays(free_endpoint):
     settings = ZenohConfig(endpoint=free_endpoint, shared_memory=False)
     with (
-        # `exact`: who is only slow is not let go.
-        bus.open_session(settings, "listen", exact=True, most_bytes=1_000_000) as service,
-        bus.open_session(settings, "connect", exact=True) as client,
+        # `keep_zenoh_timeout`: who is only slow is not let go.
+        bus.open_session(
+            settings, "listen", keep_zenoh_timeout=True, most_bytes=1_000_000
+        ) as service,
+        bus.open_session(settings, "connect", keep_zenoh_timeout=True) as client,
     ):
         heard = service.declare_subscriber("a/key", zenoh.handlers.RingChannel(8))
         publisher = client.declare_publisher(

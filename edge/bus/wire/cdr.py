@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 HEADER = b"\x00\x01\x00\x00"
 
+# Layouts without padding: numbers, and a time in seconds and nanoseconds.
 U8 = struct.Struct("<B")
 U32 = struct.Struct("<I")
 STAMP = struct.Struct("<iI")
@@ -28,26 +29,29 @@ class CdrReader:
     def __init__(self, payload: bytes | bytearray | memoryview) -> None:
         if bytes(payload[:2]) != HEADER[:2] or len(payload) < len(HEADER):
             raise DecodeError(
-                f"not little-endian CDR: begins {bytes(payload[:4]).hex() or 'empty'}"
+                "not little-endian CDR: the message begins with "
+                f"{bytes(payload[:4]).hex() or 'nothing'}, expected {HEADER.hex()}"
             )
         self.payload = payload
         self.at = len(HEADER)
         self._size = len(payload)
 
-    def _take(self, size: int, align: int) -> int:
+    def _advance(self, size: int, align: int) -> int:
         """Return the offset of the next `size` bytes and skip them.
 
         The alignment counts from the end of the header.
         """
         begin = self.at + (-(self.at - len(HEADER))) % align
         if size > self._size - begin:
-            raise DecodeError(f"truncated: {size} bytes wanted at {begin} of {self._size}")
+            raise DecodeError(
+                f"truncated: {size} bytes expected from byte {begin}, the message has {self._size}"
+            )
         self.at = begin + size
         return begin
 
     def read(self, layout: struct.Struct, align: int) -> tuple:
         """Return the fields of `layout`, which has no padding and is aligned to `align`."""
-        return layout.unpack_from(self.payload, self._take(layout.size, align))
+        return layout.unpack_from(self.payload, self._advance(layout.size, align))
 
     @property
     def left(self) -> int:
@@ -56,25 +60,25 @@ class CdrReader:
 
     def skip(self, size: int, align: int) -> None:
         """Skip a field."""
-        self._take(size, align)
+        self._advance(size, align)
 
     def string(self) -> str:
         (length,) = self.read(U32, 4)
-        begin = self._take(length, 1)
+        begin = self._advance(length, 1)
         try:
             return bytes(self.payload[begin : begin + length]).rstrip(b"\0").decode()
         except UnicodeDecodeError:
-            raise DecodeError(f"not UTF-8: the string at {begin}") from None
+            raise DecodeError(f"the string at byte {begin} is not UTF-8") from None
 
     def sequence(self, item_size: int) -> tuple[int, int]:
         """Return (count, offset of the first item) of a sequence of numbers, and skip it."""
         (count,) = self.read(U32, 4)
-        return count, self._take(count * item_size, item_size if count else 1)
+        return count, self._advance(count * item_size, item_size if count else 1)
 
     def stamp_ns(self) -> int:
         seconds, nanoseconds = self.read(STAMP, 4)
         if nanoseconds >= 1_000_000_000:
-            raise DecodeError(f"not a time: {nanoseconds} ns in the second")
+            raise DecodeError(f"the stamp has nanosec {nanoseconds}, expected less than 1000000000")
         return seconds * 1_000_000_000 + nanoseconds
 
     def header(self) -> tuple[int, str]:
