@@ -434,7 +434,7 @@ def test_a_session_that_is_closed_first_ends_the_server_too(session, serve, capl
     eventually(lambda: caplog.messages)
     server.close()
     assert [line.split(":")[0] for line in caplog.messages] == [
-        "requests are no longer accepted, the session is closed"
+        "requests are no longer accepted, the Zenoh session is closed"
     ]
     assert server.poll() is None
 

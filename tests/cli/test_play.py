@@ -77,7 +77,7 @@ def test_nothing_is_published_or_kept_and_nobody_is_held_up(play, tmp_path):
     code, told, _ = play(robot, path, "--fast", "--report", tmp_path)
     assert code == os.EX_OK
     page = (tmp_path / "report.html").read_text()
-    assert "stuck: goal discarded" not in page
+    assert "stuck: " not in page
     assert "stopped while searching: chair" in told
     assert not kept.exists()
     assert not (tmp_path / "sink").exists()
@@ -116,7 +116,7 @@ def test_a_bench_of_a_covered_camera_says_so(config, tmp_path):
         for topic, kind, ns, payload in plain()
     ]
     path = write_mcap(tmp_path / "robot.mcap", sent)
-    with pytest.raises(UserError, match=r"20 s: .*camera/rgb: the image has one colour"):
+    with pytest.raises(UserError, match=r"in 20 s, .*camera/rgb: the image has one colour"):
         bench.run_bench(load(config), path, 20.0, threading.Event())
 
 

@@ -49,9 +49,9 @@ def test_check_asks_the_server(far, capsys, binary, how):
         (lambda feed: {**model(feed), "boxes": np.full((1, 9, 4), np.nan, np.float32)},
          "returns boxes that are not finite"),
         (lambda feed: {**model(feed), "scores": np.full((1, 9, 2), 1.5, np.float32)},
-         "scores must lie in 0..1"),
+         "scores must be from 0 to 1"),
         (lambda feed: {"boxes": np.zeros((1, 9, 4), np.float32)},
-         "invalid answer: it lacks the output 'scores'; check what runs there"),
+         "invalid answer: the answer lacks the output 'scores'; check what runs there"),
     ],
 )  # fmt: skip
 def test_check_tells_of_a_model_that_is_none(far, capsys, run, why):
@@ -80,5 +80,5 @@ def test_the_doctor_looks_whether_anything_listens(far, there):
     with serving(KServe(model)) as server:
         far(server.url if there else "http://127.0.0.1:1")
         (found,) = [f for f in doctor.check_models(simulated()) if "model far" in f.what]
-    wanted = ("ok", "something listens at") if there else ("warn", "nothing listens at")
+    wanted = ("ok", "a server listens at") if there else ("warn", "no server listens at")
     assert (found.level, wanted[1] in found.what) == (wanted[0], True)

@@ -5,7 +5,8 @@
 - `(a|b)` is a choice, `[a|b]` may be left out, and `*` after either repeats it any number of times.
 - `<thing>` is a name of up to five words, with or without an article.
 - `<stops>` is a list of names, `<count>` a number, `<often>` once or twice, `<relation>` a word
-  such as "behind", and `<span>` a length of time, such as "ten minutes".
+  such as "behind", `<done>` a form such as "mopped", and `<span>` a length of time, such as "ten
+  minutes".
 - `{seen}` is another template, by its name in a table of parts.
 - `,` is a comma that may be left out, and `...` is any rest that begins no new order.
 """
@@ -27,10 +28,23 @@ _SLOTS = {
     "count": COUNT,
     "often": r"(?:once|twice|thrice)",
     "relation": any_of("relation"),
+    "done": r"\w+(?:ed|ing)",
     "stops": rf"{NAME}(?:{STOP}{NAME})+",
 }
 _MARKS = {"(": "(?:", ")": ")", "[": "(?:", "]": ")?", "|": "|", "*": "*", ",": ",?"}
-_REST = r"(?: (?!(?:then|and|or|but|find|instead|first)\b)\S+)*"
+_ORDER = (
+    r"(?:(?:do )?not )?(?:go|come|drive|head|run|move|visit|explore|patrol|check|look|search|stay|"
+    r"keep|enter|leave|return|wait|bring|fetch|take|get|not (?:the|an?|my|to))\b"
+)
+_HAS_SUBJECT = "|".join(
+    f"(?<= {word} )"
+    for word in ("i", "we", "you", "he", "she", "they", "people", "to", "can", "will", "would")
+)
+_REST = (
+    r"(?: (?!(?:then|and|or|but|find|instead|first|never|avoid|without|except|\.)(?: |$))"
+    rf"(?:(?!{_ORDER})|{_HAS_SUBJECT})[^\s,;]+)*"
+)
+"""Any rest that begins no order: "because I go out", not "until I call, go to the bed"."""
 END = r"(?=[ ,.;!?]|$)"
 """End of a word."""
 
