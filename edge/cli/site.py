@@ -24,7 +24,7 @@ def add_places(commands) -> None:  # type: ignore[no-untyped-def]
         help="metres in map and heading in degrees, instead of the robot's pose; "
         "write --at=X,Y,DEG if X is negative",
     )  # fmt: skip
-    _common(actions, "places and zones")
+    _add_common_actions(actions, "places and zones")
 
 
 def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
@@ -41,7 +41,7 @@ def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
             "corners", nargs="+", type=_corner, metavar="X,Y",
             help="three corners at least, metres in map; write -- before a negative X",
         )  # fmt: skip
-    _common(actions, "places and zones")
+    _add_common_actions(actions, "places and zones")
 
 
 def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
@@ -50,12 +50,13 @@ def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
     return action
 
 
-def _common(actions, all_of_it: str) -> None:  # type: ignore[no-untyped-def]
-    _action(actions, "list", f"list {all_of_it}")
+def _add_common_actions(actions, content: str) -> None:  # type: ignore[no-untyped-def]
+    """Add the actions that places and zones share."""
+    _action(actions, "list", f"list {content}")
     _action(actions, "remove", "remove one").add_argument("name", help="name from `list`")
-    export = _action(actions, "export", f"write {all_of_it} as GeoJSON")
+    export = _action(actions, "export", f"write {content} as GeoJSON")
     export.add_argument("file", help="GeoJSON file to write")
-    load = _action(actions, "import", f"read {all_of_it} from GeoJSON")
+    load = _action(actions, "import", f"read {content} from GeoJSON")
     load.add_argument("file", help="GeoJSON file to read")
     load.add_argument("--replace", action="store_true", help="first remove all that exist")
 
