@@ -14,11 +14,12 @@ from edge.mission.language.noun_phrases import (
 from edge.mission.language.tokens import Token, TokenReader
 
 MAX_VISITS = 20
-_MARKERS = (
+"""Largest number of visits to one object that a count may ask for."""
+_MARKERS = (  # kinds of token that say how a number is meant
     "at least", "at most", "exactly", "more than", "less than", "more or less", "or more",
     "or less", "only",
 )  # fmt: skip
-_NUMBERS = ("number", "times n", "once")
+_NUMBERS = ("number", "times n", "once")  # kinds of token that have a number
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,12 +112,22 @@ def _joins(reader: TokenReader) -> bool:
 
 
 def _goes_on(reader: TokenReader) -> bool:
+    """Return True if the count continues after "or" or "and"."""
     return reader.is_at(*_NUMBERS, *_MARKERS, ahead=1)
 
 
 def _range(
     reader: TokenReader, markers: set[str], numbers: list[int], negated: bool, begin: int
 ) -> Count:
+    """Return the count that markers and numbers mean; see `take_count`.
+
+    Args:
+        reader: the token reader.
+        markers: kinds of the tokens that say how the numbers are meant.
+        numbers: the numbers, at least one.
+        negated: True if the clause is negated.
+        begin: index of the count's first token.
+    """
     n = numbers[-1]
     if 0 in numbers and markers & {"or more", "at least"}:
         reader.refuse("this number is always fulfilled; leave it out", reader.tokens[begin])
@@ -145,11 +156,14 @@ def _range(
 
 
 CONDITIONS = ("before", "after", "until", "unless", "when", "once")
+"""Kinds of token that begin a condition."""
 ORDERS = ("any order", "in order", "strict order")
+"""Kinds of token that order the objects of a clause."""
 MOOD = (
     "you", "ensure", "must", "can", "do", "not", "filler", "only", "first", "be", "always",
     "in the end",
 )  # fmt: skip
+"""Kinds of token that may stand before the verb of a clause."""
 AUXILIARIES = frozenset({"be", "must", "can"})
 _LIMITING = (
     "just", "simply", "always", "also", "now", "only", "directly", "already", "straight",
@@ -297,7 +311,7 @@ def _refuse_scope(reader: TokenReader, said: Token) -> None:
         reader.refuse_finally(_NOT_NEEDED, said)
 
 
-def _is_statement(reader: TokenReader, who: str) -> bool:
+def _is_statement(reader: TokenReader) -> bool:
     """Return True if "I go to a" or "we never use a" comes; "we have to go to a" is an order."""
     return reader.is_at("verb", "must", "can", "not", "do", "be", "filler", ahead=1)
 
@@ -327,7 +341,7 @@ def take_mood(reader: TokenReader, clause: Clause, kinds: tuple[str, ...] = MOOD
         answers = reader.is_at("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
         if token.text == "no" and answers:
             reader.refuse_finally("give the whole instruction again", token)  # "…, no, the bed"
-        if token.kind == "you" and token.text in ("i", "we") and _is_statement(reader, token.text):
+        if token.kind == "you" and token.text in ("i", "we") and _is_statement(reader):
             reader.refuse_finally("not an instruction for the robot", token)
         if token.text == "did" and reader.is_at("not", ahead=1):
             reader.refuse_finally("this describes the past; say what to do", token)

@@ -19,6 +19,7 @@ MOST_PIECES = 250
 """Largest number of words and marks in an instruction."""
 LONGEST_NAME = 6  # words
 ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
+# Words around a name, or instead of a name, that decide if and where it is one.
 _SINGLING = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
 _PLACES = tuple(sorted(PHRASES["place"], key=len, reverse=True))
 _OF_NO_NAME = {"of", "between", "against"}
@@ -66,6 +67,8 @@ class DelexicalisedText:
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
+    """A word, a mark or a quoted name of the instruction, and the offset of its first character."""
+
     text: str
     start: int
     quoted: bool = False
@@ -118,6 +121,7 @@ def delexicalise_text(text: str) -> DelexicalisedText:
 
 
 def _pieces(text: str) -> list[_Piece]:
+    """Return the words, marks and quoted names of a text; errors as in `delexicalise_text`."""
     if len(text) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"
         raise not_understood(text[MAX_CHARS:], MAX_CHARS + 1, hint)

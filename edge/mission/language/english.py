@@ -21,6 +21,7 @@ from edge.mission.language.tokens import TokenReader, TranslationError
 from edge.mission.logic.ltl import Formula, conj, postorder, propositions, to_text
 
 MAX_ALTERNATIVES = 32
+"""Largest number of alternatives of a formula; one with more is read out literally."""
 
 
 # A formula as alternatives of sets of chains: F(a & (F b | F c) & F d) asks for "a, then d", and
@@ -104,8 +105,8 @@ def _once_more(first: Formula, rest: list[Formula]) -> Formula | None:
 MAX_NODES = 600
 """Longer formulas are shown as formulas, because such long sentences do not help."""
 
-_MAX_DEPTH = 60
-_SHOWN = 2000
+_MAX_DEPTH = 60  # levels of operators in a formula that is put into words
+_SHOWN = 2000  # characters of a formula that is too long for words
 _TIMES = {1: "once", 2: "twice"}
 _NUMBERS = ["zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
 

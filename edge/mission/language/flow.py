@@ -16,6 +16,7 @@ THEN = ("then", "only then")
 JOINTS = ("comma", "and", "but", *THEN)
 """Kinds of token between clauses, in increasing strength: of several, the strongest applies."""
 
+# Verbs of motion, beginnings of verbs for arriving, and phrases that continue an order.
 _MOVES = (
     "go", "move", "walk", "drive", "head", "travel", "come", "proceed", "enter", "continue", "pass",
     "navigate", "cross", "fly", "climb", "follow", "traverse", "return",
@@ -64,7 +65,8 @@ class Flow:
     ) -> bool:
         """Return True if a clause comes after all clauses before it.
 
-        Otherwise the clause may be marked as on the way there (`clause.enroute`).
+        Otherwise the clause may be marked as on the way there (`clause.enroute`). Also stores facts
+        about this clause for the next one.
 
         Args:
             clause: the clause.
@@ -75,9 +77,9 @@ class Flow:
         """
         kind = joint.kind if joint else None
         also = clause.token.text in _ALSO
-        # "go to a. go to b." is in order, unless other words contradict it
-        loose = also or any(token.text in _ALSO for token in _sentence(reader))
-        loose = loose or any(token.kind in (*THEN, "any order") for token in reader.tokens)
+        # "go to a. go to b." is in order, unless other words contradict it.
+        any_order = also or any(token.text in _ALSO for token in _sentence(reader))
+        any_order = any_order or any(token.kind in (*THEN, "any order") for token in reader.tokens)
         ensures = clause.token.kind == "ensure"
         moves = _moves(clause)
         through = clause.through and not clause.route
@@ -93,7 +95,7 @@ class Flow:
                 onward and sequence and not (sequence[-1].loose or passes),
                 onward and asked and clause.verb.startswith(_ENDING),
                 moves and self.moved and kind == "" and not ensures,
-                moves and self.moved and kind is None and asked and not (loose or through),
+                moves and self.moved and kind is None and asked and not (any_order or through),
                 reaches and self.passed and joint and not also,
                 # "via b, go to a"
                 self.passed and not self.verb and not clause.negated and kind in ("", "comma"),
@@ -111,8 +113,8 @@ class Flow:
             pass
         elif moves and self.moved and not (after or also) and joint and kind == "and":
             after = reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order
-        on = bool(clause.things) and bare and self.passed  # "through a, then b, to c"
-        self.moved, self.passed = moves, (through or on) and not clause.negated
+        still_passing = bool(clause.things) and bare and self.passed  # "through a, then b, to c"
+        self.moved, self.passed = moves, (through or still_passing) and not clause.negated
         self.verb = clause.verb
         return after
 
@@ -144,7 +146,7 @@ class Flow:
         if clause.agent and self.agent not in ("", clause.agent):
             reader.refuse_finally("an instruction is for one robot only", clause.token)
         several = clause.things is not None and len(clause.things.groups) > 1
-        joins = several and any(token.kind == "and" for token in _said(clause, reader))
+        joins = several and any(token.kind == "and" for token in _tokens_of(clause, reader))
         if bare and clause.negated and joins:
             reader.refuse_finally(
                 "unclear what 'not' applies to; use a separate sentence", clause.token
@@ -180,7 +182,7 @@ def _sentence(reader: TokenReader) -> Sequence[Token]:
     return reader.tokens[begin:until]
 
 
-def _said(clause: Clause, reader: TokenReader) -> Sequence[Token]:
+def _tokens_of(clause: Clause, reader: TokenReader) -> Sequence[Token]:
     """Return the tokens of the clause that was just parsed."""
     begin = next(i for i, token in enumerate(reader.tokens) if token is clause.token)
     return reader.tokens[begin : reader.at]

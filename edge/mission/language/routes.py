@@ -15,6 +15,7 @@ PASSING = ("through", "past", "along", "across", "via", "by", "over")
 """Particles after which a verb of motion means "pass": "walk past", "drive through"."""
 
 _PARTICIPLES = ("passing", "crossing", "traversing", "using", "taking")
+# "by" before these means "by way of": "go up by the stairs".
 RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ramp", "bridge")
 _ANYWHERE = (
     "room", "area", "place", "space", "square", "door", "way", "path", "route", "zone", "region",

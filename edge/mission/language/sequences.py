@@ -109,7 +109,7 @@ def _unwrapped(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
 
 
 def begun_with(goal: Goal, meaning: ClauseMeaning) -> Goal:
-    """Return a, then b, before the return: `go to a. go to b. return to a.`."""
+    """Return the goal with a before b, for a return to a: `go to a. go to b. return to a.`."""
     said = frozenset(meaning.things.names)
     inner, held = _unwrapped(goal)
     parts = inner.goals if isinstance(inner, AllOf) else ()
@@ -227,6 +227,7 @@ def chained(waits: Sequence[tuple[tuple[str, ...], NounPhrase]]) -> Goal | None:
 
 
 def _together(goals: Sequence[Goal]) -> Goal:
+    """Return the goals in any order as one goal."""
     return goals[0] if len(goals) == 1 else AllOf(tuple(goals))
 
 

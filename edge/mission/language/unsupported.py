@@ -91,7 +91,7 @@ def refuse_unsupported(reader: TokenReader) -> None:
             reader.refuse_finally(_SHUN, token)  # "do not go to a and then the b"
         if token.kind in ("stop", "comma", "but", "then"):
             denied = False
-        hint, start = _found(reader, denied), token
+        hint, start = _reason(reader, denied), token
         before = _before(reader)
         if hint == _WHERE:
             start = _name_before(reader) or token
@@ -103,7 +103,7 @@ def refuse_unsupported(reader: TokenReader) -> None:
     reader.at = 0
 
 
-def _found(reader: TokenReader, denied: bool) -> str:
+def _reason(reader: TokenReader, denied: bool) -> str:
     """Return why the token here cannot be understood; "" if it may be understood."""
     token, after, before = reader.peek(), reader.peek(1), _before(reader)
     if token.kind in ("quoted", "end"):
@@ -208,7 +208,7 @@ def _is_letter(token: Token) -> bool:
 
 
 def _trails(reader: TokenReader) -> bool:
-    """Return whether the "always" of "avoid a until b, and c always" comes."""
+    """Return True if the "always" of "avoid a until b, and c always" comes."""
     if not reader.is_at("always"):
         return False
     begin = reader.at
@@ -258,7 +258,7 @@ def _leads(reader: TokenReader) -> bool:
 
 
 def _stays(reader: TokenReader, denied: bool) -> bool:
-    """Return whether "keep to a", "stay on a", "never stay away from a" comes."""
+    """Return True if "keep to a", "stay on a", "never stay away from a" comes."""
     token = reader.peek()
     if not token.text.startswith(_KEEPS):
         return False
@@ -272,7 +272,7 @@ def _stays(reader: TokenReader, denied: bool) -> bool:
 
 
 def _times(reader: TokenReader) -> bool:
-    """Return whether "for a minute", "in five minutes", "5 pm", "2 m" comes."""
+    """Return True if "for a minute", "in five minutes", "5 pm", "2 m" comes."""
     token, after = reader.peek(), reader.peek(1)
     if token.kind == "number":
         return after.text in _UNITS and after.text != "second"
@@ -288,7 +288,7 @@ def _over(reader: TokenReader, ahead: int) -> bool:
 
 
 def _says_where(reader: TokenReader, ahead: int) -> bool:
-    """Return whether "near the sofa", "in it", "that is on a table" begins there."""
+    """Return True if "near the sofa", "in it", "that is on a table" begins there."""
     token, after = reader.peek(ahead), reader.peek(ahead + 1)
     if token.kind != "place" and token.text not in (*_WITH, "inside of"):
         return False
@@ -336,7 +336,7 @@ def _is_known(words: list[str]) -> bool:
 
 
 def _searches(reader: TokenReader) -> bool:
-    """Return whether "explore the house", "search the kitchen", "look around" comes."""
+    """Return True if "explore the house", "search the kitchen", "look around" comes."""
     token = reader.peek()
     verb = token.text.split(" ")[0]
     if token.kind == "verb" and verb.startswith("explor"):

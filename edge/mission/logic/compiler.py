@@ -56,19 +56,19 @@ def minimal_automaton(formula: Formula, letters: Sequence[str], effort: CompileB
     nodes = _nodes(formula, effort)
     uses = Counter(arg for _, args, _ in nodes for arg in args)
     column = {name: k for k, name in enumerate(letters)}
-    made: dict[int, Dfa] = {}
+    automata: dict[int, Dfa] = {}
     for number, (op, args, name) in enumerate(nodes):
         effort.spend(PER_NODE * (1 + len(args)))
         if op == "ap":
-            made[number] = _reached(column[name], len(letters) + 1)
+            automata[number] = _letter_automaton(column[name], len(letters) + 1)
         elif not args:
-            made[number] = np.zeros((1, len(letters) + 1), np.int32), np.array([op == "true"])
+            automata[number] = np.zeros((1, len(letters) + 1), np.int32), np.array([op == "true"])
         else:
-            made[number] = _made(op, [made[arg] for arg in args], effort)
+            automata[number] = _automaton_of(op, [automata[arg] for arg in args], effort)
         uses.subtract(args)
         for arg in {arg for arg in args if not uses[arg]}:
-            del made[arg]
-    return minimal(*made[len(nodes) - 1], effort)
+            del automata[arg]
+    return minimal(*automata[len(nodes) - 1], effort)
 
 
 def _nodes(formula: Formula, effort: CompileBudget) -> list[Key]:
@@ -77,7 +77,7 @@ def _nodes(formula: Formula, effort: CompileBudget) -> list[Key]:
     known: dict[int, int] = {}
     for f in postorder(formula):
         effort.spend(PER_NODE)
-        known[id(f)] = nodes.reduced(f, [known[id(arg)] for arg in f.args])
+        known[id(f)] = nodes.number_rewritten(f, [known[id(arg)] for arg in f.args])
     return nodes.keys[: known[id(formula)] + 1]
 
 
@@ -122,7 +122,7 @@ class _Nodes:
         self._early.add(found)
         return found
 
-    def reduced(self, f: Formula, args: list[int]) -> int:
+    def number_rewritten(self, f: Formula, args: list[int]) -> int:
         """Return the number of a subformula, rewritten as the module documents."""
         number = self.number
         match f.op, args:
@@ -142,14 +142,14 @@ class _Nodes:
         return number(f.op, *args, name=f.name)
 
 
-def _reached(letter: int, width: int) -> Dfa:
+def _letter_automaton(letter: int, width: int) -> Dfa:
     """Return the automaton of "the first letter is this one"."""
     delta = np.full((3, width), 2, np.int32)
     delta[0, letter] = delta[1] = 1
     return delta, np.array([False, True, False])
 
 
-def _made(op: str, args: list[Dfa], effort: CompileBudget) -> Dfa:
+def _automaton_of(op: str, args: list[Dfa], effort: CompileBudget) -> Dfa:
     """Return the minimal automaton of an operator; the order of its states is arbitrary."""
     match op:
         case "!":
@@ -247,6 +247,7 @@ class _Until:
     def _step(
         self, waiting: tuple[int, ...] | None, alternatives: Sequence[Alternative], letter: int
     ) -> tuple[tuple[int, ...] | None, tuple[Alternative, ...]]:
+        """Return the state after a letter; see the class."""
         begun = [*alternatives] if waiting is None else [*alternatives, (waiting, 0)]
         moved: list[Alternative] = []
         for held, state in begun:
@@ -310,6 +311,7 @@ class _Inclusion:
         return self._known[s, t]
 
     def _seek(self, start: tuple[int, int]) -> None:
+        """Decide the inclusion for a pair of states, and for all pairs on the way."""
         came_from: dict[tuple[int, int], tuple[int, int] | None] = {start: None}
         pairs = [start]
         for pair in pairs:
@@ -341,18 +343,19 @@ def minimal(delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> 
         key, size = block, count
         for column in delta.T:
             if size * count >= 2**62:
-                key, size = _dense(key)
+                key, size = _compact(key)
             key, size = key * count + block[column], size * count
-        finer, new_count = _dense(key)
+        finer, new_count = _compact(key)
         if new_count == count:
             break
         block, count = finer, new_count
-    block = _dense(block)[0]
+    block = _compact(block)[0]
     _, first = np.unique(block, return_index=True)
     return _numbered(block[delta[first]], accepting[first], int(block[0]))
 
 
-def _dense(key: np.ndarray) -> tuple[np.ndarray, int]:
+def _compact(key: np.ndarray) -> tuple[np.ndarray, int]:
+    """Replace keys by numbers from 0, in order of the keys; return the numbers and their count."""
     values, dense = np.unique(key, return_inverse=True)
     return dense.reshape(-1), len(values)
 
