@@ -23,6 +23,7 @@ from exporters.training.choice.training import Data, answers
 from exporters.training.results import auc, took_ms
 
 PARITY_QUESTIONS = 300
+"""Number of random questions for the parity."""
 Logits = tuple[np.ndarray, np.ndarray]
 """(n, t, MAX_MARKS + 1) of the directions and (n, t) of the scene; NaN for pairs not asked."""
 

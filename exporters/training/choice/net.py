@@ -15,9 +15,9 @@ from exporters.training.choice.features import GRID_HW
 from exporters.training.mini.net import EMBED_DIM, Conv
 
 NEAR, FAR = 96, 128
-"""Channels of `features.NECK`."""
-_FAR_M, _WIDE_M2 = 8.0, 10.0
-_BIG = 1e4
+"""Channels of the two tensors `features.NECK`."""
+_FAR_M, _WIDE_M2 = 8.0, 10.0  # scales of distances and areas in the features
+_BIG = 1e4  # subtracted from the logit of a missing mark
 
 
 class ChoiceNet(nn.Module):
@@ -121,7 +121,7 @@ class _Layer(nn.Module):
         return x + self.step(self.norms[2](x))
 
 
-_GEOMETRY, _REST = 17, 6
+_GEOMETRY, _REST = 17, 6  # number of features of a mark, and of the frontiers without a mark
 
 
 def geometry(marks: Tensor) -> Tensor:

@@ -44,7 +44,7 @@ class Plan:
 
 
 class Batch(NamedTuple):
-    """Inputs of `ChoiceNet`, and labels: see `labels`."""
+    """Inputs of `ChoiceNet`, and the labels: `direction`, `among` (of the marks only), `scene`."""
 
     near: Tensor
     far: Tensor
@@ -63,9 +63,9 @@ class Data:
 
     Args:
         views: images and marks.
-        features: of the views.
-        scales: of the trunk (`features.Trunk`).
-        words: of the trunk (`features.Trunk`).
+        features: features of the views.
+        scales: see `features.Trunk`.
+        words: see `features.Trunk`.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Data:
         """Return views with targets, without augmentation.
 
         Args:
-            rows: (v,) views.
+            rows: (v,) indices of views.
             targets: (v, t) indices of `looks.CATEGORIES`.
             sides: (v,) 1 for mirrored views.
         """

@@ -34,6 +34,7 @@ from exporters.training.translator.compose import Composer, Pair, Phrases, delex
 RARE = 4
 """Words in fewer sentences are unknown to the network."""
 COUNTED = 60_000
+"""Composed sentences whose words are counted for the vocabulary."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +88,7 @@ def human_pairs(cases: Sequence[TranslationCase], phrases: Phrases) -> list[Pair
 
 
 class _Skeletons:
-    """Finds the family whose formula is equivalent to another formula."""
+    """Search for the family whose formula is equivalent to another formula."""
 
     def __init__(self, phrases: Phrases) -> None:
         unique = {family.tokens: family for family in phrases.families}
@@ -100,10 +101,10 @@ class _Skeletons:
     def tokens_of(self, formula: Formula, names: Sequence[str]) -> tuple[str, ...] | None:
         key = _over(formula, names)
         if key not in self._known:
-            self._known[key] = self._found(key, len(names))
+            self._known[key] = self._search(key, len(names))
         return self._known[key]
 
-    def _found(self, formula: Formula, n: int) -> tuple[str, ...] | None:
+    def _search(self, formula: Formula, n: int) -> tuple[str, ...] | None:
         for tokens, count in self._families:
             if count != n:
                 continue
@@ -116,6 +117,7 @@ class _Skeletons:
 
 
 PLAIN = tuple(f"x{i}" for i in range(MOST_NAMES))
+"""Names instead of an instruction's own, so that formulas can be compared."""
 
 
 def _over(formula: Formula, names: Sequence[str]) -> Formula:
@@ -158,7 +160,7 @@ class Source:
 
 
 class Batcher:
-    """Makes padded tensors of pairs with similar lengths."""
+    """Maker of padded tensors from pairs with similar lengths."""
 
     def __init__(self, vocabulary: Vocabulary, unknown_share: float = 0.01) -> None:
         self._ids = vocabulary.ids()

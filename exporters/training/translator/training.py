@@ -31,6 +31,7 @@ class Plan:
 
     Attributes:
         human: share of human sentences.
+        keep_every: steps between two checkpoints.
     """
 
     steps: int
