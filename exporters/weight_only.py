@@ -46,10 +46,10 @@ def quantize_weights(model: onnx.ModelProto, precision: str) -> onnx.ModelProto:
     quantizer = MatMulNBitsQuantizer(model, algo_config=settings)
     logging.getLogger("onnxruntime.quantization.matmul_nbits_quantizer").setLevel(logging.WARNING)
     quantizer.process()
-    made = quantizer.model.model
-    if not tables and all(node.op_type != "MatMulNBits" for node in made.graph.node):
+    quantized = quantizer.model.model
+    if not tables and all(node.op_type != "MatMulNBits" for node in quantized.graph.node):
         raise ExportError(f"{precision}: no constant matrix in the model; nothing to quantize")
-    return made
+    return quantized
 
 
 def quantize_tables(model: onnx.ModelProto) -> int:

@@ -178,14 +178,14 @@ def translate(
     if isinstance(config.translator, TranslatorLtl):
         quoted, repeat = split_repetition(quote_places(text, places))
         return replace(translator.translate(quoted, reading, ask), repeat=repeat)
-    said = understand(text, [item.name for item in site.items])
-    if not isinstance(said, MissionOrder):
-        raise NoMissionError(said)
-    plain = said.speech.restored(spell_out(said.speech.text, places))
+    order = understand(text, [item.name for item in site.items])
+    if not isinstance(order, MissionOrder):
+        raise NoMissionError(order)
+    plain = order.speech.restored(spell_out(order.speech.text, places))
     given = quote_places(text, places)
     # What the grammar reads in the person's own words needs no spelling out, unless it would lose
     # something: a check is no visit, and people mean an order when they say "go there and find".
-    means_more = said.speech.corrected or _MEANS_MORE.search(plain)
+    means_more = order.speech.corrected or _MEANS_MORE.search(plain)
     chosen = given if not means_more and _is_understood(given) else plain
     chosen, repeat = split_repetition(chosen)
     translation = translator.translate(chosen, reading, ask)
@@ -194,9 +194,9 @@ def translate(
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
     english = translation.english
-    if unused := "; ".join(f"'{one_line(reason)}'" for reason in said.speech.reasons):
+    if unused := "; ".join(f"'{one_line(reason)}'" for reason in order.speech.reasons):
         english += f" (Not part of the order: {unused}.)"
-    if asks_for_work(said.speech.text):
+    if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)
 

@@ -212,17 +212,17 @@ LEADING = nouns.listed(
 
 def _refuse_leading(reader: TokenReader, clause: Clause, ahead: int) -> None:
     """Refuse `go to the door to the kitchen` and `move the cup to the table` as ambiguous."""
-    said = reader.tokens[: reader.at]
-    verb = max((i for i, token in enumerate(said) if token.text == clause.verb), default=0)
+    before = reader.tokens[: reader.at]
+    verb = max((i for i, token in enumerate(before) if token.text == clause.verb), default=0)
     moves = clause.verb in (*_MOTION, "get")
-    moved = moves and said[verb + 1].kind in ("article", "word", "quoted")
+    moved = moves and before[verb + 1].kind in ("article", "word", "quoted")
     carried = moved or clause.verb.startswith(_CARRIES)
     if carried and not all(map(nouns.is_place, clause.things.names)):
         reader.refuse_finally("the robot can only go to objects", reader.peek(ahead))
     if clause.things.names[-1].split()[-1] in LEADING:
         reader.refuse_finally(
             "unclear: one thing that leads to the other, or both in turn? say 'then to …'",
-            said[verb],
+            before[verb],
         )
 
 

@@ -60,7 +60,10 @@ def _size(formula: Formula) -> int:
 
 
 def _does_besides(reader: TokenReader) -> bool:
-    """Return True if ", visiting b" comes without its time; ", ending at b" has one."""
+    """Return True if ", visiting b" comes, which may be on the way or in addition.
+
+    ", ending at b" is clear.
+    """
     verb = reader.peek().text
     if not reader.is_at("verb") or verb.startswith((*ENDING, "swing", "bring ")):
         return False
@@ -147,9 +150,9 @@ class Discourse:
                 self._sentence(joint)
             reader.skip("comma", "stop")
         if self.first and self.clauses > 1:
-            said = [token for token in reader.tokens if token.kind in ("first", "opener")]
+            firsts = [token for token in reader.tokens if token.kind in ("first", "opener")]
             reader.refuse(
-                "say in the same sentence what comes after it", said[-1] if said else None
+                "say in the same sentence what comes after it", firsts[-1] if firsts else None
             )
         parts = [] if self.goal is None else [self.goal]
         parts += [sequence_goal([rule], reader) for rule in self.rules]
@@ -184,9 +187,9 @@ class Discourse:
     def _rules_for_all(self, goal: AllOf) -> list[Goal]:
         """Return the rules that apply to all goals of the instruction."""
         rules: list[Formula] = []
-        said = self.strictly or (self.each and self.each[1])
-        if said and not goal.goals:
-            self.reader.refuse("say first what to visit", said)
+        token = self.strictly or (self.each and self.each[1])
+        if token and not goal.goals:
+            self.reader.refuse("say first what to visit", token)
         if self.strictly:
             rules += in_strict_order(goal, self.strictly, self.reader)
         if self.each:
@@ -241,14 +244,14 @@ class Discourse:
                 sequences[-1].append(loose)
             sequence, loose = self._sequence(Token("or", "or", 0, 0))
             sequences.append(sequence)
-        said = reader.tokens[reader.tokens.index(either) : reader.at]
-        if either.text == "either" and not any(token.kind == "or" for token in said):
+        tokens = reader.tokens[reader.tokens.index(either) : reader.at]
+        if either.text == "either" and not any(token.kind == "or" for token in tokens):
             reader.refuse("'either' needs a second choice", either)
         if loose:
             self.rules.append(loose)
         single = all(len(sequence) == 1 for sequence in sequences[:-1])
         pause = any(
-            (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(said)
+            (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(tokens)
         )
         tight = tight or (pause and (short or (either.text == "either" and len(sequences) > 1)))
         if tight and single and len(sequences[-1]) > 1:
@@ -311,8 +314,8 @@ class Discourse:
                     (sequence[-1] if sequence else meaning).add(loose)
                     loose = None
                 self._add_to_sequence(clause, meaning, kind, sequence)
-            said = clause.order if clause.order in ("in order", "strict order") else ""
-            if said and clause.things and len(clause.things.groups) + len(clause.route) < 2:
+            has_order = clause.order in ("in order", "strict order")
+            if has_order and clause.things and len(clause.things.groups) + len(clause.route) < 2:
                 ordered = clause.token
             joint = self._joint()
             if joint is None:
@@ -328,9 +331,9 @@ class Discourse:
 
     def _check_number(self, joint: Token | None) -> None:
         """Check that a numbered step ("second", "third") comes in its turn, and note its number."""
-        said = joint.text.split() if joint else []
-        number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in said), None)
-        if joint and self.number == 1 and not self.clauses and said[-1] in ("lastly", "finally"):
+        words = joint.text.split() if joint else []
+        number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in words), None)
+        if joint and self.number == 1 and not self.clauses and words[-1] in ("lastly", "finally"):
             number = len(nouns.NUMERALS)
         if number is None or joint is None:
             if self.number > 1 and self.reader.is_at("first", "opener"):
@@ -412,8 +415,8 @@ class Discourse:
         """Resolve what a clause leaves open, from the clauses before it."""
         if clause.elsewhere:
             self.elsewhere = clause.token
-        one = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
-        if one and sequence and clause.order == "strict order" and not clause.negated:
+        single = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
+        if single and sequence and clause.order == "strict order" and not clause.negated:
             clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
         if clause.count_aside and sequence:
             self.reader.refuse_finally(

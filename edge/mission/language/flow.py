@@ -34,14 +34,15 @@ class Flow:
     """Facts about the last clause that decide where the next clause belongs.
 
     Attributes:
-        moved: it was a plain order to go somewhere: "go to a go to b" is in order.
-        passed: it only passed through somewhere.
-        verb: its verb.
-        denied: it forbade something, so a bare "then the bed" is ambiguous.
-        barred: it was a plain "do not visit a".
-        until: the objects that end its ban.
-        hanging: its token if it began with "if …" or "you may …": the next part may belong to it.
-        permitted: what it allowed, if it asked for nothing.
+        moved: True if the clause was a plain order to go somewhere: "go to a go to b" is in order.
+        passed: True if the clause only passed through somewhere.
+        verb: verb of the clause.
+        denied: True if the clause forbade something, so that a bare "then the bed" is ambiguous.
+        barred: True if the clause was a plain "do not visit a".
+        until: objects that end the clause's ban.
+        hanging: token of a clause that began with "if …" or "you may …": the next clause may belong
+            to it.
+        permitted: objects that the clause allowed, if it asked for nothing.
         agent: name that the instruction has used for the robot so far.
     """
 

@@ -429,8 +429,8 @@ def _is_rule(clause: Clause, condition: Condition, reader: TokenReader) -> bool:
         return True
     if kinds.count("before") > 1 and "then" in kinds:
         return True
-    said = itertools.takewhile(lambda t: t.kind not in ("stop", "comma"), reader.tokens[begin:])
-    return any(token.kind == "can" or token.text == "ever" for token in said)
+    rest = itertools.takewhile(lambda t: t.kind not in ("stop", "comma"), reader.tokens[begin:])
+    return any(token.kind == "can" or token.text == "ever" for token in rest)
 
 
 def _add_reaction(

@@ -225,8 +225,8 @@ def is_noun(phrase: str) -> bool:
 
 def is_plural(word: str) -> bool:
     """Return True if a word names several objects and is not itself in a list, as "glasses" is."""
-    one = names.singular(word)
-    return one != word and is_noun(one) and not (word in NOUNS or names.is_alias(word))
+    singular = names.singular(word)
+    return singular != word and is_noun(singular) and not (word in NOUNS or names.is_alias(word))
 
 
 def is_place(name: str) -> bool:

@@ -115,8 +115,8 @@ def _steps(automaton, buddy: ModuleType, n_letters: int) -> list:
     for letter in range(n_letters + 1):
         values = buddy.bddtrue
         for k, variable in enumerate(variables):
-            one = buddy.bdd_ithvar if k == letter else buddy.bdd_nithvar
-            values = values & one(variable)
+            literal = buddy.bdd_ithvar if k == letter else buddy.bdd_nithvar
+            values = values & literal(variable)
         steps.append(values)
     return steps
 

@@ -65,8 +65,8 @@ def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> floa
             "marks": marks[i : i + 1], "others": views.others[i : i + 1],
         }  # fmt: skip
         found, whole = session.run(["directions", "scene"], feed)
-        there = np.append(labels.shown(views)[i], True)
-        off = np.abs(found[0] - logits[0][i, t])[there].max()
+        is_option = np.append(labels.shown(views)[i], True)
+        off = np.abs(found[0] - logits[0][i, t])[is_option].max()
         worst = max(worst, float(off), abs(float(whole[0, 0] - logits[1][i, t])))
     return worst
 

@@ -113,18 +113,18 @@ _TYPES = (np.uint8, np.uint16, np.uint8)
 
 
 def _read_or_make(path: Path, trunk: Trunk) -> Features:
-    kept = path.with_suffix(".features.npz")
-    if not kept.is_file():
+    stored = path.with_suffix(".features.npz")
+    if not stored.is_file():
         views = load_views([path])
         read = [
             [trunk.read(np.ascontiguousarray(rgb)) for rgb in (image, image[:, ::-1])]
             for image in map(views.rgb, range(len(views)))
         ]
         arrays = {
-            f.name: np.array([[one[k] for one in pair] for pair in read], dtype)
+            f.name: np.array([[features[k] for features in pair] for pair in read], dtype)
             for k, (f, dtype) in enumerate(zip(fields(Features), _TYPES, strict=True))
         }
-        with replace_atomically(kept) as part, part.open("wb") as file:
+        with replace_atomically(stored) as part, part.open("wb") as file:
             np.savez(file, **arrays)
-    with np.load(kept) as data:
+    with np.load(stored) as data:
         return Features(*(data[f.name] for f in fields(Features)))

@@ -153,10 +153,12 @@ def make_batch(
         good &= share >= 0.3
         phrases[i] = sample_phrases(objects[good], rng, plain)
         m = len(objects)
-        said = looks.answers(objects["category"], objects["color"], objects["size"], phrases[i])
-        boxes[i, :m], taught[i, :m], answers[i, :m] = moved, good, said
+        answers_here = looks.answers(
+            objects["category"], objects["color"], objects["size"], phrases[i]
+        )
+        boxes[i, :m], taught[i, :m], answers[i, :m] = moved, good, answers_here
         same = objects["category"][:, None] == phrases[i][None, :, 0]
-        hard[i, :m] = same & (said == looks.NO) & good[:, None]
+        hard[i, :m] = same & (answers_here == looks.NO) & good[:, None]
     most = max(1, int(boxes.any(2).sum(1).max()))
     labels = Labels(*(torch.from_numpy(x[:, :most]) for x in (boxes, taught, answers, hard)))
     planes = torch.from_numpy(images).permute(0, 3, 1, 2)

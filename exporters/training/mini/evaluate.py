@@ -209,15 +209,15 @@ def _match(
             kept.append(n)
     chosen = keep[kept]
     answers = looks.KINDS[objects["category"], category]
-    mine = np.flatnonzero((answers == looks.YES) & counts)
+    counted = np.flatnonzero((answers == looks.YES) & counts)
     other = np.flatnonzero(((answers == looks.YES) & ~counts) | (answers == looks.UNSURE))
-    on_mine = overlaps(boxes[chosen], objects["box"][mine])[0]
+    on_mine = overlaps(boxes[chosen], objects["box"][counted])[0]
     on_other = overlaps(boxes[chosen], objects["box"][other])[0]
-    taken = np.zeros(len(mine), bool)
+    taken = np.zeros(len(counted), bool)
     result = []
     for row, index in enumerate(chosen):
         free = np.where(taken, 0.0, on_mine[row])
-        if len(mine) and free.max() >= IOU:
+        if len(counted) and free.max() >= IOU:
             taken[free.argmax()] = True
             result.append((float(scores[index]), 1))
         elif not (len(other) and on_other[row].max() >= IOU):

@@ -144,19 +144,19 @@ class Composer:
         return delexicalised(self._add_noise(f"{first}{joint}{second}"), tokens)
 
     def _refused_pair(self) -> Pair:
-        said = self.filled(self._rng.choice(self._phrases.refused))
+        sentence = self.filled(self._rng.choice(self._phrases.refused))
         if self._rng.random() < 0.3:
             goal = self._rng.choices(self._phrases.goals, self._goal_weights)[0]
             other = _shift_sentence(
                 self._fill_template_of(goal), Family(tuple("abc"), 0, ()), goal, False
             )
-            said = self._rng.choice((f"{said} . {other}", f"{other} , then {said}"))
-        return delexicalised(self._add_noise(said), (REFUSED,))
+            sentence = self._rng.choice((f"{sentence} . {other}", f"{other} , then {sentence}"))
+        return delexicalised(self._add_noise(sentence), (REFUSED,))
 
-    def _add_noise(self, said: str) -> str:
+    def _add_noise(self, sentence: str) -> str:
         """Add the noise of speech: missing punctuation, hesitation, thanks."""
         rng = self._rng
-        words = said.split()
+        words = sentence.split()
         if rng.random() < 0.45:
             words = [word for word in words if word not in (",", ".")]
         if words and rng.random() < 0.03:
@@ -169,11 +169,11 @@ class Composer:
         return " ".join(words)
 
 
-def delexicalised(said: str, tokens: Sequence[str]) -> Pair:
+def delexicalised(sentence: str, tokens: Sequence[str]) -> Pair:
     """Replace names by placeholders in the order of their first use, as `delexicalise_text`."""
     order: dict[str, str] = {}
     words: list[str] = []
-    for word in said.split():
+    for word in sentence.split():
         hole = re.fullmatch(r"\$(\w)", word)
         if hole:
             if hole[1] not in order:
@@ -196,8 +196,8 @@ def _shift(tokens: Sequence[str], goal: Family, rule: Family, shared: bool) -> t
     return tuple(moved.get(token, token) for token in tokens)
 
 
-def _shift_sentence(said: str, goal: Family, rule: Family, shared: bool) -> str:
-    words = said.split()
+def _shift_sentence(sentence: str, goal: Family, rule: Family, shared: bool) -> str:
+    words = sentence.split()
     named = [word[1:] if _HOLE.fullmatch(word) else word for word in words]
     marks = ["$" if _HOLE.fullmatch(word) else "" for word in words]
     moved = [

@@ -75,15 +75,15 @@ def human_pairs(cases: Sequence[TranslationCase], phrases: Phrases) -> list[Pair
     pairs = []
     for case in cases:
         try:
-            said = delexicalise_text(case.sentence)
+            text = delexicalise_text(case.sentence)
         except TranslationError:
             continue
         wanted = set(propositions(case.formula))
-        if wanted != set(said.names) or len(said.words) > MOST_WORDS:
+        if wanted != set(text.names) or len(text.words) > MOST_WORDS:
             continue
-        tokens = skeletons.tokens_of(case.formula, said.names)
+        tokens = skeletons.tokens_of(case.formula, text.names)
         if tokens is not None:
-            pairs.append(Pair(said.words, tokens))
+            pairs.append(Pair(text.words, tokens))
     return pairs
 
 
@@ -110,9 +110,12 @@ class _Skeletons:
                 continue
             for order in permutations(NAMES[:n]):
                 moved = dict(zip(NAMES, order, strict=False))
-                said = tuple(moved.get(token, token) for token in tokens)
-                if distinguishing_trace(formula_of(said, PLAIN), formula, silent_end=True) is None:
-                    return said
+                candidate = tuple(moved.get(token, token) for token in tokens)
+                if (
+                    distinguishing_trace(formula_of(candidate, PLAIN), formula, silent_end=True)
+                    is None
+                ):
+                    return candidate
         return None
 
 
