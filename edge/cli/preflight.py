@@ -118,9 +118,9 @@ def _http(config: Config) -> None:
 def _translator(config: Config) -> None:
     translator = config.mission.translator
     if (card := getattr(translator, "card", None)) is not None:
-        with _errors_named(config, "mission.translator.card"):
+        with _prefix_errors(config, "mission.translator.card"):
             load_card_of(TranslateCard, card)
-    with _errors_named(config, "mission.translator"):
+    with _prefix_errors(config, "mission.translator"):
         make_translator(translator)
 
 
@@ -132,7 +132,7 @@ def _choice(config: Config) -> None:
 
 def _tasks(config: Config) -> None:
     if isinstance(config.tasks.planner, WriterModel):
-        with _errors_named(config, "tasks.planner"):
+        with _prefix_errors(config, "tasks.planner"):
             make_chat_client(config.tasks.planner).close()
         script.version()
 
@@ -181,7 +181,7 @@ def named_models(config: Config) -> Iterator[NamedModel]:
 
 def _model(model: NamedModel, config: Config) -> None:
     """Check the card of a model and the cards that it refers to: files, packages, providers."""
-    with _errors_named(config, model.key):
+    with _prefix_errors(config, model.key):
         cards = list(_cards(config, model.name, model.kind))
     if any(file.server is None for card in cards for file in card.files):
         # A model in a separate process must not load onnxruntime into this one.
@@ -222,7 +222,7 @@ def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
 
 
 @contextmanager
-def _errors_named(config: Config, key: str) -> Iterator[None]:
+def _prefix_errors(config: Config, key: str) -> Iterator[None]:
     """Prefix errors of the block with the key of the configuration."""
     try:
         yield

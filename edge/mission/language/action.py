@@ -121,16 +121,19 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
         clause.elsewhere = clause.mood != "can"
 
 
-# Words or beginnings of verbs, by their effect on the objects that follow.
+# Beginnings of verbs that carry an object to another one.
 _CARRIES = ("bring", "fetch", "take", "put", "carry", "grab", "collect", "load", "pick", "get ")
 _INTO = ("into", "onto", "in to")
+# Verbs that mean leaving or going along before "off", "out" or "with".
 _LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
-_PASSES = ("cross", "follow", "traverse", "pass")
+_PASSES = ("cross", "follow", "traverse", "pass")  # beginnings of verbs whose object is passed
 _STREETS = ("road", "street", "lane")
-_ALONG = ("path", "route", "road", "way", *PASSING)
-_GOES_ON = ("proceed", "continue")
+_ALONG = ("path", "route", "road", "way", *PASSING)  # ends of verbs with a path to follow
+_GOES_ON = ("proceed", "continue")  # beginnings of verbs that another verb may follow
+# Beginnings of verbs after which a place is passed: "take the stairs to a".
 _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
 _ANYWHERE = ("go anywhere", "visit anywhere")
+# First words of verbs for a manner of going, which a ban cannot forbid.
 _MANNERS = [
     [verb] for verb in ("rush", "hurry", "race", "run", "running", "rushing", "zoom", "turn")
 ]

@@ -16,17 +16,19 @@ THEN = ("then", "only then")
 JOINTS = ("comma", "and", "but", *THEN)
 """Kinds of token between clauses, in increasing strength: of several, the strongest applies."""
 
-# Verbs of motion, beginnings of verbs for arriving, and phrases that continue an order.
-_MOVES = (
+_MOVES = (  # verbs of a plain order to go somewhere
     "go", "move", "walk", "drive", "head", "travel", "come", "proceed", "enter", "continue", "pass",
     "navigate", "cross", "fly", "climb", "follow", "traverse", "return",
 )  # fmt: skip
+# Beginnings of phrases for taking a path: "take the road through".
 _WAYS = ("take the ", "use the ", "take a ", "use a ", "follow the ", "choose the ")
-_ARRIVES = ("arrive", "reach", "get")
+_ARRIVES = ("arrive", "reach", "get")  # beginnings of verbs for arriving
 ENDING = ("conclude ", "end ", "ends ", "ending ", "finish")
-_ENDING = (*ENDING, "your ", "the ")
+"""Beginnings of verbs that end a mission: "end at the bed"."""
+_ENDING = (*ENDING, "your ", "the ")  # also "your last stop is …"
+# Beginnings of verbs that continue an order.
 _ONWARD = ("proceed", "continue", "keep ", "go on", "carry on", *_ENDING)
-_ALSO = ("also", "too", "as well", "at some point")
+_ALSO = ("also", "too", "as well", "at some point")  # words for a goal at any time
 
 
 @dataclass(slots=True)

@@ -30,7 +30,16 @@ CLIP = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Length and learning rates of a run; a step has `views` views of `targets` targets each."""
+    """Length and learning rates of a run.
+
+    Attributes:
+        steps: number of steps.
+        views: views in a step.
+        targets: targets for each view.
+        rate: see `learning.LearningRates`, which also describes `decay`, `warm_up` and `average`.
+        keep_every: steps between two checkpoints.
+        seed: seed of weights and batches.
+    """
 
     steps: int = 1800
     views: int = 24

@@ -39,7 +39,10 @@ class Plan:
     Attributes:
         stages: (steps, (height, width), plain phrases) one after another; see
             `batches.sample_phrases`.
+        batch: images in a step.
+        seed: seed of weights and batches.
         rate: peak of the learning rate after `warm_up` steps; then the rate falls as half a cosine.
+            `learning.LearningRates` describes `decay`, `warm_up` and `average`.
         keep_every: steps between two checkpoints.
     """
 
