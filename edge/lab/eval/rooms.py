@@ -155,7 +155,7 @@ def worlds_of(config: Config, specs: list[str]) -> Iterator[tuple[Config, World]
         world = world_list.load(here)
         if not world.room_kinds:
             raise UserError(
-                f"{world.name}: the kinds of its rooms are not known: use ProcTHOR houses"
+                f"--worlds: {world.name}: the kinds of the rooms are not known; use ProcTHOR houses"
             )
         yield here, world
 
