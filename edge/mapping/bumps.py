@@ -223,7 +223,7 @@ class ContactObstacles:
         if ((cells[:, ::3] < 0) | (cells[:, ::3] >= (len(state["opened"]), 2))).any():
             raise ValueError("cell: a row names a bump that does not exist")
         if ((raw_top < 0) | (raw_top > 255)).any():
-            raise ValueError("closed: raw or top is outside 0 to 255")
+            raise ValueError("closed: a raw or top value is not from 0 to 255")
         self._opened, self._bumps = [], []
         held: dict[Cell, int] = {}
         for at, heading, half, until_ns, opened, again, (felt, guessed) in zip(

@@ -127,7 +127,7 @@ class CropStore:
             state, _arrays_of({}), rows, {"n_bytes": MAX_CROP_BYTES, "quality": 2}, ("id",)
         )
         if state["n_bytes"].sum() != len(state["jpeg"]):
-            raise ValueError("n_bytes does not fit")
+            raise ValueError("pictures: the sum of n_bytes is not the size of jpeg")
         end = np.cumsum(state["n_bytes"])
         content = state["jpeg"].tobytes()
         for i, value, n, last in zip(

@@ -188,7 +188,9 @@ class Site:
         """
         kept = tuple(each for each in self.items if not is_same(each.name, item.name))
         if len(kept) >= MAX_FEATURES:
-            raise SiteError(f"site: {MAX_FEATURES} places and zones at most; remove one first")
+            raise SiteError(
+                f"site: {MAX_FEATURES} places and zones, more are not allowed; remove one first"
+            )
         return Site((*kept, item))
 
     def without(self, name: str) -> Site:
@@ -254,7 +256,7 @@ def _feature(
 def _named(text: str) -> str:
     name = name_of(text)
     if not name or any(not (c.isalnum() or c in " -_'.") for c in name):
-        raise ValueError("expected letters, digits, spaces and - _ '")
+        raise ValueError("expected letters, digits, spaces and - _ ' .")
     return name
 
 
@@ -327,7 +329,7 @@ class _ZoneFeature(_Model):
         if ring[0] == ring[-1]:
             del ring[-1]
         if len(set(ring)) < 3:
-            raise SiteError(f"zone {self.properties.name}: give three different corners at least")
+            raise SiteError(f"zone {self.properties.name}: give at least three different corners")
         return Zone(self.properties.name, self.properties.kind, tuple(ring))
 
 
@@ -381,7 +383,7 @@ def site_of(geojson: object, where: str = "site") -> Site:
     seen: set[str] = set()
     for item in items:
         if item.name in seen:
-            raise SiteError(f"{where}: the name {bounded_repr(item.name)} is there twice")
+            raise SiteError(f"{where}: two features have the name {bounded_repr(item.name)}")
         seen.add(item.name)
     return Site(items)
 
@@ -420,11 +422,11 @@ def read_site(path: Path, imported: bool = False) -> Site:
     except FileNotFoundError:
         return Site()
     except OSError as error:
-        raise SiteError(f"{one_line(path)}: {error.strerror}") from None
+        raise SiteError(f"{one_line(path)}: cannot be read: {error.strerror}") from None
     try:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise SiteError(f"{one_line(path)}: no JSON: {one_line(error)}") from None
+        raise SiteError(f"{one_line(path)}: not JSON: {one_line(error)}") from None
     return site_of(without_mapped(data) if imported else data, one_line(path))
 
 

@@ -132,7 +132,7 @@ class NeuralTranslator:
         text, words, doubts = self._correct(instruction)
         if not text.names:
             raise TranslationError(
-                "instruction: it has no known object; write the object's name in double quotes"
+                "instruction: no known object in it; write the object's name in double quotes"
             )
         if ambiguity := _ambiguity(words):
             raise TranslationError(f"instruction: {ambiguity}")
