@@ -58,8 +58,8 @@ class SoakMonitor:
         muted_s: time of the last sample with `mutes`.
     """
 
-    def __init__(self, stage: SoakHarness) -> None:
-        self._stage = stage
+    def __init__(self, harness: SoakHarness) -> None:
+        self._harness = harness
         self._lock = threading.Lock()
         self.status: dict[str, Any] = {}
         self.latency: dict[str, Any] = {}
@@ -69,7 +69,7 @@ class SoakMonitor:
         self.is_ready = False
         self.counts: Counter[str] = Counter()
         self.checkpoint = self.places = ""
-        self.recordings = RecordingCheck(stage.config, stage.out)
+        self.recordings = RecordingCheck(harness.config, harness.out)
         self.calm = True
         self.mutes = False
         self.muted_s = self.began_s
@@ -81,11 +81,11 @@ class SoakMonitor:
             jitter.KEY: self._on_beat,
         }
         for key, handle in handlers.items():
-            full_key = stage.config.zenoh.key(key)
-            stage.session.declare_subscriber(full_key, partial(self._on_json, handle))
-        goal = stage.config.zenoh.key(topics.GOAL.key)
+            full_key = harness.config.zenoh.key(key)
+            harness.session.declare_subscriber(full_key, partial(self._on_json, handle))
+        goal = harness.config.zenoh.key(topics.GOAL.key)
         self._goals: set[bytes] = set()
-        stage.session.declare_subscriber(goal, self._on_goal)
+        harness.session.declare_subscriber(goal, self._on_goal)
 
     # -- on Zenoh's threads -----------------------------------------------------------------------
 
@@ -146,8 +146,8 @@ class SoakMonitor:
 
     def look(self) -> dict[str, Any]:
         """Take a sample of pages, processes and checkpoints. Return it, JSON-ready."""
-        stage, now_s = self._stage, time.monotonic()
-        codes = {path: stage.page(path) for path in PROBES}
+        harness, now_s = self._harness, time.monotonic()
+        codes = {path: harness.page(path) for path in PROBES}
         health, ready = (codes[path] for path in PROBES)
         if health[0] == 200:
             self.alive_s = now_s
@@ -156,12 +156,12 @@ class SoakMonitor:
         self.seen_s = now_s
         if self.mutes:
             self.muted_s = now_s
-        mission = Path(stage.config.mission.checkpoint)
+        mission = Path(harness.config.mission.checkpoint)
         self.checkpoint = _unreadable(mission, MISSION)
         places = mission.with_name(mission.name + SUFFIX)
         self.places = _unreadable(places, MAP)
         self.recordings.look()
-        stage.update_descendants()
+        harness.update_descendants()
         with self._lock:
             status, latency = self.status, self.latency
             newest = self.beats[-1] if self.beats else (now_s, {})
@@ -171,7 +171,7 @@ class SoakMonitor:
             "why": list(self.ready) if not self.is_ready else [],
             "beat_age_s": round(now_s - newest[0], 2),
             **{key: value for key, value in newest[1].items() if key != "seconds"},
-            "dropped": dropped(stage.text("/metrics")),
+            "dropped": dropped(harness.text("/metrics")),
             "phase": status.get("phase"),
             "instruction": status.get("instruction"),
             "checkpoint": status.get("checkpoint"),
@@ -181,13 +181,13 @@ class SoakMonitor:
             "loop": status.get("loop"),
             "detector": status.get("detector"),
             "missed": latency.get("tick", {}).get("overruns"),
-            "log_a_minute": sum(map(_is_logged, stage.log.since(now_s - _MINUTE_S))),
+            "log_a_minute": sum(map(_is_logged, harness.log.since(now_s - _MINUTE_S))),
             "goals": self.counts["goals"],
             "goals_reached": self.counts["goals reached"],
             "goals_failed": self.counts["goals failed"],
         }
-        model = stage.model_process()
-        for name, pid in (("service", stage.service.pid), ("model", model and model.pid)):
+        model = harness.model_process()
+        for name, pid in (("service", harness.service.pid), ("model", model and model.pid)):
             used = usage(pid) if pid is not None else None
             sample[name] = used and {
                 "pid": pid,
