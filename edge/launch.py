@@ -138,7 +138,7 @@ def open_service(
                 config.zenoh,
                 "listen",
                 stop,
-                exact=config.loop.lockstep,
+                keep_zenoh_timeout=config.loop.lockstep,
                 most_bytes=int(config.source.max_message_mb * 1e6) + ENVELOPE_BYTES,
                 tell=progress,
             )

@@ -71,7 +71,7 @@ def named_card(name: str, folder: Path) -> Card:
     path = folder / f"{name}.yaml"
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
-        raise ExportError(f"{folder}: no card {name!r} (choices: {choices})")
+        raise ExportError(f"{folder}: no model card {name!r} (choices: {choices})")
     return read_card(path)
 
 
@@ -79,7 +79,10 @@ def load_card(name: str, folder: Path) -> DetectCard:
     """Return a detector's card; raise UserError if it is invalid, or is not made from weights."""
     path, card = folder / f"{name}.yaml", named_card(name, folder)
     if card.family in TRAINED:
-        raise ExportError(f"{name}: made with `{TRAINED[card.family]}`, not from weights")
+        raise ExportError(
+            f"{name}: cannot be exported from weights; train the model with "
+            f"`{TRAINED[card.family]}`"
+        )
     if not isinstance(card, DetectCard) or card.family not in FAMILIES:
         raise ExportError(
             f"{path}: family: unknown {card.family!r} (choices: {', '.join(FAMILIES)})"
@@ -90,7 +93,7 @@ def load_card(name: str, folder: Path) -> DetectCard:
 def export_card(card: DetectCard, args: argparse.Namespace) -> ParityReport | None:
     """Make a card's ONNX file and its sidecar in the cache; None if parity was not measured."""
     if args.weights is None and card.derived_from is None:
-        raise ExportError(f"{card.name}: --weights is missing: give the checkpoint, a .pt file")
+        raise ExportError(f"{card.name}: --weights is missing; give the checkpoint (a .pt file)")
     text = _prompts(card, args)
     report = _export(card, args, text)
     if args.vocabulary is None:
@@ -109,7 +112,8 @@ def _export(
         _export_fp32(fp32, args, text)
     elif not (args.cache / fp32.file).is_file():
         raise ExportError(
-            f"{args.cache / fp32.file}: not found; give --weights FILE.pt to make {fp32.name} first"
+            f"{args.cache / fp32.file}: no such file; give --weights FILE.pt, from which "
+            f"{fp32.name} is made first"
         )
     return _export_derived(card, fp32, args, text)
 
@@ -119,7 +123,9 @@ def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
     if args.vocabulary is not None:
         return load_text_embeddings(args.vocabulary)
     if args.weights is None:
-        raise ExportError(f"{card.name}: --vocabulary is missing; name an .npz of text embeddings")
+        raise ExportError(
+            f"{card.name}: --vocabulary is missing; give a file of text embeddings (.npz)"
+        )
     from exporters.yolo_world import coco_prompts
 
     return coco_prompts(args.weights, card.weights_sources()[0].sha256)
@@ -223,11 +229,16 @@ def export_folder(args: argparse.Namespace) -> None:
     from exporters.hugging_face import model_type
 
     if not re.fullmatch(NAME, args.card):
-        raise ExportError(f"NAME: {args.card!r:.80}: use lower-case letters, digits, . and -")
+        raise ExportError(
+            f"NAME: got {args.card!r:.80}; use only lower-case letters, digits, . and -"
+        )
     kind = model_type(args.weights)
     if kind not in FOLDERS:
         choices = ", ".join(FOLDERS)
-        raise ExportError(f"{args.weights}: model_type: {kind!r:.80} (choices: {choices})")
+        raise ExportError(
+            f"--weights {args.weights}: config.json: model_type {kind!r:.80} cannot be exported "
+            f"(choices: {choices})"
+        )
     args.cache.mkdir(parents=True, exist_ok=True)
     module = importlib.import_module(FOLDERS[kind])
     reports = module.export(args)
@@ -242,38 +253,66 @@ def print_reports(reports: dict[str, Any]) -> None:
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m exporters", description="make a card's model file from its weights"
+        prog="python -m exporters", description="make the ONNX file of a model card from weights"
     )
     parser.add_argument(
         "card",
         metavar="NAME",
-        help="a card, such as yolo-world-s-256x320-int8-cpu; for a folder: a new name",
+        help="name of the model card, such as yolo-world-s-256x320-int8-cpu; with a folder as "
+        "--weights: name of the new cards",
     )
     parser.add_argument(
-        "--weights", type=Path, help="the .pt file, or a model's folder; default: the cache's FP32"
+        "--weights",
+        type=Path,
+        help="weights to export: a .pt file, or a model folder of Hugging Face (default: quantize "
+        "the FP32 file in --cache)",
     )
     parser.add_argument(
         "--precision",
         nargs="+",
         default=["fp32"],
         metavar="P",
-        help="for a folder or a vision-language model: precisions to make",
+        help="for a folder or a vision-language model: precisions to make (default: fp32)",
     )
-    parser.add_argument("--family", help="for a folder: its cards' family; default: NAME")
-    parser.add_argument("--license", help="for a folder: its licence; default: from its README.md")
-    parser.add_argument("--calibration", type=Path, help="folder of images (all but fp32 need it)")
+    parser.add_argument("--family", help="for a folder: family of the new cards (default: NAME)")
+    parser.add_argument(
+        "--license", help="for a folder: license of the model (default: that of its README.md)"
+    )
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        help="folder of images to calibrate the quantization with (fp32 needs none)",
+    )
     parser.add_argument(
         "--validation",
         type=Path,
-        help="folder of other images for the parity; default: every fourth calibration image",
+        help="folder of other images to compare the new model with its original on (default: "
+        "every fourth calibration image)",
     )
-    parser.add_argument("--vocabulary", type=Path, help="text embeddings .npz; default: COCO")
-    parser.add_argument("--cache", type=Path, default=resources.models_dir(), help="for the files")
-    cards = resources.data_dir("models")
-    parser.add_argument("--cards", type=Path, default=cards, help="folder of model cards")
-    parser.add_argument("--update-card", action="store_true", help="write the parity to the card")
     parser.add_argument(
-        "--no-gate", action="store_true", help="keep a model whose parity is below the limits"
+        "--vocabulary",
+        type=Path,
+        help="file of text embeddings (.npz) (default: the COCO names in --weights)",
+    )
+    parser.add_argument(
+        "--cache",
+        type=Path,
+        default=resources.models_dir(),
+        help="folder for the model files (default: %(default)s)",
+    )
+    cards = resources.data_dir("models")
+    parser.add_argument(
+        "--cards", type=Path, default=cards, help="folder of the model cards (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--update-card",
+        action="store_true",
+        help="write into the model card how closely the new model's outputs match the original's",
+    )
+    parser.add_argument(
+        "--no-gate",
+        action="store_true",
+        help="keep the model even if its outputs differ too much from the original's",
     )
     args = parser.parse_args(argv)
     if args.weights is not None and args.weights.is_dir():

@@ -128,8 +128,8 @@ def _family(folder: Path) -> Family:
     kind = hugging_face.model_type(folder)
     if kind not in FAMILIES:
         raise ExportError(
-            f"{folder}: model_type: {one_line(kind)!r} has no towers of one resolution "
-            f"(choices: {', '.join(FAMILIES)})"
+            f"{folder}: config.json: model_type {one_line(kind)!r} has no image and text encoder "
+            f"that can be exported (choices: {', '.join(FAMILIES)})"
         )
     return FAMILIES[kind]
 
@@ -148,7 +148,9 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
     wanted = ["fp32", *(p for p in args.precision if p != "fp32")]
     if unknown := [p for p in wanted if p not in TEXT_PRECISION]:
         choices = ", ".join(TEXT_PRECISION)
-        raise ExportError(f"--precision: {unknown[0]!r} is not for towers (choices: {choices})")
+        raise ExportError(
+            f"--precision: an image or text encoder has no {unknown[0]!r} (choices: {choices})"
+        )
     if wanted != ["fp32"]:
         require_calibration(args.calibration, args.card)
     calibration, validation = pictures(args.calibration, args.validation)
@@ -226,9 +228,11 @@ def image_preprocess(folder: Path) -> dict[str, Any]:
     size = _height_width(settings.get("size"), path)
     crops = bool(settings.get("do_center_crop"))
     if crops and _height_width(settings.get("crop_size"), path) != size:
-        raise ExportError(f"{path}: crop_size: must equal size; the service supports no other crop")
+        raise ExportError(
+            f"{path}: crop_size must equal size, because the service supports no other crop"
+        )
     if not crops and "shortest_edge" in (settings.get("size") or {}):
-        raise ExportError(f"{path}: do_center_crop: must be true if size is the shortest edge")
+        raise ExportError(f"{path}: do_center_crop must be true if size gives shortest_edge")
     mean, std = settings.get("image_mean", [0.0] * 3), settings.get("image_std", [1.0] * 3)
     if not settings.get("do_normalize", True):
         mean, std = [0.0] * 3, [1.0] * 3
@@ -251,7 +255,7 @@ def _height_width(size: Any, path: Path) -> tuple[int, int]:
             return edge, edge
         if isinstance(size.get("height"), int) and isinstance(size.get("width"), int):
             return size["height"], size["width"]
-    raise ExportError(f"{path}: size: {one_line(size)} is unknown; give height and width")
+    raise ExportError(f"{path}: size: got {one_line(size)}; give height and width in px")
 
 
 class _Maker:

@@ -63,7 +63,9 @@ def compare(
         ExportError: there are no inputs, or a row has no direction.
     """
     if not len(reference):
-        raise ExportError("parity: nothing to compare on; give pictures or texts")
+        raise ExportError(
+            "no pictures or texts to compare the new model with its original on; give some"
+        )
     exact, found = _unit("reference", reference), _unit("candidate", candidate)
     cosines = (exact * found).sum(axis=1)
     order = float("nan")
@@ -96,7 +98,5 @@ def rank_agreement(reference: np.ndarray, candidate: np.ndarray) -> float:
 def _unit(which: str, rows: np.ndarray) -> np.ndarray:
     norms = np.linalg.norm(rows.astype(np.float64), axis=1, keepdims=True)
     if not (np.isfinite(norms).all() and norms.all()):
-        raise ExportError(
-            f"the {which}'s embeddings are zero or not finite; check the weights it is made from"
-        )
+        raise ExportError(f"the {which}'s embeddings are zero or not finite; check the weights")
     return rows / norms

@@ -36,7 +36,7 @@ def at_least_one(args: argparse.Namespace, *options: str) -> None:
     for option in options:
         if getattr(args, option) < 1:
             raise ExportError(
-                f"--{option.replace('_', '-')} {getattr(args, option)}: give at least 1"
+                f"--{option.replace('_', '-')}: got {getattr(args, option)}; give at least 1"
             )
 
 
@@ -53,6 +53,6 @@ def check_sha256(path: Path, expected: str) -> None:
     found = sha256_of(path)
     if found != expected:
         raise ExportError(
-            f"{path}: sha256 is {found[:12]}…, expected {expected[:12]}…; not loaded, because a "
-            "checkpoint can run code: fetch the file again from the card's sources"
+            f"{path}: SHA-256 is {found[:12]}…, expected {expected[:12]}…; the file is not loaded, "
+            "because a checkpoint can run code; fetch the file again from the card's sources"
         )

@@ -25,7 +25,10 @@ SAFE_LIMIT = float(np.finfo(np.float16).max) / 8
 def write_fp16(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe) -> None:
     """Write the float16 model of `fp32` to `out`; see `to_fp16`."""
     if not feeds:
-        raise ExportError("float16: no images to check value ranges on; give a folder of images")
+        raise ExportError(
+            "fp16: needs images to find the ranges of values; give a folder of images "
+            "(--calibration)"
+        )
     model = onnx.load(fp32)
     with replace_atomically(out) as temporary:
         onnx.save(to_fp16(model, kept_nodes(model, feeds, recipe)), temporary)

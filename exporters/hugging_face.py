@@ -42,7 +42,10 @@ def model_type(folder: Path) -> str:
     """Return the architecture that a folder's `config.json` names."""
     found = read_json(folder / CONFIG).get("model_type")
     if not isinstance(found, str):
-        raise ExportError(f"{folder / CONFIG}: model_type: missing; give a folder of transformers")
+        raise ExportError(
+            f"{folder / CONFIG}: model_type is missing; give a model folder of Hugging Face "
+            "transformers"
+        )
     return found
 
 
@@ -51,8 +54,8 @@ def weight_files(folder: Path) -> list[Path]:
     found = sorted(folder.glob("*.safetensors"))
     if not found:
         raise ExportError(
-            f"{folder}: no *.safetensors; fetch the model's safetensors (a .bin is not opened, "
-            "because it can run code)"
+            f"{folder}: no *.safetensors; fetch the model's safetensors (a .bin file is not "
+            "opened, because loading one can run code)"
         )
     return found
 
@@ -84,10 +87,13 @@ def load(kind: type, folder: Path) -> nn.Module:
             dtype=torch.float32, attn_implementation="eager", output_loading_info=True,
         )  # fmt: skip
     except Exception as error:  # transformers raises many types
-        raise ExportError(f"{folder}: cannot be loaded: {one_line(error)}") from None
+        raise ExportError(
+            f"{folder}: transformers cannot load the model: {one_line(error)}"
+        ) from None
     if missing := sorted(found["missing_keys"]):
         raise ExportError(
-            f"{folder}: {len(missing)} weights are missing ({missing[0]}, …): fetch it again"
+            f"{folder}: {len(missing)} weights are missing ({missing[0]}, …); fetch the folder "
+            "again"
         )
     return model.eval().requires_grad_(False)
 
@@ -128,20 +134,23 @@ def open_tokenizer(path: Path) -> Any:
 
     if not path.is_file():
         raise ExportError(
-            f"{path}: not found; save one with transformers' AutoTokenizer (save_pretrained)"
+            f"{path}: no such file; write the file with save_pretrained() of transformers' "
+            "AutoTokenizer"
         )
     try:
         return Tokenizer.from_file(str(path))
     except Exception as error:  # it raises Exception itself
-        raise ExportError(f"{path}: not a tokenizer: {one_line(error)}") from None
+        raise ExportError(
+            f"{path}: not a tokenizer file: {one_line(error)}; fetch the folder again"
+        ) from None
 
 
 def check_tokens(folder: Path, tokens: Iterable[int], size: int) -> None:
     """Raise ExportError if a token is beyond the model's vocabulary of `size`."""
     if (largest := max(tokens, default=0)) >= size:
         raise ExportError(
-            f"{folder / TOKENIZER}: token {largest}, but the model has {size} tokens: the files "
-            "are of two models; fetch the folder again"
+            f"{folder / TOKENIZER}: has a token {largest}, but the model only tokens 0 to "
+            f"{size - 1}, so the files are of two models; fetch the folder again"
         )
 
 
@@ -154,5 +163,7 @@ def pad_token(folder: Path) -> int:
     if isinstance(named, str):
         found = open_tokenizer(folder / TOKENIZER).token_to_id(named)
     if found is None:
-        raise ExportError(f"{path}: pad_token: {json.dumps(named)} is no token of {TOKENIZER}")
+        raise ExportError(
+            f"{path}: pad_token {json.dumps(named)} is not in {TOKENIZER}; fetch the folder again"
+        )
     return found

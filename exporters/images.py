@@ -67,7 +67,7 @@ def read_rgb(path: Path) -> np.ndarray:
     # OpenCV would wait forever on a pipe.
     bgr = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
     if bgr is None:
-        raise ExportError(f"{path}: not a readable image; remove it from the folder")
+        raise ExportError(f"{path}: not a readable image; remove the file from the folder")
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 
@@ -98,5 +98,7 @@ def load_text_embeddings(path: Path) -> TextEmbeddings:
     index = {word: row for row, word in enumerate(words)}
     chosen = [word for word in PROMPTS.split(",") if word in index]
     if not chosen:
-        raise ExportError(f"{path}: has none of the usual targets, such as chair; give another")
+        raise ExportError(
+            f"--vocabulary {path}: has none of the usual targets, such as chair; give another file"
+        )
     return TextEmbeddings(tuple(chosen), rows[[index[word] for word in chosen]])

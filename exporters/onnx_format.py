@@ -44,7 +44,7 @@ def cpu_session(model: Path | bytes, threads: int = 0) -> onnxruntime.InferenceS
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises many types
         what = "the model" if isinstance(model, bytes) else model
-        raise ExportError(f"{what}: cannot be loaded: {one_line(error)}") from None
+        raise ExportError(f"{what}: onnxruntime cannot load the model: {one_line(error)}") from None
 
 
 def export_module(

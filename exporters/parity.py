@@ -120,8 +120,9 @@ def check_parity(report: ParityReport, limits: Mapping[str, float], what: str) -
     """Raise ExportError if a figure is worse than its limit, or the reference detects nothing."""
     if not report.detections:
         raise ExportError(
-            f"{what}: the reference detects nothing above {SCORE_THRESHOLD} in {report.images} "
-            "images, so there is no parity; give images that show the prompted objects"
+            f"{what}: the original model detects nothing above {SCORE_THRESHOLD} in "
+            f"{report.images} images, so the new model cannot be compared; give images that show "
+            "the objects"
         )
     check_limits(report, limits, what)
 

@@ -52,11 +52,11 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
     """Write the INT8 model of `fp32` to `out`, calibrated on `feeds` (see `calibration_feeds`)."""
     if precision not in PRECISIONS:
         choices = ", ".join(PRECISIONS)
-        raise ExportError(f"precision: unknown {precision!r} (choices: {choices})")
+        raise ExportError(f"precision: no precision {precision!r} (choices: {choices})")
     if len(feeds) < MIN_IMAGES:
         raise ExportError(
-            f"calibration: {len(feeds)} images, at least {MIN_IMAGES} are needed "
-            "(40 or more for good scores); add images from the robot's camera"
+            f"--calibration: got {len(feeds)} images; give at least {MIN_IMAGES} from the robot's "
+            "camera (40 or more for good scores)"
         )
     model = onnx.load(fp32)
     for_trt = precision == "int8-trt"
@@ -89,7 +89,9 @@ def constant_products(model: onnx.ModelProto) -> list[onnx.NodeProto]:
     constants = {init.name for init in model.graph.initializer}
     found = [n for n in model.graph.node if n.op_type == "MatMul" and n.input[1] in constants]
     if not found:
-        raise ExportError("int8: the model has no product with a constant matrix to quantize")
+        raise ExportError(
+            "int8: the model has no constant matrix that can be quantized; choose another precision"
+        )
     return found
 
 
@@ -249,7 +251,7 @@ def split_images(calibration: Path, validation: Path | None) -> tuple[list[Path]
     held_out = images[HELD_OUT_EVERY - 1 :: HELD_OUT_EVERY]
     if not held_out:
         raise ExportError(
-            f"{calibration}: {len(images)} images leave none to measure on; "
-            f"give at least {HELD_OUT_EVERY}, or a folder with --validation"
+            f"--calibration {calibration}: {len(images)} images are too few to keep one for the "
+            f"comparison with the original; give at least {HELD_OUT_EVERY}, or --validation"
         )
     return [path for path in images if path not in set(held_out)], held_out

@@ -62,7 +62,9 @@ TRANSFORMER = Recipe(matrices_only=True)
 def recipe_of(family: str) -> Recipe:
     """Return the recipe of a family; raise ExportError for an unknown one."""
     if family not in RECIPES:
-        raise ExportError(f"family: unknown {family!r} (choices: {', '.join(sorted(RECIPES))})")
+        raise ExportError(
+            f"family: no recipe for {family!r} (choices: {', '.join(sorted(RECIPES))})"
+        )
     return RECIPES[family]
 
 
@@ -72,7 +74,7 @@ def nodes_like(model: onnx.ModelProto, patterns: tuple[str, ...]) -> list[str]:
     for pattern in patterns:
         if not any(re.search(pattern, name) for name in names):
             raise ExportError(
-                f"no node is named like {pattern}; export the FP32 model with this project's "
-                "exporter, which keeps the module path in node names"
+                f"FP32 model: no node has a name like {pattern}; export the model with `edge "
+                "models export`, which keeps the module paths as node names"
             )
     return [name for name in names if any(re.search(p, name) for p in patterns)]

@@ -171,18 +171,27 @@ def render_set(world: TexturedWorld, count: int, seed: int, out: Path) -> list[P
             continue
         path = out / f"seed{seed}_{len(paths):04d}_{hw[0]}x{hw[1]}.png"
         if not cv2.imwrite(str(path), image[..., ::-1]):
-            raise ExportError(f"{path}: cannot be written; check the folder's permissions")
+            raise ExportError(
+                f"{path}: cannot be written; check the folder's permissions and the free disk space"
+            )
         paths.append(path)
     return paths
 
 
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m exporters.render_calibration")
-    parser.add_argument("world", type=Path, help="mesh file, z up, metres (.glb)")
-    parser.add_argument("--count", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, required=True)
+    parser = argparse.ArgumentParser(
+        prog="python -m exporters.render_calibration",
+        description="render images of a textured world, to calibrate quantization with",
+    )
+    parser.add_argument("world", type=Path, help="mesh file of the world (.glb), z up, in m")
+    parser.add_argument(
+        "--count", type=int, default=60, help="number of images (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the camera poses (default: %(default)s)"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder for the images (required)")
     args = parser.parse_args(argv)
     paths = render_set(load_world(args.world), args.count, args.seed, args.out)
     print(f"{len(paths)} images in {args.out}")

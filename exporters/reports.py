@@ -43,6 +43,6 @@ def check_limits(report: Report, limits: Mapping[str, float], what: str) -> None
             worse.append(f"{name} {value:.4g} {'>' if name in AT_MOST else '<'} {limit:.4g}")
     if worse:
         raise ExportError(
-            f"{what}: parity below its limits ({', '.join(worse)}); calibrate on more images "
-            "like those the robot sees, or pass --no-gate to keep the file anyway"
+            f"{what}: differs too much from the original model ({', '.join(worse)}); calibrate on "
+            "more images like those that the robot sees, or keep the file anyway with --no-gate"
         )

@@ -154,7 +154,10 @@ def load_model(folder: Path) -> tuple[nn.Module, Networks]:
     kind = hugging_face.model_type(folder)
     if kind not in FAMILIES:
         choices = ", ".join(FAMILIES)
-        raise ExportError(f"{folder}: model_type: {one_line(kind)!r} (choices: {choices})")
+        raise ExportError(
+            f"{folder}: config.json: model_type {one_line(kind)!r} cannot be exported (choices: "
+            f"{choices})"
+        )
     family = FAMILIES[kind]
     model = hugging_face.load(
         getattr(transformers, f"{family.prefix}ForConditionalGeneration"), folder
@@ -162,9 +165,13 @@ def load_model(folder: Path) -> tuple[nn.Module, Networks]:
     text = getattr(model.model, family.text)
     rope = text.rotary_emb.rope_type
     if rope in ("dynamic", "longrope"):
-        raise ExportError(f"{folder}: rope_type {rope!r} depends on the length: not supported")
+        raise ExportError(
+            f"{folder}: config.json: rope_type {rope!r} is not supported; give another model"
+        )
     if getattr(text.config, "use_sliding_window", False):
-        raise ExportError(f"{folder}: use_sliding_window is not supported; set it to false")
+        raise ExportError(
+            f"{folder}: config.json: use_sliding_window is not supported; set the field to false"
+        )
     processor = _image_processor(folder, family)
 
     def prepare(rgb: np.ndarray) -> dict[str, np.ndarray]:
@@ -190,7 +197,9 @@ def _image_processor(folder: Path, family: Family) -> Any:
     try:
         return kind.from_pretrained(folder, local_files_only=True)
     except Exception as error:  # transformers raises many types
-        raise ExportError(f"{folder}: its image processor: {one_line(error)}") from None
+        raise ExportError(
+            f"{folder}: transformers cannot load the image processor: {one_line(error)}"
+        ) from None
 
 
 def export(args: Any) -> dict[str, LetterReport]:
@@ -205,7 +214,8 @@ def export(args: Any) -> dict[str, LetterReport]:
     name = f"{args.card}-fp32"
     if others := [p for p in args.precision if p != "fp32"]:
         raise ExportError(
-            f"--precision: {others[0]!r:.60}: a folder gives fp32 only; make the others from that: "
+            f"--precision: got {others[0]!r:.60}, but from a folder only fp32 can be made; then "
+            "run "
             f"`edge models export {name} --quantize --precision P --calibration PICTURES`"
         )
     _, validation = pictures(args.calibration, args.validation)

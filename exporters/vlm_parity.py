@@ -60,7 +60,10 @@ def questions(folder: Path, image_token: int) -> list[Question]:
     for letter in LETTERS[: MARKS + 1]:
         found = [tokenizer.token_to_id(spelling.format(letter)) for spelling in _SPELLINGS]
         if not any(token is not None for token in found):
-            raise ExportError(f"{path}: no token for {letter!r}: the model cannot answer by letter")
+            raise ExportError(
+                f"{path}: has no token for the letter {letter!r}, so the model cannot answer with "
+                "a letter; give another model"
+            )
         letters.append(next(token for token in found if token is not None))
     return [
         Question(ids(SYSTEM), ids(direction_question(MARKS, target)), tuple(letters), image_token)
@@ -234,7 +237,10 @@ class LetterComparison:
             ]
         reference, candidate = self._reference, np.array(found, np.float32).T
         if not (np.isfinite(candidate).all() and np.isfinite(cosines).all()):
-            raise ExportError("the candidate's logits or features are not finite; use more bits")
+            raise ExportError(
+                "the new model's logits or features are not finite; choose a --precision with "
+                "more bits"
+            )
         return LetterReport(
             questions=reference.shape[1],
             cosine=min(cosines),

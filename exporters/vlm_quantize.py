@@ -88,15 +88,16 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     wanted = {p: f"{card.name.removesuffix(f'-{FP32}')}-{p}" for p in args.precision}
     if unknown := [p for p in wanted if p not in PRECISIONS]:
         choices = ", ".join(PRECISIONS)
-        raise ExportError(f"--precision: {unknown[0]!r:.60} (choices: {choices})")
+        raise ExportError(f"--precision: no precision {unknown[0]!r:.60} (choices: {choices})")
     if card.precision != FP32 or card.vision_encoder is None:
         what = f"is {card.precision}" if card.precision != FP32 else "has no vision encoder"
-        raise ExportError(f"{card.name}: {what}; give an FP32 card with a vision encoder")
+        raise ExportError(f"model {card.name}: {what}; give an FP32 model with a vision encoder")
     for name in wanted.values():
         if name in card_names() and load_card(name).derived_from != card.name:
             raise ExportError(
-                f"{name}: another card has this name and is not made from {card.name}: get it with "
-                f"`edge models pull {name}`, or copy {card.name}'s card under another name"
+                f"model {name}: a card has this name already, and is not made from {card.name}; "
+                f"get that model with `edge models pull {name}`, or copy the card {card.name} to "
+                "another name"
             )
     require_calibration(args.calibration, card.name)
     calibration, validation = pictures(args.calibration, args.validation)
@@ -200,7 +201,9 @@ class OnnxReference:
         found = files.config.get("image_token_id", files.config.get("image_token_index"))
         text = hugging_face.open_tokenizer(card.path / TOKENIZER).id_to_token(found or 0)
         if not isinstance(found, int) or text is None:
-            raise ExportError(f"{card.path}: config.json: image_token_id: {found!r} is no token")
+            raise ExportError(
+                f"{card.path}: config.json: image_token_id {found!r} is not a token of {TOKENIZER}"
+            )
         self.image_token = found
         self.merge = int(files.image.get("merge_size", 1))
         self._prepare = make_prepare(files, text, card.image_tokens)

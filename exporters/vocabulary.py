@@ -74,7 +74,8 @@ def read_tables(detic: Path) -> dict[str, np.ndarray]:
             ) from None
         if rows.shape != (len(names), DIM):
             raise ExportError(
-                f"{path}: {rows.shape}, must be ({len(names)}, {DIM}) by {file.name}; clone again"
+                f"{path}: shape {rows.shape}, expected ({len(names)}, {DIM}) as in {file.name}; "
+                "clone Detic again"
             )
         for name, row in zip(names, rows.astype(np.float16), strict=True):
             found.setdefault(name.replace("_", " ").lower(), row)
@@ -86,8 +87,10 @@ def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters.vocabulary", description="make a vocabulary from Detic's tables"
     )
-    parser.add_argument("detic", type=Path, help="folder of a clone of facebookresearch/Detic")
-    parser.add_argument("--out", type=Path, required=True, help="the .npz file to write")
+    parser.add_argument(
+        "detic", type=Path, help="folder with a clone of https://github.com/facebookresearch/Detic"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="file to write (.npz; required)")
     args = parser.parse_args(argv)
     words = read_tables(args.detic)
     with replace_atomically(args.out) as made, made.open("wb") as file:

@@ -31,7 +31,7 @@ def quantize_weights(model: onnx.ModelProto, precision: str) -> onnx.ModelProto:
         ExportError: no such precision, or nothing in the model to quantize.
     """
     if precision not in BITS:
-        raise ExportError(f"precision: unknown {precision!r} (choices: {', '.join(BITS)})")
+        raise ExportError(f"precision: no precision {precision!r} (choices: {', '.join(BITS)})")
     from onnxruntime.quantization.matmul_nbits_quantizer import (
         DefaultWeightOnlyQuantConfig,
         MatMulNBitsQuantizer,
@@ -46,7 +46,7 @@ def quantize_weights(model: onnx.ModelProto, precision: str) -> onnx.ModelProto:
     quantizer.process()
     made = quantizer.model.model
     if not tables and all(node.op_type != "MatMulNBits" for node in made.graph.node):
-        raise ExportError(f"{precision}: no constant matrix in the model; nothing to quantize")
+        raise ExportError(f"{precision}: the model has no constant matrix that can be quantized")
     return made
 
 

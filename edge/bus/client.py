@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from edge.config import ZenohConfig
 
 CONNECT_S = 5.0
+"""Longest time in seconds to connect."""
 _REASON_CHARS = 1000  # the longest error of a server, see `edge.bus.requests`
 _ZENOH_TIMEOUT = b"Timeout"  # Zenoh's own payload if no answer came in time
 
@@ -44,7 +45,7 @@ def connect(
 
     Args:
         settings: `zenoh` of the configuration.
-        patience_s: how long to try, at most `CONNECT_S`.
+        patience_s: how long to try, in seconds, at most `CONNECT_S`.
         what: the command's name, for the error message.
         whom: the process that should answer, for the error message.
         start: the command that starts this process, for the error message.
@@ -54,12 +55,12 @@ def connect(
     """
     from edge.bus.session import ConnectInterrupted, open_session
 
-    enough = threading.Event()
-    timer = threading.Timer(min(CONNECT_S, patience_s), enough.set)
+    timeout = threading.Event()
+    timer = threading.Timer(min(CONNECT_S, patience_s), timeout.set)
     timer.daemon = True
     timer.start()
     try:
-        return open_session(settings, "connect", enough)
+        return open_session(settings, "connect", timeout)
     except ConnectInterrupted as error:
         where = settings.address
         if error.unknown is not None:

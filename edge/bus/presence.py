@@ -23,15 +23,16 @@ from edge.config import ZenohConfig
 log = logging.getLogger("edge.bus.presence")
 
 ANSWER_S = 5.0
+"""Time in seconds in which the router must list the services."""
 _REFUSED = "refused"
 _WARN_PERIOD_S = 60.0
-_YIELD_S = 3.0
+_YIELD_S = 3.0  # longest wait for the other of two services to leave
 _POLL_S = 0.1
 _SETTLE_S = 0.25  # until all sessions see a new token
 
 
 def online_sessions(session: zenoh.Session, pattern: str) -> dict[str, set[str]]:
-    """Return the sessions of the services that are online, by prefix.
+    """Return the session ids of the services that are online, by prefix.
 
     Args:
         session: an open session.
@@ -44,8 +45,8 @@ def online_sessions(session: zenoh.Session, pattern: str) -> dict[str, set[str]]
     for reply in session.liveliness().get(f"{pattern}/{topics.ALIVE}/*", timeout=ANSWER_S):
         if reply.ok is None:
             raise BusError(f"{pattern}: the router did not list the services in {ANSWER_S:g} s")
-        prefix, _, who = str(reply.ok.key_expr).rpartition(f"/{topics.ALIVE}/")
-        found.setdefault(prefix, set()).add(who)
+        prefix, _, session_id = str(reply.ok.key_expr).rpartition(f"/{topics.ALIVE}/")
+        found.setdefault(prefix, set()).add(session_id)
     return found
 
 
@@ -95,8 +96,8 @@ class Presence:
                 declared.undeclare()
 
     def _others(self) -> set[str]:
-        there = online_sessions(self._session, self._settings.prefix)
-        return there.get(self._settings.prefix, set()) - {self._own}
+        found = online_sessions(self._session, self._settings.prefix)
+        return found.get(self._settings.prefix, set()) - {self._own}
 
     def _refuse(self) -> NoReturn:
         """Inform the other service by a token, which vanishes with this session, and raise."""

@@ -19,10 +19,11 @@ from edge.text import one_line
 PROBE_S = 0.5
 _NAME_S = 1.0  # to resolve a host name; the resolver's own timeout is longer
 
-_CLIENTS = "root_ca_certificate", "connect_certificate", "connect_private_key"
-_IN_PLACE = "_base64"
+_CLIENT_KEYS = "root_ca_certificate", "connect_certificate", "connect_private_key"
+_INLINE = "_base64"  # suffix of keys whose value is the certificate itself
 
-# TLS alerts of the peer: RFC 8446, section 6.2. OpenSSL puts the protocol before the name.
+# TLS alerts of the peer (RFC 8446, section 6.2) and our text for each. OpenSSL puts the protocol
+# before the name.
 _ALERTS = {
     "CERTIFICATE_REQUIRED": "it requires a client certificate, and {file} names none "
     "(transport/link/tls: enable_mtls, connect_certificate, connect_private_key)",
@@ -36,15 +37,15 @@ _ALERTS = {
 }
 _OUT_OF_DATE = (9, 10)  # X509_V_ERR_CERT_NOT_YET_VALID, …_HAS_EXPIRED
 _NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
-_NOT_TAKEN_IN = (
+_REFUSED_TCP = (
     "a server is there but refuses the session: it asks for a user and a password, or {file} has "
     "wrong ones (transport/auth/usrpwd), or it is full, or it speaks TLS, or it is no Zenoh"
 )
-_NOT_TAKEN_IN_BY_TLS = (
+_REFUSED_UNCHECKED_TLS = (
     "a server is there but refuses the session: a certificate in {file} is not trusted (inline "
     "certificates are not checked here), or it asks for a user and a password"
 )
-_NOT_TAKEN_IN_TLS = (
+_REFUSED_AFTER_TLS = (
     "TLS works, but the server refuses the session: it asks for a user and a password, or {file} "
     "has wrong ones (transport/auth/usrpwd), or it is full"
 )
@@ -71,15 +72,15 @@ def diagnose_refusal(endpoint: str, found: zenoh.Config, file: str) -> str | Non
         return lacks
     if protocol(endpoint) not in ("tcp", "tls") or not host_and_port(endpoint)[1]:
         return None
-    said: list[str | UnknownHostError | None] = []
+    answers: list[str | UnknownHostError | None] = []
     # The resolver may search for an unknown name for half a minute.
-    known = threading.Event()
+    resolved = threading.Event()
     probe = start_detached_thread(
-        "probe", lambda: said.append(_probe(endpoint, found, file, known))
+        "probe", lambda: answers.append(_probe(endpoint, found, file, resolved))
     )
     probe.join(_NAME_S + 2 * PROBE_S)
-    answer = said[0] if said else None
-    if not said and not known.is_set():
+    answer = answers[0] if answers else None
+    if not answers and not resolved.is_set():
         host = one_line(host_and_port(endpoint)[0])
         answer = UnknownHostError(f"no address is known for {host!r}: the name server is silent")
     if isinstance(answer, UnknownHostError):
@@ -88,16 +89,16 @@ def diagnose_refusal(endpoint: str, found: zenoh.Config, file: str) -> str | Non
 
 
 def _probe(
-    endpoint: str, found: zenoh.Config, file: str, known: threading.Event
+    endpoint: str, found: zenoh.Config, file: str, resolved: threading.Event
 ) -> str | UnknownHostError | None:
-    """Try the endpoint; set `known` once its host has an address."""
+    """Try the endpoint; set `resolved` once its host has an address."""
     host, port = host_and_port(endpoint)
     try:
         socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        known.set()
+        resolved.set()
         with socket.create_connection((host, port), PROBE_S) as plain:
             if protocol(endpoint) == "tcp":
-                return _NOT_TAKEN_IN.format(file=file)
+                return _REFUSED_TCP.format(file=file)
             return _tls_refusal(plain, host, endpoint, found, file)
     except (socket.gaierror, UnicodeError) as error:  # UnicodeError: not a valid host name
         why = getattr(error, "strerror", None) or "not a valid host name"
@@ -109,8 +110,8 @@ def _probe(
 def _tls_refusal(
     plain: socket.socket, host: str, endpoint: str, found: zenoh.Config, file: str
 ) -> str:
-    if _IN_PLACE in endpoint or any(get(found, f"{TLS}/{key}{_IN_PLACE}") for key in _CLIENTS):
-        return _NOT_TAKEN_IN_BY_TLS.format(file=file)
+    if _INLINE in endpoint or any(get(found, f"{TLS}/{key}{_INLINE}") for key in _CLIENT_KEYS):
+        return _REFUSED_UNCHECKED_TLS.format(file=file)
     try:
         context = _context(endpoint, found)
     except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
@@ -121,31 +122,31 @@ def _tls_refusal(
             secure.recv(1)
     except ssl.SSLCertVerificationError as error:
         if error.verify_code in _OUT_OF_DATE:
-            said = one_line(error.verify_message)
-            return f"its certificate is out of date, or the clock here is wrong ({said})"
+            reason = one_line(error.verify_message)
+            return f"its certificate is out of date, or the clock here is wrong ({reason})"
         return (
             f"its certificate is not trusted ({one_line(error.verify_message)}); "
             f"see transport/link/tls/root_ca_certificate in {file}"
         )
     except ssl.SSLError as error:
         reason = error.reason or ""
-        for alert, says in _ALERTS.items():
+        for alert, text in _ALERTS.items():
             if reason.endswith(alert):
-                return says.format(file=file)
+                return text.format(file=file)
         if reason in _NO_TLS:
             return "it does not speak TLS: give its endpoint as tcp/…"
         return f"TLS is not agreed on ({one_line(reason or error)})"
     except OSError:  # no answer yet, as from a Zenoh that waits for us, or connection closed
         pass
-    return _NOT_TAKEN_IN_TLS.format(file=file)
+    return _REFUSED_AFTER_TLS.format(file=file)
 
 
 def _context(endpoint: str, found: zenoh.Config) -> ssl.SSLContext:
     """Return the TLS context Zenoh would use. The endpoint's own parameters override the file."""
-    said = parameters(endpoint)
+    overrides = parameters(endpoint)
 
     def setting(key: str, parameter: str) -> object:
-        return said.get(parameter, get(found, f"{TLS}/{key}"))
+        return overrides.get(parameter, get(found, f"{TLS}/{key}"))
 
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = setting("verify_name_on_connect", "verify_name_on_connect") not in (

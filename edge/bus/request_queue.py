@@ -27,12 +27,14 @@ from edge.errors import UserError
 log = logging.getLogger("edge.bus.request_queue")
 
 MAX_BYTES = 65536
+"""Longest request in bytes."""
 PATIENCE_S = 2.0
+"""Time in seconds in which the loop must answer a request."""
 
-_SERVED = 12  # requests a poll of the loop: more than fit into the first lane
-_WAITING_NEW = 2  # requests that wait for preparation, besides the one in preparation
-_WAITING = 8  # requests in each lane
-_SAME = 256  # queries merged into one request, whose preparation may take minutes
+_MAX_SERVED = 12  # requests in one call of `serve`: more than fit into the first lane
+_MAX_UNPREPARED = 2  # requests that wait for preparation, besides the one in preparation
+_MAX_WAITING = 8  # requests in each lane
+_MAX_MERGED = 256  # queries merged into one request, whose preparation may take minutes
 _BUSY = "busy with other requests; try again later"
 _STOPPED = "cancelled by a stop request that came later: send it again"
 _STOPPING = "the service is stopping"
@@ -97,7 +99,7 @@ class RequestQueue:
         Raises:
             Exception: a handler failed; its clients got an error.
         """
-        for served in range(_SERVED):
+        for served in range(_MAX_SERVED):
             if (request := self.poll()) is None:
                 return served
             try:
@@ -109,7 +111,7 @@ class RequestQueue:
                 raise
             if self._verbs[request.do].prepare is not None:
                 return served + 1
-        return _SERVED
+        return _MAX_SERVED
 
     def poll(self) -> Request | None:
         """Return the next ready request, or None. The first lane comes before the second."""
@@ -193,21 +195,21 @@ class RequestQueue:
         """Return the request that a query joins, or a new one in its lane; None if it is full.
 
         A query joins the last request of its lane if both are equal. It does not pass a different
-        request, or that one would take effect last. A request that stops the robot may pass other
-        stops and requests that only read. So few stops wait however many arrive, and a stop is
-        never refused.
+        request: that request would then take effect last. A request that stops the robot may pass
+        other stops and requests that only read. So few stops wait however many arrive, and a stop
+        is never refused.
         """
         verb = self._verbs[do]
         lane = self._first if verb.prepare is None else self._second
         for request in reversed(lane):
             if (request.do, request.fields) == (do, fields):
-                return request if verb.stops_robot or len(request.queries) < _SAME else None
+                return request if verb.stops_robot or len(request.queries) < _MAX_MERGED else None
             other = self._verbs[request.do]
             if not verb.stops_robot or not (other.stops_robot or other.read_only):
                 break
-        full = len(lane) >= _WAITING
+        full = len(lane) >= _MAX_WAITING
         if not verb.stops_robot and (
-            full or (verb.prepare and len(self._unprepared()) > _WAITING_NEW)
+            full or (verb.prepare and len(self._unprepared()) > _MAX_UNPREPARED)
         ):
             return None
         lane.append(Request(do, fields, self._finish, ready=verb.prepare is None))
@@ -242,10 +244,10 @@ class RequestQueue:
         try:
             prepared = self._verbs[request.do].prepare(request.fields)
         except UserError as error:
-            self._drop_cancelled(request, error)
+            self._drop_failed(request, error)
         except Exception as error:
             log.exception("request %s failed; please report it with this traceback", request.do)
-            self._drop_cancelled(
+            self._drop_failed(
                 request, UserError(f"internal error: {type(error).__name__}: {error}")
             )
         else:
@@ -255,7 +257,7 @@ class RequestQueue:
                 for query in request.queries:
                     query.until_s = until_s
 
-    def _drop_cancelled(self, request: Request, error: UserError) -> None:
+    def _drop_failed(self, request: Request, error: UserError) -> None:
         with self._lock:
             if request in self._second:
                 self._second.remove(request)

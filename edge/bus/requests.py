@@ -23,10 +23,10 @@ from edge.bus.verbs import Request, Verb, error_of
 
 log = logging.getLogger("edge.bus.requests")
 
-_ARRIVED = 1024  # queries that Zenoh buffers: enough for 6,400 a second
-_MOST_PER_POLL = 128
-_RECEIVE_S = 0.02
-_SENDERS = 4
+_RING_QUERIES = 1024  # queries that Zenoh buffers: enough for 6,400 a second
+_MOST_PER_POLL = 128  # queries
+_RECEIVE_S = 0.02  # period of polls
+_SENDERS = 4  # threads
 
 
 class RequestServer:
@@ -58,7 +58,7 @@ class RequestServer:
         self._replies = queue.SimpleQueue()
         self._closing = threading.Event()
         # A full ring drops the oldest query; a full FIFO would block the session.
-        self._ring = QueryRing(session, key, _ARRIVED)
+        self._ring = QueryRing(session, key, _RING_QUERIES)
         self._polled: deque[zenoh.Query] = deque()  # taken from the ring, not handled yet
         tasks = [self._receive_all, *[self._send_all] * _SENDERS]
         self._threads = [
@@ -85,11 +85,11 @@ class RequestServer:
     def _receive_all(self) -> None:
         try:
             while not self._closing.wait(_RECEIVE_S):
-                for query in self._arrived(_MOST_PER_POLL):
+                for query in self._take_queries(_MOST_PER_POLL):
                     self._receive(query)
                 self.queue.expire()
             self.queue.close()
-            for query in self._arrived(2 * _ARRIVED):
+            for query in self._take_queries(2 * _RING_QUERIES):
                 self._receive(query)
             self._ring.close()
         except zenoh.ZError as error:
@@ -102,7 +102,7 @@ class RequestServer:
             for _ in range(_SENDERS):
                 self._replies.put(None)
 
-    def _arrived(self, most: int) -> Iterator[zenoh.Query]:
+    def _take_queries(self, most: int) -> Iterator[zenoh.Query]:
         for _ in range(most):
             if not self._polled:
                 self._polled.extend(self._ring.take())

@@ -39,18 +39,25 @@ from edge.text import one_line, redact
 log = logging.getLogger("edge.bus.session")
 
 CLOSE_S = 2.0
+"""Time in seconds that the caller waits for a session to close."""
 HOST_S = 30.0
 """Timeout for name resolution: a computer that is just booting may have no name server yet."""
-OPEN = "{} is open: every client that reaches it may command the robot; see docs/security.md"
-SHUT = "access_control allows no key below {}/ (zenoh.prefix): no message can be sent or received"
+OPEN_WARNING = (
+    "{} is open: every client that reaches it may command the robot; see docs/security.md"
+)
+SHUT_WARNING = (
+    "access_control allows no key below {}/ (zenoh.prefix): no message can be sent or received"
+)
 ENVELOPE_BYTES = 65536
 """More than Zenoh adds to a message: key, attachment and options."""
 
-_PAUSE_S = 0.2
+_PAUSE_S = 0.2  # between two attempts to connect
+# Appended to `RUST_LOG`: these two modules log the whole configuration at lower levels.
 _NO_CONFIGURATION = ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=info"
-_NOBODY = "Unable to connect to any of"
+_NO_SERVER_TEXT = "Unable to connect to any of"  # in Zenoh's error if no server answers
 
 Role = Literal["listen", "connect", "route"]
+"""`listen`: the service; `connect`: its clients; `route`: a router between them."""
 
 # A `BLOCK` message waits up to 5 s for its slowest receiver. The session that forwards messages
 # between its clients waits as well, and its two receiving threads serve all of them: one stopped
@@ -81,8 +88,8 @@ class ConnectInterrupted(Stopped):
     """`stop` was set before there was a session.
 
     Attributes:
-        refused: why the server at the endpoint refuses the session; None: no server was there.
-        unknown: why the endpoint's host cannot be resolved; None: it can.
+        refused: reason why the server refuses the session; None: no server was there.
+        unknown: reason why the endpoint's host name cannot be resolved; None: it can.
     """
 
     def __init__(self, address: str, refused: str | None, unknown: str | None = None) -> None:
@@ -94,21 +101,24 @@ class ConnectInterrupted(Stopped):
 
 
 def session_config(
-    settings: config.ZenohConfig, role: Role, exact: bool = False, most_bytes: int | None = None
+    settings: config.ZenohConfig,
+    role: Role,
+    keep_zenoh_timeout: bool = False,
+    most_bytes: int | None = None,
 ) -> zenoh.Config:
     """Return the Zenoh configuration of a process: Zenoh's own file, then our settings over it.
 
     See `edge.bus.zenoh_file`. With `mode: client` no process of role `listen` listens: all connect
     to a router that runs elsewhere, or to a process with role `route`.
 
-    A peer that accepts nothing for a second while a message waits that must not be dropped (an
-    answer to a request, or another peer's blocking message) is disconnected; a client reconnects by
+    A message that must not be dropped (an answer to a request, or another peer's blocking message)
+    waits at most one second for a peer. Then Zenoh disconnects that peer. A client reconnects by
     itself.
 
     Args:
         settings: `zenoh` of the configuration.
         role: `listen`, `connect` or `route`.
-        exact: keep Zenoh's own limit of 5 s instead of one second.
+        keep_zenoh_timeout: let such a message wait for 5 s, as Zenoh does, not for one second.
         most_bytes: see `edge.bus.zenoh_file.apply_settings`.
 
     Raises:
@@ -123,7 +133,13 @@ def session_config(
     found = read_zenoh_file(key, name)
     try:
         return apply_settings(
-            found, mode, settings.endpoint, listens, settings.shared_memory, exact, most_bytes
+            found,
+            mode,
+            settings.endpoint,
+            listens,
+            settings.shared_memory,
+            keep_zenoh_timeout,
+            most_bytes,
         )
     except ConfigError as error:
         raise ConfigError(f"{key}: {name}: {error}") from None
@@ -155,7 +171,7 @@ def zenoh_session(
     settings: config.ZenohConfig,
     role: Role,
     stop: threading.Event | None = None,
-    exact: bool = False,
+    keep_zenoh_timeout: bool = False,
     most_bytes: int | None = None,
     tell: Callable[[str], None] = lambda what: None,
 ) -> Iterator[zenoh.Session]:
@@ -164,7 +180,7 @@ def zenoh_session(
     If a peer accepts no data, Zenoh needs up to 12 s to close (it flushes, then lingers). After
     `CLOSE_S` closing continues in a thread that is not joined (`edge.host.interruptible`).
     """
-    opened = open_session(settings, role, stop, exact, most_bytes, tell)
+    opened = open_session(settings, role, stop, keep_zenoh_timeout, most_bytes, tell)
     try:
         yield opened
     finally:
@@ -187,7 +203,7 @@ def open_session(
     settings: config.ZenohConfig,
     role: Role,
     stop: threading.Event | None = None,
-    exact: bool = False,
+    keep_zenoh_timeout: bool = False,
     most_bytes: int | None = None,
     tell: Callable[[str], None] = lambda what: None,
 ) -> zenoh.Session:
@@ -201,55 +217,55 @@ def open_session(
         settings: `zenoh` of the configuration.
         role: `listen`, `connect` or `route`.
         stop: stops waiting when it is set.
-        exact: see `session_config`.
+        keep_zenoh_timeout: see `session_config`.
         most_bytes: see `session_config`.
         tell: called after each failed attempt with a line that describes the wait.
 
     Raises:
         ConfigError: Zenoh's own file cannot be used.
         BusError: the endpoint is in use or invalid, or its host cannot be resolved.
-        NotTakenIn: `stop` was set.
+        ConnectInterrupted: `stop` was set.
     """
     _init_zenoh_log()
     stop = stop or threading.Event()
-    found = session_config(settings, role, exact, most_bytes)
+    found = session_config(settings, role, keep_zenoh_timeout, most_bytes)
     key, name = zenoh_file_of(settings, role)
     for address in open_addresses(found):
-        log.warning("zenoh.endpoint: %s", OPEN.format(address))
+        log.warning("zenoh.endpoint: %s", OPEN_WARNING.format(address))
     if role != "route" and denies_prefix(found, settings.prefix):
-        log.warning("%s: %s", key, SHUT.format(settings.prefix))
+        log.warning("%s: %s", key, SHUT_WARNING.format(settings.prefix))
     logged: set[str | None] = set()
-    before: str | None = None
-    known_s = time.monotonic()  # when the host name was last resolved
+    last_reason: str | None = None
+    resolved_s = time.monotonic()  # when the host name was last resolved
     while True:
         try:
             return zenoh.open(found)
         except zenoh.ZError as error:
-            if _NOBODY not in str(error):
+            if _NO_SERVER_TEXT not in str(error):
                 lacks = unreadable_file(found, listens=bool(get(found, "listen/endpoints")))
                 cause = str(error) if lacks is None else lacks
                 raise BusError(_explain(settings.address, role, cause)) from None
         refused = unknown = None
         try:
             refused = diagnose_refusal(settings.endpoint, found, name or key)
-            known_s = time.monotonic()
+            resolved_s = time.monotonic()
         except UnknownHostError as error:
             unknown = str(error)
         level, what = logging.WARNING, f"refused at {settings.address}: {refused}; trying again"
         if unknown is not None:
             what = f"zenoh.endpoint: {settings.address}: {unknown}"
-            if time.monotonic() - known_s >= HOST_S:
+            if time.monotonic() - resolved_s >= HOST_S:
                 raise BusError(f"{what}; correct the name, or give an address")
             what += f"; trying for {HOST_S:g} s"
         elif refused is None:
             level, what = logging.INFO, f"waiting for a server at {settings.address}"
         tell(what)
         # Log a reason only the second time: a server that starts or is busy refuses once.
-        why = unknown or refused
-        if why not in logged and why == before:
-            logged.add(why)
+        reason = unknown or refused
+        if reason not in logged and reason == last_reason:
+            logged.add(reason)
             log.log(level, what)
-        before = why
+        last_reason = reason
         if stop.wait(_PAUSE_S):
             raise ConnectInterrupted(settings.address, refused, unknown)
 
@@ -274,26 +290,26 @@ class Ring:
     Args:
         session: an open session.
         key: key expression.
-        kept: capacity, and the most messages one poll returns. A full ring drops the oldest.
+        kept: capacity in messages; a poll returns at most so many. A full ring drops the oldest.
 
     Attributes:
-        overruns: polls that found the ring full, after a poll that found it full as well. The
-            number of lost messages is unknown. A single full poll is normal after a late poll or at
-            the start. Always 0 for a ring of one, which is for topics whose last message is enough.
+        overruns: number of times that two polls in a row found the ring full. Messages were lost;
+            it is unknown how many. A single full poll is normal after a late poll or at the start.
+            Always 0 for a ring of one, which is for topics whose last message is enough.
     """
 
     def __init__(self, session: zenoh.Session, key: str, kept: int) -> None:
         self.overruns = 0
         self._full = False
         self._key, self._capacity = key, kept
-        self._arriving = self._declare(session, key, zenoh.handlers.RingChannel(kept))
+        self._subscriber = self._declare(session, key, zenoh.handlers.RingChannel(kept))
 
     def take(self) -> list[zenoh.Sample]:
         """Return the messages since the last poll, oldest first; at most `kept`."""
         samples: list[zenoh.Sample] = []
         # Not until the ring is empty: with a fast sender that would never end.
         while len(samples) < self._capacity:
-            if (sample := self._arriving.try_recv()) is None:
+            if (sample := self._subscriber.try_recv()) is None:
                 break
             samples.append(sample)
         was_full, self._full = self._full, len(samples) == self._capacity > 1
@@ -302,7 +318,7 @@ class Ring:
         return samples
 
     def close(self) -> None:
-        self._arriving.undeclare()
+        self._subscriber.undeclare()
 
     def _declare(
         self, session: zenoh.Session, key: str, ring: zenoh.handlers.RingChannel

@@ -17,7 +17,7 @@ class Topic:
     """One topic.
 
     Attributes:
-        key: its name, and by default its key below the prefix.
+        key: name of the topic, and by default its key below the prefix.
         type: ROS 2 message (CDR), or `json`.
         qos: `drop`: best effort, the newest message wins. `urgent`: higher priority; the publisher
             repeats it until it is acknowledged or outdated. `block`: no message is lost and the
@@ -41,7 +41,8 @@ CLOUD = Topic("lidar/points", "sensor_msgs/PointCloud2", "drop", 10, "sensors")
 SCAN = Topic("lidar/scan", "sensor_msgs/LaserScan", "drop", 10, "sensors")
 ODOMETRY = Topic("odom", "nav_msgs/Odometry", "drop", 60, "sensors")
 
-# The robot's true state; object ids per pixel (uint16, 0 = structure); label of id i at i - 1.
+# The robot's true state; the object id of each pixel (uint16, 0 = structure); the labels, that of
+# object id i at index i - 1.
 GROUND_TRUTH = Topic("sim/ground_truth", "json", "drop", 10, "simulator")
 SEGMENTATION = Topic("sim/segmentation", "sensor_msgs/Image", "drop", 30, "simulator")
 LABELS = Topic("sim/labels", "json", "drop", 1, "simulator")

@@ -15,9 +15,11 @@ from edge.text import bounded_repr, one_line, read_json_object
 log = logging.getLogger(__name__)
 
 MAX_CHARS = 10_000
+"""Longest text field of a request, in characters."""
 MAX_ERROR_CHARS = 1000
+"""Longest error in an answer, in characters."""
 CANCELLED = "cancelled"
-"""The reason of a failed mission that a user cancelled without giving a reason."""
+"""Reason of a failed mission, if a user cancelled it without giving a reason."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,11 @@ class Verb:
         read: checks and converts the fields; raises ValueError with one line.
         prepare: slow part of the work: called with the fields on a thread of the server, one
             request at a time; raises UserError to refuse the request.
-        stops_robot: True if it stops the robot: never refused for lack of room; it refuses requests
-            that wait in the second lane of `RequestQueue`.
-        read_only: True if it changes nothing.
-        instead: returns the verb and the fields of the request that these fields mean, or None.
-            So "stop", said as an instruction, is as urgent as the verb for it.
+        stops_robot: True if the request stops the robot. It is never refused for lack of room, and
+            it refuses the requests that wait in the second lane of `RequestQueue`.
+        read_only: True if the request changes nothing.
+        instead: returns the verb and fields of another request that means the same, or None. So
+            the instruction "stop" is as urgent as the verb that stops the robot.
     """
 
     fields: tuple[str, ...] = ()
@@ -120,8 +122,8 @@ class Request:
         finish: sends the reply to the queries.
         queries: the merged queries, in the server's own type.
         prepared: result of `Verb.prepare`.
-        ready: True if the loop may handle it.
-        overtaken: number of earlier requests, not yet started, that this one refused.
+        ready: True if the loop may handle the request.
+        cancelled: number of earlier requests, not yet started, that this request refused.
     """
 
     do: str

@@ -9,8 +9,8 @@ copy of the service's own file is `zenoh.file.json5`. For settings that `edge` s
 - `mode` comes from `zenoh.mode`: a file with another mode is refused.
 - Endpoints add up: `zenoh.endpoint` is first, those of the file follow.
 - Connection timeouts are `edge`'s, because it handles signals between attempts.
-- Shared memory is off if either says so.
-- Others of `edge` (`DEFAULTS`) apply if the file leaves Zenoh's own default.
+- Shared memory is off if `zenoh.shared_memory` or the file says so.
+- `edge`'s `DEFAULTS` apply to the keys for which the file keeps Zenoh's own default.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from edge.host.ports import MOST_PORT, is_loopback
 from edge.text import one_line
 
 BLOCKED_S = 1.0
+"""Time in seconds that a message may wait for a peer, before Zenoh disconnects the peer."""
 TLS = "transport/link/tls"
 
 # A client that connects and stays silent holds one of Zenoh's places for pending connections: 100
@@ -48,19 +49,18 @@ DEFAULTS: dict[str, Any] = {
     "transport/unicast/max_sessions": SESSIONS,
 }
 
-_BY_HOST = ("tcp", "tls", "udp", "quic", "ws")
-_OTHERWISE = ("serial", "unixsock-stream", "unixpipe", "vsock")
-"""Protocols with addresses HOST:PORT, and the other protocols of Zenoh."""
+_BY_HOST = ("tcp", "tls", "udp", "quic", "ws")  # their addresses are HOST:PORT
+_BY_OTHER = ("serial", "unixsock-stream", "unixpipe", "vsock")
 _HOST_PORT = re.compile(r"(\[[^][\s/]+\]|[^][\s/:]+):(?P<port>[0-9]{1,5})")
 _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
-_MESSAGE = "transport/link/rx/max_message_size"
+_MAX_MESSAGE_BYTES = "transport/link/rx/max_message_size"
 _SHARED_MEMORY = "transport/shared_memory/enabled"
 _TLS_HANDSHAKE = "tls_handshake_timeout_ms"
 _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
 _ATTEMPT_MS = 500
 _USERS = "transport/auth/usrpwd/dictionary_file"
 _SECRETS = (f"{TLS}/listen_private_key", f"{TLS}/connect_private_key", _USERS)
-# If one of these is set, the configuration file itself is secret.
+# If one of these keys is set, the configuration file itself is secret.
 _SECRET_WORDS = (
     "transport/auth/usrpwd/password",
     f"{TLS}/listen_private_key_base64",
@@ -78,8 +78,8 @@ def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
         name: path of the file, or None.
 
     Raises:
-        ConfigError: it cannot be read, or Zenoh rejects it. The message is one line and quotes no
-            value, since a value may be a password.
+        ConfigError: the file cannot be read, or Zenoh rejects it. The message is one line and
+            quotes no value, since a value may be a password.
     """
     if name is None:
         return zenoh.Config()
@@ -97,7 +97,7 @@ def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
 
 
 def _own_name(key: str, name: str) -> str:
-    """Return the name of a copy of the file; Zenoh knows the format by the suffix."""
+    """Return the name of the service manager's copy; Zenoh knows the format by the suffix."""
     return key + os.path.splitext(name)[1]
 
 
@@ -111,7 +111,7 @@ def apply_settings(
     endpoint: str,
     listens: bool,
     shared_memory: bool,
-    exact: bool,
+    keep_zenoh_timeout: bool,
     most_bytes: int | None,
 ) -> zenoh.Config:
     """Change a configuration in place as the module's docstring says, and return it.
@@ -122,24 +122,24 @@ def apply_settings(
         endpoint: `zenoh.endpoint`.
         listens: True to listen at the endpoint, False to connect to it.
         shared_memory: `zenoh.shared_memory`.
-        exact: see `edge.bus.session.session_config`.
+        keep_zenoh_timeout: see `edge.bus.session.session_config`.
         most_bytes: longest fragmented message that is accepted; None keeps Zenoh's 1 GiB.
 
     Raises:
         ConfigError: the file has another mode, or a private key in an endpoint.
     """
-    says = get(found, "mode")
-    if says not in (None, mode):
-        raise ConfigError(f"mode: {says!r}, but here it is {mode!r}: leave it out (see zenoh.mode)")
+    own = get(found, "mode")
+    if own not in (None, mode):
+        raise ConfigError(f"mode: {own!r}, but here it is {mode!r}: leave it out (see zenoh.mode)")
     listening = _all_of(found, "listen/endpoints", mode)
     connecting = _all_of(found, "connect/endpoints", mode)
     if any(KEY_IN_ENDPOINT in further for further in (*listening, *connecting)):
         raise ConfigError(f"endpoints: {KEY_IN_ENDPOINT} belongs under {TLS}")
-    first = [_patient_for(endpoint)] if listens else [endpoint]
+    first = [_with_handshake_timeout(endpoint)] if listens else [endpoint]
     values = {
         "mode": mode,
-        "listen/endpoints": _once(first + listening) if listens else [],
-        "connect/endpoints": connecting if listens else _once(first + connecting),
+        "listen/endpoints": _without_duplicates(first + listening) if listens else [],
+        "connect/endpoints": connecting if listens else _without_duplicates(first + connecting),
         "connect/timeout_ms": _ATTEMPT_MS,
         "connect/exit_on_failure": False,
         "connect/retry": _RETRY,
@@ -149,12 +149,12 @@ def apply_settings(
     }
     # Publishers that keep their last message for late subscribers (`edge.bus.ros2`) need stamps.
     ours = DEFAULTS | {"timestamping/enabled": mode == "client"}
-    if not exact:
+    if not keep_zenoh_timeout:
         ours[_WAIT_BEFORE_CLOSE] = int(1e6 * BLOCKED_S)
     if most_bytes is not None:
-        ours[_MESSAGE] = most_bytes
-    zenohs = zenoh.Config()
-    values |= {key: value for key, value in ours.items() if get(found, key) == get(zenohs, key)}
+        ours[_MAX_MESSAGE_BYTES] = most_bytes
+    plain = zenoh.Config()
+    values |= {key: value for key, value in ours.items() if get(found, key) == get(plain, key)}
     for key, value in values.items():
         found.insert_json5(key, json.dumps(value))
     return found
@@ -167,8 +167,8 @@ def get(found: zenoh.Config, key: str) -> Any:
 def open_addresses(found: zenoh.Config) -> list[str]:
     """Return the listening addresses that are open to everybody.
 
-    An address is open if other computers can reach it, and it requires neither a client's
-    certificate nor a user's password.
+    An address is open if other computers can reach it, and if it requires no certificate and no
+    password.
     """
     if get(found, _USERS) is not None:
         return []
@@ -186,8 +186,8 @@ def open_addresses(found: zenoh.Config) -> list[str]:
 
 def host_and_port(endpoint: str) -> tuple[str, int]:
     """Split an endpoint such as `tls/[::1]:7447#…`; port 0 if there is none."""
-    place = re.split(r"[?#]", endpoint.partition("/")[2], maxsplit=1)[0]
-    host, _, port = place.rpartition(":")
+    address = re.split(r"[?#]", endpoint.partition("/")[2], maxsplit=1)[0]
+    host, _, port = address.rpartition(":")
     return host.strip("[]"), int(port) if port.isdecimal() else 0
 
 
@@ -197,12 +197,12 @@ def endpoint_fault(endpoint: str) -> str | None:
     Zenoh reports such faults only to a listener; a client would wait forever.
     """
     kind, slash, rest = endpoint.partition("/")
-    place = re.split(r"[?#]", rest, maxsplit=1)[0]
-    if not slash or not place:
+    address = re.split(r"[?#]", rest, maxsplit=1)[0]
+    if not slash or not address:
         return "expected PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447"
-    if kind not in (*_BY_HOST, *_OTHERWISE):
-        return f"unknown protocol {one_line(kind, 40)!r} ({', '.join((*_BY_HOST, *_OTHERWISE))})"
-    found = _HOST_PORT.fullmatch(place)
+    if kind not in (*_BY_HOST, *_BY_OTHER):
+        return f"unknown protocol {one_line(kind, 40)!r} ({', '.join((*_BY_HOST, *_BY_OTHER))})"
+    found = _HOST_PORT.fullmatch(address)
     if kind in _BY_HOST and (found is None or int(found["port"]) > MOST_PORT):
         return f"expected HOST:PORT after {kind}/, the port from 0 to {MOST_PORT}"
     return None
@@ -220,18 +220,18 @@ def parameters(endpoint: str) -> dict[str, str]:
 
 def _all_of(found: zenoh.Config, key: str, mode: str) -> list[str]:
     """Return the endpoints of a mode that the file names, without Zenoh's defaults."""
-    said = get(found, key)
-    if said == get(zenoh.Config(), key):
+    value = get(found, key)
+    if value == get(zenoh.Config(), key):
         return []
-    said = said.get(mode, []) if isinstance(said, dict) else said
-    return [said] if isinstance(said, str) else list(said)
+    value = value.get(mode, []) if isinstance(value, dict) else value
+    return [value] if isinstance(value, str) else list(value)
 
 
-def _once(endpoints: Sequence[str]) -> list[str]:
+def _without_duplicates(endpoints: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(endpoints))
 
 
-def _patient_for(endpoint: str) -> str:
+def _with_handshake_timeout(endpoint: str) -> str:
     """Add a timeout for TLS handshakes to a listening endpoint that has none.
 
     Zenoh's configuration file has no key for it.
@@ -286,7 +286,7 @@ def exposed_secrets(found: zenoh.Config, key: str, name: str | None) -> list[str
 
 
 def denies_prefix(found: zenoh.Config, prefix: str) -> bool:
-    """Return True if the access rules deny every key below a prefix (they name another one)."""
+    """Return True if the access rules deny every key below a prefix."""
     control = get(found, "access_control")
     if not control["enabled"] or control["default_permission"] == "allow":
         return False
@@ -295,8 +295,8 @@ def denies_prefix(found: zenoh.Config, prefix: str) -> bool:
     return not any(ours.intersects(key) for rule in allowed for key in rule["key_exprs"])
 
 
-_PLACE = re.compile(r"line: (\d+), column: (\d+)|--> (\d+):(\d+)")
-_SAID = re.compile(r'msg: "((?:[^"\\]|\\.)*)"', re.DOTALL)
+_LINE_COLUMN = re.compile(r"line: (\d+), column: (\d+)|--> (\d+):(\d+)")
+_QUOTED_MESSAGE = re.compile(r'msg: "((?:[^"\\]|\\.)*)"', re.DOTALL)
 _VALUE = re.compile(
     r'(invalid (?:type|value): [a-z -]+?|unknown variant) (?:`.*?`|\\".*\\")', re.DOTALL
 )
@@ -305,12 +305,12 @@ _EXPECTED = re.compile(r"= (expected .*)")
 
 def _fault(error: str) -> str:
     """Return Zenoh's error about a file with line and column, but without the file's values."""
-    place = _PLACE.search(error)
+    place = _LINE_COLUMN.search(error)
     if place is None:
         return one_line(error.split(" at /")[0])
     line, column = (number for number in place.groups() if number is not None)
-    if said := _SAID.search(error):
-        what = _VALUE.sub(r"\1", said[1]).partition('\\"')[0]
+    if quoted := _QUOTED_MESSAGE.search(error):
+        what = _VALUE.sub(r"\1", quoted[1]).partition('\\"')[0]
     else:
         expected = _EXPECTED.search(error)
         what = expected[1].split(" at /")[0] if expected else "not JSON5"

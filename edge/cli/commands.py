@@ -161,7 +161,7 @@ def _serve(
         traced.spans = running.service.latency.spans
         mission = running.service.mission
         doing = mission.reason if mission.idle else one_line(mission.spec.translation.instruction)
-        log.info("ready: %s, on %s", doing, config.zenoh.address)
+        log.info("ready: %s; Zenoh endpoint %s", doing, config.zenoh.address)
         vitals.ready()
         ended: RunResult | None = None
         if playback is not None:
@@ -187,8 +187,9 @@ def _serve(
                 ended = None
             elif stay and ended is None:
                 ended = end()
-                outcome = running.service.status.phase if playback is None else "played"
-                log.info("%s; the live view %s stays open until Ctrl-C", outcome, url)
+                phase = running.service.status.phase
+                outcome = f"mission {phase}" if playback is None else "recording played"
+                log.info("%s; the live view stays open until Ctrl-C: %s", outcome, url)
             elif playback is not None and not stay:
                 stop.set()
 
@@ -358,7 +359,7 @@ def _live_port(host: str) -> int:
     if is_free(host, LIVE_PORT):
         return LIVE_PORT
     port = free_port()
-    log.warning("live view: port %d is in use, port %d is used instead", LIVE_PORT, port)
+    log.warning("live view: port %d is in use, so the page is served on port %d", LIVE_PORT, port)
     return port
 
 

@@ -72,7 +72,11 @@ def examine(config: Config) -> list[Finding]:
         except Exception as error:
             name = check.__name__.removeprefix("check_").replace("_", " ")
             reason = one_line(f"{type(error).__name__}: {error}")
-            findings.append(Finding("fail", f"{name}: {reason}", "please report this"))
+            findings.append(
+                Finding(
+                    "fail", f"check of {name} crashed: {reason}", "please report this bug of edge"
+                )
+            )
     return list(dict.fromkeys(findings))  # several checks may find the same problem
 
 
@@ -97,10 +101,16 @@ def check_zenoh(config: Config) -> Iterator[Finding]:
     version = metadata.version("eclipse-zenoh")
     took_ms = loopback_ms(LOOPBACK_S)
     if took_ms is not None:
-        yield Finding("ok", f"Zenoh {version}: a message came through over TCP ({took_ms:.0f} ms)")
+        yield Finding(
+            "ok", f"Zenoh {version}: a test message over TCP on 127.0.0.1 took {took_ms:.0f} ms"
+        )
     else:
-        todo = "check that TCP on 127.0.0.1 is allowed (sandbox, firewall, `ip link set lo up`)"
-        yield Finding("fail", f"Zenoh {version}: no message within {LOOPBACK_S:g} s", todo)
+        todo = "allow TCP on 127.0.0.1: check sandbox and firewall, run `ip link set lo up`"
+        yield Finding(
+            "fail",
+            f"Zenoh {version}: no test message over TCP on 127.0.0.1 came within {LOOPBACK_S:g} s",
+            todo,
+        )
 
 
 def loopback_ms(limit_s: float) -> float | None:
@@ -136,12 +146,19 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
     from edge.bus.session import BusError, open_session
 
     if config.zenoh.mode == "client":
-        yield Finding("ok", f"the service will look for a Zenoh router at {config.zenoh.address}")
+        yield Finding(
+            "ok",
+            f"the service will connect to a Zenoh router at {config.zenoh.address} (not tried)",
+        )
         return
     try:
         open_session(config.zenoh, "listen").close()
     except BusError as error:
-        yield Finding("warn", f"the service cannot listen at {config.zenoh.address}", str(error))
+        yield Finding(
+            "warn",
+            f"the service cannot listen at {config.zenoh.address} (zenoh.endpoint)",
+            str(error),
+        )
     else:
         yield Finding("ok", f"the service can listen at {config.zenoh.address}")
 
@@ -158,7 +175,7 @@ def check_access(config: Config) -> Iterator[Finding]:
         todo = "listen on 127.0.0.1, or require certificates (docs/security.md)"
         yield Finding("warn", OPEN.format(address), todo)
     if denies_prefix(served, settings.prefix):
-        todo = "correct the keys in its access rules (docs/security.md)"
+        todo = "correct the keys under access_control in zenoh.file (docs/security.md)"
         yield Finding("warn", SHUT.format(settings.prefix), todo)
     paths = [
         path
@@ -195,14 +212,18 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
     probed = probe()
     if probed is None:
         todo = "pip install 'edge-vln[cpu]' (or [gpu])"
-        yield Finding(lack, "onnxruntime is not installed: no neural detector", todo)
+        yield Finding(lack, "onnxruntime is not installed, so no neural detector can run", todo)
         return
     what = f"onnxruntime {probed.version}".strip()
     if not probed.fault:
         names = ", ".join(name.removesuffix("ExecutionProvider") for name in probed.providers)
-        yield Finding("ok", f"{what}: {names}")
+        yield Finding("ok", f"{what} runs a model; execution providers: {names}")
     elif CPU in probed.ran:  # so the fault is in another provider
-        yield Finding("warn", f"{what} {probed.fault}", "check driver and CUDA, or use the CPU")
+        yield Finding(
+            "warn",
+            f"{what} {probed.fault}",
+            "check the GPU driver and CUDA, or use CPUExecutionProvider",
+        )
     else:
         todo = (
             "another version may work (pip install 'onnxruntime==1.20.1'), and on arm64 all cores "
@@ -212,8 +233,14 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
         return
     for name in wanted:
         if name != TENSORRT and name not in probed.providers:
-            todo = "install another onnxruntime, or change perception.detector.providers"
-            yield Finding("fail", f"{name} is configured but not available", todo)
+            todo = (
+                "install an onnxruntime with this provider, or change perception.detector.providers"
+            )
+            yield Finding(
+                "fail",
+                f"perception.detector.providers: {name} is not in the installed onnxruntime",
+                todo,
+            )
 
 
 def _sessions_crash() -> bool:
@@ -262,7 +289,9 @@ def check_models(config: Config) -> Iterator[Finding]:
     needed = {model.name for model in named_models(config)}
     names = sorted({*card_names(), *needed})
     if not names:
-        yield Finding("warn", "no model cards", "the folder models/ is missing: reinstall edge-vln")
+        yield Finding(
+            "warn", "no model cards: the package's folder models/ is missing", "reinstall edge-vln"
+        )
     away = 0
     for name in names:
         try:
@@ -282,7 +311,10 @@ def check_models(config: Config) -> Iterator[Finding]:
             yield from (Finding("ok", f"model {name}: {path}") for path in paths)
             yield from (_remote(name, server.url) for server in served)
     if away:
-        what = f"{away} other models are not on this machine; this configuration does not need them"
+        what = (
+            f"{away} other models are not on this machine, and this configuration needs none of "
+            "them"
+        )
         yield Finding("ok", f"{what} (`edge models list`)")
 
 
@@ -298,9 +330,9 @@ def _verified(file: FileCard | ChoiceCard) -> Path:
 def _remote(name: str, url: str) -> Finding:
     shown = redact(url)
     if _listens(url):
-        return Finding("ok", f"model {name}: something listens at {shown}")
-    todo = "start the server, or correct the URL in its card; the model needs it"
-    return Finding("warn", f"model {name}: nothing listens at {shown}", todo)
+        return Finding("ok", f"model {name}: a server listens at {shown}")
+    todo = "start the server, or correct its URL in the model card"
+    return Finding("warn", f"model {name}: no server listens at {shown}", todo)
 
 
 def check_mission(config: Config) -> Iterator[Finding]:
@@ -356,10 +388,10 @@ def check_vocabulary(config: Config) -> Iterator[Finding]:
             unknown = [word for word in detector.background if word not in known]
             if unknown:
                 what = (
-                    f"{detector.model} does not know {len(unknown)} of the "
+                    f"model {detector.model} does not know {len(unknown)} of the "
                     f"{len(detector.background)} words of perception.detector.background"
                 )
-                yield Finding("warn", what, f"remove or replace: {', '.join(unknown)}")
+                yield Finding("warn", what, f"remove or replace these words: {', '.join(unknown)}")
 
 
 def check_scorers(config: Config) -> Iterator[Finding]:
@@ -381,8 +413,10 @@ def check_scorers(config: Config) -> Iterator[Finding]:
     yield Finding("ok", f"scorers: {', '.join(names)}")
     choice = config.perception.choice
     if choice.kind in ("openai", "text") and not _listens(choice.url):
-        todo = "start the server, or correct perception.choice.url; until then no model chooses"
-        yield Finding("warn", f"nothing listens at {redact(choice.url)}", todo)
+        todo = "start the server, or correct the URL; until then no model chooses among frontiers"
+        yield Finding(
+            "warn", f"perception.choice.url: no server listens at {redact(choice.url)}", todo
+        )
 
 
 def _listens(url: str) -> bool:
@@ -405,7 +439,10 @@ def check_tasks(config: Config) -> Iterator[Finding]:
         lack: Level = "fail" if config.tasks.planner.kind == "model" else "warn"
         yield Finding(lack, *_split(error))
     else:
-        yield Finding("ok", f"scripts of a model (tasks): pydantic-monty {version} runs them")
+        yield Finding(
+            "ok",
+            f"tasks: pydantic-monty {version} can run the scripts that a language model writes",
+        )
 
 
 def check_worlds(config: Config) -> Iterator[Finding]:
@@ -416,7 +453,9 @@ def check_worlds(config: Config) -> Iterator[Finding]:
         return
     lack: Level = "fail" if config.sim.world.kind == "mesh" else "warn"
     todo = "pip install 'edge-vln[worlds]' (embreex: x86_64 only)"
-    yield Finding(lack, f"no textured worlds: without {', '.join(missing)}", todo)
+    yield Finding(
+        lack, f"textured worlds cannot be simulated: not installed: {', '.join(missing)}", todo
+    )
 
 
 CHECKS: tuple[Check, ...] = (

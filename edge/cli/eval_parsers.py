@@ -19,7 +19,7 @@ from edge.cli.options import (
 def add(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `eval` and its kinds."""
     evaluate = commands.add_parser(
-        "eval", help="evaluate episodes, planners, translators, trajectories"
+        "eval", help="measure how well policies, planners, translators and trajectories do"
     )
     kinds = evaluate.add_subparsers(title="kinds", required=True, metavar="KIND")
     _episodes(kinds)
@@ -31,46 +31,52 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
 
 def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     episodes = kinds.add_parser(
-        "episodes", help="compare policies on find-the-object episodes in simulated time"
+        "episodes", help="compare policies or settings in simulated searches for objects"
     )
     episodes.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     group = episodes.add_argument_group("episodes to run")
     option, task = group.add_argument, group.add_mutually_exclusive_group().add_argument
     option(
         "--episodes", type=Path, metavar="FILE",
-        help="run the episodes of a file that --plan wrote; of the other options in this group, "
+        help="run the episodes of this file, which --plan wrote; of this group's other options "
         "only --limit then has an effect",
     )  # fmt: skip
-    option("--plan", type=Path, metavar="FILE", help="write the episodes to this file and stop")
+    option("--plan", type=Path, metavar="FILE", help="write the episodes to this file; run none")
     option(
         "--worlds", nargs="+", metavar="WORLDS",
-        help="FILE.jsonl.gz[0:75], generated[1000:1050], house:NAME or MESH.glb,OBJECTS.json; "
-        "default: the world of the configuration",
+        help="worlds to run in: houses 0 to 74 of a ProcTHOR file (FILE.jsonl.gz[0:75]), "
+        "generated houses by seed (generated[1000:1050]), a built-in house (house:NAME) or a mesh "
+        "with its objects (MESH.glb,OBJECTS.json) (default: the configuration's sim.world)",
     )  # fmt: skip
     option(
         "--targets", metavar="NAME,NAME,…",
-        help="objects to find, or `common` (default with --worlds): sixteen large objects of most "
-        "homes; a world without an object has no episode with it",
+        help="objects to find; `common` means sixteen large objects of most homes; a target that "
+        "a world lacks is skipped there (default with --worlds: common)",
     )  # fmt: skip
     option(
         "--starts",
         type=count,
         default=4,
-        help="starts for each target and world (default: %(default)s)",
+        help="number of start poses for each target in each world (default: %(default)s)",
     )
-    option("--per-world", type=count, metavar="N", help="at most N random episodes for each world")
+    option(
+        "--per-world", type=count, metavar="N",
+        help="keep at most N episodes of each world, drawn at random (default: all)",
+    )  # fmt: skip
     task(
         "--missions", type=count, metavar="N",
-        help="instead, N missions for each world, with two to four targets, in order or by choice",
+        help="run N missions with two to four targets in each world, instead of searches for one "
+        "target",
     )  # fmt: skip
     task(
         "--goals", type=count, metavar="N",
-        help="instead, one session for each world: N of the targets one after another, with and "
-        "without memory of the goals before",
+        help="run one session in each world, instead of single searches: N targets one after "
+        "another, once with and once without memory of the earlier searches",
     )  # fmt: skip
     option(
         "--moved", type=share, default=0.0, metavar="SHARE",
-        help="with --goals: share of the movable objects that move between two goals (default: 0)",
+        help="with --goals: share of the movable objects that are moved between two searches, 0 "
+        "to 1 (default: 0)",
     )  # fmt: skip
     task(
         "--zones", action="store_true",
@@ -78,50 +84,57 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     task(
         "--ask", action="store_true",
-        help="instead, one episode for each world: explore it, then ask where the targets are",
+        help="run one episode in each world, instead of searches: the robot explores it, then is "
+        "asked where each target is",
     )  # fmt: skip
-    option("--limit", type=count, metavar="N", help="only the first N episodes")
-    option("--seed", type=int, default=0, help="seed of the random choices (default: %(default)s)")
+    option("--limit", type=count, metavar="N", help="run only the first N episodes (default: all)")
+    option(
+        "--seed", type=int, default=0,
+        help="seed of the random starts, missions and zones (default: %(default)s)",
+    )  # fmt: skip
     option(
         "--min-distance", type=float, default=4.0, metavar="M",
-        help="shortest driving distance from start to target, in m (default: %(default)g)",
+        help="least driving distance from start to target, in m (default: %(default)g)",
     )  # fmt: skip
     option = episodes.add_argument_group("arms to compare").add_argument
     option(
         "--arm", nargs="+", action="append", metavar=("NAME", "KEY=VALUE"),
-        help="name of an arm, and its changes of the configuration: "
-        "--arm near policy.kind=nearest_frontier; may be repeated",
+        help="variant of the configuration: its name and the keys that it changes, such as --arm "
+        "near policy.kind=nearest_frontier; may be repeated (default: only the configuration as "
+        "it is)",
     )  # fmt: skip
     option(
         "--arms", type=Path, metavar="FILE",
-        help="arms from a YAML file: name: {policy: {kind: …}}; `config:` in an arm names "
-        "another configuration to change",
+        help="read arms from a YAML file, one `name: {policy: {kind: …}}` for each; with the key "
+        "`config:` an arm starts from another configuration",
     )  # fmt: skip
     option = episodes.add_argument_group("how to run").add_argument
     option(
         "--out", type=Path, metavar="DIR",
-        help="write outcomes.jsonl and episodes.jsonl there; what they contain is not run again",
+        help="folder for outcomes.jsonl and episodes.jsonl; episodes that have an outcome there "
+        "are not run again (default: nothing is written)",
     )  # fmt: skip
     option(
         "--report", type=Path, metavar="DIR",
-        help="as --out, with a report and pictures of every episode that is run",
+        help="as --out, and write a page with pictures for every episode that is run",
     )  # fmt: skip
     option(
         "--workers", "--jobs", type=count, default=1, metavar="N",
-        help="number of processes, of one thread each (default: only this one)",
+        help="run in N processes of one thread each (default: in this process)",
     )  # fmt: skip
     option(
         "--processes", action="store_true",
-        help="run robot, controller and service as separate processes, over Zenoh",
+        help="run simulator, controller and service as separate processes that talk over Zenoh",
     )  # fmt: skip
     option = episodes.add_argument_group("results").add_argument
     option(
         "--compare", type=Path, metavar="DIR",
-        help="run nothing; make tables, plots and maps from a folder that --out filled",
+        help="run nothing; write tables, plots and maps of the outcomes in this folder of --out",
     )  # fmt: skip
     option(
         "--baseline", metavar="NAME",
-        help="arm that the others are compared with (default: the first)",
+        help="with --compare: name of the arm that the others are compared with (default: the "
+        "first)",
     )  # fmt: skip
     compare = lazy_handler("edge.lab.eval.comparison.run", "run", lab=True)
     runs = lazy_handler("edge.lab.eval.runs", "run", lab=True)
@@ -134,29 +147,46 @@ _P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
 
 def _planning(kinds) -> None:  # type: ignore[no-untyped-def]
     planning = kinds.add_parser(
-        "planning", help="evaluate mission planners on tasks in language (ViTL figure 4)"
+        "planning", help="compare mission planners on simulated missions (figure 4 of ViTL)"
     )
     option = planning.add_argument
-    option("--tasks", type=Path, metavar="FILE", help="read the tasks from this file (JSON lines)")
-    option("--export", type=Path, metavar="FILE", help="write the tasks to this file and stop")
     option(
-        "--n", type=count, default=2000, help="number of tasks to generate (default: %(default)s)"
+        "--tasks",
+        type=Path,
+        metavar="FILE",
+        help="read the missions from this JSON Lines file (default: generate them)",
+    )
+    option("--export", type=Path, metavar="FILE", help="write the missions to this file; run none")
+    option(
+        "--n",
+        type=count,
+        default=2000,
+        help="number of missions to generate (default: %(default)s)",
     )
     option(
-        "--seed", type=seed, default=0, help="seed of tasks and of chance (default: %(default)s)"
+        "--seed",
+        type=seed,
+        default=0,
+        help="seed of the missions and of what is found (default: %(default)s)",
     )
     option(
         "--p-obs", type=probabilities, default=_P_OBS, metavar="P,P,…",
-        help="probabilities that an exploration finds its target (default: 0.1,0.2,…,1.0)",
+        help="probabilities to try that one exploration finds its target (default: 0.1,0.2,…,1.0)",
     )  # fmt: skip
     option(
         "--planners",
         metavar="NAME,NAME,…",
-        help="planners; default: all that need no language model",
+        help="planners to compare (default: all, without the language model of --llm)",
     )
-    option("--episodes", type=count, default=1, help="per task and p_obs (default: %(default)s)")
     option(
-        "--jobs", type=count, default=cores(), help="number of processes (default: one per core)"
+        "--episodes", type=count, default=1, metavar="N",
+        help="number of runs for each mission and probability (default: %(default)s)",
+    )  # fmt: skip
+    option(
+        "--jobs",
+        type=count,
+        default=cores(),
+        help="number of processes (default: one for each core)",
     )
     option(
         "--out", type=Path, default=Path("planning-report"), metavar="DIR",
@@ -165,21 +195,23 @@ def _planning(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--llm",
         metavar="URL",
-        help="compare a language model on this OpenAI-compatible server, too",
+        help="also compare the language model of the OpenAI-compatible server at this URL",
     )
     option(
-        "--model", default="default", help="name of the model on the server (default: %(default)s)"
+        "--model",
+        default="default",
+        help="with --llm: the model's name on the server (default: %(default)s)",
     )
     option(
         "--llm-tasks", type=count, default=20, metavar="N",
-        help="number of tasks for the language model (default: %(default)s)",
+        help="with --llm: number of missions for the language model (default: %(default)s)",
     )  # fmt: skip
     planning.set_defaults(handler=lazy_handler("edge.lab.eval.planning.run", "run", lab=True))
 
 
 def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
     translate = kinds.add_parser(
-        "translate", help="evaluate the translation of instructions to formulas"
+        "translate", help="measure how many instructions are translated to the correct formula"
     )
     option = translate.add_argument
     option(
@@ -188,101 +220,120 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
         help="translators to score: grammar, model, auto, llm (default: all but llm)",
     )  # fmt: skip
     option("--url", help="for --backend llm: URL of the OpenAI-compatible server")
-    option("--model", help="for --backend llm: name of the model")
+    option("--model", help="for --backend llm: the model's name on the server")
     option(
         "--constrain", choices=("gbnf", "guided_grammar", "none"), default="none",
-        help="for --backend llm: how the server gets the grammar of the formulas",
+        help="for --backend llm: request field that makes the server answer in the formulas' "
+        "grammar: gbnf (llama.cpp), guided_grammar (vLLM 0.11 or newer), or none: no constraint "
+        "(default: none)",
     )  # fmt: skip
-    option("--limit", type=count, metavar="N", help="at most N instructions of each set")
-    option("--seed", type=int, default=0, help="seed of the benchmark's tasks (default: 0)")
+    option(
+        "--limit", type=count, metavar="N",
+        help="score at most N instructions of each set (default: all)",
+    )  # fmt: skip
+    option("--seed", type=int, default=0, help="seed of the generated instructions (default: 0)")
     option(
         "--lang2ltl", type=Path, metavar="CSV",
-        help="Lang2LTL's symbolic utterances (symbolic_batch12_noperm.csv); without it that set "
-        "is skipped",
+        help="also score Lang2LTL's set: its file symbolic_batch12_noperm.csv (default: skipped)",
     )  # fmt: skip
     option(
         "--clean-up", type=Path, metavar="JSONL",
-        help="people's instructions for a robot in coloured rooms (golden.jsonl of Clean-up World)",
+        help="also score Clean-up World's set, people's instructions for a robot in coloured "
+        "rooms: its file golden.jsonl (default: skipped)",
     )  # fmt: skip
     option(
         "--own", type=Path, metavar="TSV",
-        help="your own sentences: each in double quotes, a tab, and a JSON list of the correct "
-        "formulas ([] in the list: a refusal is correct, too); the first line is a heading",
+        help="also score your own sentences: after a line of headings, each line has a sentence "
+        "in double quotes, a tab, and a JSON list of the correct formulas; [] in the list means "
+        "that a refusal is correct, too",
     )  # fmt: skip
     option(
         "--everyday", type=Path, metavar="JSONL",
-        help="score only these everyday sentences, with questions and orders to learn among them "
-        "(see docs/language.md)",
+        help="score only the everyday sentences of this file, in the format of docs/language.md; "
+        "some are questions or orders to learn",
     )  # fmt: skip
     option(
         "--failures",
         type=Path,
         metavar="FILE",
-        help="write the failures to this file, as JSON lines",
+        help="write the instructions that were translated wrongly to this file, as JSON Lines",
     )
-    option("--out", type=Path, metavar="FILE", help="write the counts to this file, as JSON")
+    option(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="write the numbers of right and wrong translations to this file, as JSON",
+    )
     translate.set_defaults(handler=lazy_handler("edge.lab.eval.translate", "run", lab=True))
 
 
 def _rooms(kinds) -> None:  # type: ignore[no-untyped-def]
     rooms = kinds.add_parser(
         "rooms",
-        help="compare the rooms of the map with those of ProcTHOR houses, and drive to some",
+        help="explore ProcTHOR houses, compare the rooms found with the true ones, drive to some",
     )
     rooms.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     option = rooms.add_argument
     option(
         "--worlds", nargs="+", required=True, metavar="WORLDS",
-        help="houses whose rooms have kinds: FILE.jsonl.gz[0:75]",
+        help="ProcTHOR houses by number: FILE.jsonl.gz[0:75] means houses 0 to 74 of the file",
     )  # fmt: skip
     option(
         "--goals", type=int, default=2, metavar="N",
-        help="drives in each house, each to a room of another kind (default: %(default)s)",
+        help="number of drives in each house, each to a room of another kind (default: "
+        "%(default)s)",
     )  # fmt: skip
     option(
-        "--goals-only", action="store_true", help="do not explore the houses to compare the rooms"
+        "--goals-only", action="store_true", help="only drive to rooms; do not explore and compare"
     )
-    option("--seed", type=int, default=0, help="seed of the starts (default: %(default)s)")
+    option("--seed", type=int, default=0, help="seed of the start poses (default: %(default)s)")
     rooms.set_defaults(handler=lazy_handler("edge.lab.eval.rooms", "run", lab=True))
 
 
 def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
     trajectories = kinds.add_parser(
-        "trajectories", help="evaluate trajectories from instructions (OpenNav IV)"
+        "trajectories", help="measure trajectories made from instructions (section IV of OpenNav)"
     )
     option = trajectories.add_argument
     option(
         "places", nargs="*", default=["streets[0:200]"], metavar="PLACES",
-        help="streets[0:200] (0 to 99 are for tuning), kitti:FOLDER of a SemanticKITTI sequence, "
-        "or house:CONFIG (default: streets[0:200])",
+        help="built-in streets by number (streets[100:200] means 100 to 199; 0 to 99 were used "
+        "for tuning), kitti:FOLDER of a SemanticKITTI sequence, or house:CONFIG, a configuration "
+        "with a simulated house (default: streets[0:200])",
     )  # fmt: skip
     option(
         "--methods", metavar="NAME;NAME;…",
-        help="separated by semicolons: ours; ours, not refined; vlt_code; a_star; with --url also "
-        "llm_tg (default: all)",
+        help="methods to compare, with semicolons between: 'ours; ours, not refined; vlt_code; "
+        "a_star', with --url also llm_tg (default: all)",
     )  # fmt: skip
-    option("--limit", type=count, metavar="N", help="only the first N episodes of each place")
+    option(
+        "--limit",
+        type=count,
+        metavar="N",
+        help="run only the first N episodes of each place (default: all)",
+    )
     option(
         "--detector", metavar="CONFIG",
         help="for kitti:FOLDER: find the objects with the detector and segmenter of this "
-        "configuration, such as kitti (default: take them from the labels)",
+        "configuration, such as kitti (default: take the objects from the labels)",
     )  # fmt: skip
     option(
-        "--url", help="URL of an OpenAI-compatible server, whose model writes instead of the rules"
-    )
-    option("--model", help="name of the model on the server")
+        "--url", help="let the model of the OpenAI-compatible server at this URL write the "
+        "trajectories (default: built-in rules write them)"
+    )  # fmt: skip
+    option("--model", help="with --url: the model's name on the server")
     option(
         "--rounds", type=count, default=4, metavar="N",
-        help="most answers of the model for one episode (default: %(default)s)",
+        help="with --url: most answers of the model for one episode (default: %(default)s)",
     )  # fmt: skip
     option(
         "--time-limit", type=count, default=120, metavar="S",
-        help="time for these answers together, in seconds (default: %(default)s)",
+        help="with --url: most seconds for all answers of one episode (default: %(default)s)",
     )  # fmt: skip
     option(
         "--out", type=Path, default=Path("trajectories"), metavar="DIR",
-        help="folder for outcomes.jsonl, episodes.jsonl and pictures; results there are not run "
-        "again (default: ./%(default)s)",
+        help="folder for outcomes.jsonl, episodes.jsonl and pictures; episodes that have an "
+        "outcome there are not run again (default: ./%(default)s)",
     )  # fmt: skip
     trajectories.set_defaults(
         handler=lazy_handler("edge.lab.eval.trajectories.run", "run", lab=True)

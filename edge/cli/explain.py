@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
 
     drawing = resources.expand(args.draw) if args.draw else None
     if drawing is not None and drawing.suffix not in _DRAWINGS:
-        raise UserError(f"--draw: {drawing}: unknown ending (choices: {', '.join(_DRAWINGS)})")
+        raise UserError(f"--draw: {drawing}: the name must end in {', '.join(_DRAWINGS)}")
     if drawing is not None and drawing.suffix != ".dot":
         require_lab()
     mission = load(args.config).mission
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         spec = prepare(mission, text, formula, args.reading)
     except AmbiguousInstructionError as error:
         several = len(error.readings) > 1
-        ways = f"it can be read in {len(error.readings)} ways" if several else "it may mean this"
+        ways = f"it can be read in {len(error.readings)} ways" if several else "it may mean:"
         print(f"{'ambiguous:' if several else 'not sure:':13}{ways}")
         for doubt in error.doubts:
             print(f"word:        {doubt}")
@@ -78,8 +78,11 @@ def _list(readings: Sequence[str]) -> None:
 def _default_reading(implied: int | None) -> str:
     """Return the reading that is used when nobody can be asked, as the end of a sentence."""
     if implied is None:
-        return "; as mission.instruction it is refused, unless mission.reading is set"
-    return f"; as mission.instruction, ({implied + 1}) is used: it fulfils all the others"
+        return "; without a choice, mission.instruction is refused (key mission.reading)"
+    return (
+        f"; without a choice, mission.instruction gets ({implied + 1}), which fulfils all the "
+        "others"
+    )
 
 
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:

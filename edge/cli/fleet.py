@@ -59,7 +59,7 @@ def show(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps([_data(robot) for robot in robots.values()], indent=2))
     else:
-        print(table(robots.values()) if robots else f"no robot found (at {roster.pattern})")
+        print(table(robots.values()) if robots else f"no robot found (Zenoh keys {roster.pattern})")
     return 0
 
 
@@ -111,7 +111,11 @@ def _watch(args: argparse.Namespace) -> int:
             robots = roster.complete_list()
             if (robots is not None) != online:
                 online = robots is not None
-                _say("the router is back" if online else "the router is gone")
+                _say(
+                    "connected to the router again"
+                    if online
+                    else "no connection to the router; trying again"
+                )
             if robots is not None:
                 before = _changes(before, robots, args.json)
             roster.wait(LOOK_S)
@@ -164,7 +168,7 @@ def ask(args: argparse.Namespace) -> int:
 def _check_names(names: Iterable[str], there: Iterable[str]) -> None:
     if unknown := sorted(set(names) - set(there)):
         raise RequestError(
-            f"fleet: no robot {one_line(unknown[0])!r} (there are: "
+            f"fleet: no robot {one_line(unknown[0])!r} is online (choices: "
             f"{one_line(', '.join(there)) or 'none'})"
         )
 
@@ -179,21 +183,23 @@ def new(args: argparse.Namespace) -> int:
     text = {"formula" if args.formula else "instruction": args.text}
     spec = prepare(limits, **text)
     if spec.translation.repeat is not None:
-        raise UserError("fleet: a mission that repeats is for one robot; send it without --fleet")
+        raise UserError(
+            "fleet: a fleet cannot repeat a mission; send the mission to one robot, without --fleet"
+        )
     named = [] if args.to in (None, [ANY]) else list(dict.fromkeys(args.to))
     if ANY in named:
-        raise UserError(f"fleet: --to: give either {ANY} or names of robots")
+        raise UserError(f"fleet: --to: got {ANY} and names; give either {ANY} or names of robots")
     with open_roster(zenoh) as roster:
         _check_names(named, roster.names())
         mission = plan(spec, limits, roster.ask_status(), named, args.share, args.restart)
         _say(f"mission {mission.id}: {spec.translation.understood}")
         if mission.unsplit_reason:
-            _say(f"not split: {mission.unsplit_reason}; one robot gets all of it")
+            _say(f"mission not divided: {mission.unsplit_reason}; one robot gets the whole mission")
         dispatcher = Dispatcher(roster, mission, _say, args.patience or PATIENCE_S)
         try:
             outcomes = dispatcher.run()
         except KeyboardInterrupt:
-            _say("the robots continue; run the same command again to follow the mission")
+            _say("the robots continue the mission; run the same command again to follow it")
             raise
     print(_result_text(mission, outcomes, dispatcher.ended_ns, args.json))
     reached = all(o.phase == "reached" for o in outcomes.values())
@@ -207,7 +213,7 @@ def _result_text(
     as_json: bool,
 ) -> str:
     """Return the result of the mission and of its parts, as text or JSON."""
-    none = PartOutcome("failed", "", "not begun")
+    none = PartOutcome("failed", "", "no robot started it")
     rows = [(part, outcomes.get(part.id, none), ended_ns.get(part.id)) for part in mission.parts]
     phase = "failed" if any(o.phase == "failed" for _, o, _ in rows) else "reached"
     if as_json:

@@ -28,7 +28,7 @@ from edge.loop.service_health import HANGS_S
 
 UNITS = Path("/etc/systemd/system")
 STATE = Path("/var/lib")
-OF_SYSTEMD = "created by systemd"
+OF_SYSTEMD = "that systemd creates"
 _GROUPS = ("video", "render")
 _HOMES = ("/home", "/root", "/run/user")
 _TEMPORARY = ("/tmp", "/var/tmp")  # PrivateTmp gives the service its own
@@ -47,7 +47,7 @@ _DEVICES = (
 )  # fmt: skip
 
 _UNIT = """\
-# Written by `edge run --install`. After a move write it again; change it with `systemctl edit`.
+# Written by `edge run --install`: run it again after moving files. Change with `systemctl edit`.
 [Unit]
 Description=edge: vision-language navigation ({name})
 Wants=network-online.target
@@ -196,7 +196,8 @@ def _check_there(copied: Mapping[str, Path]) -> None:
     for secret, path in copied.items():
         if not os.path.isfile(path):  # unlike Path.is_file, does not raise without permission
             raise UnavailableError(
-                f"{secret}: {path}: no such file, or only root can see it (use sudo)"
+                f"{secret}: {path}: no such file, or only root can see it; correct the path, or "
+                "run with sudo"
             )
 
 
@@ -205,7 +206,7 @@ def _check_writable(config: Config, at: Path) -> None:
     if checkpoint is not None and not (at / resources.expand(checkpoint)).is_relative_to(at):
         raise UserError(
             f"mission.checkpoint: {checkpoint}: the service can write only below {at}; "
-            "give a path relative to that folder"
+            "give a path relative to this folder"
         )
 
 
@@ -249,21 +250,27 @@ def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
         try:
             found = pwd.getpwnam(user)
         except KeyError:
-            raise UserError(f"--user: {user!r:.80}: no such user on this machine") from None
+            raise UserError(
+                f"--user: no user {user!r:.80} on this machine; create the user, or give another"
+            ) from None
         uid, gids = found.pw_uid, frozenset(os.getgrouplist(user, found.pw_gid))
-    instead = "or run it as yourself with --user" if user is None else "or let that user read it"
+    instead = (
+        "or run the service as yourself with --user" if user is None else f"or let {user} read it"
+    )
     for path in paths:
         for place in (path, path.resolve()):
             if _is_below(place, _TEMPORARY):
                 raise UserError(
-                    f"{place}: the service has a private /tmp and cannot read it; move it elsewhere"
+                    f"{place}: the service has its own /tmp and cannot read this file; move it "
+                    "elsewhere"
                 )
             for step in (*place.parents, place):
                 if not _may_read(step, uid, gids):
                     named, todo = _about(path)
-                    why = "" if step == place else f", who cannot enter {step},"
+                    why = "" if step == place else f", who cannot enter {step}"
                     raise UserError(
-                        f"{named.format(place)}: user {user or OF_SYSTEMD}{why} cannot read it; "
+                        f"{named.format(place)}: cannot be read by the user "
+                        f"{user or OF_SYSTEMD}{why}; "
                         f"{todo}, {instead}"
                     )
 
@@ -279,7 +286,9 @@ def _may_read(path: Path, uid: int | None, gids: frozenset[int]) -> bool:
     try:
         found = path.stat()
     except OSError as error:
-        raise UnavailableError(f"{path}: {error.strerror}") from None
+        raise UnavailableError(
+            f"{path}: cannot be read: {error.strerror}; check the path"
+        ) from None
     need = stat.S_IXOTH if stat.S_ISDIR(found.st_mode) else stat.S_IROTH
     if uid == 0:
         return True

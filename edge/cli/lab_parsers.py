@@ -18,32 +18,34 @@ from edge.cli.options import (
 def add_trajectory(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge trajectory`."""
     trajectory = commands.add_parser(
-        "trajectory", help="make a trajectory from camera, LiDAR and an instruction"
+        "trajectory", help="make a trajectory from one instruction, camera image and LiDAR scan"
     )
     option = trajectory.add_argument
     option(
-        "place", metavar="PLACE", help="folder of a SemanticKITTI sequence, or street:N, the "
-        "built-in street number N"
+        "place", metavar="PLACE", help="folder of a SemanticKITTI sequence, or street:N for "
+        "the built-in street number N"
     )  # fmt: skip
     option("instruction", metavar="WORDS", help="the task in words, such as 'go past the left of "
            "the van, then stop at the bench'")  # fmt: skip
     option(
         "--frames", type=int, nargs="+", default=[], metavar="N",
-        help="frames of the sequence; the robot is at the last one (default: the first frame)",
+        help="numbers of the frames to use; the robot is at the last one (default: the first "
+        "frame)",
     )  # fmt: skip
     option(
         "--objects", choices=("labels", "detector"), default="labels", help="source of the "
-        "objects: labels of the data, or the configured detector (default: %(default)s)"
+        "objects: labels of the data, or the detector of --config (default: %(default)s)"
     )  # fmt: skip
     option("--config", default="street", help=f"{CONFIG} (default: %(default)s)")
     option(
         "--url",
-        help="let a model on this OpenAI-compatible server write the trajectory: http://HOST:PORT/v1",
+        help="let the model of this OpenAI-compatible server write the trajectory, such as "
+        "http://HOST:PORT/v1 (default: built-in rules write it)",
     )
-    option("--model", metavar="NAME", help="name of the model on the server")
+    option("--model", metavar="NAME", help="with --url: the model's name on the server")
     option(
         "--out", default="trajectory", metavar="DIR",
-        help="folder for pictures, page and trajectory (default: ./%(default)s)",
+        help="folder for the trajectory, its pictures and a web page (default: ./%(default)s)",
     )  # fmt: skip
     trajectory.set_defaults(handler=lazy_handler("edge.lab.eval.trial.command", "run", lab=True))
 
@@ -55,7 +57,7 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
     )
     bench.add_argument("config", nargs="?", default="cpu", help=f"{CONFIG} (default: cpu)")
     bench.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the numbers to this file, too"
+        "--json", type=Path, metavar="FILE", help="also write the results to this file, as JSON"
     )
     service = bench.add_argument_group("the service")
     service.add_argument(
@@ -63,35 +65,37 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
         type=positive,
         default=60.0,
         metavar="N",
-        help="duration (default: %(default)g)",
+        help="how long to measure, in s (default: %(default)g)",
     )
     service.add_argument(
-        "--enforce", action="store_true", help="exit with 1 if a number is over its budget"
+        "--enforce", action="store_true", help="return exit code 1 if a result is over its budget"
     )
     service.add_argument(
-        "--calibrate", action="store_true", help="only measure the speed of this computer; budgets "
-        "are then scaled to it"
+        "--calibrate", action="store_true", help="only measure the speed of this computer, and "
+        "save it: later budgets are scaled to it"
     )  # fmt: skip
     service.add_argument(
-        "--recording", metavar="FILE", help="MCAP file to play; default: a simulated run, made on "
-        "first use"
+        "--recording", metavar="FILE", help="MCAP file to play (default: a simulated run, which "
+        "the first `edge bench` makes)"
     )  # fmt: skip
     service.add_argument(
         "--swap",
         metavar="NAME",
-        help="switch to this model halfway, to measure the cost for the loop",
+        help="switch to the detector with this card halfway, to measure how much that slows the "
+        "loop",
     )
     trust_option(bench)
     models = bench.add_argument_group("compare models on the same images").add_argument
     models(
         "--models", nargs="?", const="", metavar="FAMILY",
-        help="compare the models of this family; default: that of the configured detector",
+        help="compare the detectors of this family (default: the family of the configured "
+        "detector)",
     )  # fmt: skip
     models(
         "--images",
         type=Path,
         metavar="DIR",
-        help="folder of images; default: images of a simulated house",
+        help="folder of images (default: images of a simulated house)",
     )
     models(
         "--frames",
@@ -103,10 +107,15 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
     models(
         "--providers",
         metavar="LIST",
-        help="execution providers, comma-separated; default: all available",
+        help="execution providers of onnxruntime, with commas between (default: all available)",
     )
-    models("--threads", type=count, metavar="N", help="CPU threads; default: as configured")
-    models("--update-cards", action="store_true", help="write the numbers into the model cards")
+    models(
+        "--threads", type=count, metavar="N",
+        help="number of CPU threads (default: perception.detector.threads)",
+    )  # fmt: skip
+    models(
+        "--update-cards", action="store_true", help="write the measured times into the model cards"
+    )
     of_models = ("--images", "--providers", "--threads", "--update-cards")
     of_service = ("--enforce", "--calibrate", "--recording", "--swap", "--trust-cache")
     compare, service_ = (
@@ -120,22 +129,27 @@ def add_soak(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge soak`."""
     soak = commands.add_parser(
         "soak",
-        help="run service and simulated robot for hours with injected faults, and check them",
+        help="run the service and a simulated robot for hours, inject faults, and check the "
+        "service",
     )
     soak.add_argument("config", nargs="?", default="soak", help=f"{CONFIG} (default: %(default)s)")
     option = soak.add_argument
     option(
-        "--minutes", type=positive, default=120.0, metavar="N", help="duration (default: 120)"
+        "--minutes", type=positive, default=120.0, metavar="N", help="duration in minutes "
+        "(default: 120)"
     )  # fmt: skip
     option(
-        "--seed", type=seed, default=0, help="seed of faults and missions (default: %(default)s)"
+        "--seed",
+        type=seed,
+        default=0,
+        help="seed of the faults and missions (default: %(default)s)",
     )
     option(
-        "--faults", metavar="NAME,NAME,…", help="inject only these faults (default: all of "
-        "docs/soak.md that the configuration allows)"
+        "--faults", metavar="NAME,NAME,…", help="inject only these faults of docs/soak.md "
+        "(default: all that the configuration allows)"
     )  # fmt: skip
     option(
         "--out", type=Path, default=Path("soak"), metavar="FOLDER",
-        help="folder for record, logs and page (default: ./%(default)s)",
+        help="folder for the recording, logs and a web page (default: ./%(default)s)",
     )  # fmt: skip
     soak.set_defaults(handler=lazy_handler("edge.lab.eval.soak.run", "run", lab=True))

@@ -45,10 +45,10 @@ def check_live_sensors(config: Config, seconds: float) -> list[Finding]:
             finally:
                 source.close()
     except ConnectInterrupted:
-        what = f"no Zenoh router answers at {config.zenoh.address}"
-        return [Finding("fail", what, "start the router, or correct zenoh.endpoint")]
+        what = f"zenoh.endpoint: no Zenoh router answers at {config.zenoh.address}"
+        return [Finding("fail", what, "start the router, or correct the endpoint")]
     except BusError as error:
-        todo = "stop the service that runs there, or see its `/readyz`, `edge/status` or live view"
+        todo = "stop the service that uses the endpoint, or see its `/readyz` or live view instead"
         return [Finding("fail", str(error), todo)]
     finally:
         timer.cancel()
@@ -92,8 +92,13 @@ class _Heard:
         for row in rows:
             yield from _input(row)
         if self._newest is None:
-            why = missing_inputs(rows) or "no frame has all the inputs that it needs"
-            yield Finding("fail", f"no observation: {why}", "see docs/robot.md, step 5")
+            why = (
+                missing_inputs(rows)
+                or "no frame has image, depth or cloud, and pose of the same time"
+            )
+            yield Finding(
+                "fail", f"sensors give no observation: {why}", "see docs/robot.md, step 5"
+            )
             return
         yield from _stamps(float(np.median(self._age_s)), float(np.median(self._lag_s)))
         yield from self._mounts(self._newest)
@@ -117,14 +122,14 @@ class _Heard:
 
     def _floor(self) -> Iterator[Finding]:
         if not self._lowest_m:
-            yield Finding("ok", "floor: not checked, no sensor looks down at it")
+            yield Finding("ok", "floor: not checked, because no sensor looks down at the floor")
             return
         lowest_m = float(np.median(self._lowest_m))
-        what = f"floor: measured at {lowest_m:+.2f} m, expected at 0 m"
+        what = f"floor: measured at {lowest_m:+.2f} m in the base frame, expected at 0 m"
         if abs(lowest_m) <= _FLOOR_M:
             yield Finding("ok", what)
         else:
-            todo = "correct height and pitch of the mount, the base frame or the depth unit"
+            todo = "correct height and pitch of the sensor mount, the base frame or the depth unit"
             yield Finding("warn", what, f"{todo}; or point the sensor at open floor")
 
 
@@ -134,34 +139,41 @@ def _input(row: InputStatus) -> Iterator[Finding]:
         return
     if row.state == "missing":
         level: Level = "fail" if row.needed else "ok"
-        todo = "start its sender, or correct its key or topic name" if row.needed else ""
+        todo = (
+            "start the driver that sends it, or correct the key or topic name" if row.needed else ""
+        )
         yield Finding(level, f"{row}: no message", todo)
         return
     rate = f"{row}: {row.hz:g} Hz" if row.expected_hz else f"{row}: {row.received} messages"
     if row.is_lacking:
-        todo = "see the reason; docs/robot.md, step 5" if row.why else "it has stopped: restart it"
+        todo = "see docs/robot.md, step 5" if row.why else "restart the driver that sends it"
         yield Finding("fail", f"{rate}, {row.state}{row.why and f': {row.why}'}", todo)
         return
     expected = row.expected_hz
     if expected and not _SLOW * expected <= row.hz <= _FAST * expected:
-        todo = "correct its rate under sensors, or the rate of the driver"
+        todo = "correct the rate of the driver, or the rate under sensors in the configuration"
         yield Finding("warn", f"{rate}, configured: {expected:g} Hz", todo)
     else:
         yield Finding("ok", rate)
     for reason, n in row.dropped.items():
         if reason != "superseded" and n > _DROPPED * row.received:
             share = n / max(row.received, 1)
-            yield Finding("warn", f"{row}: {share:.0%} dropped: {reason}", "see the log above")
+            yield Finding(
+                "warn", f"{row}: {share:.0%} dropped: {reason}", "see the log lines above"
+            )
 
 
 def _stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
-    what = f"stamps: frames are {age_s:.2f} s old when they are used"
+    what = f"stamps: frames are {age_s:.2f} s old when the service gets them"
     if -_AHEAD_S <= age_s <= _OLD_S:
         yield Finding("ok", what)
     else:
-        todo = "synchronise the clocks (chrony), or speed up the driver or the link"
+        todo = (
+            "synchronise the clocks of the computers (chrony), or speed up the driver or the "
+            "network"
+        )
         yield Finding("warn", what, todo)
-    yield Finding("ok", f"poses: the newest is {lag_s:.2f} s newer than the frame")
+    yield Finding("ok", f"poses: the newest pose is {lag_s:.2f} s newer than the newest frame")
 
 
 def _mounted(T_base_sensor: np.ndarray, axis: np.ndarray) -> str:

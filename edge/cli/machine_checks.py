@@ -63,7 +63,7 @@ def check_python(config: Config) -> Iterator[Finding]:
         yield Finding("ok", what)
     else:
         low, high = (".".join(map(str, v)) for v in (PYTHON_FROM, PYTHON_BELOW))
-        yield Finding("fail", what, f"install Python >= {low}, < {high}")
+        yield Finding("fail", f"{what} is not supported", f"install Python >= {low}, < {high}")
 
 
 def check_cores(config: Config) -> Iterator[Finding]:
@@ -71,17 +71,17 @@ def check_cores(config: Config) -> Iterator[Finding]:
     if cores >= MIN_CORES:
         yield Finding("ok", f"{cores} CPU cores")
     else:
-        todo = f"use at least {MIN_CORES}: a detector on the CPU will make ticks late"
+        todo = f"use at least {MIN_CORES} cores: with 1, a detector on the CPU delays the ticks"
         yield Finding("warn", f"{cores} CPU core", todo)
 
 
 def check_speed(config: Config) -> Iterator[Finding]:
     kept = calibration.load()
     if kept is not None:
-        yield Finding("ok", f"{kept.machine}: {kept}")
+        yield Finding("ok", f"speed of {kept.machine}: {kept}")
     else:
-        todo = f"{calibration.HINT}; until then reports show deadlines, not budgets"
-        yield Finding("warn", "the speed of this computer was not measured yet", todo)
+        todo = f"{calibration.HINT}; until then reports compare with deadlines, not with budgets"
+        yield Finding("warn", "the speed of this computer is not measured yet", todo)
 
 
 def check_packages(config: Config) -> Iterator[Finding]:
@@ -91,7 +91,7 @@ def check_packages(config: Config) -> Iterator[Finding]:
         try:
             versions.append(f"{module} {import_module(module).__version__}")
         except ImportError as error:
-            todo = "reinstall edge-vln and its dependencies"
+            todo = "reinstall edge-vln and all its dependencies"
             yield Finding("fail", f"{module} cannot be imported: {error}", todo)
     if versions:
         yield Finding("ok", ", ".join(versions))
@@ -102,7 +102,7 @@ def check_opencv(config: Config) -> Iterator[Finding]:
     found = [name for name in OPENCV if _is_installed(name)]
     if len(found) > 1:
         todo = f"pip uninstall {' '.join(found)}, then pip install {OPENCV[0]}"
-        yield Finding("warn", f"{' and '.join(found)} overwrite each other", todo)
+        yield Finding("warn", f"{' and '.join(found)} overwrite each other's files", todo)
 
 
 def _is_installed(package: str) -> bool:
@@ -123,24 +123,31 @@ def check_jetson(config: Config) -> Iterator[Finding]:
         yield Finding("ok", f"Jetson: {name}")
     else:
         todo = (
-            "onnxruntime cannot use its GPU: set perception.detector.providers to [tensorrt], or "
-            "install NVIDIA's onnxruntime-gpu for this JetPack (docs/install.md)"
+            "set perception.detector.providers to [tensorrt], or install NVIDIA's onnxruntime-gpu "
+            "for this JetPack (docs/install.md)"
         )
-        yield Finding("warn", f"Jetson: {name}", todo)
+        yield Finding("warn", f"Jetson: {name}: onnxruntime cannot use the GPU", todo)
 
 
 def check_shared_memory(config: Config) -> Iterator[Finding]:
     if not config.zenoh.shared_memory:
         return
     if not SHM.is_dir():
-        yield Finding("warn", f"{SHM} does not exist", "mount it; until then images go over TCP")
+        yield Finding(
+            "warn",
+            f"shared memory: {SHM} does not exist",
+            f"mount {SHM}; until then images go over TCP",
+        )
         return
     size_mb = shutil.disk_usage(SHM).total // _MB
     if size_mb >= MIN_SHM_MB:
-        yield Finding("ok", f"shared memory: {size_mb} MB in {SHM}")
+        yield Finding("ok", f"shared memory: {SHM} has {size_mb} MB")
     else:
-        todo = "images may not fit: docker run --shm-size=256m (or --ipc=host)"
-        yield Finding("warn", f"shared memory: {size_mb} MB in {SHM}", todo)
+        todo = (
+            f"give {SHM} at least {MIN_SHM_MB} MB, else images may not fit (docker run "
+            "--shm-size=256m or --ipc=host)"
+        )
+        yield Finding("warn", f"shared memory: {SHM} has {size_mb} MB", todo)
 
 
 def check_cache(config: Config) -> Iterator[Finding]:
@@ -149,12 +156,12 @@ def check_cache(config: Config) -> Iterator[Finding]:
         make_writable(path)
     except OSError as error:
         todo, reason = "set EDGE_CACHE_DIR to another folder", error.strerror or error
-        yield Finding("warn", f"cache {path} cannot be written: {reason}", todo)
+        yield Finding("warn", f"cache folder {path} cannot be written: {reason}", todo)
         return
     free_mb = shutil.disk_usage(path).free // _MB
     level: Level = "ok" if free_mb >= MIN_FREE_MB else "warn"
-    todo = "" if level == "ok" else f"models and recordings need {MIN_FREE_MB} MB: free some space"
-    yield Finding(level, f"cache {path}: writable, {free_mb} MB free", todo)
+    todo = "" if level == "ok" else f"free some space: models and recordings need {MIN_FREE_MB} MB"
+    yield Finding(level, f"cache folder {path}: {free_mb} MB free", todo)
 
 
 def _probe(a: int, b: int) -> int:
@@ -168,14 +175,22 @@ def check_numba(config: Config) -> Iterator[Finding]:
     before = time.perf_counter()
     kernel = numba.njit(nogil=True)(_probe)
     if kernel(2, 3) != 5:
-        yield Finding("fail", f"numba {numba.__version__} computes wrongly", "reinstall numba")
+        yield Finding(
+            "fail",
+            f"numba {numba.__version__}: a compiled function returns a wrong result",
+            "reinstall numba",
+        )
         return
     took_s = time.perf_counter() - before
-    yield Finding("ok", f"numba {numba.__version__} compiles ({took_s:.1f} s)")
+    yield Finding(
+        "ok", f"numba {numba.__version__} works: compiled a test function in {took_s:.1f} s"
+    )
     try:
         path = Path(numba.njit(cache=True)(_probe).stats.cache_path)
     except RuntimeError:
-        todo = "set NUMBA_CACHE_DIR to a writable folder, else every start compiles them again"
-        yield Finding("warn", "numba has no folder for compiled kernels", todo)
+        todo = (
+            "set NUMBA_CACHE_DIR to a writable folder, else every start compiles all kernels again"
+        )
+        yield Finding("warn", "numba finds no writable folder for compiled kernels", todo)
         return
-    yield Finding("ok", f"numba keeps compiled kernels in {path}")
+    yield Finding("ok", f"numba stores compiled kernels in {path}")

@@ -44,7 +44,7 @@ def main(argv: list[str] | None = None) -> int:
     args = make_parser().parse_args(argv)
     setup(args.log_level, args.log_json)
     for warning in renamed:
-        log.warning("%s; the next release drops the old name", warning)
+        log.warning("%s; the next release no longer knows the old name", warning)
     # Python's last garbage collection at exit takes 0.3 s in a service.
     atexit.register(gc.freeze)
     if args.trust_cache:  # set in the environment, so that model processes inherit it
@@ -74,12 +74,12 @@ def _outcome(args: argparse.Namespace) -> int:
         where = error.filename or "unnamed file, device or connection"
         reason = error.strerror or error
         log.exception(
-            "input or output failed: %s: %s; check that it exists, its permissions and the free "
-            "disk space", where, reason,
+            "%s: input or output failed: %s; check the path, its permissions and the free disk "
+            "space", where, reason,
         )  # fmt: skip
         return os.EX_IOERR
     except Exception:
-        log.exception("internal error of edge: please report it with this traceback")
+        log.exception("internal error of edge; please report it with this traceback")
         return os.EX_SOFTWARE
 
 

@@ -15,31 +15,41 @@ from edge.cli.service_request import add_action, connected
 
 def add(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge memory`."""
-    memory = commands.add_parser("memory", help="where a running service has seen what")
+    memory = commands.add_parser(
+        "memory", help="show which objects a running service has seen, and where"
+    )
     actions = memory.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
     for do, text in (
-        ("find", "where is it?"),
+        ("find", "show where an object was seen"),
         ("list", "list all known objects"),
         ("export", "write all known objects as JSON, or the whole memory as GeoJSON"),
         ("crop", "write the picture of an object, as JPEG"),
     ):
         action = add_action(actions, do, text, "edge.cli.memory")
         if do == "crop":
-            action.add_argument("id", type=int, help="number of the object, from `list`")
+            action.add_argument("id", type=int, help="number of the object, as `list` shows it")
         if do != "list":
-            action.add_argument("name" if do == "find" else "file")
+            name, text = (
+                ("name", "name of the object") if do == "find" else ("file", "file to write")
+            )
+            action.add_argument(name, help=text)
         if do == "export":
             action.add_argument(
                 "--geojson",
                 action="store_true",
-                help="write objects, rooms, places and zones as GeoJSON",
+                help="write objects, rooms, places and zones as GeoJSON (default: objects as JSON)",
             )
         if do in ("find", "list"):
-            action.add_argument("--json", action="store_true", help="print JSON")
+            action.add_argument("--json", action="store_true", help="print the objects as JSON")
         if do != "crop":
-            action.add_argument("--room", help="only objects in this room")
             action.add_argument(
-                "--since", type=float, metavar="S", help="only objects seen in the last S seconds"
+                "--room", help="only objects in the room with this name (default: all rooms)"
+            )
+            action.add_argument(
+                "--since",
+                type=float,
+                metavar="S",
+                help="only objects seen in the last S seconds (default: all)",
             )
 
 

@@ -19,13 +19,17 @@ _ROW_CHARS = 1000
 NEW_S = 120.0  # a language model may be asked twice, and the mission compiled
 
 PATIENCE_S = 10.0
-_TEXT = {"help": "instruction in words, for mission.translator of the configuration"}
-_ROBOTS = {"nargs": "*", "metavar": "ROBOT", "help": "with --fleet: names of robots; default: all"}
+_TEXT = {"help": "instruction in words, such as 'find the sofa, then the bed'"}
+_ROBOTS = {
+    "nargs": "*",
+    "metavar": "ROBOT",
+    "help": "with --fleet: names of the robots (default: all)",
+}
 
 _VERBS = {
-    "new": "start a mission, in place of the running one",
-    "pause": "stop the robot, and keep the mission",
-    "resume": "continue after a pause",
+    "new": "start a mission; it replaces the running one",
+    "pause": "stop the robot, and keep the mission for `resume`",
+    "resume": "continue the paused mission",
     "cancel": "end the running mission",
     "status": "show the state of the mission",
 }
@@ -38,17 +42,18 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
         is_new = verb == "new"
         action = actions.add_parser(verb, help=text)
         option = action.add_argument
-        option("config", help=f"{CONFIG}; with --fleet {WHERE}")
+        option("config", help=f"{CONFIG}; with --fleet: {WHERE}")
         option("text" if is_new else "robots", **_TEXT if is_new else _ROBOTS)
         option(
             "--timeout", type=_seconds, metavar="S",
-            help=f"time to wait for the answer (default: {NEW_S if is_new else ANSWER_S:g})",
+            help="how long to wait for the answer, in s (default: "
+            f"{NEW_S if is_new else ANSWER_S:g})",
         )  # fmt: skip
         option("--json", action="store_true", help="print the answer as JSON")
         option(
             "--fleet",
             action="store_true",
-            help="send it to the robots of a fleet, not to one service",
+            help="send the request to the robots of a fleet (default: to one service)",
         )
         alone, of_fleet = ((), ("--robots",)) if not is_new else _add_new(action)
         function = lazy_handler("edge.cli.fleet", "new" if is_new else "ask")
@@ -59,36 +64,45 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
 def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Add the options of `new`; return those only without `--fleet`, and those only with it."""
     kind = action.add_mutually_exclusive_group()
-    kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
-    kind.add_argument("--task", action="store_true", help="TEXT describes a path to drive")
+    kind.add_argument("--formula", action="store_true", help="read the text as a formula (LTL)")
+    kind.add_argument(
+        "--task", action="store_true", help="read the text as a description of a path to drive"
+    )
     add_reading(kind)
     action.add_argument(
-        "--rounds", type=count, metavar="N", help="repeat the mission this many times"
+        "--rounds", type=count, metavar="N", help="do the mission N times (default: once)"
     )
     action.add_argument(
-        "--for", dest="for_s", type=positive, metavar="S", help="repeat it for so many seconds"
+        "--for",
+        dest="for_s",
+        type=positive,
+        metavar="S",
+        help="repeat the mission for S seconds (default: once)",
     )
     action.add_argument(
         "--from-pose", type=pose, metavar="X,Y,DEG",
-        help="where the caller is, for `come here`: metres in map and heading in degrees",
+        help="position of the person for instructions such as `come here`: x and y in the map "
+        "frame in m, heading in degrees",
     )  # fmt: skip
     fleet = action.add_argument_group("with --fleet")
     whom = fleet.add_mutually_exclusive_group()
     whom.add_argument(
-        "--to", nargs="+", metavar="ROBOT", help="send the whole mission to each of these robots; "
-        "default: `any`, the free robot that knows most of the objects and is nearest to them",
+        "--to", nargs="+", metavar="ROBOT", help="send the whole mission to each of these robots "
+        "(default: `any`, the free robot that knows most of the objects and is nearest to them)",
     )  # fmt: skip
     whom.add_argument(
-        "--share", action="store_true", help="divide the mission among several robots, if possible"
+        "--share",
+        action="store_true",
+        help="divide the mission among several robots, if its parts are independent",
     )
     fleet.add_argument(
         "--restart",
         action="store_true",
-        help="start again, although the same mission is still running",
+        help="start the mission again, although it still runs (default: follow the running one)",
     )
     fleet.add_argument(
-        "--patience", type=positive, metavar="S", help="time to wait for a lost robot before "
-        f"another one gets its part (default: {PATIENCE_S:g})",
+        "--patience", type=positive, metavar="S", help="give the part of a lost robot to "
+        f"another one after S seconds (default: {PATIENCE_S:g})",
     )  # fmt: skip
     return ("--task", "--reading", "--from-pose", "--rounds", "--for", "--timeout"), (
         "--to",
@@ -102,7 +116,8 @@ def add_reading(parser) -> None:  # type: ignore[no-untyped-def]
     """Add the option that chooses a reading of an ambiguous instruction."""
     parser.add_argument(
         "--reading", type=count, metavar="N",
-        help="number of the reading that is meant, if the instruction is ambiguous",
+        help="for an ambiguous instruction: number of the reading to use, as `edge mission "
+        "explain` lists them (default: refuse the instruction)",
     )  # fmt: skip
 
 
@@ -255,5 +270,5 @@ _ROWS: dict[str, Callable[[dict], str]] = {
 def _seconds(text: str) -> float:
     value = float(text)
     if not 0 < value <= 3600:
-        raise argparse.ArgumentTypeError(f"must be in (0, 3600], got {text}")
+        raise argparse.ArgumentTypeError(f"expected seconds, above 0 and at most 3600, got {text}")
     return value

@@ -12,7 +12,9 @@ _CARD = "name of a model card, as `edge models list` shows it"
 
 def add(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge models` and its actions."""
-    models = commands.add_parser("models", help="list, check, download, export and switch models")
+    models = commands.add_parser(
+        "models", help="list, check, download, export or switch neural models"
+    )
     actions = models.add_subparsers(required=True, metavar="ACTION", title="actions")
     for name, (text, add_to) in _ACTIONS.items():
         add_to(actions.add_parser(name, help=text, description=text))
@@ -20,17 +22,20 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
 
 def _list(action: argparse.ArgumentParser) -> None:
     option = action.add_argument
-    option("name", nargs="?", help=f"{_CARD}; default: all")
+    option("name", nargs="?", help=f"{_CARD} (default: all)")
     option("--json", action="store_true", help="print the cards as JSON")
     option(
         "--check",
         action="store_true",
-        help="check the hash and interface of each file, and run it once",
+        help="check the hash, inputs and outputs of each model file, and run the file once",
     )
-    option("--file", type=Path, help="with --check: check this file against the card")
+    option(
+        "--file", type=Path,
+        help="with --check: check this file (default: the file that the card names)",
+    )  # fmt: skip
     option(
         "--timeout", type=positive, default=120.0, metavar="S",
-        help="with --check: time for each model before it is killed (default: %(default)g)",
+        help="with --check: most seconds for each model (default: %(default)g)",
     )  # fmt: skip
     check, show = (
         lazy_handler("edge.models.check", "run"),
@@ -43,9 +48,11 @@ def _pull(action: argparse.ArgumentParser) -> None:
     action.add_argument("name", help=_CARD)
     action.add_argument(
         "--from", dest="places", action="append", default=[], metavar="PLACE",
-        help="file, folder or URL to try before the sources of the card; may be repeated",
+        help="file, folder or URL to fetch from before the card's own sources; may be repeated",
     )  # fmt: skip
-    action.add_argument("--offline", action="store_true", help="do not use the network")
+    action.add_argument(
+        "--offline", action="store_true", help="fetch only from files and folders, not from URLs"
+    )
     action.set_defaults(handler=lazy_handler("edge.models.pull", "run"))
 
 
@@ -54,32 +61,36 @@ def _export(action: argparse.ArgumentParser) -> None:
     option("name", help=f"{_CARD}; if --weights is a folder: name of the new card")
     option(
         "--weights", type=Path, metavar="FILE",
-        help="weights: a .pt file, or a model folder of Hugging Face; default: as pulled",
+        help="weights to export: a .pt file, or a model folder of Hugging Face (default: those "
+        "that `edge models pull` fetched)",
     )  # fmt: skip
     option(
         "--quantize", action="store_true",
-        help="quantize the FP32 file on this machine (extra `quantize`)",
+        help="make the model from its FP32 file by quantization (needs edge-vln[quantize])",
     )  # fmt: skip
     option(
-        "--precision", nargs="+", metavar="P", help="precision of CLIP or SigLIP (default: fp32), "
-        "or with --quantize of a vision-language model (default: q4)",
+        "--precision", nargs="+", metavar="P", help="precisions to make: of CLIP or SigLIP "
+        "(default: fp32), or with --quantize of a vision-language model (default: q4)",
     )  # fmt: skip
-    option("--family", help="with a folder: family of the new cards (default: NAME)")
-    option("--license", help="with a folder: license of the model; default: that of its README.md")
+    option("--family", help="with a folder as --weights: family of the new cards (default: NAME)")
+    option(
+        "--license",
+        help="with a folder as --weights: license of the model (default: that of its README.md)",
+    )
     option(
         "--calibration",
         type=Path,
         metavar="DIR",
-        help="folder of calibration images (not for fp32)",
+        help="folder of images to calibrate the quantization with (fp32 needs none)",
     )
     option(
-        "--vocabulary", type=Path, help="file of text embeddings (.npz); default with "
-        "--quantize: that of `edge run`",
+        "--vocabulary", type=Path, help="file of text embeddings (.npz) (default with "
+        "--quantize: the one that `edge run` uses)",
     )  # fmt: skip
     option(
         "--no-gate",
         action="store_true",
-        help="keep the model even if it differs too much from its reference",
+        help="keep the model even if its outputs differ too much from the original's",
     )
     export, quantize = (
         lazy_handler("edge.models.make", "export"),
@@ -95,18 +106,18 @@ def _use(action: argparse.ArgumentParser) -> None:
     action.add_argument(
         "--force",
         action="store_true",
-        help="switch even if the model is too slow or finds too few boxes",
+        help="switch even if the new model is too slow or finds too few objects",
     )
     action.add_argument(
         "--timeout", type=positive, default=600.0, metavar="S",
-        help="time to wait for the switch (default: %(default)g)",
+        help="how long to wait for the switch, in s (default: %(default)g)",
     )  # fmt: skip
     action.set_defaults(handler=lazy_handler("edge.models.use", "run"))
 
 
 _ACTIONS = {
     "list": ("list the model cards and their files, or check the files", _list),
-    "pull": ("download a model, or the weights to export it from", _pull),
-    "export": ("export a model file from weights (extra `export`), or quantize one", _export),
+    "pull": ("download a model file, or the weights to export it from", _pull),
+    "export": ("make a model file from weights (edge-vln[export]), or quantize one", _export),
     "use": ("switch the model of a running service", _use),
 }

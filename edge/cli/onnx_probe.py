@@ -93,7 +93,7 @@ def _steps() -> Iterator[dict[str, Any]]:
             continue
         session = ort.InferenceSession(path, providers=[provider], enable_fallback=0)
         if provider not in session.get_providers():
-            raise RuntimeError("it did not start; check the driver")
+            raise RuntimeError(f"{provider} is installed but did not start; check the GPU driver")
         feeds = {
             given.name: np.zeros(
                 [n if isinstance(n, int) else 1 for n in given.shape],

@@ -15,8 +15,8 @@ Handler = Callable[[argparse.Namespace], int]
 
 CONFIG = "YAML file, or the name of a built-in configuration, such as demo or turtlebot4"
 WHERE = (
-    "a configuration whose section zenoh reaches the fleet's router; or the router's endpoint, "
-    "such as tcp/10.0.0.1:7447, if the robots' prefixes are robots/NAME"
+    "a configuration whose zenoh.endpoint is the fleet's router, or that endpoint itself, such as "
+    "tcp/10.0.0.1:7447 (for robots with zenoh.prefix robots/NAME)"
 )
 """Help of the argument that names the router of a fleet."""
 
@@ -62,7 +62,9 @@ def dispatch_on_option(
                  if value not in (None, False, [])}  # fmt: skip
         is_on = not given.isdisjoint(option.split(" or "))
         if wrong := given.intersection(off_only if is_on else on_only):
-            parser.error(f"{min(wrong)}: {'not' if is_on else 'only'} with {option}")
+            parser.error(
+                f"{min(wrong)}: {'not allowed' if is_on else 'allowed only'} with {option}"
+            )
         return (on if is_on else off)(args)
 
     parser.set_defaults(handler=handler)
@@ -71,7 +73,7 @@ def dispatch_on_option(
 
 def trust_option(command: argparse.ArgumentParser) -> None:
     """Add `--trust-cache`."""
-    text = "do not verify the hash of model files that have not changed since the last check"
+    text = "start faster: skip the hash check of model files unchanged since their last check"
     command.add_argument("--trust-cache", action="store_true", help=text)
 
 
@@ -80,7 +82,8 @@ def require_lab() -> None:
     missing = [name for name in LAB_PACKAGES if find_spec(name) is None]
     if missing:
         raise UnavailableError(
-            f"{', '.join(missing)}: not installed; run: pip install 'edge-vln[lab]'"
+            f"{', '.join(missing)}: not installed, but needed by this command; run: pip install "
+            "'edge-vln[lab]'"
         )
 
 
@@ -88,7 +91,7 @@ def positive(text: str) -> float:
     """Parse a positive number."""
     value = float(text)
     if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be positive, got {text}")
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
     return value
 
 
@@ -96,7 +99,7 @@ def count(text: str) -> int:
     """Parse a whole number of at least 1."""
     value = int(text)
     if value < 1:
-        raise argparse.ArgumentTypeError(f"must be at least 1, got {text}")
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1, got {text}")
     return value
 
 
@@ -104,7 +107,7 @@ def port(text: str) -> int:
     """Parse a TCP port."""
     number = int(text)
     if not 1 <= number <= 65535:
-        raise argparse.ArgumentTypeError(f"must be a port from 1 to 65535, got {text}")
+        raise argparse.ArgumentTypeError(f"expected a port from 1 to 65535, got {text}")
     return number
 
 
@@ -113,10 +116,14 @@ def probabilities(text: str) -> tuple[float, ...]:
     try:
         values = tuple(dict.fromkeys(round(float(part), 6) for part in text.split(",")))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"expected numbers such as 0.5,1, got {text!r}") from None
+        raise argparse.ArgumentTypeError(
+            f"expected probabilities such as 0.5,1, got {text!r}"
+        ) from None
     for value in values:
         if not 0 < value <= 1:
-            raise argparse.ArgumentTypeError(f"must be above 0 and at most 1, got {value:g}")
+            raise argparse.ArgumentTypeError(
+                f"expected probabilities above 0 and at most 1, got {value:g}"
+            )
     return values
 
 
@@ -124,7 +131,7 @@ def share(text: str) -> float:
     """Parse a share from 0 to 1."""
     value = float(text)
     if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"must be between 0 and 1, got {text}")
+        raise argparse.ArgumentTypeError(f"expected a number from 0 to 1, got {text}")
     return value
 
 
@@ -132,14 +139,16 @@ def seed(text: str) -> int:
     """Parse the seed of a random number generator."""
     value = int(text)
     if not 0 <= value < 1 << 63:
-        raise argparse.ArgumentTypeError(f"must be between 0 and 2**63 - 1, got {text}")
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0 to 2**63 - 1, got {text}")
     return value
 
 
 def unit_name(text: str) -> str:
     """Parse a name that is valid for a systemd unit and its folders."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", text):
-        raise argparse.ArgumentTypeError(f"expected letters, digits, - and _, got {text!r}")
+        raise argparse.ArgumentTypeError(
+            f"expected 1 to 64 letters, digits, - and _ (first a letter or digit), got {text!r}"
+        )
     return text
 
 

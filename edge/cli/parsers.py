@@ -26,14 +26,14 @@ from edge.cli.options import (
 from edge.errors import EXIT_CODES
 from edge.logs import add_arguments
 
-_TARGET = "object to find, instead of mission.target"
+_TARGET = "mission: find this object, instead of mission.target of the configuration"
 
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of `edge`."""
     parser = _Parser(
         prog="edge", epilog=_exit_codes(), formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Run the service, simulate a robot, manage models, measure.",
+        description="Run the navigation service or a simulated robot, manage models, measure.",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"edge {__version__}")
     parser.set_defaults(trust_cache=False)
@@ -79,29 +79,34 @@ def _exit_codes() -> str:
 
 def _run(commands) -> None:  # type: ignore[no-untyped-def]
     run = commands.add_parser(
-        "run", help="run the service with the sensors of a robot or simulator"
+        "run", help="run the service for a robot or simulator that is already running"
     )
     run.add_argument("config", help=CONFIG)
     _what(run)
-    run.add_argument("--once", action="store_true", help="exit when the mission is over")
+    run.add_argument(
+        "--once",
+        action="store_true",
+        help="exit when the mission has ended (default: keep running)",
+    )
     run.add_argument(
         "--report",
         metavar="DIR",
-        help="write a report (page and picture) to this folder at the end",
+        help="at the end, write a report (web page and picture) to this folder (default: no "
+        "report)",
     )
     trust_option(run)
     _with_parent(run)
     install = run.add_argument_group("install as a systemd service that starts at boot")
     install.add_argument(
-        "--install", action="store_true", help="write the systemd unit; do not run the service now"
+        "--install", action="store_true", help="write the systemd unit; do not start the service"
     )
     install.add_argument("--name", type=unit_name, help="name of the unit (default: edge)")
     install.add_argument(
-        "--user", help="user of the service; default: a dynamic user of systemd, which cannot read "
-        "home folders"
+        "--user", help="user that runs the service (default: one that systemd creates, which "
+        "cannot read home folders)"
     )  # fmt: skip
     install.add_argument(
-        "--out", metavar="FILE", help="file of the unit; `-` prints it (default: "
+        "--out", metavar="FILE", help="file to write the unit to; `-` prints it (default: "
         "/etc/systemd/system/NAME.service, which needs root)"
     )  # fmt: skip
     of_run = ("--target", "--mission", "--formula", "--task", "--once", "--report")
@@ -113,14 +118,19 @@ def _run(commands) -> None:  # type: ignore[no-untyped-def]
 
 
 def _demo(commands) -> None:  # type: ignore[no-untyped-def]
-    text = "run simulator, controller and service in the built-in house"
+    text = "run the service with a simulated robot in a built-in house"
     demo = commands.add_parser("demo", help=text)
     demo.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     _what(demo)
-    text = "policy to use (policy.kind); the configuration demo adds the scorer that it needs"
+    text = (
+        "use this policy (policy.kind); with the configuration demo, also the scorer that it needs"
+    )
     demo.add_argument("--policy", metavar="KIND", help=text)
     demo.add_argument(
-        "--report", metavar="DIR", default="report", help="folder of the report (default: ./report)"
+        "--report",
+        metavar="DIR",
+        default="report",
+        help="folder for the report (default: ./report)",
     )
     _live(demo)
     demo.set_defaults(handler=lazy_handler("edge.cli.main", "demo"))
@@ -130,30 +140,32 @@ def _what(command: argparse.ArgumentParser) -> None:
     """Add the options of the mission. Without one, configuration or checkpoint decide."""
     what = command.add_mutually_exclusive_group()
     what.add_argument("--target", metavar="NAME", help=_TARGET)
-    what.add_argument("--mission", metavar="TEXT", help="mission: an instruction in words")
-    what.add_argument("--formula", metavar="LTL", help="mission: a formula (linear temporal logic)")
-    text = "path in words, such as 'go around the left of the sofa, then stop at the desk'"
+    what.add_argument("--mission", metavar="TEXT", help="mission: this instruction in words")
+    what.add_argument(
+        "--formula", metavar="LTL", help="mission: this formula of linear temporal logic (LTL)"
+    )
+    text = "mission: drive as told, such as 'go around the left of the sofa, then stop at the desk'"
     what.add_argument("--task", metavar="TEXT", help=text)
     mission.add_reading(command)
 
 
 def _live(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--live", metavar="PORT", nargs="?", type=port, const=0, help="serve a live view until "
-        "Ctrl-C, on this port (default: http.port, else 7480, or a free port if that is in "
-        "use)",
+        "--live", metavar="PORT", nargs="?", type=port, const=0, help="serve a live view on "
+        "this port until Ctrl-C (default port: http.port, else 7480, else a free one; default: no "
+        "live view)",
     )  # fmt: skip
     trust_option(command)
 
 
 def _sim(commands) -> None:  # type: ignore[no-untyped-def]
-    sim = commands.add_parser("sim", help="run the simulated robot and the reference controller")
+    sim = commands.add_parser("sim", help="run a simulated robot and the reference controller")
     sim.add_argument("config", help=CONFIG)
     which = sim.add_mutually_exclusive_group()
     which.add_argument(
         "--no-motion",
         action="store_true",
-        help="without the reference controller, for use with another one",
+        help="run only the simulated robot, for a controller of your own",
     )
     which.add_argument(
         "--motion-only", action="store_true", help="run only the reference controller"
@@ -168,27 +180,31 @@ def _with_parent(command: argparse.ArgumentParser) -> None:
 
 
 def _config(commands) -> None:  # type: ignore[no-untyped-def]
-    config = commands.add_parser("config", help="check a configuration and print it")
+    config = commands.add_parser(
+        "config", help="print a configuration with its defaults, and check it"
+    )
     config.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     config.add_argument(
-        "--schema", action="store_true", help="print the JSON Schema, which describes all keys"
+        "--schema", action="store_true", help="print the JSON Schema of all keys; check nothing"
     )
     config.set_defaults(handler=lazy_handler("edge.cli.main", "config"))
 
 
 def _mission(commands) -> None:  # type: ignore[no-untyped-def]
     parser = commands.add_parser(
-        "mission", help="control the mission of a running service, or explain one"
+        "mission", help="start, pause, end or show a mission of a running service, or explain one"
     )
     actions = mission.add_arguments(parser)
     explain = actions.add_parser("explain", help="show how a mission is understood and planned")
-    explain.add_argument("text", help="instruction in words")
+    explain.add_argument("text", help="instruction in words, or a formula with --formula")
     kind = explain.add_mutually_exclusive_group()
-    kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
+    kind.add_argument("--formula", action="store_true", help="read the text as a formula (LTL)")
     mission.add_reading(kind)
     explain.add_argument("--config", default="demo", help=f"{CONFIG} (default: demo)")
     explain.add_argument(
-        "--draw", metavar="FILE", help="draw the automaton to this file (.svg, .png or .dot)"
+        "--draw",
+        metavar="FILE",
+        help="draw the mission's automaton to this file (.svg, .png or .dot)",
     )
     explain.set_defaults(handler=lazy_handler("edge.cli.explain", "run"))
 
@@ -198,37 +214,39 @@ def _fleet(commands) -> None:  # type: ignore[no-untyped-def]
     actions = fleet.add_subparsers(required=True, metavar="ACTION", title="actions")
     show = actions.add_parser("list", help="list all robots and their state")
     show.add_argument("config", metavar="CONFIG|ENDPOINT", help=WHERE)
-    show.add_argument("--json", action="store_true", help="print JSON")
+    show.add_argument("--json", action="store_true", help="print the robots as JSON")
     show.add_argument(
         "--watch", action="store_true", help="keep running, and print a line for each change"
     )
     show.set_defaults(handler=lazy_handler("edge.cli.fleet", "show"))
     router = actions.add_parser(
-        "router", help="run a Zenoh router for the robots, if no zenohd runs"
+        "router", help="run a Zenoh router for the robots, in place of zenohd"
     )
     router.add_argument("endpoint", nargs="?", default="tcp/127.0.0.1:7447",
-                        help="address to listen on (default: %(default)s)")  # fmt: skip
-    router.add_argument("--file", metavar="FILE", help="Zenoh's own configuration (JSON5), such as "
-                        "config/secure/fleet-router.json5")  # fmt: skip
+                        help="Zenoh endpoint to listen on (default: %(default)s)")  # fmt: skip
+    router.add_argument("--file", metavar="FILE", help="Zenoh's own configuration file (JSON5), "
+                        "such as config/secure/fleet-router.json5")  # fmt: skip
     router.set_defaults(handler=lazy_handler("edge.cli.fleet", "route"))
 
 
 def _record(commands) -> None:  # type: ignore[no-untyped-def]
     record = commands.add_parser("record", help="record the sensors' messages to an MCAP file")
     record.add_argument("config", help=CONFIG)
-    record.add_argument("--out", required=True, metavar="FILE", help="MCAP file to write")
+    record.add_argument(
+        "--out", required=True, metavar="FILE", help="MCAP file to write (required)"
+    )
     record.add_argument(
         "--seconds",
         type=positive,
         default=60.0,
         metavar="N",
-        help="duration (default: %(default)g)",
+        help="how long to record, in s (default: %(default)g)",
     )
     record.set_defaults(handler=lazy_handler("edge.sources.recording", "run"))
 
 
 def _play(commands) -> None:  # type: ignore[no-untyped-def]
-    text = "play a recording of any robot (MCAP, rosbag2) into the service, and print the result"
+    text = "run the service on a recording of any robot (MCAP, rosbag2), and print the results"
     play = commands.add_parser("play", help=text)
     play.add_argument("file", type=Path, metavar="FILE", help="MCAP file, .db3 file, or folder "
                       "of a rosbag2")  # fmt: skip
@@ -236,17 +254,17 @@ def _play(commands) -> None:  # type: ignore[no-untyped-def]
     _what(play)
     pace = play.add_mutually_exclusive_group()
     pace.add_argument(
-        "--rate", type=positive, default=1.0, metavar="N", help="speed, in multiples of real time; "
-        "late frames are dropped, as on a robot (default: %(default)g)"
+        "--rate", type=positive, default=1.0, metavar="N", help="speed of the recording: 2 means "
+        "twice real time; late frames are dropped, as on a robot (default: %(default)g)"
     )  # fmt: skip
     pace.add_argument(
-        "--fast", action="store_true", help="as fast as possible; no frame is dropped for being "
-        "late"
+        "--fast", action="store_true", help="play as fast as possible, and drop no frame"
     )  # fmt: skip
     play.add_argument(
         "--report",
         metavar="DIR",
-        help="write a report (page and picture) to this folder at the end",
+        help="at the end, write a report (web page and picture) to this folder (default: no "
+        "report)",
     )
     _live(play)
     play.set_defaults(handler=lazy_handler("edge.cli.main", "play"))
@@ -254,35 +272,37 @@ def _play(commands) -> None:  # type: ignore[no-untyped-def]
 
 def _replay(commands) -> None:  # type: ignore[no-untyped-def]
     replay = commands.add_parser(
-        "replay", help="run the service again on a recorded run, and compare the results"
+        "replay", help="run the service again on the inputs of a recorded run; compare the results"
     )
     replay.add_argument(
         "file", metavar="FILE", help="first file of the recorded run; with --trace also the "
-        "configuration of a running service, which is asked at its http.port",
+        "configuration of a running service, which gives the times at its http.port",
     )  # fmt: skip
     replay.add_argument(
-        "--config", help=f"use this configuration instead of the recorded one: {CONFIG}"
+        "--config", help=f"replay with this configuration (default: the recorded one): {CONFIG}"
     )
     replay.add_argument(
-        "--detect", action="store_true", help="run the detector again on the recorded images"
+        "--detect",
+        action="store_true",
+        help="run the detector on the recorded images (default: take the recorded detections)",
     )
     replay.add_argument(
         "--trust",
         action="store_true",
-        help="allow the plugins and files that the recorded configuration names; plugins run with "
-        "your rights, so use it only for recordings that you trust",
+        help="load the plugins and files that the recorded configuration names; plugins can do "
+        "all that you can, so use --trust only for recordings that you trust (default: refuse)",
     )
     instead = replay.add_argument_group("write a file instead")
     kind = instead.add_mutually_exclusive_group()
     kind.add_argument(
         "--trace",
         action="store_true",
-        help="write the times of all stages of all ticks, for ui.perfetto.dev",
+        help="write the times of all stages in all ticks to a file for ui.perfetto.dev",
     )
     kind.add_argument(
         "--recover",
         action="store_true",
-        help="write a complete recording from one that was cut off",
+        help="write a readable recording from a .partial file, which a crash left",
     )
     instead.add_argument(
         "--out", type=Path, metavar="FILE",
@@ -300,28 +320,30 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
 
 def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
     adapter = commands.add_parser(
-        "ros2-adapter", help="pass topics and goals between the robot's ROS 2 and the service"
+        "ros2-adapter", help="run the node that connects the robot's ROS 2 with the service"
     )
     adapter.add_argument("config", nargs="?", default="ros2-adapter", help=f"{CONFIG} "
                          "(default: %(default)s)")  # fmt: skip
     adapter.add_argument(
         "--launch-file",
         action="store_true",
-        help="only print the path of the file for `ros2 launch`",
+        help="print the path of a launch file for `ros2 launch`; run nothing",
     )
     adapter.set_defaults(handler=lazy_handler("edge.ros2_adapter.process", "run"))
 
 
 def _doctor(commands) -> None:  # type: ignore[no-untyped-def]
-    doctor = commands.add_parser("doctor", help="check this machine for all that the service needs")
+    doctor = commands.add_parser(
+        "doctor", help="check that this machine has all that the service needs"
+    )
     doctor.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
     doctor.add_argument(
         "--live", action="store_true",
-        help="listen to the robot's sensors, and report problems of their data",
+        help="listen to the robot's sensors instead, and check their data; stop the service first",
     )  # fmt: skip
     doctor.add_argument(
         "--seconds", type=positive, default=10.0, metavar="N",
-        help="with --live: time to listen (default: %(default)g)",
+        help="with --live: how long to listen, in s (default: %(default)g)",
     )  # fmt: skip
     doctor.set_defaults(handler=lazy_handler("edge.cli.doctor", "run"))

@@ -209,7 +209,8 @@ def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
         for package in ("tokenizers", "jinja2"):
             if find_spec(package) is None:
                 raise ModelError(
-                    f"model {card.name}: the package {package} is not installed: {EXTRA}"
+                    f"model {card.name}: needs the package {package}, which is not installed; "
+                    f"{EXTRA}"
                 )
     elif isinstance(card, SimilarityCard) and not is_running_detector(card, perception):
         if card.detector is not None:

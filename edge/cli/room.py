@@ -13,19 +13,19 @@ from edge.cli.service_request import add_action, connected
 
 def add(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge room`."""
-    room = commands.add_parser("room", help="list rooms, name them, close them")
+    room = commands.add_parser("room", help="list, name or close the rooms of a running service")
     actions = room.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
     for do, text in (
         ("list", "list the known rooms"),
         ("name", "name the room that the robot is in"),
-        ("forget", "remove a name"),
-        ("keep-out", "make a zone of a room that the robot must not enter"),
-        ("stay-inside", "make a zone of a room that the robot must not leave"),
+        ("forget", "remove the name of a room"),
+        ("keep-out", "forbid the robot to enter a room"),
+        ("stay-inside", "forbid the robot to leave a room"),
     ):
         action = add_action(actions, do, text, "edge.cli.room")
         if do != "list":
             action.add_argument("name", help="name of the room")
-        action.add_argument("--json", action="store_true", help="print JSON")
+        action.add_argument("--json", action="store_true", help="print the answer as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

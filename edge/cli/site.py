@@ -15,31 +15,34 @@ from edge.cli.service_request import add_action, connected
 
 def add_places(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge place`."""
-    place = commands.add_parser("place", help="name, list, remove, export and import places")
+    place = commands.add_parser(
+        "place", help="name, list, remove, export or import places of a running service"
+    )
     actions = place.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
-    add = _action(actions, "set", "name the robot's pose, or another")
+    add = _action(actions, "set", "give a name to the robot's pose, or to the pose of --at")
     add.add_argument("name", help="name of the place")
     add.add_argument(
         "--at", type=pose, metavar="X,Y,DEG",
-        help="metres in map and heading in degrees, instead of the robot's pose; "
-        "write --at=X,Y,DEG if X is negative",
+        help="pose: x and y in the map frame in m, heading in degrees; write --at=X,Y,DEG if X is "
+        "negative (default: the robot's pose)",
     )  # fmt: skip
     _common(actions, "places and zones")
 
 
 def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge zone`."""
-    zone = commands.add_parser("zone", help="close areas to the robot, or close all but an area")
+    zone = commands.add_parser("zone", help="close an area to the robot, or all but one area")
     actions = zone.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
     for kind, text in (
         ("keep-out", "close the inside of a polygon"),
         ("stay-inside", "close all but the inside of a polygon"),
     ):
         add = _action(actions, kind, text)
-        add.add_argument("name", help="name of the zone; an existing zone of this name is replaced")
+        add.add_argument("name", help="name of the zone; replaces a zone with the same name")
         add.add_argument(
             "corners", nargs="+", type=_corner, metavar="X,Y",
-            help="three corners at least, metres in map; write -- before a negative X",
+            help="at least three corners, x and y in the map frame in m; write -- before a "
+            "negative X",
         )  # fmt: skip
     _common(actions, "places and zones")
 
@@ -52,12 +55,15 @@ def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
 
 def _common(actions, all_of_it: str) -> None:  # type: ignore[no-untyped-def]
     _action(actions, "list", f"list {all_of_it}")
-    _action(actions, "remove", "remove one").add_argument("name", help="name from `list`")
+    remove = _action(actions, "remove", "remove a place or zone")
+    remove.add_argument("name", help="name of the place or zone, as `list` shows it")
     export = _action(actions, "export", f"write {all_of_it} as GeoJSON")
     export.add_argument("file", help="GeoJSON file to write")
     load = _action(actions, "import", f"read {all_of_it} from GeoJSON")
     load.add_argument("file", help="GeoJSON file to read")
-    load.add_argument("--replace", action="store_true", help="first remove all that exist")
+    load.add_argument(
+        "--replace", action="store_true", help="first remove all places and zones of the service"
+    )
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...]:
@@ -66,7 +72,9 @@ def _numbers(text: str, count: int) -> tuple[float, ...]:
     except ValueError:
         found = ()
     if len(found) != count or not all(map(math.isfinite, found)):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected {count} numbers with commas between")
+        raise argparse.ArgumentTypeError(
+            f"expected {count} numbers with commas between, got {text!r}"
+        )
     return found
 
 
@@ -94,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
     if path is not None and args.do == "import" and not path.exists():
         from edge.memory import SiteError
 
-        raise SiteError(f"{path}: no such file")
+        raise SiteError(f"{path}: no such file; give a GeoJSON file, as `export` writes it")
     request = _request(args)
     if path is not None and args.do == "import":
         request["site"] = read_site(path, imported=True).geojson()

@@ -31,8 +31,10 @@ from edge.mission.split import required_propositions, split
 from edge.text import one_line
 
 LOOK_S = 1.0
+"""Period of polls of the robots, in seconds."""
 GIVE_S = 10.0
-_DIGITS = 8
+"""Timeout of a request that gives or cancels a part, in seconds."""
+_DIGITS = 8  # of the digest of a mission
 
 
 @dataclass(frozen=True)
@@ -75,13 +77,15 @@ def plan(
         CompileError: See `edge.mission.split`.
     """
     formula = spec.automaton.formula
-    cut = split(formula, limits) if share else None
-    formulas = (formula,) * max(len(to), 1) if cut is None else cut.parts
+    mission_split = split(formula, limits) if share else None
+    formulas = (formula,) * max(len(to), 1) if mission_split is None else mission_split.parts
     digest = _digest(formula, to, share)
     make = partial(_parts, formulas, to, limits)
     run = None if restart else _unfinished(digest, robots, make)
     id = f"{digest}.{run or secrets.token_hex(4)}"
-    return FleetPlan(id, make(id), cut.unsplit_reason if cut is not None else "")
+    return FleetPlan(
+        id, make(id), mission_split.unsplit_reason if mission_split is not None else ""
+    )
 
 
 def _parts(
@@ -96,16 +100,16 @@ def _parts(
     )  # fmt: skip
 
 
-def _digest(*of: object) -> str:
-    return hashlib.sha256(repr([str(x) for x in of]).encode()).hexdigest()[:_DIGITS]
+def _digest(*values: object) -> str:
+    return hashlib.sha256(repr([str(value) for value in values]).encode()).hexdigest()[:_DIGITS]
 
 
 def _unfinished(
     digest: str, robots: Mapping[str, Robot], make: Callable[[str], tuple[MissionPart, ...]]
 ) -> str | None:
     """Return the run id of an unfinished mission with this digest that robots report, if any."""
-    accounts = [robot.status_reply for robot in robots.values() if robot.status_reply is not None]
-    ids = [id for account in accounts for id in (account.id, *(p.id for p in account.past))]
+    replies = [robot.status_reply for robot in robots.values() if robot.status_reply is not None]
+    ids = [id for reply in replies for id in (reply.id, *(p.id for p in reply.past))]
     runs = {m[1] for id in ids if (m := re.match(rf"{digest}\.([0-9a-f]+)\.", id))}
     for run in sorted(runs):
         parts = make(f"{digest}.{run}")
@@ -145,14 +149,14 @@ class Dispatcher:
     ) -> None:
         self._roster, self._plan, self._print = roster, mission, tell
         self._patience_s, self._clock = patience_s, clock
-        self._assigned: dict[str, str] = {}  # by part: robot last known to work on it
-        self._offline_since: dict[str, float] = {}  # by robot: since when no status is reported
-        self._lost: dict[str, float] = {}  # by part: since when no online robot can do it
-        self._refused: Counter[tuple[str, str]] = Counter()
-        self._forgot: Counter[tuple[str, str]] = Counter()
-        self._has: set[tuple[str, str]] = set()  # (part, robot) accepted or reported
+        self._assigned: dict[str, str] = {}  # part id: robot last known to work on it
+        self._offline_since: dict[str, float] = {}  # robot: since when it reports no status
+        self._lost: dict[str, float] = {}  # part id: since when no online robot can do it
+        self._n_refused: Counter[tuple[str, str]] = Counter()  # by (part id, robot)
+        self._n_forgot: Counter[tuple[str, str]] = Counter()  # by (part id, robot)
+        self._had: set[tuple[str, str]] = set()  # (part id, robot): accepted or reported
         self._settled: dict[str, PartOutcome] = {}
-        self._gave: set[tuple[str, str]] = set()
+        self._given: set[tuple[str, str]] = set()
         self._printed: dict[str, object] = {}
         self.ended_ns: dict[str, int] = {}
 
@@ -168,26 +172,29 @@ class Dispatcher:
         """Poll the robots once and carry out the orders; return None if the router is gone."""
         robots = self._roster.complete_list()
         if robots is None:
-            self._once("router", "the router is gone: robots continue and try to reconnect")
+            self._print_if_changed(
+                "router", "the router is gone: robots continue and try to reconnect"
+            )
             self._offline_since.clear()
             self._lost.clear()
             return None
-        self._once("router", None, "the router is back")
-        for at in [at for at in self._refused if at[1] in robots and robots[at[1]].busy_with]:
-            del self._refused[at]  # the robot refused because it was busy
+        self._print_if_changed("router", None, "the router is back")
+        for pair in list(self._n_refused):
+            if pair[1] in robots and robots[pair[1]].busy_with:
+                del self._n_refused[pair]  # the robot refused because it was busy
         self._count_forgotten(robots)
         orders = decide(
-            self._plan.parts, robots, self._away(robots), self._refused, self._settled,
-            self._forgot,
+            self._plan.parts, robots, self._find_away(robots), self._n_refused, self._settled,
+            self._n_forgot,
         )  # fmt: skip
         self._settled = {k: o for k, o in orders.outcomes.items() if k not in orders.lost}
-        hoped = self._hoped(orders)
-        outcomes = {k: o for k, o in orders.outcomes.items() if k not in hoped}
-        orders = replace(orders, outcomes=outcomes, lost=orders.lost.difference(hoped))
-        self._report(orders, robots, hoped)
+        provisional = self._provisional_outcomes(orders)
+        outcomes = {k: o for k, o in orders.outcomes.items() if k not in provisional}
+        orders = replace(orders, outcomes=outcomes, lost=orders.lost.difference(provisional))
+        self._report(orders, robots, provisional)
         self._roster.each(
-            [*(partial(self._give, g) for g in orders.give),
-             *(partial(self._cancel, c) for c in orders.cancel)]
+            [*(partial(self._give_part, g) for g in orders.give),
+             *(partial(self._cancel_duplicate, c) for c in orders.cancel)]
         )  # fmt: skip
         return orders
 
@@ -203,13 +210,13 @@ class Dispatcher:
         for part in self._plan.parts:
             for name, robot in robots.items():
                 if has_part(part, robot):
-                    self._has.add((part.id, name))
-                elif robot.status_reply is not None and (part.id, name) in self._has:
-                    self._has.remove((part.id, name))
-                    self._forgot[part.id, name] += 1
+                    self._had.add((part.id, name))
+                elif robot.status_reply is not None and (part.id, name) in self._had:
+                    self._had.remove((part.id, name))
+                    self._n_forgot[part.id, name] += 1
                     self._print(f"{_safe(name)} no longer knows its part: {part.english}")
 
-    def _hoped(self, orders: Orders) -> dict[str, PartOutcome]:
+    def _provisional_outcomes(self, orders: Orders) -> dict[str, PartOutcome]:
         """Return the outcomes of parts that have been lost for less than `patience_s`, by id."""
         now_s = self._clock()
         self._lost = {id: self._lost.get(id, now_s) for id in orders.lost}
@@ -219,14 +226,15 @@ class Dispatcher:
             if now_s - since_s < self._patience_s
         }
 
-    def _away(self, robots: Mapping[str, Robot]) -> dict[str, str]:
+    def _find_away(self, robots: Mapping[str, Robot]) -> dict[str, str]:
+        """Return robots that are offline for less than `patience_s`, by the part that they had."""
         now_s, away = self._clock(), {}
         for name, robot in robots.items():
-            if (account := robot.status_reply) is None:
+            if (reply := robot.status_reply) is None:
                 continue
             self._offline_since.pop(name, None)
-            if account.phase not in OVER:
-                self._assigned[account.id.partition("~")[0]] = name
+            if reply.phase not in OVER:
+                self._assigned[reply.id.partition("~")[0]] = name
         for id, name in self._assigned.items():
             silent = name not in robots or robots[name].status_reply is None
             if silent and now_s - self._offline_since.setdefault(name, now_s) < self._patience_s:
@@ -236,7 +244,7 @@ class Dispatcher:
     # -- progress lines ------------------------------------------------------------------------
 
     def _report(
-        self, orders: Orders, robots: Mapping[str, Robot], hoped: Mapping[str, PartOutcome]
+        self, orders: Orders, robots: Mapping[str, Robot], provisional: Mapping[str, PartOutcome]
     ) -> None:
         for k, part in enumerate(self._plan.parts, start=1):
             what = f"part {k} of {len(self._plan.parts)} ({part.english})"
@@ -246,26 +254,28 @@ class Dispatcher:
                 self.ended_ns.setdefault(part.id, time.time_ns())
                 line = f"{what}: {outcome.phase} by {_safe(outcome.by)}: {one_line(outcome.reason)}"
             elif (name := orders.under_way.get(part.id)) is not None:
-                gave = (part.id, name) in self._gave
+                gave = (part.id, name) in self._given
                 line = None if gave else f"{what}: {_safe(name)} is working on it"
                 if name not in robots:
                     line = (f"{what}: {_safe(name)} is offline; another robot gets the part unless "
                             f"it is back within {self._patience_s:g} s")  # fmt: skip
                 elif robots[name].status_reply is None:
                     line = f"{what}: {_safe(name)} reports no status: {robots[name].problem}"
-            elif (outcome := hoped.get(part.id)) is not None:
+            elif (outcome := provisional.get(part.id)) is not None:
                 line = (f"{what}: {one_line(outcome.reason)}; the part fails unless another robot "
                         f"comes online within {self._patience_s:g} s")  # fmt: skip
             else:
                 line = None
-            self._once(part.id, line)
+            self._print_if_changed(part.id, line)
         waits = "; ".join(f"{_safe(name)}: {why}" for name, why in sorted(orders.waits.items()))
         given = len(orders.outcomes) + len(orders.under_way) + len(orders.give)
         left = len(self._plan.parts) - given
-        self._once("waits", f"parts waiting for a free robot: {left} ({waits})" if waits else None)
-        self._once("nobody", None if robots else "no robot is online; waiting for one")
+        self._print_if_changed(
+            "waits", f"parts waiting for a free robot: {left} ({waits})" if waits else None
+        )
+        self._print_if_changed("nobody", None if robots else "no robot is online; waiting for one")
 
-    def _once(self, about: str, text: str | None, otherwise: str | None = None) -> None:
+    def _print_if_changed(self, about: str, text: str | None, otherwise: str | None = None) -> None:
         """Print `text` if it differs from the last text with the key `about`.
 
         If `text` is None and the last one was not, print `otherwise`.
@@ -277,22 +287,22 @@ class Dispatcher:
 
     # -- requests to robots, each on its own thread ----------------------------------------------
 
-    def _give(self, give: Assignment) -> None:
+    def _give_part(self, give: Assignment) -> None:
         request = {"do": "new", "formula": give.part.formula, "id": give.id, "if_free": True}
         try:
             self._roster.send(give.robot, request, GIVE_S)
         except RequestError as error:
             # A late robot may still have begun; the next poll shows that.
-            self._refused[give.part.id, give.robot] += 1
+            self._n_refused[give.part.id, give.robot] += 1
             refused = "" if isinstance(error, RefusedError) else "no answer: "
             self._print(f"{refused}{one_line(error)}")
         else:
-            self._gave.add((give.part.id, give.robot))
-            self._has.add((give.part.id, give.robot))
+            self._given.add((give.part.id, give.robot))
+            self._had.add((give.part.id, give.robot))
             self._assigned[give.part.id] = give.robot
             self._print(f"{_safe(give.robot)} gets: {give.part.english}: {give.why}")
 
-    def _cancel(self, cancel: Cancellation) -> None:
+    def _cancel_duplicate(self, cancel: Cancellation) -> None:
         request = {"do": "cancel", "id": cancel.id, "why": DUPLICATE_REASON}
         try:
             self._roster.send(cancel.robot, request, GIVE_S)

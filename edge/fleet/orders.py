@@ -18,8 +18,10 @@ from edge.fleet.roster import OVER, Robot, StatusReply
 from edge.text import one_line
 
 DUPLICATE_REASON = "another robot is working on it"
-"""Reason for the cancellation of a part that two robots had. It is not a failure: the robot may get
-the part again."""
+"""Reason for the cancellation of a part that two robots had.
+
+It is not a failure: the robot may get the part again.
+"""
 MAX_TRIES = 3
 """A robot that refused or forgot a part this many times does not get it again."""
 
@@ -32,8 +34,8 @@ class MissionPart:
         id: Id of the robot's mission.
         formula: LTL formula of the robot's mission.
         english: The formula in English.
-        words: Targets that the robot may have to reach.
-        only: Name of the robot that must do the part; None if any robot can.
+        words: Names of the targets that the robot may have to reach.
+        only: Name of the robot that must do the part; None if any robot may do it.
     """
 
     id: str
@@ -45,7 +47,13 @@ class MissionPart:
 
 @dataclass(frozen=True)
 class PartOutcome:
-    """Result of a part, with the robot that caused it."""
+    """Result of a part.
+
+    Attributes:
+        phase: `reached` or `failed`.
+        by: Name of the robot, or names of the robots, that caused the result.
+        reason: Reason of the result.
+    """
 
     phase: Literal["reached", "failed"]
     by: str
@@ -53,7 +61,15 @@ class PartOutcome:
 
 
 class Assignment(NamedTuple):
-    """An order to give a part to a robot, as the mission `id`."""
+    """An order to give a part to a robot.
+
+    Attributes:
+        part: The part.
+        robot: Name of the robot.
+        id: Id of the mission on the robot: that of the part; `~N` follows if the robot had the part
+            N times before, and another robot was working on it.
+        why: Reason why this robot gets the part.
+    """
 
     part: MissionPart
     robot: str
@@ -95,8 +111,8 @@ class Orders:
         return any(outcome.phase == "failed" for outcome in self.outcomes.values())
 
 
-class _Held(NamedTuple):
-    """State of a part on one robot."""
+class _PartOnRobot(NamedTuple):
+    """State of a part, as one robot reports it."""
 
     robot: str
     id: str
@@ -130,35 +146,39 @@ def decide(
     cancel: list[Cancellation] = []
     waiting: dict[str, list[str]] = {}
     for part in parts:
-        held = list(_held(part, robots))
-        at_it = sorted((h for h in held if h.phase not in OVER), key=lambda h: -h.elapsed_s)
-        done = [h for h in held if h.phase == "reached"]
+        reports = list(_reports_of(part, robots))
+        running = sorted((h for h in reports if h.phase not in OVER), key=lambda h: -h.elapsed_s)
+        done = [h for h in reports if h.phase == "reached"]
         failed = {
-            h.robot: h.reason for h in held if h.phase == "failed" and h.reason != DUPLICATE_REASON
+            h.robot: h.reason
+            for h in reports
+            if h.phase == "failed" and h.reason != DUPLICATE_REASON
         }
         outcome = settled.get(part.id)
         if outcome is None and done:
             outcome = PartOutcome("reached", done[0].robot, done[0].reason)
         reached = outcome is not None and outcome.phase == "reached"
-        cancel += [Cancellation(h.robot, h.id) for h in (at_it if reached else at_it[1:])]
+        cancel += [Cancellation(h.robot, h.id) for h in (running if reached else running[1:])]
         if outcome is not None:
             outcomes[part.id] = outcome
-        elif at_it:
-            under_way[part.id] = at_it[0].robot
+        elif running:
+            under_way[part.id] = running[0].robot
         elif part.id in away:
             under_way[part.id] = away[part.id]
-        elif (outcome := _stopped(part, failed)) is not None:
+        elif (outcome := _final_failure(part, failed)) is not None:
             outcomes[part.id] = outcome
-        elif (outcome := _lost(part, robots, failed, tries, forgot)) is not None:
+        elif (outcome := _provisional_failure(part, robots, failed, tries, forgot)) is not None:
             outcomes[part.id] = outcome
             lost.add(part.id)
         else:
-            waiting[part.id] = [name for name in _may(part, robots, tries) if name not in failed]
+            waiting[part.id] = [
+                name for name in _allowed_robots(part, robots, tries) if name not in failed
+            ]
     orders = Orders(outcomes, under_way, (), tuple(cancel), {}, frozenset(lost))
     if orders.failed or not waiting:
         return orders
     open_parts = [part for part in parts if part.id in waiting]
-    give = tuple(_given(open_parts, waiting, robots, tries))
+    give = tuple(_assign(open_parts, waiting, robots, tries))
     waits = {name: robot.busy_with for name, robot in robots.items() if robot.busy_with}
     still = waits if len(give) < len(open_parts) else {}
     return replace(orders, give=give, waits=still)
@@ -166,28 +186,31 @@ def decide(
 
 def has_part(part: MissionPart, robot: Robot) -> bool:
     """Return True if a robot reports this part, running or finished."""
-    return any(True for _ in _held(part, {robot.name: robot}))
+    return any(True for _ in _reports_of(part, {robot.name: robot}))
 
 
-def _held(part: MissionPart, robots: Mapping[str, Robot]) -> Iterator[_Held]:
+def _reports_of(part: MissionPart, robots: Mapping[str, Robot]) -> Iterator[_PartOnRobot]:
     for name, robot in sorted(robots.items()):
-        if (account := robot.status_reply) is None:
+        if (reply := robot.status_reply) is None:
             continue
-        for past in account.past:
+        for past in reply.past:
             if past.id.partition("~")[0] == part.id:
-                yield _Held(name, past.id, past.phase, past.reason, 0.0)
-        if account.id.partition("~")[0] == part.id:
-            yield _Held(name, account.id, account.phase, account.reason, account.elapsed_s)
+                yield _PartOnRobot(name, past.id, past.phase, past.reason, 0.0)
+        if reply.id.partition("~")[0] == part.id:
+            yield _PartOnRobot(name, reply.id, reply.phase, reply.reason, reply.elapsed_s)
 
 
-def _may(
+def _allowed_robots(
     part: MissionPart, robots: Mapping[str, Robot], tries: Mapping[tuple[str, str], int]
 ) -> list[str]:
-    may = [part.only] if part.only is not None else sorted(robots)
-    return [name for name in may if name in robots and tries.get((part.id, name), 0) < MAX_TRIES]
+    """Return the online robots that may get a part: not those that refused or forgot it often."""
+    allowed = [part.only] if part.only is not None else sorted(robots)
+    return [
+        name for name in allowed if name in robots and tries.get((part.id, name), 0) < MAX_TRIES
+    ]
 
 
-def _stopped(part: MissionPart, failed: Mapping[str, str]) -> PartOutcome | None:
+def _final_failure(part: MissionPart, failed: Mapping[str, str]) -> PartOutcome | None:
     """Return a failure that no other robot can repair, or None."""
     for name, reason in failed.items():
         # A person cancelled the part, so no other robot starts it.
@@ -196,25 +219,27 @@ def _stopped(part: MissionPart, failed: Mapping[str, str]) -> PartOutcome | None
     return None
 
 
-def _lost(
+def _provisional_failure(
     part: MissionPart,
     robots: Mapping[str, Robot],
     failed: Mapping[str, str],
     tries: Mapping[tuple[str, str], int],
     forgot: Mapping[tuple[str, str], int],
 ) -> PartOutcome | None:
-    """Return why no online robot can do a part, or None if one may."""
+    """Return why no online robot can do a part; None if a robot may do it."""
     if part.only is not None and part.only not in robots:
         return PartOutcome("failed", part.only, "it is offline")
     tried = {name for id, name in tries if id == part.id}
-    if not tried | failed.keys() or any(n not in failed for n in _may(part, robots, tries)):
+    if not tried | failed.keys() or any(
+        n not in failed for n in _allowed_robots(part, robots, tries)
+    ):
         return None
     why = {n: "it lost the part" if (part.id, n) in forgot else "it refused" for n in tried}
     why = dict(sorted((why | failed).items()))
     return PartOutcome("failed", ", ".join(why), "; ".join(f"{n}: {w}" for n, w in why.items()))
 
 
-def _given(
+def _assign(
     parts: Sequence[MissionPart],
     candidates: Mapping[str, Sequence[str]],
     robots: Mapping[str, Robot],
@@ -233,34 +258,36 @@ def _given(
         if not pairs:
             return
         *_, name, part = min(pairs, key=lambda pair: pair[:-1])
-        account = robots[name].status_reply
-        again = sum(1 for h in _held(part, {name: robots[name]}) if h.reason == DUPLICATE_REASON)
+        reply = robots[name].status_reply
+        n_duplicates = sum(
+            1 for h in _reports_of(part, {name: robots[name]}) if h.reason == DUPLICATE_REASON
+        )
         yield Assignment(
-            part, name, f"{part.id}~{again}" if again else part.id, _why(part, account)
+            part, name, f"{part.id}~{n_duplicates}" if n_duplicates else part.id, _why(part, reply)
         )
         left.remove(part)
         free.remove(name)
 
 
-def _cost(part: MissionPart, account: StatusReply) -> tuple[int, float]:
-    """Return the number of words at unknown places, and the sum of metres to the known ones."""
-    places = _places(part, account)
-    return len(part.words) - len(places), round(sum(places.values()), 1)
+def _cost(part: MissionPart, reply: StatusReply) -> tuple[int, float]:
+    """Return the number of targets at unknown places, and the sum of metres to the others."""
+    distances = _known_distances(part, reply)
+    return len(part.words) - len(distances), round(sum(distances.values()), 1)
 
 
-def _places(part: MissionPart, account: StatusReply) -> dict[str, float]:
-    """Return the metres to each word of the part that the robot has in its map."""
+def _known_distances(part: MissionPart, reply: StatusReply) -> dict[str, float]:
+    """Return the distance in metres to each target of the part that the robot has in its map."""
     found: dict[str, float] = {}
-    for label, away_m in account.robot.known.items():
+    for label, away_m in reply.robot.known.items():
         for word in part.words:
             if names.canonical(word) == names.canonical(label):
                 found[word] = min(away_m, found.get(word, away_m))
     return found
 
 
-def _why(part: MissionPart, account: StatusReply) -> str:
-    places = _places(part, account)
-    if not places:
+def _why(part: MissionPart, reply: StatusReply) -> str:
+    distances = _known_distances(part, reply)
+    if not distances:
         return "it is free"
-    known = ", ".join(f"{one_line(word)} {away_m:.1f} m" for word, away_m in places.items())
+    known = ", ".join(f"{one_line(word)} {away_m:.1f} m" for word, away_m in distances.items())
     return f"it is free and knows {known} away"

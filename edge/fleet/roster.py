@@ -25,9 +25,11 @@ from edge.text import one_line
 from edge.types import MissionPhase
 
 ANSWER_S = 2.0
+"""Time in seconds in which a robot must answer."""
 OVER = ("idle", "reached", "failed")
-_ASKED_AT_ONCE = 32
-_AGAIN_S = 0.05
+"""Phases of a mission that no longer runs."""
+_MAX_PARALLEL = 32  # requests
+_RETRY_S = 0.05  # before the list of robots is requested again
 _FINITE = ConfigDict(allow_inf_nan=False)
 
 
@@ -46,8 +48,8 @@ class RobotState:
 
     Attributes:
         pose: x and y in metres, yaw in radians, in the robot's own `map`; None before the first.
-        controller: Whether its motion controller answers.
-        problems: Reasons why the robot is not ready; empty if it is.
+        controller: `answers`: the motion controller answers; `silent`: it does not.
+        problems: Reasons why the robot is not ready; empty if the robot is ready.
         known: Metres to the nearest object of each label in its map.
     """
 
@@ -64,6 +66,13 @@ class StatusReply:
     """The fields of a service's reply to `status` that a fleet uses.
 
     Attributes:
+        id: Id of the mission.
+        instruction: Text of the mission.
+        phase: Phase of the mission.
+        reason: Reason of the phase.
+        target: Active target, if any.
+        elapsed_s: Duration of the mission so far, in seconds.
+        robot: State of the robot.
         past: Results of earlier missions, oldest first.
     """
 
@@ -79,7 +88,7 @@ class StatusReply:
     robot: RobotState
 
 
-_ACCOUNT = TypeAdapter(StatusReply)
+_STATUS_REPLY = TypeAdapter(StatusReply)
 
 
 @dataclass(frozen=True)
@@ -87,9 +96,9 @@ class Robot:
     """An online robot.
 
     Attributes:
-        name: Last word of its prefix.
-        account: Its status; None if there is no valid reply.
-        problem: Reason why there is no valid reply; "" if there is one.
+        name: Last word of the robot's prefix.
+        status_reply: The robot's status; None if there is no valid reply.
+        problem: Reason why there is no valid reply; "" if the reply is valid.
         reply: The reply as received.
     """
 
@@ -100,14 +109,14 @@ class Robot:
 
     @property
     def busy_with(self) -> str:
-        """Reason why the robot cannot take a mission now; "" if it can."""
-        if (account := self.status_reply) is None:
+        """Reason why the robot cannot take a mission now; "" if the robot is free."""
+        if (reply := self.status_reply) is None:
             return self.problem
-        if account.phase not in OVER:
-            return f"{account.phase}: {one_line(account.instruction, 80)}"
-        if account.robot.problems:
-            return one_line("; ".join(account.robot.problems))
-        return "its controller is silent" if account.robot.controller == "silent" else ""
+        if reply.phase not in OVER:
+            return f"{reply.phase}: {one_line(reply.instruction, 80)}"
+        if reply.robot.problems:
+            return one_line("; ".join(reply.robot.problems))
+        return "its controller is silent" if reply.robot.controller == "silent" else ""
 
 
 class Roster:
@@ -124,8 +133,8 @@ class Roster:
         self.pattern = f"{parent}/*" if parent else "*"
         self._session, self._settings = session, settings
         self._changed = threading.Event()
-        self._before: Set[str] = set()
-        self._pool = ThreadPoolExecutor(_ASKED_AT_ONCE, thread_name_prefix="robot")
+        self._last_prefixes: Set[str] = set()
+        self._pool = ThreadPoolExecutor(_MAX_PARALLEL, thread_name_prefix="robot")
         self._subscriber = session.liveliness().declare_subscriber(
             f"{self.pattern}/{topics.ALIVE}/*", lambda sample: self._changed.set()
         )
@@ -147,9 +156,9 @@ class Roster:
         Raises:
             BusError: The router did not list the robots.
         """
-        there = self._sessions()
-        robots = self.ask(there, {"do": "status"}, ANSWER_S)
-        for name, sessions in there.items():
+        online = self._sessions()
+        robots = self.ask(online, {"do": "status"}, ANSWER_S)
+        for name, sessions in online.items():
             if len(sessions) > 1:
                 problem = f"{len(sessions)} services use this name: stop all but one"
                 robots[name] = replace(robots[name], status_reply=None, problem=problem)
@@ -196,11 +205,11 @@ class Roster:
 
     def _sessions(self) -> dict[str, set[str]]:
         found = presence.online_sessions(self._session, self.pattern)
-        if self._before - found.keys():
+        if self._last_prefixes - found.keys():
             # The list sometimes lacks a robot that is online, while another one comes or goes.
-            time.sleep(_AGAIN_S)
+            time.sleep(_RETRY_S)
             found = presence.online_sessions(self._session, self.pattern) | found
-        self._before = found.keys()
+        self._last_prefixes = found.keys()
         return {prefix.rpartition("/")[2]: found[prefix] for prefix in sorted(found)}
 
     def _ask(self, name: str, request: Mapping[str, Any], timeout_s: float) -> Robot:
@@ -209,7 +218,7 @@ class Roster:
         except UserError as error:
             return Robot(name, problem=str(error).partition(": ")[2])
         try:
-            return Robot(name, _ACCOUNT.validate_python(answer), reply=answer)
+            return Robot(name, _STATUS_REPLY.validate_python(answer), reply=answer)
         except ValidationError as error:
             fault = error.errors(include_input=False, include_url=False)[0]
             where = ".".join(map(str, fault["loc"]))

@@ -12,8 +12,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_hand = threading.Lock()
-_silencing = 0
+_lock = threading.Lock()
+_n_blocks = 0  # number of blocks that silence the stream now
 
 
 def _streams() -> tuple[ctypes.c_void_p, int | None, int | None] | None:
@@ -36,15 +36,15 @@ def silenced() -> Iterator[None]:
     if _STREAMS is None:
         yield
         return
-    global _silencing
+    global _n_blocks
     variable, usual, nowhere = _STREAMS
-    with _hand:
-        _silencing += 1
+    with _lock:
+        _n_blocks += 1
         variable.value = nowhere
     try:
         yield
     finally:
-        with _hand:
-            _silencing -= 1
-            if not _silencing:
+        with _lock:
+            _n_blocks -= 1
+            if not _n_blocks:
                 variable.value = usual

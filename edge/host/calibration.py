@@ -22,14 +22,16 @@ from edge.host.files import read_regular, write_atomically
 from edge.jit import jit
 
 REFERENCE = "AMD EPYC (Zen 5), 2 virtual cores"
+"""The reference computer."""
 REFERENCE_MS = {"kernels": 3.45, "arrays": 0.45, "memory": 1.85, "python": 2.55}
+"""CPU time of each workload on the reference computer."""
 HINT = "measure this computer with `edge bench --calibrate`"
-ROUNDS = 40
+ROUNDS = 40  # of each workload; the fastest counts
 AS_FAST = 1.05  # smaller differences count as equal
 _MAX_SLOWDOWN = 1000.0
-_MAX_BYTES = 1 << 16
-_SIDE = 512
-_BYTES = 48 << 20
+_MAX_BYTES = 1 << 16  # of the calibration file
+_SIDE = 512  # cells of the workload `kernels`
+_BYTES = 48 << 20  # of the workload `memory`
 
 
 class CalibrationError(FileError):
@@ -120,7 +122,7 @@ def workloads() -> dict[str, Callable[[], object]]:
 
 
 def time_ms(work: Callable[[], object]) -> float:
-    """Return the CPU time of the fastest round, without compilation and other processes."""
+    """Return the CPU time in milliseconds of the fastest of `ROUNDS`, without compilation."""
     work()
     best_ns = math.inf
     for _ in range(ROUNDS):
@@ -166,8 +168,8 @@ def save(calibration: SpeedCalibration) -> Path:
 def load() -> SpeedCalibration | None:
     """Return the calibration of this computer; None if there is no valid one."""
     try:
-        kept = SpeedCalibration(**json.loads(read_regular(path(), _MAX_BYTES)))
-        sound = 1 / _MAX_SLOWDOWN < kept.slowdown < _MAX_SLOWDOWN
+        saved = SpeedCalibration(**json.loads(read_regular(path(), _MAX_BYTES)))
+        is_valid = 1 / _MAX_SLOWDOWN < saved.slowdown < _MAX_SLOWDOWN
     except (OSError, ValueError, TypeError, RecursionError, UserError):
         return None
-    return kept if sound and kept.machine == machine.identity() else None
+    return saved if is_valid and saved.machine == machine.identity() else None

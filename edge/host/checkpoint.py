@@ -38,12 +38,13 @@ log = logging.getLogger("edge.host.checkpoint")
 
 VERSION, OLDEST_VERSION = 5, 4
 MAX_STATE_BYTES = 8 << 20
-_MAX_DIRECTORY_BYTES = 64 << 10
-_END_BYTES = 22  # size of the last record of a zip archive without a comment
-_ZIP64 = b"PK\x06\x07"
-_HEAD = rb'"version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
-_ABOUT = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state":([^\n]*)\}\n'
-_FAR, _FAR_NS = 1 << 32, 1 << 61  # limits of integers: cells, and stamps or ids
+_MAX_DIRECTORY_BYTES = 64 << 10  # of the zip archive
+_ZIP_END_BYTES = 22  # size of the last record of a zip archive without a comment
+_ZIP64 = b"PK\x06\x07"  # begins a record that only archives over 4 GB need
+# The line of JSON behind `CheckpointFormat.begins`: up to the hash, and the rest.
+_HEAD_PATTERN = rb'"version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
+_REST_PATTERN = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state":([^\n]*)\}\n'
+_FAR, _FAR_NS = 1 << 32, 1 << 61  # largest cell index; largest stamp in ns, or id
 
 Arrays = dict[str, np.ndarray]
 Rows = dict[tuple[str, ...], int]
@@ -51,7 +52,7 @@ State = TypeVar("State")
 
 
 class CheckpointError(FileError):
-    """A path that cannot hold a checkpoint; the message says which, why, and what to do."""
+    """A path that cannot hold a checkpoint; the message has the path, the reason and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,7 @@ class CheckpointFormat(Generic[State]):
         """
         if len(content) > self.max_bytes:
             raise ValueError(f"more than {self.max_bytes} bytes")
-        head = re.match(re.escape(self.begins) + _HEAD, content)
+        head = re.match(re.escape(self.begins) + _HEAD_PATTERN, content)
         if head is None:
             raise ValueError(f"not a complete {self.title}")
         if not OLDEST_VERSION <= (version := int(head[1])) <= VERSION:
@@ -141,10 +142,10 @@ class CheckpointFormat(Generic[State]):
             )
         if _sha256(memoryview(content)[head.end() :]) != head[2]:
             raise ValueError("damaged: its checksum does not match")
-        about = re.compile(_ABOUT).match(content, head.end(), head.end() + MAX_STATE_BYTES)
+        about = re.compile(_REST_PATTERN).match(content, head.end(), head.end() + MAX_STATE_BYTES)
         if about is None:
             raise ValueError(f"not a complete {self.title}")
-        arrays = _arrays(content[about.end() :])
+        arrays = _read_archive(content[about.end() :])
         if version < VERSION:
             arrays = {self._renamed.get(name, name): array for name, array in arrays.items()}
         return Checkpoint(self._state(about[3]), arrays, about[1].decode(), int(about[2]))
@@ -164,10 +165,10 @@ def _sha256(content: bytes | memoryview) -> bytes:
     return hashlib.sha256(content).hexdigest().encode()
 
 
-def _arrays(content: bytes) -> Arrays:
+def _read_archive(content: bytes) -> Arrays:
     """Read an uncompressed archive, so that the arrays are not larger than the file."""
     # zipfile reads the whole directory when it opens the archive, so check its size before.
-    end = content[-_END_BYTES:]
+    end = content[-_ZIP_END_BYTES:]
     plain = end[:4] == b"PK\x05\x06" and end[-2:] == b"\0\0" and _ZIP64 not in content[-42:]
     if not plain or int.from_bytes(end[12:16], "little") > _MAX_DIRECTORY_BYTES:
         raise ValueError("its directory of arrays is missing or too long")
@@ -177,12 +178,12 @@ def _arrays(content: bytes) -> Arrays:
             stored = all(m.compress_type == zipfile.ZIP_STORED for m in members)
             if not stored or sum(m.file_size for m in members) > len(content):
                 raise ValueError("more bytes than the file has")
-            return {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
+            return {m.filename.removesuffix(".npy"): _read_array(archive.read(m)) for m in members}
     except Exception as error:  # the parsers may raise anything on hostile input
         raise ValueError(f"its arrays cannot be read: {one_line(error)}") from None
 
 
-def _array(content: bytes) -> np.ndarray:
+def _read_array(content: bytes) -> np.ndarray:
     """Read one array. Its header must match the size, since NumPy allocates by the header."""
     file = io.BytesIO(content)
     np.lib.format.read_magic(file)
@@ -208,10 +209,11 @@ def check_arrays(
     Args:
         state: arrays of the file.
         like: `state_dict` of the object; names, dtypes and shapes must be the same.
-        rows: groups of arrays with a variable number of rows → largest number. All arrays of a
-            group must have the same number.
-        most: arrays with values from 0 to this. Other floats must be within `FARTHEST_M`.
-        unique: arrays in which no value may occur twice.
+        rows: groups of arrays with a variable number of rows → largest number of rows. All arrays
+            of a group must have the same number.
+        most: name of an array → largest value; the smallest is 0. Other floats must be within
+            `FARTHEST_M`.
+        unique: names of arrays in which no value may occur twice.
 
     Raises:
         ValueError: an array is wrong; one line that names it.
@@ -256,7 +258,7 @@ def save(path: Path, checkpoint: Checkpoint[State], form: CheckpointFormat[State
         OSError: the file cannot be written; the previous one is unchanged.
         ValueError: `load` would refuse the checkpoint.
     """
-    path, content = _real(path), form.encode(checkpoint)
+    path, content = _resolve_links(path), form.encode(checkpoint)
     with replace_atomically(path, path.with_name(f".{path.name}.tmp")) as temporary:
         temporary.write_bytes(content)
     sync(path.parent)  # else a power cut may restore the old file
@@ -271,7 +273,7 @@ def load(path: Path, form: CheckpointFormat[State]) -> tuple[Checkpoint[State] |
     Raises:
         CheckpointError: the file cannot be read or renamed, or is no checkpoint.
     """
-    path = _real(path)
+    path = _resolve_links(path)
     content = _read(path, form, form.max_bytes + 1)
     if content is None:
         return None, ""
@@ -287,13 +289,12 @@ def set_aside(path: Path, problem: str) -> str:
     Raises:
         CheckpointError: the file cannot be renamed.
     """
-    path = _real(path)
+    path = _resolve_links(path)
     for n in itertools.count(1):
         aside = path.with_name(f"{path.name}.damaged-{n}")
         try:
-            os.close(
-                os.open(aside, os.O_CREAT | os.O_EXCL)
-            )  # reserves the name; a rename would overwrite
+            # Reserve the name: a rename would overwrite an existing file.
+            os.close(os.open(aside, os.O_CREAT | os.O_EXCL))
             os.replace(path, aside)
             break
         except FileExistsError:
@@ -310,7 +311,7 @@ class CheckpointWriter(Generic[State]):
 
     Args:
         path: file of the checkpoint.
-        form: its format.
+        form: format of the checkpoint.
         period_s: shortest time between periodic checkpoints (`is_due`).
 
     Attributes:
@@ -323,13 +324,13 @@ class CheckpointWriter(Generic[State]):
     """
 
     def __init__(self, path: Path, form: CheckpointFormat[State], period_s: float = 1.0) -> None:
-        self.path = _real(path)
+        self.path = _resolve_links(path)
         self.written = self.failed = 0
         self.problem = ""
         self._form = form
         self._period_ns = int(period_s * 1e9)
         self._posted_ns: int | None = None
-        _probe(self.path, form)
+        _check_writable(self.path, form)
         self._worker = Worker("checkpoint", self._write, finishes=True)
 
     @property
@@ -370,7 +371,7 @@ class CheckpointWriter(Generic[State]):
             self.written += 1
 
 
-def _real(path: Path) -> Path:
+def _resolve_links(path: Path) -> Path:
     """Resolve links, so that the target is replaced and a link stays a link."""
     return Path(os.path.realpath(path))
 
@@ -401,7 +402,7 @@ def _read(path: Path, form: CheckpointFormat[State], most: int) -> bytes | None:
     return content
 
 
-def _probe(path: Path, form: CheckpointFormat[State]) -> None:
+def _check_writable(path: Path, form: CheckpointFormat[State]) -> None:
     """Raise CheckpointError unless a checkpoint can be written at `path`."""
     _read(path, form, len(form.begins))
     try:

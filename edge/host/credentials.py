@@ -16,10 +16,12 @@ from edge.host.files import read_regular
 from edge.host.resources import expand
 
 COPIES = "CREDENTIALS_DIRECTORY"
+"""Environment variable with the folder of systemd's copies."""
 SHORTEST = 16
+"""Characters of the shortest token."""
 
 _OTHERS = stat.S_IROTH | stat.S_IWOTH
-_MAX_BYTES = 4096
+_MAX_BYTES = 4096  # of a file with a token
 
 
 def credential_path(name: str, path: str) -> Path:

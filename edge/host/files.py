@@ -56,8 +56,8 @@ def replace_atomically(path: Path, temporary: Path | None = None) -> Iterator[Pa
 
     Args:
         path: file to replace.
-        temporary: path to yield, in the same folder. Use it if there is only one writer at a time:
-            the next writer overwrites what a killed one left. None: a new, unique path.
+        temporary: path to yield, in the same folder. Give it if there is only one writer at a time:
+            the next writer overwrites what a killed writer left. None: a new, unique path.
 
     Raises:
         OSError: the file cannot be written; nothing is left behind.

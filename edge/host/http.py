@@ -26,7 +26,7 @@ class RequestCancelledError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class HttpReply:
-    """Answer of a server. A body longer than the limit means that the server sent too much."""
+    """Answer of a server. If the body is longer than `max_bytes`, the server sent too much."""
 
     status: int
     headers: httpx.Headers
@@ -58,7 +58,7 @@ class CancellableRequest:
 
         Raises:
             TimeoutError: the answer was not complete in time; the connection is cut.
-            GivenUpError: another thread cancelled the request.
+            Exception: another thread cancelled the request, with this exception.
             httpx.HTTPError, UnicodeError: see `failure_reason`.
         """
         arguments = (client, request, max_bytes)

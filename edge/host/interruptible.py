@@ -13,8 +13,8 @@ from edge.errors import Stopped
 
 log = logging.getLogger("edge")
 
-_LOOK_S = 0.05
-_unjoined: WeakSet[threading.Thread] = WeakSet()
+_POLL_S = 0.05
+_detached: WeakSet[threading.Thread] = WeakSet()
 
 T = TypeVar("T")
 
@@ -24,18 +24,19 @@ def start_detached_thread(
 ) -> threading.Thread:
     """Start and return a thread that may still run when the process ends.
 
-    The process must not wait for it, and must not shut the interpreter down while it runs, since
-    the libraries in it (onnxruntime, LLVM, Zenoh) would crash. `edge.cli.main` uses `os._exit`.
+    The process must not wait for the thread, and must not shut the interpreter down while it runs:
+    the libraries in the thread (onnxruntime, LLVM, Zenoh) would crash. So `edge.cli.main` ends with
+    `os._exit`.
     """
     thread = threading.Thread(target=work, args=args, name=name, daemon=True)
-    _unjoined.add(thread)
+    _detached.add(thread)
     thread.start()
     return thread
 
 
 def any_detached_thread() -> bool:
     """Return True if a thread of `start_detached_thread` is running."""
-    return any(thread.is_alive() for thread in tuple(_unjoined))
+    return any(thread.is_alive() for thread in tuple(_detached))
 
 
 def raise_if_stopped(stop: threading.Event) -> None:
@@ -64,6 +65,6 @@ def run_unless_stopped(work: Callable[[], T], stop: threading.Event) -> T:
             outcome.set_exception(error)
 
     start_detached_thread("step", run)
-    while not wait([outcome], _LOOK_S).done:
+    while not wait([outcome], _POLL_S).done:
         raise_if_stopped(stop)
     return outcome.result()

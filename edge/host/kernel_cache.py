@@ -1,4 +1,4 @@
-"""The folder for compiled kernels, without which numba refuses to load them."""
+"""The folder for compiled kernels; without a folder, numba refuses to load kernels."""
 
 from __future__ import annotations
 
@@ -28,42 +28,42 @@ def kernel_cache() -> Iterator[None]:
     Raises:
         ConfigError: no folder can be written.
     """
-    if _numba_finds_one():
+    if _numba_finds_folder():
         yield
         return
     with ExitStack() as stack:
         stack.callback(_set, os.environ.get(_VARIABLE))
-        _set(str(_ours() or _temporary(stack)))
+        _set(str(_own_folder() or _temporary_folder(stack)))
         yield
 
 
-def _numba_finds_one() -> bool:
+def _numba_finds_folder() -> bool:
     home = resources.user_cache()
-    places = [resources.PACKAGE / "__pycache__", *([home / "numba"] if home else [])]
-    if named := os.environ.get(_VARIABLE):
-        places.append(Path(named))
-    return any(map(_writable, places))
+    folders = [resources.PACKAGE / "__pycache__", *([home / "numba"] if home else [])]
+    if configured := os.environ.get(_VARIABLE):
+        folders.append(Path(configured))
+    return any(map(_is_writable, folders))
 
 
-def _ours() -> Path | None:
+def _own_folder() -> Path | None:
     if not os.environ.get("EDGE_CACHE_DIR"):
         return None
     folder = resources.cache_dir() / "kernels"
-    return folder if _writable(folder) else None
+    return folder if _is_writable(folder) else None
 
 
-def _temporary(stack: ExitStack) -> Path:
-    todo = f"set EDGE_CACHE_DIR (or {_VARIABLE}) to a folder that user {os.getuid()} can write"
+def _temporary_folder(stack: ExitStack) -> Path:
+    advice = f"set EDGE_CACHE_DIR (or {_VARIABLE}) to a folder that user {os.getuid()} can write"
     try:
         folder = stack.enter_context(private_folder("edge-kernels-"))
     except OSError as error:
-        raise ConfigError(f"no folder for compiled kernels ({error.strerror}): {todo}") from None
+        raise ConfigError(f"no folder for compiled kernels ({error.strerror}): {advice}") from None
     log.warning("no folder can keep compiled kernels, so each start compiles them again, for tens "
-                "of seconds: %s", todo)  # fmt: skip
+                "of seconds: %s", advice)  # fmt: skip
     return folder
 
 
-def _writable(folder: Path) -> bool:
+def _is_writable(folder: Path) -> bool:
     """Return True if the folder can be written, or created."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent

@@ -1,6 +1,6 @@
 """A description of this machine: all that a measured time depends on, as plain data.
 
-It comes from files of Linux and from `nvidia-smi`. Values that cannot be read are left out.
+The values come from files of Linux and from `nvidia-smi`. Values that cannot be read are left out.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ _ARM_PARTS = {
 }
 _GPU_CLOCKS = re.compile(r"^(gpu-gpc-\d+|[\da-f]+\.(gpu|gv11b|gp10b|ga10b))$")
 """Folders of Jetson GPUs in /sys/class/devfreq: Thor's, and those of its predecessors."""
+# Our name → field of `nvidia-smi`.
 _SMI_FIELDS = {
     "name": "name",
     "driver": "driver_version",
@@ -44,7 +45,7 @@ _SMI_FIELDS = {
     "power_limit_w": "power.limit",
     "memory_mb": "memory.total",
 }
-_SMI_S = 20.0
+_SMI_S = 20.0  # timeout of nvidia-smi
 
 
 def describe(root: Path = _ROOT) -> Description:

@@ -9,6 +9,7 @@ from functools import partial
 from edge.host.periodic import run_periodically
 
 EVERY_S = 60.0
+"""Period in seconds."""
 
 
 def trim_memory_periodically(every_s: float = EVERY_S) -> AbstractContextManager[None]:

@@ -14,7 +14,8 @@ from typing import TextIO
 from edge.host.interruptible import start_detached_thread
 
 MOST_WAITING = 2000
-_END_S = 1.0
+"""Largest number of queued writes."""
+_END_S = 1.0  # longest time to write what is queued at the end
 
 
 class NonBlockingStream(io.TextIOBase):
@@ -35,18 +36,18 @@ class NonBlockingStream(io.TextIOBase):
         self._waiting: deque[str] = deque()
         self._lost = 0
         self._ends = False
-        self._hand = threading.Condition()
-        self._thread = start_detached_thread("stderr", self._pass_on)
+        self._changed = threading.Condition()
+        self._thread = start_detached_thread("stderr", self._write_texts)
 
     def write(self, text: str) -> int:
         """Queue the text without blocking; after `drain`, write it to the stream directly."""
-        with self._hand:
+        with self._changed:
             if not self._ends:
                 if len(self._waiting) < MOST_WAITING:
                     self._waiting.append(text)
                 else:
                     self._lost += 1
-                self._hand.notify()
+                self._changed.notify()
                 return len(text)
         return self._stream.write(text)
 
@@ -58,16 +59,16 @@ class NonBlockingStream(io.TextIOBase):
 
     def drain(self) -> None:
         """Stop queueing, and wait at most 1 s until all text is written."""
-        with self._hand:
+        with self._changed:
             self._ends = True
-            self._hand.notify()
+            self._changed.notify()
         self._thread.join(_END_S)
 
-    def _pass_on(self) -> None:
+    def _write_texts(self) -> None:
         while True:
-            with self._hand:
+            with self._changed:
                 while not (self._waiting or self._ends):
-                    self._hand.wait()
+                    self._changed.wait()
                 texts = [self._waiting.popleft() for _ in range(len(self._waiting))]
                 if self._lost:
                     texts.append(
@@ -89,17 +90,17 @@ def _write_all(descriptor: int, content: bytes) -> None:
 
 @contextmanager
 def nonblocking_stderr() -> Iterator[None]:
-    """Replace `sys.stderr` with an `NonBlockingStream` in this block, if it has a descriptor."""
+    """Replace `sys.stderr` with a `NonBlockingStream` in this block, if stderr has a descriptor."""
     stderr = sys.stderr
     try:
-        outlet = NonBlockingStream(stderr)
+        replacement = NonBlockingStream(stderr)
     except (OSError, AttributeError):  # captured in memory, so it never blocks
         yield
         return
     stderr.flush()
-    sys.stderr = outlet
+    sys.stderr = replacement
     try:
         yield
     finally:
-        outlet.drain()
+        replacement.drain()
         sys.stderr = stderr

@@ -10,8 +10,8 @@ from edge.errors import UnavailableError
 
 LEAST = 256
 """Lowest limit: a service with sensors, models and viewers has up to 100 files open."""
-_WANTED = 4096
-_SHORT = (errno.EMFILE, errno.ENFILE)
+_TARGET = 4096
+_NO_DESCRIPTOR = (errno.EMFILE, errno.ENFILE)
 
 
 def raise_open_files_limit() -> None:
@@ -21,15 +21,15 @@ def raise_open_files_limit() -> None:
         UnavailableError: the limit is still below `LEAST`.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    most = _WANTED if hard == resource.RLIM_INFINITY else min(hard, _WANTED)
-    if soft != resource.RLIM_INFINITY and soft < most:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
-        soft = most
+    target = _TARGET if hard == resource.RLIM_INFINITY else min(hard, _TARGET)
+    if soft != resource.RLIM_INFINITY and soft < target:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (target, hard))
+        soft = target
     if soft != resource.RLIM_INFINITY and soft < LEAST:
         raise UnavailableError(
             f"this process may open {soft} files and connections, but needs {LEAST}: raise the "
-            f"limit (`ulimit -n {_WANTED}`; LimitNOFILE={_WANTED} in a systemd unit; "
-            f"--ulimit nofile={_WANTED} for a container)"
+            f"limit (`ulimit -n {_TARGET}`; LimitNOFILE={_TARGET} in a systemd unit; "
+            f"--ulimit nofile={_TARGET} for a container)"
         )
 
 
@@ -38,6 +38,6 @@ def open_files_problem() -> str:
     try:
         os.close(os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC))
     except OSError as error:
-        if error.errno in _SHORT:
+        if error.errno in _NO_DESCRIPTOR:
             return f"no file or connection can be opened ({error.strerror}; see `ulimit -n`)"
     return ""

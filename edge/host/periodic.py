@@ -11,15 +11,15 @@ from contextlib import contextmanager
 def run_periodically(name: str, every_s: float, work: Callable[[], object]) -> Iterator[None]:
     """Call `work` every `every_s` seconds on a daemon thread, while the block runs.
 
-    The first call is after `every_s`. At the end, a running call is waited for.
+    The first call comes after `every_s`. At the end, the block waits for a running call.
     """
     over = threading.Event()
 
-    def again() -> None:
+    def call_until_over() -> None:
         while not over.wait(every_s):
             work()
 
-    thread = threading.Thread(target=again, name=name, daemon=True)
+    thread = threading.Thread(target=call_until_over, name=name, daemon=True)
     thread.start()
     try:
         yield

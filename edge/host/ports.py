@@ -8,11 +8,14 @@ import socket
 from pathlib import Path
 
 EPHEMERAL = Path("/proc/sys/net/ipv4/ip_local_port_range")
+"""File with the range of ports for outgoing connections."""
 FIRST = 20_000
+"""Lowest port that `free_port` chooses."""
 MOST_PORT = 65_535
+"""Highest TCP port."""
 
 _USUAL_EPHEMERAL = 32_768
-_TRIES = 100
+_TRIES = 100  # ports
 
 
 def is_loopback(host: str) -> bool:
@@ -40,21 +43,21 @@ def is_free(host: str, port: int) -> bool:
 def free_port() -> int:
     """Return a free TCP port of 127.0.0.1.
 
-    It is below the ports of outgoing connections, if possible, so that no connection takes it
-    before the caller binds it.
+    If possible, the port is below those of outgoing connections. So no connection takes it before
+    the caller binds it.
 
     Raises:
         OSError: no port can be bound.
     """
     choices = range(FIRST, _ephemeral_from())
     # Not a seeded generator, which would give the same ports to many processes.
-    chance = random.SystemRandom()
-    for port in chance.sample(choices, min(_TRIES, len(choices))):
+    rng = random.SystemRandom()
+    for port in rng.sample(choices, min(_TRIES, len(choices))):
         try:
-            return _bound(port)
+            return _bind_once(port)
         except OSError:
             continue
-    return _bound(0)
+    return _bind_once(0)
 
 
 def _ephemeral_from() -> int:
@@ -65,7 +68,7 @@ def _ephemeral_from() -> int:
         return _USUAL_EPHEMERAL
 
 
-def _bound(port: int) -> int:
+def _bind_once(port: int) -> int:
     """Bind a port (0: any), close it, and return its number."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", port))

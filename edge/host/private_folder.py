@@ -59,10 +59,10 @@ def _remove_stale(prefix: str, parent: str) -> None:
                 os.close(fd)
 
 
-def _lock(folder: Path, how: int) -> int:
+def _lock(folder: Path, operation: int) -> int:
     fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
-        fcntl.flock(fd, how)
+        fcntl.flock(fd, operation)
     except OSError:
         os.close(fd)
         raise

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _PROC = Path("/proc")
-_TICKS_A_S = os.sysconf("SC_CLK_TCK")
-_MB_A_KB = 1.024e-3
-_COMM_ENDS, _PARENT, _USER, _SYSTEM, _STARTED = b")", 1, 11, 12, 19  # of /proc/PID/stat, from `)`
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+_MB_PER_KIB = 1.024e-3
+# /proc/PID/stat: the end of the command's name, and the index of each field after it: parent, CPU
+# time in user and system mode, start time.
+_COMM_ENDS, _PARENT, _USER, _SYSTEM, _STARTED = b")", 1, 11, 12, 19
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,10 +20,10 @@ class Process:
     """A process. Its start time distinguishes it from a later process with the same pid.
 
     Attributes:
-        pid: its id.
-        parent: id of its parent.
+        pid: process id.
+        parent: process id of the parent.
         started: start time in clock ticks of the kernel since the boot.
-        command: its command line.
+        command: command line.
     """
 
     pid: int
@@ -31,8 +33,8 @@ class Process:
 
     def is_running(self) -> bool:
         """Return True if the process is running; a zombie is not."""
-        now = _read(self.pid)
-        return now is not None and now.started == self.started
+        current = _read(self.pid)
+        return current is not None and current.started == self.started
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +63,10 @@ def usage(pid: int) -> Usage | None:
         lines = (folder / "status").read_text(encoding="utf-8", errors="replace").splitlines()
         status = dict(line.split(":", 1) for line in lines)
         own_mb, shared_mb = (
-            int(status[key].split()[0]) * _MB_A_KB for key in ("RssAnon", "RssShmem")
+            int(status[key].split()[0]) * _MB_PER_KIB for key in ("RssAnon", "RssShmem")
         )
         fields = _stat(pid)
-        cpu_s = (int(fields[_USER]) + int(fields[_SYSTEM])) / _TICKS_A_S
+        cpu_s = (int(fields[_USER]) + int(fields[_SYSTEM])) / _TICKS_PER_S
         opened = len(os.listdir(folder / "fd"))
     except (OSError, KeyError):  # KeyError: it has ended and has no memory
         return None
@@ -74,7 +76,7 @@ def usage(pid: int) -> Usage | None:
 def descendants(pid: int) -> list[Process]:
     """Return the running children, their children, and so on; parents come first."""
     children: dict[int, list[Process]] = {}
-    for process in _all():
+    for process in _running():
         children.setdefault(process.parent, []).append(process)
     found, new = [], list(children.get(pid, ()))
     while new:
@@ -83,7 +85,7 @@ def descendants(pid: int) -> list[Process]:
     return found
 
 
-def _all() -> Iterator[Process]:
+def _running() -> Iterator[Process]:
     for name in os.listdir(_PROC):
         if name.isdecimal() and (process := _read(int(name))) is not None:
             yield process
@@ -102,6 +104,6 @@ def _read(pid: int) -> Process | None:
 
 
 def _stat(pid: int) -> list[bytes]:
-    """Return the fields from the state on; the name before it may contain any character."""
+    """Return the fields after the command's name, which may contain any character."""
     content = (_PROC / str(pid) / "stat").read_bytes()
     return content.rpartition(_COMM_ENDS)[2].split()

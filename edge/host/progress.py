@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from edge.text import one_line
 
+# Time between two updates, in seconds.
 TERMINAL_PERIOD_S = 0.2
 LOG_PERIOD_S = 5.0
 
@@ -31,7 +32,7 @@ class ProgressBar(tqdm):
     """A progress bar, used as a context. Work that ends within a period shows nothing.
 
     Args:
-        what: what is counted, shown before the bar.
+        what: text before the bar: the name of the work.
         total: amount of work; None: unknown.
         done: amount that was done before.
         options: further options of tqdm.

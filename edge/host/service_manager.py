@@ -16,7 +16,7 @@ from edge.text import one_line
 
 log = logging.getLogger("edge.host.service_manager")
 
-_SHARE = 4  # keep-alive pings per watchdog timeout
+_PINGS_PER_TIMEOUT = 4  # keep-alive pings per watchdog timeout
 _STATUS_CHARS = 400
 
 
@@ -37,9 +37,11 @@ class SystemdNotifier:
     def __init__(self, environ: MutableMapping[str, str] = os.environ) -> None:
         path = environ.pop("NOTIFY_SOCKET", "")
         watchdog_us, pid = environ.pop("WATCHDOG_USEC", ""), environ.pop("WATCHDOG_PID", "")
-        meant = pid in ("", str(os.getpid()))
+        is_for_us = pid in ("", str(os.getpid()))
         self.ping_s = (
-            int(watchdog_us) * 1e-6 / _SHARE if watchdog_us.isdecimal() and meant else None
+            int(watchdog_us) * 1e-6 / _PINGS_PER_TIMEOUT
+            if watchdog_us.isdecimal() and is_for_us
+            else None
         )
         self._failure_logged = False
         self._socket: socket.socket | None = None

@@ -18,19 +18,21 @@ log = logging.getLogger("edge")
 STOP = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 SHOW = (signal.SIGUSR1, signal.SIGUSR2)
 
-_PARENT_LOOK_S = 1.0
-_WAKE, _WAKE_S = signal.SIGURG, 0.05
+_PARENT_PERIOD_S = 1.0
+_WAKE, _WAKE_S = signal.SIGURG, 0.05  # sent to the main thread with this period, to wake it
 
 # Actions that run on a separate thread as soon as a signal comes. A Python handler runs later, in
 # the main thread: a signal to another thread does not wake it, and a handler must take no lock,
 # since the main thread may hold it.
 _actions: dict[int, Callable[[int], None]] = {}
-_written: socket.socket | None = None  # kept open, since the interpreter writes to its descriptor
+_wakeup_socket: socket.socket | None = (
+    None  # kept open, since the interpreter writes to its descriptor
+)
 
 
 def interrupt_on_signals() -> None:
     """Make every signal of `STOP` raise KeyboardInterrupt, as Ctrl-C does."""
-    _handle(_break_off)
+    _set_handler(_interrupt)
 
 
 def stop_on_signals(parent: int | None = None) -> threading.Event:
@@ -45,25 +47,25 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
     stop = threading.Event()
     numbers: list[int] = []
 
-    came = 0
+    n_signals = 0
 
     def handle(signum: int, frame: object) -> None:
         numbers.append(signum)
         if len(numbers) > 1:
             signal.signal(signum, signal.SIG_DFL)
-            _break_off(signum, frame)
+            _interrupt(signum, frame)
 
-    def obey(signum: int) -> None:
-        nonlocal came
-        came += 1
-        if came == 1:
+    def stop_now(signum: int) -> None:
+        nonlocal n_signals
+        n_signals += 1
+        if n_signals == 1:
             log.info("%s: stopping", signal.Signals(signum).name)
         stop.set()
-        _wake_main_thread(lambda: len(numbers) >= came)
+        _wake_main_thread(lambda: len(numbers) >= n_signals)
 
     signal.signal(_WAKE, lambda signum, frame: None)
-    _act(dict.fromkeys(STOP, obey))
-    _handle(handle)
+    _add_actions(dict.fromkeys(STOP, stop_now))
+    _set_handler(handle)
     if parent is not None:
         threading.Thread(target=_watch_parent, args=(parent, stop), daemon=True).start()
     return stop
@@ -75,43 +77,43 @@ def reload_on_sighup() -> threading.Event:
     If the process has a terminal, or `nohup` ignores SIGHUP, the meaning of SIGHUP is not changed
     and the event is never set.
     """
-    asked = threading.Event()
+    requested = threading.Event()
     if not _has_terminal() and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-        _act({signal.SIGHUP: lambda signum: asked.set()})
+        _add_actions({signal.SIGHUP: lambda signum: requested.set()})
         signal.signal(signal.SIGHUP, lambda signum, frame: None)
-    return asked
+    return requested
 
 
 def show_stacks_on_signals() -> None:
     """Make every signal of `SHOW` write the stacks of all threads to stderr."""
-    _act(dict.fromkeys(SHOW, _show_stacks))
+    _add_actions(dict.fromkeys(SHOW, _show_stacks))
     for number in SHOW:
         signal.signal(number, lambda signum, frame: None)
 
 
-def _handle(handler: Callable[[int, object], None]) -> None:
+def _set_handler(handler: Callable[[int, object], None]) -> None:
     for number in STOP:
         # Keep a SIGHUP that `nohup` has set to be ignored.
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handler)
 
 
-def _break_off(signum: int, _frame: object) -> None:
+def _interrupt(signum: int, _frame: object) -> None:
     raise KeyboardInterrupt(signum)
 
 
-def _act(actions: dict[int, Callable[[int], None]]) -> None:
+def _add_actions(actions: dict[int, Callable[[int], None]]) -> None:
     """Run these actions when their signals come; each signal needs a Python handler, too."""
-    global _written
+    global _wakeup_socket
     _actions.update(actions)
-    if _written is None:
-        read, _written = socket.socketpair()
-        _written.setblocking(False)
-        signal.set_wakeup_fd(_written.fileno(), warn_on_full_buffer=False)
-        threading.Thread(target=_serve, args=(read,), name="signals", daemon=True).start()
+    if _wakeup_socket is None:
+        read, _wakeup_socket = socket.socketpair()
+        _wakeup_socket.setblocking(False)
+        signal.set_wakeup_fd(_wakeup_socket.fileno(), warn_on_full_buffer=False)
+        threading.Thread(target=_run_actions, args=(read,), name="signals", daemon=True).start()
 
 
-def _serve(numbers: socket.socket) -> None:
+def _run_actions(numbers: socket.socket) -> None:
     while True:
         number = numbers.recv(1)[0]
         if (action := _actions.get(number)) is not None:
@@ -151,7 +153,7 @@ def _has_terminal() -> bool:
 
 
 def _watch_parent(parent: int, stop: threading.Event) -> None:
-    while not stop.wait(_PARENT_LOOK_S):
+    while not stop.wait(_PARENT_PERIOD_S):
         if os.getppid() != parent:
             log.info("parent process is gone: stopping")
             stop.set()

@@ -34,13 +34,16 @@ from edge.text import one_line
 log = logging.getLogger("edge.host.web_server")
 
 MOST_OPEN = 16
+"""Largest number of connections."""
 MOST_BYTES = 65536
 """Largest body of a POST."""
-_PATIENCE_S = 5.0
-_LOOK_S = 0.1  # period of the check for the end of the block
-_STRANGER, _KNOWN, _BUSY = range(3)
-"""States of a connection: no request had the token; one had it; one with it is in progress."""
-_ELSEWHERE = HTTPStatus.MISDIRECTED_REQUEST
+_PATIENCE_S = 5.0  # time in which a client must send its request
+_POLL_S = 0.1  # period of the check for the end of the block
+# States of a connection.
+_STRANGER = 0  # no request had the token
+_KNOWN = 1  # a request had the token
+_BUSY = 2  # a request with the token is in progress
+_OTHER_HOST = HTTPStatus.MISDIRECTED_REQUEST
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": (
@@ -81,12 +84,12 @@ PostRoutes = Mapping[str, Callable[[bytes], HttpResponse]]
 
 @dataclass(frozen=True)
 class ServedPages:
-    """All pages of a server, and who may read them.
+    """All pages of a server, and the clients that may read them.
 
     Attributes:
         pages: pages for GET and HEAD.
         host: host of the configuration.
-        token: token that a request must have; None: none is needed, and POST is refused.
+        token: token that a request must have; None: no token is needed, and POST is refused.
         probes: pages whose status is returned without the token.
         forms: handlers for POST.
         public: pages that are returned without the token.
@@ -107,7 +110,7 @@ def json_response(data: object, status: HTTPStatus = HTTPStatus.OK) -> HttpRespo
     )
 
 
-def _page(text: str, status: HTTPStatus) -> HttpResponse:
+def _text_page(text: str, status: HTTPStatus) -> HttpResponse:
     return HttpResponse(f"{text}\n".encode(), "text/plain; charset=utf-8", status)
 
 
@@ -150,7 +153,7 @@ def serve(
             "set http.port to a free port, or to null"
         ) from None
     thread = threading.Thread(
-        target=server.serve_forever, args=(_LOOK_S,), name="pages", daemon=True
+        target=server.serve_forever, args=(_POLL_S,), name="pages", daemon=True
     )
     thread.start()
     try:
@@ -175,8 +178,8 @@ class _Server(ThreadingMixIn, HTTPServer):
     def __init__(self, site: ServedPages, port: int) -> None:
         self.site = site
         self._open: dict[socket.socket, int] = {}
-        self._hand = threading.Lock()
-        self._faulty: set[str] = set()
+        self._lock = threading.Lock()
+        self._logged_paths: set[str] = set()
         family, *_, address = socket.getaddrinfo(site.host, port, type=socket.SOCK_STREAM)[0]
         self.address_family = family
         super().__init__(address[:2], _Handler)
@@ -192,15 +195,14 @@ class _Server(ThreadingMixIn, HTTPServer):
         try:
             return super().get_request()
         except OSError:
-            time.sleep(_LOOK_S)  # without a free descriptor, the loop would spin
+            time.sleep(_POLL_S)  # without a free descriptor, the loop would spin
             raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        with self._hand:
+        with self._lock:
             if len(self._open) >= MOST_OPEN:
-                first = min(
-                    self._open, key=self._open.__getitem__
-                )  # the first of equals is the oldest
+                # The first of equal connections is the oldest.
+                first = min(self._open, key=self._open.__getitem__)
                 if self._open[first] == _BUSY:
                     first = request
                 self._open.pop(first, None)  # so that the next connection closes another one
@@ -212,20 +214,20 @@ class _Server(ThreadingMixIn, HTTPServer):
 
     def mark(self, request: Any, state: int) -> bool:
         """Set the state of a connection; return False if it was closed for a new one."""
-        with self._hand:
+        with self._lock:
             if request in self._open:
                 self._open[request] = state
             return request in self._open
 
     def hang_up(self) -> None:
         """Close all open connections."""
-        with self._hand:
+        with self._lock:
             for connection in self._open:
                 with suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
 
     def shutdown_request(self, request: Any) -> None:
-        with self._hand:
+        with self._lock:
             self._open.pop(request, None)
         super().shutdown_request(request)
 
@@ -235,9 +237,9 @@ class _Server(ThreadingMixIn, HTTPServer):
 
     def log_once(self, path: str, fault: str) -> None:
         """Log why a page cannot be made; a warning the first time, then at debug level."""
-        with self._hand:
-            logged = path in self._faulty
-            self._faulty.add(path)
+        with self._lock:
+            logged = path in self._logged_paths
+            self._logged_paths.add(path)
         if not logged:
             log.warning("%s", fault)
         log.debug("%s", fault, exc_info=True)
@@ -252,6 +254,8 @@ class _RefusedError(Exception):
 
 
 class _Handler(BaseHTTPRequestHandler):
+    """Answers the requests of one connection, on its thread."""
+
     timeout = _PATIENCE_S
     server: _Server
     server_version, sys_version = "edge", ""
@@ -261,9 +265,9 @@ class _Handler(BaseHTTPRequestHandler):
     wbufsize, disable_nagle_algorithm = -1, True
 
     def handle_one_request(self) -> None:
-        self._bore_token = False
+        self._has_token = False
         super().handle_one_request()
-        if self._bore_token:
+        if self._has_token:
             self.server.mark(self.connection, _KNOWN)
 
     def do_GET(self) -> None:
@@ -274,10 +278,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(refused, close=True)
             return
         stranger = self._unauthorized_reason()
-        if stranger is None or (path in site.public and stranger.status != _ELSEWHERE):
+        if stranger is None or (path in site.public and stranger.status != _OTHER_HOST):
             make = site.pages.get(path)
             self._send_response(
-                self._send_empty() if make is None else self._build_response(path, make)
+                self._not_found_page() if make is None else self._build_response(path, make)
             )
         elif path in site.probes:
             self._send_response(replace(self._build_response(path, site.pages[path]), body=b""))
@@ -289,8 +293,8 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         path = self.path.partition("?")[0]
         try:
-            take = self._form(path)
-            body = self._body()
+            take = self._find_form(path)
+            body = self._read_body()
         except _RefusedError as refused:
             self._refuse(refused, close=True)
         else:
@@ -303,9 +307,9 @@ class _Handler(BaseHTTPRequestHandler):
         except Exception as error:
             fault = f"{path} failed: {type(error).__name__}: {one_line(error)}"
             self.server.log_once(path, fault)
-            return _page(f"{fault}; see the service's log", HTTPStatus.INTERNAL_SERVER_ERROR)
+            return _text_page(f"{fault}; see the service's log", HTTPStatus.INTERNAL_SERVER_ERROR)
 
-    def _form(self, path: str) -> Callable[[bytes], HttpResponse]:
+    def _find_form(self, path: str) -> Callable[[bytes], HttpResponse]:
         """Return the handler of a POST, or raise _RefusedError."""
         site = self.server.site
         if path not in site.forms:
@@ -322,25 +326,23 @@ class _Handler(BaseHTTPRequestHandler):
         return site.forms[path]
 
     def _unauthorized_reason(self) -> _RefusedError | None:
-        """Return why the client is not authorized; None if it is."""
+        """Return why the client is not authorized; None if it is authorized."""
         site = self.server.site
         if site.token is None:
             if not _names_this_machine(self.headers.get("Host"), site.host):
-                return _RefusedError(_ELSEWHERE, "the request names another host than this one")
+                return _RefusedError(_OTHER_HOST, "the request names another host than this one")
         elif not site.token.matches(self.headers.get("Authorization", "")):
             return _RefusedError(
                 HTTPStatus.UNAUTHORIZED, "a token is required: Authorization: Bearer TOKEN"
             )
         else:
-            self._bore_token = True
-            if not self.server.mark(
-                self.connection, _BUSY
-            ):  # the connection was closed for another one
+            self._has_token = True
+            if not self.server.mark(self.connection, _BUSY):  # it was closed for another connection
                 return _RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections")
         return None
 
     def _body_length(self, most: int) -> int:
-        """Return the length of the body from the headers."""
+        """Return the body's length from the headers; raise _RefusedError above `most` bytes."""
         length = self.headers.get("Content-Length", "0")
         if "Transfer-Encoding" in self.headers or not (length.isascii() and length.isdecimal()):
             raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "expected a Content-Length")
@@ -350,7 +352,7 @@ class _Handler(BaseHTTPRequestHandler):
             )
         return int(length)
 
-    def _body(self) -> bytes:
+    def _read_body(self) -> bytes:
         """Read the body of a POST, within `_PATIENCE_S`."""
         length = self._body_length(MOST_BYTES)
         kind = self.headers.get("Content-Type", "").partition(";")[0].strip().lower()
@@ -369,14 +371,14 @@ class _Handler(BaseHTTPRequestHandler):
         self.connection.settimeout(_PATIENCE_S)
         return bytes(body)
 
-    def _send_empty(self) -> HttpResponse:
-        there = ", ".join(sorted(self.server.site.pages))
-        return _page(f"no such page (pages: {there})", HTTPStatus.NOT_FOUND)
+    def _not_found_page(self) -> HttpResponse:
+        paths = ", ".join(sorted(self.server.site.pages))
+        return _text_page(f"no such page (pages: {paths})", HTTPStatus.NOT_FOUND)
 
     def _refuse(self, refused: _RefusedError, close: bool = False) -> None:
         """Send the reason; with `close`, ignore the rest and close the connection."""
         self.close_connection |= close
-        self._send_response(_page(str(refused), refused.status))
+        self._send_response(_text_page(str(refused), refused.status))
 
     def _send_response(self, page: HttpResponse) -> None:
         if page.etag and self.headers.get("If-None-Match") == f'"{page.etag}"':
@@ -400,7 +402,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Send an error of the base class in the format of our pages."""
         status = HTTPStatus(code)
         self.close_connection, self.request_version = True, self.protocol_version
-        self._send_response(_page(one_line(message or status.phrase), status))
+        self._send_response(_text_page(one_line(message or status.phrase), status))
 
     def log_message(self, format: str, *args: Any) -> None:
         log.debug("%s", one_line(format % args))

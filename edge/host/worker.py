@@ -15,9 +15,13 @@ from edge.text import one_line
 log = logging.getLogger(__name__)
 
 LONGEST_ERROR = 500
+"""Longest text of an error, in characters."""
 MAX_DOUBLINGS, MAX_PAUSE_S = 6, 30.0
+"""Limits of the pause after failures: how often it doubles, and its length in seconds."""
 MOST_QUEUED = 256
+"""Largest number of items that `enqueue` keeps."""
 BEAT_S = 0.1
+"""Period of `beat` without items, in seconds."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -31,12 +35,12 @@ class WorkerStats:
         submitted: accepted items.
         replaced: items that a newer item replaced before they were processed.
         done: processed items.
-        unread: results that a newer result replaced before they were polled.
+        results_replaced: results that a newer result replaced before they were polled.
         failed: items whose processing raised.
         last_latency_ns: processing time of the newest result.
         last_error: newest failure in one line; "" if there was none.
         failures: type of exception → count. The dict is replaced, never changed.
-        in_a_row: failures since the newest result.
+        in_a_row: number of failures since the newest result.
     """
 
     submitted: int = 0
@@ -102,10 +106,10 @@ class Worker(Generic[Item, Result]):
         self._waiting: dict[Hashable, Item] = {}
         self._result: Result | None = None
         self._busy = self._closed = False
-        self._serial = self._passes = 0
-        self._round = self._begun = (
-            0  # number of `discard_all` calls: now, and when the present work began
-        )
+        self._serial = 0  # number of the last queued item
+        self._n_to_drop = 0  # with `inline`: next items to drop, as a pause
+        # Number of calls of `discard_all`: so far, and when the present item began.
+        self._n_discards = self._discards_at_begin = 0
         self._thread: threading.Thread | None = None
         if not inline:
             # A daemon, so that work that hangs does not keep the process alive.
@@ -119,12 +123,12 @@ class Worker(Generic[Item, Result]):
             return not (self._waiting or self._busy)
 
     def submit(self, item: Item, key: Hashable = None) -> None:
-        """Process this item next, in place of the waiting one of the same key.
+        """Process this item next, in place of the waiting item of the same key.
 
-        It never blocks, unless `inline` is set.
+        The call never blocks, unless `inline` is set.
         """
         if self._thread is None:
-            self._at_once(item)
+            self._process_inline(item)
             return
         with self._changed:
             displaced = item if self._closed else self._waiting.get(key)
@@ -137,7 +141,7 @@ class Worker(Generic[Item, Result]):
             self._drop(displaced)
 
     def enqueue(self, item: Item) -> None:
-        """Process this item after all waiting ones; beyond `MOST_QUEUED`, the oldest is dropped."""
+        """Process this item after all that wait; beyond `MOST_QUEUED`, the oldest is dropped."""
         with self._changed:
             self._serial += 1
             self.submit(item, self._serial)
@@ -155,9 +159,9 @@ class Worker(Generic[Item, Result]):
         return result
 
     def discard_all(self) -> None:
-        """Drop all submitted items and their results, also that of the present item."""
+        """Drop all submitted items and their results, also the result of the present item."""
         with self._changed:
-            self._round += 1
+            self._n_discards += 1
             waiting, unread = list(self._waiting.values()), self._result
             self._waiting.clear()
             self._result = None
@@ -186,15 +190,15 @@ class Worker(Generic[Item, Result]):
             self._drop_result(unread)
         return self._thread is None or not self._thread.is_alive()
 
-    def _at_once(self, item: Item) -> None:
-        if self._closed or self._passes > 0:
-            self._passes -= 1
+    def _process_inline(self, item: Item) -> None:
+        if self._closed or self._n_to_drop > 0:
+            self._n_to_drop -= 1
             self._drop(item)
             return
         self.stats.submitted += 1
-        self._begun = self._round
+        self._discards_at_begin = self._n_discards
         if not self._process(item) and self._pause_s:
-            self._passes = 2 ** min(self.stats.in_a_row, MAX_DOUBLINGS)
+            self._n_to_drop = 2 ** min(self.stats.in_a_row, MAX_DOUBLINGS)
 
     def _run(self) -> None:
         while not self._closed or self._waiting:
@@ -212,7 +216,7 @@ class Worker(Generic[Item, Result]):
             self._busy = False
             if not self._waiting and not self._closed:
                 self._changed.wait(BEAT_S if self._beat is not None else None)
-            self._busy, self._begun = bool(self._waiting), self._round
+            self._busy, self._discards_at_begin = bool(self._waiting), self._n_discards
             return [self._waiting.pop(key) for key in list(self._waiting)[:1]]
 
     def _process(self, item: Item) -> bool:
@@ -223,16 +227,16 @@ class Worker(Generic[Item, Result]):
         except Exception as error:  # a model or sink may raise anything; the loop must go on
             self._failed(error)
             return False
-        self._succeeded(result, perf_counter_ns() - begin_ns)
+        self._record_result(result, perf_counter_ns() - begin_ns)
         return True
 
-    def _succeeded(self, result: Result | None, took_ns: int) -> None:
+    def _record_result(self, result: Result | None, took_ns: int) -> None:
         stats, unread = self.stats, result
         with self._changed:
             stats.done += 1
             stats.in_a_row, stats.last_latency_ns = 0, took_ns
-            wanted = not self._closed and self._begun == self._round
-            if result is not None and wanted:
+            is_wanted = not self._closed and self._discards_at_begin == self._n_discards
+            if result is not None and is_wanted:
                 unread, self._result = self._result, result
                 stats.results_replaced += unread is not None
         if unread is not None:

@@ -19,9 +19,11 @@ from edge.mission.logic.automaton import NOTHING, Automaton
 from edge.text import shorten
 
 MAX_WHOLE = 40  # automata with at most this many states are drawn completely
-MAX_PART = 26
+MAX_PART = 26  # states that are drawn of a larger automaton
 MAX_ARROWS = 160  # more are unreadable
-LABEL_LENGTH, CAPTION_LENGTH, MAX_LINES = 22, 15, 3  # characters, lines
+LABEL_LENGTH = 22  # characters in a line of an arrow's label
+CAPTION_LENGTH = 15  # characters in a line below a state
+MAX_LINES = 3  # lines of a label or caption
 _NO_BREAK = "\u00a0"
 
 Role = Literal["other", "visited", "plan"]
@@ -31,7 +33,7 @@ class StateNode(NamedTuple):
     """A state.
 
     Attributes:
-        state: its number.
+        state: number of the state in the automaton.
         initial: True for the initial state.
         accepting: True if the mission succeeds here.
         dead: True if success is impossible from here.
@@ -52,7 +54,15 @@ class StateNode(NamedTuple):
 
 
 class StateArrow(NamedTuple):
-    """A transition; `source` and `target` index the scene's nodes."""
+    """A transition.
+
+    Attributes:
+        source: index in `AutomatonGraph.nodes` of the state where the transition begins.
+        target: index of the state where the transition ends.
+        lines: label, line by line.
+        title: a full description in one line.
+        role: `visited`: taken by the robot; `plan`: planned; `other`.
+    """
 
     source: int
     target: int
@@ -66,8 +76,8 @@ class AutomatonGraph(NamedTuple):
 
     Attributes:
         nodes: the initial state first; if it is not shown, the current one.
-        arrows: transitions between them.
-        note: legend, and what is left out.
+        arrows: transitions between the nodes.
+        note: legend, and a sentence about what is left out.
     """
 
     nodes: tuple[StateNode, ...]
@@ -91,16 +101,16 @@ def make_automaton_graph(
     """
     visited = _walk(automaton, 0, path)
     planned = _walk(automaton, 0 if state is None else state, plan)
-    shown = _shown(automaton, state, planned, visited)
+    shown = _choose_states(automaton, state, planned, visited)
     index = {s: i for i, s in enumerate(shown)}
     roles = _roles(visited, path, "visited") | _roles(planned, plan, "plan")
     nodes, arrows = [], []
     for s in shown:
-        ways = transitions_from(automaton, s)
-        dead = [] if automaton.is_dead(s) else _fatal(automaton, s)
-        hidden = [t for t in ways if t not in index and not automaton.is_dead(t)]
+        next_states = transitions_from(automaton, s)
+        dead = [] if automaton.is_dead(s) else _fatal_letters(automaton, s)
+        hidden = [t for t in next_states if t not in index and not automaton.is_dead(t)]
         nodes.append(_node(automaton, s, s == state, dead, len(hidden)))
-        for t, letters in ways.items():
+        for t, letters in next_states.items():
             if t not in index or (automaton.is_dead(t) and (s, t) not in roles):
                 continue
             arrows.append(_arrow(automaton, (s, t), letters, index, roles))
@@ -123,20 +133,20 @@ def _roles(
 
 def transitions_from(automaton: Automaton, state: int) -> dict[int, list[str]]:
     """Return next states with the letters that lead there, without letters that change nothing."""
-    ways: dict[int, list[str]] = {}
+    next_states: dict[int, list[str]] = {}
     for letter, to in zip((*automaton.propositions, NOTHING), automaton.delta[state], strict=True):
         if to != state:
-            ways.setdefault(int(to), []).append(letter)
-    return ways
+            next_states.setdefault(int(to), []).append(letter)
+    return next_states
 
 
-def _fatal(automaton: Automaton, state: int) -> list[str]:
+def _fatal_letters(automaton: Automaton, state: int) -> list[str]:
     row = automaton.delta[state]
     lost = automaton.steps_left[row] < 0
     return [a for a, bad in zip((*automaton.propositions, NOTHING), lost, strict=True) if bad]
 
 
-def _shown(
+def _choose_states(
     automaton: Automaton, state: int | None, planned: Sequence[int], visited: Sequence[int]
 ) -> list[int]:
     """Return the states to draw: all of a small automaton, or those near the current state.
@@ -144,9 +154,9 @@ def _shown(
     States without a way to success are drawn only if the robot is in one, was in one, or started in
     one.
     """
-    here = 0 if state is None else state
+    current = 0 if state is None else state
     hopeful = np.flatnonzero(automaton.steps_left >= 0).tolist()
-    wanted = list(dict.fromkeys((here, *planned, *reversed(visited))))
+    wanted = list(dict.fromkeys((current, *planned, *reversed(visited))))
     whole = list(dict.fromkeys((0, *wanted, *hopeful)))
     if len(hopeful) <= MAX_WHOLE and _arrows_among(automaton, whole) <= MAX_ARROWS:
         return whole
@@ -155,15 +165,15 @@ def _shown(
         part.pop()
     level = part[:1]
     while level:
-        first = level == [here]
-        ways = (
+        first = level == [current]
+        next_states = (
             t for s in level for t in transitions_from(automaton, s) if not automaton.is_dead(t)
         )
-        level = [t for t in dict.fromkeys(ways) if t not in part]
+        level = [t for t in dict.fromkeys(next_states) if t not in part]
         while level and not _fits(automaton, [*part, *level]):
             level = level[:-1] if first else []  # show at least some of the next states
         part += level
-    return sorted(part, key=lambda s: (s != 0, s != here)) if 0 in part else part
+    return sorted(part, key=lambda s: (s != 0, s != current)) if 0 in part else part
 
 
 def _fits(automaton: Automaton, part: Sequence[int]) -> bool:
@@ -185,7 +195,7 @@ def _node(
     parts += ["accepting"] if accepting else []
     parts += ["success impossible"] if left < 0 else []
     parts += [f"at least {left} to reach"] if left > 0 else []
-    parts += [f"not {', '.join(map(_name, fatal))}"] if fatal else []
+    parts += [f"not {', '.join(map(_letter_text, fatal))}"] if fatal else []
     parts += [f"{hidden} more next states, not shown"] if hidden else []
     words = wrap(f"not {in_words(fatal, automaton.propositions)}", CAPTION_LENGTH) if fatal else ()
     return StateNode(
@@ -201,9 +211,9 @@ def _arrow(
     roles: Mapping[tuple[int, int], tuple[Role, str]],
 ) -> StateArrow:
     role, taken = roles.get(ends, ("other", ""))
-    title = f"{ends[0]} to {ends[1]}: {', '.join(map(_name, letters))}"
+    title = f"{ends[0]} to {ends[1]}: {', '.join(map(_letter_text, letters))}"
     if taken in letters and role != "other":  # name it, and first
-        words = ", ".join(map(_name, dict.fromkeys((taken, *letters))))
+        words = ", ".join(map(_letter_text, dict.fromkeys((taken, *letters))))
     else:
         words = in_words(letters, automaton.propositions)
     return StateArrow(index[ends[0]], index[ends[1]], wrap(words), title, role)
@@ -236,13 +246,15 @@ def in_words(letters: Sequence[str], alphabet: Sequence[str]) -> str:
     nothing = len(names) < len(letters)
     if nothing and not others:
         return "anything or nothing"
-    words = ", ".join(map(_name, names))
+    words = ", ".join(map(_letter_text, names))
     if len(names) > 3 and len(others) <= 2:
-        words = f"all but {', '.join(map(_name, others))}" if others else f"any of {len(names)}"
-    return ", ".join(part for part in (words, _name(NOTHING) if nothing else "") if part)
+        words = (
+            f"all but {', '.join(map(_letter_text, others))}" if others else f"any of {len(names)}"
+        )
+    return ", ".join(part for part in (words, _letter_text(NOTHING) if nothing else "") if part)
 
 
-def _name(letter: str) -> str:
+def _letter_text(letter: str) -> str:
     return "nothing" if letter == NOTHING else shorten(letter, 60)
 
 

@@ -18,35 +18,35 @@ from edge.text import bounded_lines, one_line
 from edge.types import Goal, GoalStatus
 
 MAX_POINTS = 400
-"""Limit of a path that is drawn."""
-MAX_STEPS = 60
+"""Largest number of points of a path that is drawn."""
+MAX_STEPS = 60  # of the mission log
 MAX_LAYERS = 16
 MAX_PROMPT, MAX_CODE, MAX_WORDS, MAX_LINE = 100_000, 20_000, 4_000, 1_000  # characters
-MAX_LINES = 50
+MAX_LINES = 50  # entries of a list, such as notes
 _KINDS = {FRONTIER: "frontier", INSTANCE: "instance"}
 _NS = 1e-9
 
 
-def snapshot_json(moment: LiveSnapshot) -> dict[str, Any]:
-    """Return what changes all the time: pose, goal, candidates, objects."""
-    result, status, pose = moment.result, moment.result.status, moment.result.pose
+def snapshot_json(snapshot: LiveSnapshot) -> dict[str, Any]:
+    """Return the data that change all the time: pose, goal, candidates, objects."""
+    result, status, pose = snapshot.result, snapshot.result.status, snapshot.result.pose
     return {
         "t_s": result.now_ns * _NS,
-        "beat_hz": round(moment.beat_hz, 1),
+        "beat_hz": round(snapshot.beat_hz, 1),
         "pose": None if pose is None else _numbers((pose.x_m, pose.y_m, pose.yaw_rad)),
         "instruction": status.instruction,
         "phase": status.phase,
         "reason": status.reason,
         "target": status.target,
-        "paused": moment.mission.paused,
-        "task": None if moment.task is None else _task(moment.task, moment.n_tasks),
+        "paused": snapshot.mission.paused,
+        "task": None if snapshot.task is None else _task(snapshot.task, snapshot.n_tasks),
         "elapsed_s": round(status.elapsed_s, 1),
         "path_m": round(status.path_m, 2),
         "controlled": result.has_controller,
-        "site": moment.n_sites,
+        "site": snapshot.n_sites,
         "goal": None if result.goal is None else _goal(result.goal, result.goal_status),
-        "way": points(moment.path),
-        "candidates": _candidates(moment),
+        "way": points(snapshot.path),
+        "candidates": _candidates(snapshot),
         "instances": [
             {
                 "id": i.id,
@@ -56,13 +56,13 @@ def snapshot_json(moment: LiveSnapshot) -> dict[str, Any]:
                 "hits": i.hits,
                 "state": i.state,
             }
-            for i in moment.instances
+            for i in snapshot.instances
         ],
     }
 
 
 def _task(task: TaskStatus, number: int) -> dict[str, Any]:
-    """Return what of a task changes all the time; `number` is the version of its `task_json`."""
+    """Return the progress of a task; `number` is the version of its `task_json`."""
     index, driven_m = -1, 0.0
     if task.refined is not None:
         index = thinned(task.refined, task.index, MAX_POINTS)[1]
@@ -110,16 +110,16 @@ def task_json(task: TaskStatus, number: int) -> dict[str, Any]:
     }
 
 
-def site_json(moment: LiveSnapshot) -> dict[str, Any]:
+def site_json(snapshot: LiveSnapshot) -> dict[str, Any]:
     """Return places and zones as GeoJSON, with their version."""
-    return {"number": moment.n_sites, **moment.site.geojson()}
+    return {"number": snapshot.n_sites, **snapshot.site.geojson()}
 
 
-def memory_json(moment: LiveSnapshot) -> dict[str, Any]:
+def memory_json(snapshot: LiveSnapshot) -> dict[str, Any]:
     """Return remembered objects and rooms, as `memory/request` lists them."""
     return {
-        "objects": [one.to_json() for one in moment.objects],
-        "rooms": [room.to_json() for room in moment.rooms],
+        "objects": [known.to_json() for known in snapshot.objects],
+        "rooms": [room.to_json() for room in snapshot.rooms],
     }
 
 
@@ -136,10 +136,10 @@ def _goal(goal: Goal, answer: GoalStatus | None) -> dict[str, Any]:
     }
 
 
-def _candidates(moment: LiveSnapshot) -> list[dict[str, Any]]:
+def _candidates(snapshot: LiveSnapshot) -> list[dict[str, Any]]:
     rows = []
-    for kind, i, xy_m, score, path_m, blocked in zip(*moment.candidates, strict=True):
-        letter, p = moment.mark_letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
+    for kind, i, xy_m, score, path_m, blocked in zip(*snapshot.candidates, strict=True):
+        letter, p = snapshot.mark_letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
         rows.append(
             {
                 "kind": _KINDS.get(int(kind), "spin"),
@@ -155,9 +155,9 @@ def _candidates(moment: LiveSnapshot) -> list[dict[str, Any]]:
     return rows
 
 
-def log_json(moment: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
-    """Return what changes now and then: mission, driven path, latency, log, health."""
-    result, mission = moment.result, moment.mission
+def log_json(snapshot: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
+    """Return the data that change seldom: mission, driven path, latency, log, health."""
+    result, mission = snapshot.result, snapshot.mission
     return {
         "targets": list(result.targets),
         "mission": {**mission_of(mission), "warnings": list(mission.spec.warnings)},
@@ -166,24 +166,24 @@ def log_json(moment: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
             {"t_s": step.stamp_ns * _NS, "kind": step.kind, "label": step.label, "text": step.text}
             for step in mission.log[-MAX_STEPS:]
         ],
-        "trail": points(moment.trail[:, :2]),
-        "layers": list(moment.layers)[:MAX_LAYERS],
+        "trail": points(snapshot.trail[:, :2]),
+        "layers": list(snapshot.layers)[:MAX_LAYERS],
         "latency": latency.as_dict(),
-        "events": [{"t_s": e.now_ns * _NS, "text": e.text} for e in moment.events],
-        "n_events": moment.n_events,
-        "health": moment.health,
+        "events": [{"t_s": e.now_ns * _NS, "text": e.text} for e in snapshot.events],
+        "n_events": snapshot.n_events,
+        "health": snapshot.health,
     }
 
 
 def automaton_json(mission: MissionFacts) -> dict[str, Any]:
     """Return the automaton as a graph: see `edge.live.automaton_graph`."""
-    scene = make_automaton_graph(
+    graph = make_automaton_graph(
         mission.spec.automaton, mission.state, mission.plan.steps, mission.trace
     )
     return {
-        "nodes": [node._asdict() for node in scene.nodes],
-        "arrows": [arrow._asdict() for arrow in scene.arrows],
-        "note": scene.note,
+        "nodes": [node._asdict() for node in graph.nodes],
+        "arrows": [arrow._asdict() for arrow in graph.arrows],
+        "note": graph.note,
     }
 
 

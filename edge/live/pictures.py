@@ -12,6 +12,7 @@ from edge.geometry import Grid, downsample
 from edge.live.sink import CameraShot
 
 MAX_SIDE = 1600
+"""Largest side of a map in pixels."""
 JPEG_QUALITY = 75
 _FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
@@ -28,7 +29,7 @@ def grid_json(grid: Grid) -> dict[str, Any]:
         "origin_xy_m": list(map(float, grid.origin_xy_m)),
         "resolution_m": grid.resolution_m,
         "size": [width, height],
-        "png": _encoded(".png", grid.cells.view(np.uint8), _FAST),
+        "png": _encode(".png", grid.cells.view(np.uint8), _FAST),
     }
 
 
@@ -52,11 +53,11 @@ def shot_json(shot: CameraShot) -> dict[str, Any]:
             for box in shot.boxes
         ],
         "letters": [[letter, round(u, 4), round(v, 4)] for letter, u, v in shot.marks],
-        "jpeg": _encoded(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
+        "jpeg": _encode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
     }
 
 
-def _encoded(kind: str, image: np.ndarray, options: list[int]) -> str:
+def _encode(kind: str, image: np.ndarray, options: list[int]) -> str:
     """Return an image in base64; "" if it has no pixels."""
     if image.size == 0:
         return ""

@@ -24,14 +24,15 @@ from edge.types import Detections, Instance, Observation
 WATCHED_S = 10.0
 """Time after the last request in which the page counts as viewed."""
 PERIOD_S = 0.2
+"""Period of the page's data and of images."""
 OBJECTS_S = 1.0
 """Period of the lists of remembered objects and of rooms."""
 MAX_EVENTS = 400
-MAX_SHOT_PX = 960
-MAX_BOXES = 60
-_BEAT_S = 1.0
+MAX_SHOT_PX = 960  # longer side of an image
+MAX_BOXES = 60  # of targets, and of other objects
+_BEAT_WINDOW_S = 1.0  # over which ticks are counted
 _UNBOXED_S = 0.5  # after this time without detections, images are shown without boxes
-_TRAIL = 2048
+_TRAIL_POSES = 2048
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +41,7 @@ class LiveSnapshot:
 
     Attributes:
         at_s: time on the sink's clock.
-        result: use only methods that other threads may call.
+        result: the result of the tick. Use only methods that other threads may call.
         mission: the mission.
         task: the task; None: there is none.
         n_tasks: version of `task`: increases when it changes, except for progress along it.
@@ -53,7 +54,7 @@ class LiveSnapshot:
         path: (n, 2) path to the goal, metres.
         layers: grids to draw, by name.
         health: see `edge.loop.result.TickResult`.
-        mark_letters: candidate id to its letter and the model's probability for it.
+        mark_letters: by candidate id: the candidate's letter, and its probability by the model.
         trail: (n, 3) float64 poses of the driven path.
         beat_hz: ticks with an observation per second.
         events: the newest events.
@@ -82,7 +83,14 @@ class LiveSnapshot:
 
 
 class Box(NamedTuple):
-    """A detection; `xyxy` in fractions of the image's width and height."""
+    """A detection in an image.
+
+    Attributes:
+        label: class name.
+        score: score of the detection.
+        wanted: True if the class is a target.
+        xyxy: left, top, right, bottom, in fractions of the image's width and height.
+    """
 
     label: str
     score: float
@@ -97,7 +105,7 @@ class CameraShot:
     Attributes:
         seq: number of the image.
         rgb: (h, w, 3) uint8, a copy, subsampled if it was large.
-        boxes: of targets and of other objects.
+        boxes: detections of targets and of other objects.
         marks: (letter, u, v) of candidates that the choice scorer was asked about and that are in
             view; u and v in fractions of the image's width and height.
     """
@@ -112,7 +120,7 @@ class LiveSink:
     """A sink that costs almost nothing while nobody views the page.
 
     Args:
-        clock: seconds.
+        clock: returns a time in seconds.
 
     Attributes:
         snapshot: the newest state; None while nobody views the page.
@@ -127,7 +135,7 @@ class LiveSink:
         self.ticked_s: float | None = None
         self._viewed_s = self._boxed_s = -math.inf
         self._due_s = self._shot_due_s = self._objects_due_s = -math.inf
-        self._trail = DrivenPath(_TRAIL)
+        self._trail = DrivenPath(_TRAIL_POSES)
         self._events: tuple[Event, ...] = ()
         self._objects: Sequence[KnownObject] = ()
         self._rooms: Sequence[MappedRoom] = ()
@@ -154,11 +162,11 @@ class LiveSink:
         if result.observation is not None:
             self._n_ticks += 1
             self._trail.append(result.now_ns, result.observation.pose)
-        if now_s - self._beat[0] >= _BEAT_S:
+        if now_s - self._beat[0] >= _BEAT_WINDOW_S:
             since_s, ticks, _ = self._beat
             self._beat = (now_s, self._n_ticks, (self._n_ticks - ticks) / (now_s - since_s))
         if now_s - self._viewed_s > WATCHED_S:
-            self.snapshot = self.shot = None  # free the map that a moment holds
+            self.snapshot = self.shot = None  # free the map that a snapshot holds
             return
         if now_s >= self._due_s:
             self._due_s = now_s + PERIOD_S
@@ -193,7 +201,7 @@ class LiveSink:
             path=result.path(),
             layers=result.layers(),
             health=result.health(),
-            mark_letters={} if choice is None else _letters(choice),
+            mark_letters={} if choice is None else _letter_of_candidate(choice),
             trail=self._trail.arrays()[0],
             beat_hz=self._beat[2],
             events=self._events,
@@ -219,11 +227,11 @@ class LiveSink:
             self._n_shots,
             np.array(observation.rgb[::stride, ::stride]),
             boxes,
-            _in_view(observation, result),
+            _visible_letters(observation, result),
         )
 
 
-def _letters(choice: FrontierChoice) -> dict[int, tuple[str, float]]:
+def _letter_of_candidate(choice: FrontierChoice) -> dict[int, tuple[str, float]]:
     entries = zip(choice.ids, LETTERS, choice.p.tolist(), strict=False)
     return {candidate: (letter, p) for candidate, letter, p in entries}
 
@@ -236,22 +244,26 @@ def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
     for entries in (detections, detections.around()):
         if entries is not None:
             shares = (entries.xyxy_px / np.float32([width, height, width, height])).tolist()
-            of = zip(entries.class_id.tolist(), entries.score.tolist(), shares, strict=True)
-            boxes += [(entries.prompts[i], score, xyxy) for i, score, xyxy in list(of)[:MAX_BOXES]]
+            rows = zip(entries.class_id.tolist(), entries.score.tolist(), shares, strict=True)
+            boxes += [
+                (entries.prompts[i], score, xyxy) for i, score, xyxy in list(rows)[:MAX_BOXES]
+            ]
     return tuple(
         Box(label, score, names.same_as_any(label, targets), tuple(xyxy))
         for label, score, xyxy in boxes
     )
 
 
-def _in_view(observation: Observation, result: TickResult) -> tuple[tuple[str, float, float], ...]:
+def _visible_letters(
+    observation: Observation, result: TickResult
+) -> tuple[tuple[str, float, float], ...]:
     """Return letters and image positions of frontiers that still exist and are in view."""
     camera, choice = observation.camera, result.choice
     if camera is None or choice is None:
         return ()
-    letters, there = _letters(choice), result.candidates()
-    lettered = np.isin(there.id, choice.ids) & (there.kind == FRONTIER)
-    marks = visible_marks(observation, there.xy_m[lettered], there.id[lettered])
+    letters, candidates = _letter_of_candidate(choice), result.candidates()
+    lettered = np.isin(candidates.id, choice.ids) & (candidates.kind == FRONTIER)
+    marks = visible_marks(observation, candidates.xy_m[lettered], candidates.id[lettered])
     return tuple(
         (letters[m.id][0], (m.u_px + 0.5) / camera.width_px, (m.v_px + 0.5) / camera.height_px)
         for m in marks

@@ -6,6 +6,7 @@ import numpy as np
 
 from edge.geometry import SE2
 
+# Smallest distance and time between two poses, at first.
 STEP_M = 0.05
 STEP_NS = 100_000_000
 
@@ -21,7 +22,7 @@ class DrivenPath:
         self._last: tuple[int, SE2] | None = None
 
     def append(self, stamp_ns: int, pose: SE2) -> None:
-        """Append the pose if it is `STEP_M` or `STEP_NS` (times the stride) from the last one."""
+        """Append the pose if it is `STEP_M` or `STEP_NS` (times the stride) after the last pose."""
         if self._last is not None:
             last_ns, last = self._last
             moved_m = last.distance_to(pose.x_m, pose.y_m)

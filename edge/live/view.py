@@ -32,7 +32,7 @@ from edge.loop.service_health import ServiceHealth
 
 ANSWER_S = 120.0
 """Timeout of a request: a language model may have to process it."""
-_LATENCY_TICKS = 300
+_LATENCY_TICKS = 300  # newest ticks in the table of latencies
 _TOO_CLOSE = 50  # map value of cells near obstacles, which the page draws differently
 _FOLDER = Path(__file__).parent / "page"
 _KINDS = {
@@ -55,17 +55,17 @@ class LiveView:
 
     Args:
         config: the configuration.
-        vitals: health of the service, from its start on.
+        health: health of the service, from its start on.
 
     Attributes:
         sink: receives the results.
     """
 
-    def __init__(self, config: Config, vitals: ServiceHealth) -> None:
+    def __init__(self, config: Config, health: ServiceHealth) -> None:
         self.sink = LiveSink()
-        self._config, self._vitals = config, vitals
+        self._config, self._health = config, health
         self._queues: Mapping[str, RequestQueue] = {}
-        self._lock = threading.Lock()  # one thread encodes, for all viewers
+        self._lock = threading.Lock()  # so that one thread encodes for all viewers
         self._cached: dict[str, tuple[object, HttpResponse]] = {}
 
     def open(self, queues: Mapping[str, RequestQueue]) -> None:
@@ -95,86 +95,93 @@ class LiveView:
 
     def _now(self) -> HttpResponse:
         now_s = self.sink.mark_watched()
-        moment, shot, ticked_s = self.sink.snapshot, self.sink.shot, self.sink.ticked_s
-        why = self._vitals.problems()
+        snapshot, shot, ticked_s = self.sink.snapshot, self.sink.shot, self.sink.ticked_s
+        why = self._health.problems()
         return _json(
             {
                 "robot": self._config.robot_name,
                 "radius_m": self._config.robot.radius_m,
-                "service": {"state": self._vitals.state, "ready": not why, "why": why},
+                "service": {"state": self._health.state, "ready": not why, "why": why},
                 "controls": self._config.http.token_file is not None,
                 "silent_s": None if ticked_s is None else round(now_s - ticked_s, 1),
                 "shot": None if shot is None else shot.seq,
-                "moment": None if moment is None else snapshot_json(moment),
+                "moment": None if snapshot is None else snapshot_json(snapshot),
             }
         )
 
     def _mission_log(self) -> HttpResponse:
-        moment = self._viewed_moment()
-        if moment is None:
+        snapshot = self._watched_snapshot()
+        if snapshot is None:
             return _json(None)
-        return _json(log_json(moment, moment.result.latency(last=_LATENCY_TICKS)))
+        return _json(log_json(snapshot, snapshot.result.latency(last=_LATENCY_TICKS)))
 
     def _task(self) -> HttpResponse:
-        moment = self._viewed_moment()
-        if moment is None or moment.task is None:
+        snapshot = self._watched_snapshot()
+        if snapshot is None or snapshot.task is None:
             return _json(None)
-        task = moment.task
-        return self._once("task", moment.n_tasks, lambda: _json(task_json(task, moment.n_tasks)))
+        task = snapshot.task
+        return self._cached_response(
+            "task", snapshot.n_tasks, lambda: _json(task_json(task, snapshot.n_tasks))
+        )
 
     def _site(self) -> HttpResponse:
-        moment = self._viewed_moment()
-        if moment is None:
+        snapshot = self._watched_snapshot()
+        if snapshot is None:
             return _json(None)
-        return self._once("site", moment.n_sites, lambda: _json(site_json(moment)))
+        return self._cached_response("site", snapshot.n_sites, lambda: _json(site_json(snapshot)))
 
     def _memory(self) -> HttpResponse:
-        moment = self._viewed_moment()
-        return _json(None if moment is None else memory_json(moment))
+        snapshot = self._watched_snapshot()
+        return _json(None if snapshot is None else memory_json(snapshot))
 
     def _map(self) -> HttpResponse:
-        moment = self._viewed_moment()
-        if moment is None:
+        snapshot = self._watched_snapshot()
+        if snapshot is None:
             return _json(None)
-        return self._grid("map", partial(moment.result.snapshot, inflated=_TOO_CLOSE))
+        return self._grid("map", partial(snapshot.result.snapshot, inflated=_TOO_CLOSE))
 
     def _layer(self, index: int) -> HttpResponse:
-        moment = self._viewed_moment()
-        layers = [] if moment is None else list(moment.layers.items())
+        snapshot = self._watched_snapshot()
+        layers = [] if snapshot is None else list(snapshot.layers.items())
         return self._grid(*layers[index]) if index < len(layers) else _json(None)
 
     def _camera(self) -> HttpResponse:
-        self._viewed_moment()
+        self._watched_snapshot()
         if (shot := self.sink.shot) is None:
             return _json(None)
-        return self._once("camera", shot.seq, lambda: _json(shot_json(shot)))
+        return self._cached_response("camera", shot.seq, lambda: _json(shot_json(shot)))
 
-    def _viewed_moment(self) -> LiveSnapshot | None:
+    def _watched_snapshot(self) -> LiveSnapshot | None:
+        """Record that somebody views the page, and return the newest snapshot, if any."""
         self.sink.mark_watched()
         return self.sink.snapshot
 
     def _grid(self, name: str, take: Callable[[], Grid]) -> HttpResponse:
         grid = take()
-        said = blake2b(grid.cells, digest_size=8)
-        said.update(f"{grid.origin_xy_m} {grid.resolution_m} {grid.cells.shape}".encode())
-        tag = said.hexdigest()
-        return self._once(name, tag, lambda: _json({"name": name, **grid_json(grid)}, tag))
+        digest = blake2b(grid.cells, digest_size=8)
+        digest.update(f"{grid.origin_xy_m} {grid.resolution_m} {grid.cells.shape}".encode())
+        tag = digest.hexdigest()
+        return self._cached_response(
+            name, tag, lambda: _json({"name": name, **grid_json(grid)}, tag)
+        )
 
-    def _once(self, name: str, version: object, make: Callable[[], HttpResponse]) -> HttpResponse:
-        """Return a page that is encoded once per version, for all viewers."""
+    def _cached_response(
+        self, name: str, version: object, make: Callable[[], HttpResponse]
+    ) -> HttpResponse:
+        """Return a response that is made once per version, for all viewers."""
         with self._lock:
-            kept = self._cached.get(name)
-            if kept is None or kept[0] != version:
+            cached = self._cached.get(name)
+            if cached is None or cached[0] != version:
                 if len(self._cached) > MAX_LAYERS:  # layers of earlier missions
                     self._cached.clear()
-                kept = self._cached[name] = version, make()
-            return kept[1]
+                cached = self._cached[name] = version, make()
+            return cached[1]
 
     # -- requests ------------------------------------------------------------------------------
 
     def _request(self, key: str, body: bytes) -> HttpResponse:
         if key not in self._queues:
-            state = self._vitals.state
+            state = self._health.state
             return HttpResponse(
                 error_of(f"the service is {state}"), _JSON, HTTPStatus.SERVICE_UNAVAILABLE
             )
@@ -190,8 +197,8 @@ class LiveView:
 _JSON = "application/json"
 
 
-def _json(said: Any, etag: str = "") -> HttpResponse:
-    body = json.dumps(said, separators=(",", ":"), allow_nan=False).encode()
+def _json(data: Any, etag: str = "") -> HttpResponse:
+    body = json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
     return HttpResponse(body, _JSON, etag=etag)
 
 

@@ -18,15 +18,16 @@ from edge.mapping.grid import Frontiers, RollingMap
 from edge.policies.base import FRONTIER, INSTANCE, SNAP_M, SPIN, Candidates
 from edge.types import Instance
 
-_DISCARDED = 64
-_PERSISTENT = ("xy_m", "anchor_m", "id", "first_seen_ns", "gain_m2")
-_UNMEASURED = np.float32(-1.0)
+_MAX_DISCARDED = 64  # largest number of discarded candidates; the oldest are overwritten
+# Names of the arrays that are carried over from tick to tick, as in a checkpoint.
+_CARRIED = ("xy_m", "anchor_m", "id", "first_seen_ns", "gain_m2")
+_UNMEASURED = np.float32(-1.0)  # gain of a frontier that was never measured
 # Number of frontiers whose gain is measured again in a tick, in addition to new ones.
-_MEASURED = 12
+_MEASURED_PER_TICK = 12
 SPIN_MIN_M2 = 1.5
 """A spin that would show less than this area is no candidate."""
 TURN_M_PER_RAD = 0.15  # cost of a turn, as path length
-_SAME_SPIN_RAD = 0.6
+_SAME_SPIN_RAD = 0.6  # a spin keeps its id and heading while the best heading is this near
 
 
 class CandidatePool:
@@ -38,7 +39,7 @@ class CandidatePool:
 
     Attributes:
         candidates: The candidates, updated in place.
-        read_only: The same, read-only.
+        read_only: The same candidates, in arrays that cannot be written.
         anchor_m: (capacity, 2) float32, first position of each frontier.
         r_assoc_m: Distance from its first position within which a frontier keeps its id; may be
             set.
@@ -48,21 +49,21 @@ class CandidatePool:
         c = self.candidates = Candidates(capacity)
         self.read_only = c.read_only()
         self.anchor_m = np.zeros((capacity, 2), np.float32)
-        lasting = c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2
-        self._persistent: tuple[np.ndarray, ...] = lasting
-        self._before = tuple(np.empty_like(array) for array in self._persistent)
+        carried = c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2
+        self._carried: tuple[np.ndarray, ...] = carried
+        self._old_arrays = tuple(np.empty_like(array) for array in self._carried)
         self.r_assoc_m = r_assoc_m
         self._next_id = 1
-        self._measure_next = 0
-        self._measured_ns: int | None = None
-        self._measured = np.zeros(capacity, np.int32)
+        self._next_to_measure = 0
+        self._rotated_ns: int | None = None
+        self._selected = np.zeros(capacity, np.int32)
         self._spin: tuple[int, float] | None = None  # id and heading
-        self._match = np.full(capacity, -1, np.int32)
-        self._claim = np.full(capacity, -1, np.int32)
-        self._discarded_xy_m = np.zeros((_DISCARDED, 2), np.float32)
-        self._discarded_kind = np.zeros(_DISCARDED, np.int8)
-        self._discarded_id = np.zeros(_DISCARDED, np.int64)
-        self._discarded_until_ns = np.zeros(_DISCARDED, np.int64)
+        self._old_index = np.full(capacity, -1, np.int32)
+        self._new_index = np.full(capacity, -1, np.int32)
+        self._discarded_xy_m = np.zeros((_MAX_DISCARDED, 2), np.float32)
+        self._discarded_kind = np.zeros(_MAX_DISCARDED, np.int8)
+        self._discarded_id = np.zeros(_MAX_DISCARDED, np.int64)
+        self._discarded_until_ns = np.zeros(_MAX_DISCARDED, np.int64)
         self._discarded_next = 0
 
     def update(
@@ -81,19 +82,20 @@ class CandidatePool:
         n_old = int(np.count_nonzero(c.kind[: c.n] == FRONTIER))
         n_instances = min(len(instances), capacity)
         n_new = min(frontiers.n, capacity - n_instances)
-        for array, saved in zip(self._persistent, self._before, strict=True):
+        for array, saved in zip(self._carried, self._old_arrays, strict=True):
             saved[:n_old] = array[:n_old]
-        old_xy_m, anchor_m, old_id, first_seen_ns, gain_m2 = self._before
+        old_xy_m, anchor_m, old_id, first_seen_ns, gain_m2 = self._old_arrays
         _associate(
             old_xy_m, anchor_m, n_old, frontiers.xy_m, n_new,
-            self.r_assoc_m, self._match, self._claim,
+            self.r_assoc_m, self._old_index, self._new_index,
         )  # fmt: skip
         c.xy_m[:n_new] = frontiers.xy_m[:n_new]
         c.kind[:n_new] = FRONTIER
         c.confirmed[:n_new] = False
         c.confidence[:n_new] = 0.0
         self._next_id = _carry_over(
-            self._match, n_new, self._next_id, stamp_ns, anchor_m, old_id, first_seen_ns, gain_m2,
+            self._old_index, n_new, self._next_id, stamp_ns,
+            anchor_m, old_id, first_seen_ns, gain_m2,
             c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2,
         )  # fmt: skip
         # If the sensors' clock was set back, no frontier may have been seen in the future.
@@ -127,12 +129,14 @@ class CandidatePool:
         c = self.candidates
         grid.travel_cost.path_lengths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)
         n = int(np.count_nonzero(c.kind[: c.n] == FRONTIER))
-        if c.stamp_ns != self._measured_ns:  # the rotation advances once per observation
-            self._measured_ns = c.stamp_ns
-            self._measure_next = (self._measure_next + _MEASURED) % max(n, 1)
-        k = _to_measure(c.gain_m2, n, self._measure_next, _MEASURED, self._measured)
+        if c.stamp_ns != self._rotated_ns:  # the rotation advances once per observation
+            self._rotated_ns = c.stamp_ns
+            self._next_to_measure = (self._next_to_measure + _MEASURED_PER_TICK) % max(n, 1)
+        k = _select_to_measure(
+            c.gain_m2, n, self._next_to_measure, _MEASURED_PER_TICK, self._selected
+        )
         if k and grid.window.placed:
-            grid.gain.around(c.xy_m, self._measured, k, c.gain_m2)
+            grid.gain.around(c.xy_m, self._selected, k, c.gain_m2)
 
     def add_spin(self, grid: RollingMap, pose: SE2, fov_rad: float, now_ns: int) -> None:
         """Add the spin that would show the largest area, if it is large enough."""
@@ -148,10 +152,10 @@ class CandidatePool:
         if self._spin is None or abs(wrap_angle(self._spin[1] - heading)) > _SAME_SPIN_RAD:
             self._spin = (self._next_id, heading)
             self._next_id += 1
-        i, (look_id, heading) = c.n, self._spin
+        i, (spin_id, heading) = c.n, self._spin
         c.xy_m[i] = pose.x_m + math.cos(heading), pose.y_m + math.sin(heading)
         c.kind[i] = SPIN
-        c.id[i] = look_id
+        c.id[i] = spin_id
         c.first_seen_ns[i] = c.stamp_ns
         c.confidence[i] = 0.0
         c.confirmed[i] = False
@@ -178,7 +182,7 @@ class CandidatePool:
         self._discarded_kind[i] = kind
         self._discarded_id[i] = candidate_id
         self._discarded_until_ns[i] = until_ns
-        self._discarded_next = (i + 1) % _DISCARDED
+        self._discarded_next = (i + 1) % _MAX_DISCARDED
 
     def unblock_all(self) -> None:
         """Unblock all discarded candidates."""
@@ -187,17 +191,17 @@ class CandidatePool:
     def state_dict(self) -> Arrays:
         """Return the ids of the frontiers and the discarded candidates."""
         n = int(np.count_nonzero(self.candidates.kind[: self.candidates.n] == FRONTIER))
-        left = self._discarded_until_ns > 0
+        blocked = self._discarded_until_ns > 0
         return {
-            **{name: a[:n].copy() for name, a in zip(_PERSISTENT, self._persistent, strict=True)},
+            **{name: a[:n].copy() for name, a in zip(_CARRIED, self._carried, strict=True)},
             "next_id": np.array(self._next_id),
-            "measure_next": np.array(self._measure_next),
+            "measure_next": np.array(self._next_to_measure),
             "look_id": np.array([] if self._spin is None else self._spin[:1], np.int64),
             "look_rad": np.array([] if self._spin is None else self._spin[1:], np.float64),
-            "discarded_xy_m": self._discarded_xy_m[left],
-            "discarded_kind": self._discarded_kind[left],
-            "discarded_id": self._discarded_id[left],
-            "discarded_until_ns": self._discarded_until_ns[left],
+            "discarded_xy_m": self._discarded_xy_m[blocked],
+            "discarded_kind": self._discarded_kind[blocked],
+            "discarded_id": self._discarded_id[blocked],
+            "discarded_until_ns": self._discarded_until_ns[blocked],
         }
 
     def load_state_dict(self, state: Arrays, later_ns: int, later_stamp_ns: int) -> None:
@@ -205,23 +209,23 @@ class CandidatePool:
 
         Args:
             state: The arrays.
-            later_ns: Shift of times on the clock of `discard`.
-            later_stamp_ns: Shift of stamps on the sensors' clock.
+            later_ns: Added to saved times of the clock of `discard`.
+            later_stamp_ns: Added to saved stamps of the sensors' clock.
         """
-        c, look = self.candidates, ("look_id", "look_rad")
+        c, spin_keys = self.candidates, ("look_id", "look_rad")
         discarded = tuple(f"discarded_{name}" for name in ("kind", "id", "xy_m", "until_ns"))
-        rows = {_PERSISTENT: 1 << 14, look: 1, discarded: _DISCARDED}
-        most = {"discarded_kind": SPIN, "measure_next": 1 << 16}
-        check_arrays(state, self.state_dict(), rows, most, ("id",))
+        rows = {_CARRIED: 1 << 14, spin_keys: 1, discarded: _MAX_DISCARDED}
+        max_values = {"discarded_kind": SPIN, "measure_next": 1 << 16}
+        check_arrays(state, self.state_dict(), rows, max_values, ("id",))
         c.n = min(len(state["id"]), len(c.id))
         c.kind[: c.n] = FRONTIER
-        for name, array in zip(_PERSISTENT, self._persistent, strict=True):
+        for name, array in zip(_CARRIED, self._carried, strict=True):
             array[: c.n] = state[name][: c.n]
         c.first_seen_ns[: c.n] += later_stamp_ns
         self._next_id = max(self._next_id, int(state["next_id"]))
-        self._measure_next = int(state["measure_next"])
-        for look_id, heading in zip(*(state[name] for name in look), strict=True):
-            self._spin = (int(look_id), float(heading))
+        self._next_to_measure = int(state["measure_next"])
+        for spin_id, heading in zip(*(state[name] for name in spin_keys), strict=True):
+            self._spin = (int(spin_id), float(heading))
         for kind, i, xy_m, until_ns in zip(*(state[name] for name in discarded), strict=True):
             self.discard(int(kind), int(i), (float(xy_m[0]), float(xy_m[1])), until_ns + later_ns)
 
@@ -233,10 +237,20 @@ class CandidatePool:
 
 @jit
 def _associate(old_xy, old_anchor, n_old, new_xy, n_new, radius, match, claim):
-    """Match new frontiers to old ones: match[new] = old index or -1, each old one at most once.
+    """Match new frontiers to old ones; each old one is matched at most once.
 
-    Of all pairs within the radius, the nearest are matched first. A new frontier that loses its old
-    one to a nearer new one searches for another.
+    Of all pairs within the radius, the nearest are matched first. If a new frontier loses its old
+    frontier to a nearer new one, it searches for another.
+
+    Args:
+        old_xy: (cap, 2), points of the old frontiers.
+        old_anchor: (cap, 2), first points of the old frontiers.
+        n_old: Number of old frontiers.
+        new_xy: (cap, 2), points of the new frontiers.
+        n_new: Number of new frontiers.
+        radius: Largest distance of a new frontier from the first point of its old one, in metres.
+        match: Output, old index for each new frontier, or -1.
+        claim: Output, new index for each old frontier, or -1.
     """
     for j in range(n_old):
         claim[j] = -1
@@ -265,9 +279,9 @@ def _nearest_unclaimed(old_xy, old_anchor, n_old, new_xy, i, r2, claim):
         d2 = dx * dx + dy * dy
         if d2 >= best:
             continue
-        other = claim[j]
-        if other >= 0:
-            rx, ry = new_xy[other, 0] - old_xy[j, 0], new_xy[other, 1] - old_xy[j, 1]
+        claimer = claim[j]
+        if claimer >= 0:
+            rx, ry = new_xy[claimer, 0] - old_xy[j, 0], new_xy[claimer, 1] - old_xy[j, 1]
             if rx * rx + ry * ry <= d2:
                 continue
         found, best = j, d2
@@ -300,6 +314,7 @@ def _carry_over(
 def _mark_blocked(
     xy, kind, ids, n, discarded_xy, discarded_kind, discarded_id, until_ns, now_ns, radius, blocked
 ):
+    """Write to `blocked` if each candidate is discarded now; see `CandidatePool.discard`."""
     for i in range(n):
         blocked[i] = False
         for j in range(len(until_ns)):
@@ -315,14 +330,15 @@ def _mark_blocked(
 
 
 @jit
-def _to_measure(gain, n, start, least, which):
-    """Write to `which` the indices of the frontiers to measure; return their number.
+def _select_to_measure(gain, n, start, n_rotating, out):
+    """Write to `out` the indices of the frontiers to measure; return their number.
 
-    These are all frontiers that were never measured, and `least` others in rotation.
+    These are all frontiers that were never measured, and the `n_rotating` frontiers from index
+    `start` on, so that all are measured in turn.
     """
     k = 0
     for i in range(n):
-        if gain[i] < 0.0 or (i - start) % n < least:
-            which[k] = i
+        if gain[i] < 0.0 or (i - start) % n < n_rotating:
+            out[k] = i
             k += 1
     return k

@@ -50,12 +50,12 @@ class ErrorBoundary:
         self.failures: dict[str, int] = {}
         self.last_error = ""
         self._event = event
-        self._in_a_row: dict[str, int] = {}
+        self._consecutive: dict[str, int] = {}
 
     @property
     def state(self) -> str:
         """`ok` or `degraded`."""
-        worst = max(self._in_a_row.values(), default=0)
+        worst = max(self._consecutive.values(), default=0)
         return "degraded" if worst >= DEGRADED_AFTER else "ok"
 
     @contextmanager
@@ -75,13 +75,13 @@ class ErrorBoundary:
         nothing to do.
         """
         try:
-            found = work()
+            result = work()
         except Exception as error:
             self.on_error(step, error, now_ns)
             return None
-        if found:
+        if result:
             self.on_success(step, now_ns)
-        return found
+        return result
 
     def on_error(self, step: str, error: Exception, now_ns: int, where: str = "") -> None:
         """Count a failure of a step, and log the first of its kind.
@@ -100,19 +100,19 @@ class ErrorBoundary:
         kind = f"{where or step}: {type(error).__name__}"
         self.failed += 1
         self.failures[kind] = self.failures.get(kind, 0) + 1
-        self._in_a_row[step] = self._in_a_row.get(step, 0) + 1
-        self.last_error = one_line(f"{kind} at {_place(error)}: {error}")
+        self._consecutive[step] = self._consecutive.get(step, 0) + 1
+        self.last_error = one_line(f"{kind} at {_raised_at(error)}: {error}")
         if self.failures[kind] == 1:
             log.error("%s (further errors of this kind are only counted)", self.last_error)
             log.debug("%s", kind, exc_info=error)
             self._event(f"failed: {self.last_error}", now_ns)
-        if self._in_a_row[step] == DEGRADED_AFTER:
+        if self._consecutive[step] == DEGRADED_AFTER:
             log.error("degraded: %s", self.last_error)
             self._event(f"degraded: {step} keeps failing: {self.last_error}", now_ns)
 
     def on_success(self, step: str, now_ns: int) -> None:
         """Record the success of a step."""
-        if self._in_a_row and self._in_a_row.pop(step, 0) >= DEGRADED_AFTER:
+        if self._consecutive and self._consecutive.pop(step, 0) >= DEGRADED_AFTER:
             self._event(f"{step}: works again", now_ns)
 
     def status(self) -> dict[str, object]:
@@ -125,7 +125,7 @@ class ErrorBoundary:
         }
 
 
-def _place(error: Exception) -> str:
+def _raised_at(error: Exception) -> str:
     """Return the file and line that raised the error."""
     trace = error.__traceback__
     if trace is None:

@@ -31,7 +31,7 @@ MOST_SERIES = 100
 """Largest number of series of one counter. Labels from outside may have any number of values, and
 Prometheus keeps each series for weeks. All further values are summed up as `OTHER`."""
 OTHER = "other"
-_LONGEST_LABEL = 100
+_LONGEST_LABEL = 100  # characters
 
 Source = TypeVar("Source")
 Kind = Literal["counter", "gauge", "state", "histogram"]
@@ -66,7 +66,8 @@ class MetricSpec(Generic[Source]):
     states: tuple[str, ...] = ()
 
 
-Read = Callable[[], Iterable[Family]]
+ReadMetrics = Callable[[], Iterable[Family]]
+"""Function that returns all metrics with their current values; called at each scrape."""
 
 
 def families(table: Iterable[MetricSpec[Source]], source: Source) -> Iterator[Family]:
@@ -81,7 +82,10 @@ def families(table: Iterable[MetricSpec[Source]], source: Source) -> Iterator[Fa
         found = {} if found is None else found
         samples = found if isinstance(found, Mapping) else {(): found}
         family = _FAMILIES[metric.kind](metric.name, metric.help, labels=metric.labels)
-        (_fill_buckets if metric.kind == "histogram" else _fill)(family, samples)
+        if metric.kind == "histogram":
+            _fill_buckets(family, samples)
+        else:
+            _fill(family, samples)
         yield family
 
 
@@ -92,7 +96,7 @@ class Exposition(Collector):
         read: Yields the metrics. Each scrape calls it on its own thread.
     """
 
-    def __init__(self, read: Read) -> None:
+    def __init__(self, read: ReadMetrics) -> None:
         self._read = read
         self._registry = CollectorRegistry()
         self._registry.register(self)
@@ -108,7 +112,11 @@ class Exposition(Collector):
 
 
 def _fill(family: Any, samples: Mapping[Any, float]) -> None:
-    """Add a sample for each label, or tuple of labels. Equal labels (after cleaning) are merged."""
+    """Add a sample for each label, or tuple of labels.
+
+    Labels may become equal when they are cleaned. Counters of equal labels are added. Of gauges,
+    the last one wins.
+    """
     merged: dict[tuple[str, ...], float] = {}
     for key, value in samples.items():
         labels = tuple(one_line(text, _LONGEST_LABEL) for text in _labels(key))
@@ -124,11 +132,11 @@ def _fill(family: Any, samples: Mapping[Any, float]) -> None:
 def _fill_buckets(family: Any, samples: Mapping[Any, Histogram]) -> None:
     """Add the buckets of each label. Buckets of Prometheus are cumulative."""
     for key, histogram in samples.items():
-        upto, buckets = 0, []
+        n_samples, buckets = 0, []
         bounds = (*map(repr, histogram.bounds_s), "+Inf")
         for bound, count in zip(bounds, histogram.counts, strict=True):
-            upto += count
-            buckets.append((bound, upto))
+            n_samples += count
+            buckets.append((bound, n_samples))
         family.add_metric(_labels(key), buckets, histogram.sum_s)
 
 

@@ -31,20 +31,21 @@ from edge.policies.select import STOP_M, CurrentGoal, choose, ranked
 from edge.text import one_line
 from edge.types import CandidateKind, Goal, GoalStatus, Instance, MissionPhase
 
-# Number of images that the detector must process at the goal before an object is rejected. A
-# detector that hangs must not reject anything.
 MIN_IMAGES = 5
-# A goal that is dropped and chosen again within this time is not taken back.
+"""Number of images that the detector must process at the goal before an object is rejected. A
+detector that hangs must not reject anything."""
 GRACE_NS = 300_000_000
-
-# A place whose cell is closed is reached next to it; a goal there that failed is tried again.
-_AT_PLACE_M, _PLACE_TRIES = 0.5, 3
+"""Time without a goal before the robot is stopped. A new goal usually comes sooner."""
+_AT_PLACE_M = 0.5
+"""Largest distance of a goal from its place: if the place is blocked, the goal is next to it."""
+_PLACE_TRIES = 3
+"""Number of failed goals at a place after which the target is abandoned."""
 POINT_SNAP_M = np.array([0.08])
-"""A point in a room is reached on its own cell or the next one."""
-_SAME_POINT_M = 0.6  # the points move as the map grows
-
-# The robot stops by this nearer to an object than it must.
+"""Largest distance of a goal from a point in a room: the cell of the point, or the next cell."""
+_SAME_POINT_M = 0.6
+"""A goal is kept if one of the new points is this near: points move as the map grows."""
 _STOP_SHORT_M = 0.05
+"""The robot stops by this distance nearer to an object than it must."""
 
 _KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "spin")
 
@@ -58,14 +59,14 @@ class _TrackedGoal:
     Attributes:
         goal: The goal.
         peak: Best score of its candidate so far.
-        view: The viewpoint, if the goal is one (see `NextBestView`).
+        view: The viewpoint, if the goal is a viewpoint (see `NextBestView`).
         sent: True if the goal was sent.
-        settles: True if a place is reached when the controller says so. False for a room, which is
-            reached when the robot is inside.
-        answer: Newest goal status of the controller.
+        ends_on_arrival: True if a place is reached when the controller says so. False for a room,
+            which is reached when the robot is inside.
+        status: Newest goal status of the controller; None before the first.
         verifying_since_ns: Time at which the robot was at the goal and near enough to verify the
             instance; None before that.
-        images_before: Number of images that the detector had processed by then.
+        images_before: Number of images that the detector had processed at `verifying_since_ns`.
     """
 
     goal: Goal
@@ -110,13 +111,12 @@ class GoalTracker:
         self._next_view = NextBestView(config.perception.confirm_hits)
         self._standstill = StandstillMonitor(config, event)
         self._warned_ids: set[int] = set()
-        self._explained: tuple[str, int] | None = None
-        self._retargets = -1
+        self._reported: tuple[str, int] | None = None
+        self._n_retargets = -1
         self._place_failures = 0
-        self._restored: tuple[str, SearchState, _TrackedGoal | None] | None = (
-            None  # first its target
-        )
-        self._without_since_ns: int | None = None
+        # State from a checkpoint, and the target that it belongs to.
+        self._restored: tuple[str, SearchState, _TrackedGoal | None] | None = None
+        self._no_goal_since_ns: int | None = None
         self._grace_ns = GRACE_NS
 
     # -- state for other modules --------------------------------------------------------------
@@ -164,13 +164,13 @@ class GoalTracker:
         target, views = mission.target, self.views
         seen = target in mission.detected
         found = "found no path to" if seen else "found no"
-        again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
-        blocked = _blocked(grid)
-        left = self._pool.out_of_reach if blocked else 0
+        looked_again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
+        blocked = _blocked_text(grid)
+        n_left = self._pool.out_of_reach if blocked else 0
         explored = "explored all reachable space"
-        if left:
-            explored = f"no path to the {left} remaining frontier{'s' * (left > 1)}"
-        return f"{explored}{again}, {found} {target}{blocked}"
+        if n_left:
+            explored = f"no path to the {n_left} remaining frontier{'s' * (n_left > 1)}"
+        return f"{explored}{looked_again}, {found} {target}{blocked}"
 
     # -- choosing ---------------------------------------------------------------------------
 
@@ -196,16 +196,16 @@ class GoalTracker:
             object as before as long as the goal stays.
         """
         self._discard_vanished(context)
-        chosen = self._towards_best(context, score) or self._spin(context)
-        view = self._look_for_moved(context, grid, chosen, images)
-        if view is not None:
-            chosen = view
-        elif chosen is not None or not self._search.exhausted:
-            if chosen is not self._tracked:
+        new_goal = self._best_candidate(context, score) or self._spin(context)
+        view_goal = self._find_moved(context, grid, new_goal, images)
+        if view_goal is not None:
+            new_goal = view_goal
+        elif new_goal is not None or not self._search.exhausted:
+            if new_goal is not self._tracked:
                 self._next_view.abandon()
         elif not self._search.retry(context, grid, self._pool, self._tracker):
-            chosen = self._look_again(context, grid, images)
-        self._tracked = chosen
+            new_goal = self._next_viewpoint(context, grid, images)
+        self._tracked = new_goal
         return self.goal
 
     def go_to_place(
@@ -225,10 +225,10 @@ class GoalTracker:
             return self.explore_towards(context, grid, (place.x_m, place.y_m), images)
         self._next_view.abandon()
         self._search.on_candidate()
-        goal, at = self.goal, (place.x_m, place.y_m)
+        goal, place_m = self.goal, (place.x_m, place.y_m)
         if goal is None or goal.kind != "place" or grid.state_at(goal.pose.x_m, goal.pose.y_m):
             pose = SE2(cell[0], cell[1], place.yaw_rad)
-            goal = Goal(context.now_ns, pose, "place", 0, at, 1.0, target)
+            goal = Goal(context.now_ns, pose, "place", 0, place_m, 1.0, target)
             self._tracked = _TrackedGoal(goal)
         return self.goal
 
@@ -237,8 +237,8 @@ class GoalTracker:
     ) -> Goal | None:
         """Return a goal at a frontier on the way to a point to which no path is known."""
         frontiers, n = context.candidates, context.candidates.n
-        rest_m = np.hypot(*(frontiers.xy_m[:n] - at_m).T)
-        score = 1.0 / (1.0 + frontiers.path_m[:n] + rest_m)
+        left_m = np.hypot(*(frontiers.xy_m[:n] - at_m).T)
+        score = 1.0 / (1.0 + frontiers.path_m[:n] + left_m)
         return self.choose(context, grid, score.astype(np.float32), images)
 
     def go_to_point(
@@ -307,80 +307,80 @@ class GoalTracker:
             self._tracked = _TrackedGoal(goal)
         return goal
 
-    def _towards_best(self, context: PolicyInput, score: np.ndarray) -> _TrackedGoal | None:
-        """Return a goal for the best candidate; the current goal if it still serves."""
+    def _best_candidate(self, context: PolicyInput, score: np.ndarray) -> _TrackedGoal | None:
+        """Return a goal for the best candidate: the current goal, if it is still valid."""
         c, policy, search = context.candidates, self._config.policy, self._search
-        present, held = self._tracked, None
-        reached_m, first = policy.delta_reached_m, policy.confirmed_first
-        order = ranked(c, score, context.pose, reached_m, first)
+        tracked, held = self._tracked, None
+        min_distance_m, first = policy.delta_reached_m, policy.confirmed_first
+        order = ranked(c, score, context.pose, min_distance_m, first)
         if search.exhausted:
             lasting = c.first_seen_ns[order] <= c.stamp_ns - LASTING_NS
             order = order[lasting | (c.kind[order] == INSTANCE)]
-        if present is not None:
-            fickle = partial(search.often_left, present.goal.candidate_xy_m)
-            held = CurrentGoal(present.goal, present.peak, fickle)
+        if tracked is not None:
+            often_left = partial(search.often_left, tracked.goal.candidate_xy_m)
+            held = CurrentGoal(tracked.goal, tracked.peak, often_left)
         chosen = choose(
             context, score, order, held, policy.switch_margin, self._tracker.get, self._stop_m
         )
-        goal, peak, stays = chosen or (None, 0.0, False)
-        if present is not None and present.goal.kind == "frontier" and not stays:
-            search.left.append(present.goal.candidate_xy_m)
+        goal, peak, unchanged = chosen or (None, 0.0, False)
+        if tracked is not None and tracked.goal.kind == "frontier" and not unchanged:
+            search.left.append(tracked.goal.candidate_xy_m)
         if goal is None:
             return None
         search.on_candidate()
-        if present is None or goal is not present.goal:
+        if tracked is None or goal is not tracked.goal:
             return _TrackedGoal(goal, peak)
-        present.peak = peak
-        return present
+        tracked.peak = peak
+        return tracked
 
     def _spin(self, context: PolicyInput) -> _TrackedGoal | None:
         """Return a goal that turns the robot on the spot, if it may turn."""
-        present = self._tracked
-        turning = present is not None and present.goal.kind == "spin" and present.view is None
+        tracked = self._tracked
+        turning = tracked is not None and tracked.goal.kind == "spin" and tracked.view is None
         if not self._search.may_turn(turning, context.now_ns):
             return None
         if turning:
-            return present
+            return tracked
         at = context.pose
         yaw_rad = at.yaw_rad + 2.0 * math.pi / TURNS
         return _TrackedGoal(
             _free_goal(SE2(at.x_m, at.y_m, yaw_rad), context.now_ns, context.target)
         )
 
-    def _look_again(
+    def _next_viewpoint(
         self, context: PolicyInput, grid: RollingMap, images: int
     ) -> _TrackedGoal | None:
         """Return a goal at the next viewpoint, if there is one."""
-        view, present = self._next_view.choose(grid, images), self._tracked
+        view, tracked = self._next_view.choose(grid, images), self._tracked
         if view is None:
             return None
-        if present is not None and present.view is view:
-            return present
+        if tracked is not None and tracked.view is view:
+            return tracked
         yaw_rad = wrap_angle(view.heading_rad - grid.coverage.camera_yaw_rad)
         pose = SE2(view.x_m, view.y_m, yaw_rad)
         return _TrackedGoal(_free_goal(pose, context.now_ns, context.target), view=view)
 
-    def _look_for_moved(
+    def _find_moved(
         self, context: PolicyInput, grid: RollingMap, chosen: _TrackedGoal | None, images: int
     ) -> _TrackedGoal | None:
         """Return a goal at a viewpoint if a remembered object is gone and no candidate is better.
 
-        The value of both is the area that is to be seen per length of path.
+        Viewpoints and candidates are compared by the new area that they show per length of path.
         """
-        c, present = context.candidates, self._tracked
+        c, tracked = context.candidates, self._tracked
         if not self._search.has_moved or (c.kind[: c.n] == INSTANCE).any():
             return None
-        view = self._look_again(context, grid, images)
-        if view is None or chosen is None or view is present:
+        view = self._next_viewpoint(context, grid, images)
+        if view is None or chosen is None or view is tracked:
             return view
-        at = c.index_of(FRONTIER, chosen.goal.candidate_id)
-        if chosen.goal.kind != "frontier" or at < 0:
+        index = c.index_of(FRONTIER, chosen.goal.candidate_id)
+        if chosen.goal.kind != "frontier" or index < 0:
             return None  # a spin costs little
         assert view.view is not None
         path_m = grid.travel_cost.distance_m(view.goal.pose.x_m, view.goal.pose.y_m)
         value = grid.coverage.area_m2(view.view) / (START_M + path_m)
-        other = float(c.gain_m2[at]) / (START_M + float(c.path_m[at]))
-        return view if value > (1.0 + self._config.policy.switch_margin) * other else None
+        candidate_value = float(c.gain_m2[index]) / (START_M + float(c.path_m[index]))
+        return view if value > (1.0 + self._config.policy.switch_margin) * candidate_value else None
 
     def _discard_vanished(self, context: PolicyInput) -> None:
         """Discard the goal's frontier if it vanished and is not reliable.
@@ -391,8 +391,8 @@ class GoalTracker:
         goal, search = self.goal, self._search
         if goal is None or goal.kind != "frontier":
             return
-        gone = context.candidates.index_of(FRONTIER, goal.candidate_id) < 0
-        if gone and (search.exhausted or search.often_left(goal.candidate_xy_m)):
+        vanished = context.candidates.index_of(FRONTIER, goal.candidate_id) < 0
+        if vanished and (search.exhausted or search.often_left(goal.candidate_xy_m)):
             self._discard(context.now_ns)
 
     # -- sending ----------------------------------------------------------------------------
@@ -400,18 +400,18 @@ class GoalTracker:
     def send_pending(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
         """Send the current goal if it was not sent yet. Without a goal, make the robot stand."""
         self.client.notice_silence(now_ns)
-        present = self._tracked
-        if present is not None:
-            self._without_since_ns = None
-            if not present.sent:
-                self._send(present.goal, now_ns)
-                present.sent = True
-                self._explain(present.goal, mission, now_ns)
-                self._warn_of_neighbours(present.goal, mission, now_ns)
+        tracked = self._tracked
+        if tracked is not None:
+            self._no_goal_since_ns = None
+            if not tracked.sent:
+                self._send(tracked.goal, now_ns)
+                tracked.sent = True
+                self._report_relation(tracked.goal, mission, now_ns)
+                self._warn_of_neighbours(tracked.goal, mission, now_ns)
             return
-        if self._without_since_ns is None:
-            self._without_since_ns = now_ns
-        if self.client.driving and now_ns - self._without_since_ns >= self._grace_ns:
+        if self._no_goal_since_ns is None:
+            self._no_goal_since_ns = now_ns
+        if self.client.driving and now_ns - self._no_goal_since_ns >= self._grace_ns:
             self.hold_position(mission, pose, now_ns)
 
     def hold_position(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
@@ -420,26 +420,26 @@ class GoalTracker:
         self._send(_free_goal(pose, now_ns, mission.target), now_ns)
         self.client.driving = False
 
-    def on_goal_status(self, answer: GoalStatus) -> None:
+    def on_goal_status(self, status: GoalStatus) -> None:
         """Handle a goal status of the controller, which may be for an old goal."""
-        present = self._tracked
-        if present is not None and not present.sent:
-            present = None
-        goal = None if present is None else present.goal
-        if self.client.on_goal_status(answer, goal) and present is not None:
-            present.status = answer
+        tracked = self._tracked
+        if tracked is not None and not tracked.sent:
+            tracked = None
+        goal = None if tracked is None else tracked.goal
+        if self.client.on_goal_status(status, goal) and tracked is not None:
+            tracked.status = status
 
     def _send(self, goal: Goal, now_ns: int) -> None:
         self._grace_ns = GRACE_NS
         self.client.send(goal, now_ns)
 
-    def _explain(self, goal: Goal, mission: MissionRun, now_ns: int) -> None:
-        """Report once why this object is the one that the target describes by a relation."""
+    def _report_relation(self, goal: Goal, mission: MissionRun, now_ns: int) -> None:
+        """Report once why the goal's object fits the relation that the target describes."""
         instance = self._tracker.get(goal.candidate_id) if goal.kind == "instance" else None
-        if instance is None or self._explained == (mission.target, instance.id):
+        if instance is None or self._reported == (mission.target, instance.id):
             return
         if why := self._tracker.reason_for(mission.target, instance):
-            self._explained = mission.target, instance.id
+            self._reported = mission.target, instance.id
             self._event(f"{mission.target}: {instance.label} {instance.id} chosen: {why}", now_ns)
 
     def _warn_of_neighbours(self, goal: Goal, mission: MissionRun, now_ns: int) -> None:
@@ -470,39 +470,39 @@ class GoalTracker:
         now_ns: int,
         is_reached: Callable[[Instance], bool] | None = None,
     ) -> bool:
-        """Handle the progress of the current goal; `FollowBehaviour` handles those of a trajectory.
+        """Handle the progress of the current goal. `FollowBehaviour` handles a trajectory's goals.
 
         Args:
-            grid: The map. It is closed where the robot is blocked.
+            grid: The map. Cells where the robot is blocked are closed in it.
             pose: Pose of the robot.
             mission: The mission.
             images: Number of images that the detector has processed so far.
             now_ns: Loop time.
-            is_reached: Returns True if an instance next to the robot counts as reached; None: a
-                confirmed one does.
+            is_reached: Returns True if an instance next to the robot counts as reached. None: a
+                confirmed instance counts as reached.
 
         Returns:
             True if the robot is stuck: it should drive but stands still.
         """
-        present = self._tracked
+        tracked = self._tracked
         self._standstill.on_blocked(grid, pose, self.client.take_blocked(), now_ns)
-        if present is not None and present.sent and present.status is None:
-            present.status = self.client.arrived(present.goal, pose, now_ns)
+        if tracked is not None and tracked.sent and tracked.status is None:
+            tracked.status = self.client.arrived(tracked.goal, pose, now_ns)
         instance = None
-        if present is not None and present.goal.kind == "instance":
-            instance = self._tracker.get(present.goal.candidate_id)
+        if tracked is not None and tracked.goal.kind == "instance":
+            instance = self._tracker.get(tracked.goal.candidate_id)
         verdict = None
-        if present is None or instance is None:
-            known = present is not None and present.goal.kind in ("trajectory", "place")
-            self.phase = "approaching" if known else "searching"
-        elif verdict := self._verdict(
-            present, instance, pose, now_ns, images, is_reached or self._tracker.confirmed
+        if tracked is None or instance is None:
+            is_given = tracked is not None and tracked.goal.kind in ("trajectory", "place")
+            self.phase = "approaching" if is_given else "searching"
+        elif verdict := self._judge(
+            tracked, instance, pose, now_ns, images, is_reached or self._tracker.confirmed
         ):
-            self._act_on(verdict, present, instance, mission, now_ns)
-        if present is not None and present.goal.kind == "place":
-            self._follow_to_place(present, pose, mission, now_ns)
-        elif present is not None and verdict is None:
-            self._follow(present, pose, now_ns, images)
+            self._apply_verdict(verdict, tracked, instance, mission, now_ns)
+        if tracked is not None and tracked.goal.kind == "place":
+            self._check_place(tracked, pose, mission, now_ns)
+        elif tracked is not None and verdict is None:
+            self._check_drive(tracked, pose, now_ns, images)
         # If no controller drives the robot, its standstill is not the candidate's fault.
         driven_to = self.goal if self.client.is_driven(pose) else None
         stuck = self._standstill.update(grid, pose, driven_to, now_ns)
@@ -511,9 +511,9 @@ class GoalTracker:
             self._discard(now_ns)
         return stuck
 
-    def _verdict(
+    def _judge(
         self,
-        present: _TrackedGoal,
+        tracked: _TrackedGoal,
         instance: Instance,
         pose: SE2,
         now_ns: int,
@@ -527,25 +527,25 @@ class GoalTracker:
         detector has confirmed the instance.
         """
         config = self._config.mission
-        if present.status is None or present.status.state != "reached":
-            present.verifying_since_ns, self.phase = None, "approaching"
+        if tracked.status is None or tracked.status.state != "reached":
+            tracked.verifying_since_ns, self.phase = None, "approaching"
             return None
         if instance.distance_m(pose.x_m, pose.y_m) > config.reach_m:
             return "out of reach"
         self.phase = "verifying"
-        if present.verifying_since_ns is None:
-            present.verifying_since_ns, present.images_before = now_ns, images
+        if tracked.verifying_since_ns is None:
+            tracked.verifying_since_ns, tracked.images_before = now_ns, images
         if is_reached(instance):
             return "reached"
-        long_enough = (now_ns - present.verifying_since_ns) * 1e-9 > config.verify_s
-        if long_enough and images - present.images_before >= MIN_IMAGES:
+        long_enough = (now_ns - tracked.verifying_since_ns) * 1e-9 > config.verify_s
+        if long_enough and images - tracked.images_before >= MIN_IMAGES:
             return "rejected"
         return None
 
-    def _act_on(
+    def _apply_verdict(
         self,
         verdict: Verdict,
-        present: _TrackedGoal,
+        tracked: _TrackedGoal,
         instance: Instance,
         mission: MissionRun,
         now_ns: int,
@@ -566,7 +566,7 @@ class GoalTracker:
             self._tracker.reject(instance.id)
             self.abandon()
         else:
-            at = present.goal.pose
+            at = tracked.goal.pose
             if not self._search.mark_out_of_reach(instance.id, (at.x_m, at.y_m)):
                 self.abandon()  # with the map as it is now, a goal may be nearer to the object
                 return
@@ -574,13 +574,13 @@ class GoalTracker:
         x, y, _ = instance.center_m
         self._event(f"{verdict}: {instance.label} #{instance.id} at ({x:.1f}, {y:.1f})", now_ns)
 
-    def _follow(self, present: _TrackedGoal, pose: SE2, now_ns: int, images: int) -> None:
+    def _check_drive(self, tracked: _TrackedGoal, pose: SE2, now_ns: int, images: int) -> None:
         """Handle the controller's status of a goal for a frontier, a turn or a viewpoint."""
-        goal, answer = present.goal, present.status
+        goal, status = tracked.goal, tracked.status
         if goal.kind == "trajectory":
             return
-        state = None if answer is None else answer.state
-        if present.view is not None:
+        state = None if status is None else status.state
+        if tracked.view is not None:
             if state == "failed":
                 self._next_view.mark_unreachable()
             elif state == "reached":
@@ -588,8 +588,8 @@ class GoalTracker:
         elif goal.kind == "spin":
             if state in ("reached", "failed"):
                 self._discard(now_ns)
-        elif answer is not None and state == "failed":
-            self._event(f"goal failed: {answer.reason}", now_ns)
+        elif status is not None and state == "failed":
+            self._event(f"goal failed: {status.reason}", now_ns)
             self._discard(now_ns)
         elif goal.kind == "frontier" and (
             state == "reached"
@@ -599,21 +599,21 @@ class GoalTracker:
             # robot would turn to another frontier, and back as soon as it is a little farther away.
             self._discard(now_ns)
 
-    def _follow_to_place(
-        self, present: _TrackedGoal, pose: SE2, mission: MissionRun, now_ns: int
+    def _check_place(
+        self, tracked: _TrackedGoal, pose: SE2, mission: MissionRun, now_ns: int
     ) -> None:
-        """Handle the controller's answer about a place."""
-        goal, answer = present.goal, present.status
-        state = None if answer is None else answer.state
+        """Handle the controller's status of a goal at a place."""
+        goal, status = tracked.goal, tracked.status
+        state = None if status is None else status.state
         away_m = pose.distance_to(*goal.candidate_xy_m)
         arrived = state == "reached" and away_m <= _AT_PLACE_M + ARRIVED_M
-        if arrived and not present.ends_on_arrival:
+        if arrived and not tracked.ends_on_arrival:
             return
         if arrived:
             self.abandon()
             mission.on_reached(f"{away_m:.1f} m from the place", now_ns)
-        elif answer is not None and state in ("reached", "failed"):
-            reason = answer.reason or f"the controller stopped {away_m:.1f} m from it"
+        elif status is not None and state in ("reached", "failed"):
+            reason = status.reason or f"the controller stopped {away_m:.1f} m from it"
             self._event(f"goal failed: {reason}", now_ns)
             self._discard(now_ns)
             if self._place_failures >= _PLACE_TRIES:
@@ -635,11 +635,11 @@ class GoalTracker:
 
     def follows(self, mission: MissionRun) -> bool:
         """Return True if the tracker already works on the mission's active target."""
-        return self._retargets == mission.retargets
+        return self._n_retargets == mission.retargets
 
     def retarget(self, mission: MissionRun) -> None:
         """Start on another target: forget goal and attempts of the last one."""
-        self._retargets = mission.retargets
+        self._n_retargets = mission.retargets
         self.abandon()
         self._search, self._place_failures = SearchState(), 0
         restored, self._restored = self._restored, None
@@ -648,9 +648,9 @@ class GoalTracker:
 
     def state_dict(self) -> Arrays:
         """Return the current goal and the failed attempts, but no viewpoint and no task's goal."""
-        present, goals = self._tracked, []
-        if present is not None and present.view is None and present.goal.kind in _KINDS:
-            goals = [(present.goal, present.peak)]
+        tracked, goals = self._tracked, []
+        if tracked is not None and tracked.view is None and tracked.goal.kind in _KINDS:
+            goals = [(tracked.goal, tracked.peak)]
         return {
             **self._search.state_dict(),
             "kind": np.array([_KINDS.index(goal.kind) for goal, _ in goals], np.int8),
@@ -668,7 +668,7 @@ class GoalTracker:
 
         The goal is sent again with a new stamp, because the result of the old one is unknown.
         """
-        present, goal_rows = None, ("kind", "id", "at")
+        tracked, goal_rows = None, ("kind", "id", "at")
         rows = {goal_rows: 1, ("left_m",): LEFT, ("missed",): 1}
         most = {"kind": len(_KINDS) - 1, "turns": 1000}
         check_arrays(state, self.state_dict(), rows, most)
@@ -676,14 +676,14 @@ class GoalTracker:
             x_m, y_m, yaw_rad, to_x_m, to_y_m, score, peak = at
             pose = SE2(x_m, y_m, yaw_rad)
             goal = Goal(now_ns, pose, _KINDS[kind], int(i), (to_x_m, to_y_m), score, target)
-            present = _TrackedGoal(goal, peak)
-        self._restored = (target, SearchState.of_state_dict(state), present)
+            tracked = _TrackedGoal(goal, peak)
+        self._restored = (target, SearchState.of_state_dict(state), tracked)
 
     def forget_mission(self) -> None:
         """Forget everything about the last mission."""
         self._warned_ids = set()
         self._restored = None
-        self._retargets = -1
+        self._n_retargets = -1
         self.abandon()
         self._next_view.reset()
 
@@ -701,25 +701,25 @@ class GoalTracker:
 
     def _discard(self, now_ns: int) -> None:
         """Abandon the current goal and ignore its candidate for `mission.discard_s`."""
-        present = self._tracked
-        if present is not None and present.view is not None:
+        tracked = self._tracked
+        if tracked is not None and tracked.view is not None:
             self._next_view.mark_unreachable()
             return
-        if present is not None and present.goal.kind == "spin":
+        if tracked is not None and tracked.goal.kind == "spin":
             self._search.on_turn_ended(now_ns)
-            goal, until_ns = present.goal, now_ns + int(self._config.mission.discard_s * 1e9)
+            goal, until_ns = tracked.goal, now_ns + int(self._config.mission.discard_s * 1e9)
             self._pool.discard(SPIN, goal.candidate_id, goal.candidate_xy_m, until_ns)
-        elif present is not None and present.goal.kind == "place":
+        elif tracked is not None and tracked.goal.kind == "place":
             self._place_failures += 1
-        elif present is not None and present.goal.kind != "trajectory":
-            goal = present.goal
+        elif tracked is not None and tracked.goal.kind != "trajectory":
+            goal = tracked.goal
             kind = INSTANCE if goal.kind == "instance" else FRONTIER
             until_ns = now_ns + int(self._config.mission.discard_s * 1e9)
             self._pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
         self.abandon()
 
 
-def _blocked(grid: RollingMap) -> str:
+def _blocked_text(grid: RollingMap) -> str:
     """Return the places where the robot was blocked, as the end of a reason; "" if none."""
     places_m = grid.bumps.known_m
     if not places_m:

@@ -14,16 +14,20 @@ from edge.types import Goal, GoalStatus
 
 log = logging.getLogger("edge.loop.goal_client")
 
+# A controller that sends no goal status for this time after a goal counts as silent.
 SILENT_NS = 3_000_000_000
-# Without goal statuses, a goal is reached when the robot stands still this near to it for
-# `ARRIVED_S`, which is longer than a controller takes to answer. Nav2 stops within 0.25 m and
-# 0.25 rad.
-ARRIVED_M, ARRIVED_RAD, ARRIVED_S = 0.3, 0.35, 2.0
-# If the robot moves this far although no status comes, it has a controller.
-DRIVEN_M, DRIVEN_RAD = 0.3, 0.5
+# Without goal statuses, a goal is reached when the robot stands still within ARRIVED_M and
+# ARRIVED_RAD of it for ARRIVED_S. Nav2 stops within 0.25 m and 0.25 rad. ARRIVED_S is longer than
+# a controller takes to answer.
+ARRIVED_M = 0.3
+ARRIVED_RAD = 0.35
+ARRIVED_S = 2.0
+# If the robot moves or turns this far although no status comes, it has a controller.
+DRIVEN_M = 0.3
+DRIVEN_RAD = 0.5
 # A stamp that was converted to a double is up to 128 ns off. Goals are farther apart.
 _SAME_NS = 1_000
-_KEPT = 256
+_MAX_STAMPS = 256
 
 
 class GoalClient:
@@ -45,9 +49,9 @@ class GoalClient:
         arrived_s = max(ARRIVED_S, 3.0 / config.observed_hz)
         self._arrival = StuckDetector(arrived_s)
         self._silent_pose: SE2 | None = None  # pose at which the controller's silence began
-        self._moved = False  # since then
+        self._moved = False  # True if the robot moved since that silence began
         self._transmit = transmit
-        self._stamps_ns: deque[int] = deque(maxlen=_KEPT)  # of the goals that were sent
+        self._stamps_ns: deque[int] = deque(maxlen=_MAX_STAMPS)  # of the goals that were sent
         self._unknown_stamp_logged = False
         self._sent_ns: int | None = None  # stamp of the goal that the controller drives to
         self._blocked: tuple[float, float] | None = None
@@ -64,17 +68,19 @@ class GoalClient:
         self._arrival.reset()
         self._transmit(goal)
 
-    def with_sent_stamp(self, answer: GoalStatus) -> GoalStatus:
-        """Return the status with the exact stamp of its goal, since its own may be slightly off.
+    def with_sent_stamp(self, status: GoalStatus) -> GoalStatus:
+        """Return the status with the exact stamp of its goal.
+
+        The stamp that the controller returns may be slightly off; see `_SAME_NS`.
 
         A status that matches no sent goal is returned unchanged and logged once.
         """
-        stamp_ns = answer.stamp_ns
+        stamp_ns = status.stamp_ns
         nearest_ns = min(self._stamps_ns, key=lambda sent_ns: abs(sent_ns - stamp_ns), default=None)
         if nearest_ns is None or nearest_ns == stamp_ns:
-            return answer
+            return status
         if abs(nearest_ns - stamp_ns) <= _SAME_NS:
-            return replace(answer, stamp_ns=nearest_ns)
+            return replace(status, stamp_ns=nearest_ns)
         if not self._unknown_stamp_logged:
             self._unknown_stamp_logged = True
             log.warning(
@@ -82,13 +88,13 @@ class GoalClient:
                 "return the goal's own stamp, in whole nanoseconds (further ones are not logged)",
                 stamp_ns, nearest_ns,
             )  # fmt: skip
-        return answer
+        return status
 
-    def on_goal_status(self, answer: GoalStatus, goal: Goal | None) -> bool:
+    def on_goal_status(self, status: GoalStatus, goal: Goal | None) -> bool:
         """Handle a goal status. A status for an old goal only counts as a heartbeat.
 
         Args:
-            answer: The status.
+            status: The status.
             goal: The sent goal that is tracked; None if there is none.
 
         Returns:
@@ -96,11 +102,11 @@ class GoalClient:
         """
         self.has_controller = True
         self._unanswered_since_ns = None
-        if answer.stamp_ns == self._sent_ns:  # also for a goal that is no longer tracked
-            self._blocked = answer.blocked or self._blocked
-        if goal is None or answer.stamp_ns != goal.stamp_ns:
+        if status.stamp_ns == self._sent_ns:  # also for a goal that is no longer tracked
+            self._blocked = status.blocked or self._blocked
+        if goal is None or status.stamp_ns != goal.stamp_ns:
             return False
-        self.driving = answer.state == "accepted"
+        self.driving = status.state == "accepted"
         return True
 
     def take_blocked(self) -> tuple[float, float] | None:
@@ -130,10 +136,10 @@ class GoalClient:
         Returns:
             The status, once; None before that.
         """
-        near = pose.distance_to(goal.pose.x_m, goal.pose.y_m) <= ARRIVED_M
+        at_goal = pose.distance_to(goal.pose.x_m, goal.pose.y_m) <= ARRIVED_M
         if goal.kind == "spin":
-            near = near and _turned_rad(pose, goal.pose) <= ARRIVED_RAD
-        if not self._arrival.update(pose, near, now_ns):
+            at_goal = at_goal and _turned_rad(pose, goal.pose) <= ARRIVED_RAD
+        if not self._arrival.update(pose, at_goal, now_ns):
             return None
         self.driving = False
         return GoalStatus(goal.stamp_ns, "reached", "the robot stopped there")
@@ -149,8 +155,8 @@ class GoalClient:
         if self.has_controller or not self.driving:
             return self.driving
         start = self._silent_pose = self._silent_pose or pose
-        far = pose.distance_to(start.x_m, start.y_m) >= DRIVEN_M
-        self._moved = self._moved or far or _turned_rad(pose, start) >= DRIVEN_RAD
+        moved_away = pose.distance_to(start.x_m, start.y_m) >= DRIVEN_M
+        self._moved = self._moved or moved_away or _turned_rad(pose, start) >= DRIVEN_RAD
         return self._moved
 
     def on_pose_jump(self) -> None:

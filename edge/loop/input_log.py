@@ -1,7 +1,7 @@
 """Input log: all that enters the loop in addition to observations, in order.
 
-Observations and this log determine all that the loop does. A service that gets the same again does
-the same again (`edge.recording.replay`).
+Observations and this log determine all that the loop does. A service that gets both a second time
+does exactly the same (`edge.recording.replay`).
 """
 
 from __future__ import annotations
@@ -11,13 +11,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 DETECTOR = "detector"
+"""Name of the detector's worker in the log."""
 TASK = "task"
+"""Name of the worker that plans trajectories of tasks."""
 FRAME_DECISION = "elsewhere"
 """Recorded decision: why `map` is not the frame of the checkpoint, "" if it is the same."""
-USE, SIGHTED = "use", "sighted"
-"""Recorded decisions: the permitted use of an observation (`edge.loop.plausibility.Use`), and the
-loop time until which a refused observation still shows the surroundings."""
-_KEPT = 4096  # largest number of entries between two results; older entries are dropped
+USE = "use"
+"""Recorded decision: the permitted use of an observation (`edge.loop.plausibility.Use`)."""
+SIGHTED = "sighted"
+"""Recorded decision: the loop time until which a refused observation still shows the
+surroundings."""
+_MAX_ENTRIES = 4096  # largest number of entries between two results; older entries are dropped
 
 
 class LoopInput(NamedTuple):
@@ -42,7 +46,7 @@ class InputLog:
     """
 
     def __init__(self) -> None:
-        self.pending: deque[LoopInput] = deque(maxlen=_KEPT)
+        self.pending: deque[LoopInput] = deque(maxlen=_MAX_ENTRIES)
         self._n = 0
 
     def note(self, kind: str, **fields: Any) -> None:
@@ -88,7 +92,7 @@ class _LoggedWorker:
         self._worker.submit(item)
 
     def poll(self) -> Any:
-        found = self._worker.poll()
-        if found is not None:
-            self._input_log.note("result", worker=self._name, result=found)
-        return found
+        result = self._worker.poll()
+        if result is not None:
+            self._input_log.note("result", worker=self._name, result=result)
+        return result

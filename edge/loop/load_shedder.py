@@ -1,9 +1,9 @@
 """Load shedder: it drops expensive work when the computer cannot keep up, and restores it later.
 
 `perception.load_shedding.levels` lists the work to drop, in order. Each entry is a degradation
-level. The module `edge.loop.degradation` decides when to step. A cheaper model is swapped in as by
-`edge models use`, without waiting. If a user swaps in another model, the load shedder waits until
-the model of its level runs again.
+level. The module `edge.loop.degradation` decides when to change the level. A cheaper model is
+swapped in as by `edge models use`; the loop does not wait for it. If a user swaps in a model that
+the current level does not have, the load shedder does nothing until the level's model runs again.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from edge.perception.swap.base import FINAL_STATES, SwapError
 from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 
-SECOND_NS = 1_000_000_000
-BOARD_S = 2.0
+SECOND_NS = 1_000_000_000  # period of the measurement of the load
+BOARD_S = 2.0  # time between two readings of the board's sensors
 MARGIN_C = 3.0  # a board this near to its throttling temperature is in distress
 COOL_C = 5.0  # a board is cool if it is this much below the limit of distress
-_MOST_TIMES = 256  # largest number of detector times in a second
+_MAX_TIMES = 256  # largest number of detector times in a second
 
 
 class LoadShedder:
@@ -38,14 +38,14 @@ class LoadShedder:
         worker: Background worker of the detector.
         swapper: Swaps the detector's model.
         scorers: The scorers, which a level may pause.
-        tell: Reports each step, one line, at a loop time.
+        tell: Reports each change of the level: one line, and the loop time [ns].
         board: Reads the computer's sensors, on its own thread.
 
     Raises:
         ModelError: A level names a model that is not on this computer.
 
     Attributes:
-        steps: Number of steps, by direction.
+        steps: Number of changes of the level since the start, by direction.
     """
 
     def __init__(
@@ -58,27 +58,30 @@ class LoadShedder:
         board: Callable[[], BoardReading] = read_board,
     ) -> None:
         self._perception = perception
-        self._entries = perception.load_shedding.levels
-        for name in filter(None, (entry.model for entry in self._entries)):
+        self._settings = perception.load_shedding.levels
+        for name in filter(None, (entry.model for entry in self._settings)):
             _check_here(name)
-        self._worker, self._swapper, self._scorers = worker, swapper, scorers
+        self._detector, self._swapper, self._scorers = worker, swapper, scorers
         self._log = tell
         self.steps = {"down": 0, "up": 0}
-        self._why = ""
-        self._unfit: set[str] = set()
-        self._times_ms: deque[float] = deque(maxlen=_MOST_TIMES)
-        self._done = 0
-        self._begun_ns = 0
-        self._move: LevelChange | None = None  # the step that waits for its model
-        self._seen: BoardReading | None = None
+        self._last_change = ""
+        self._unfit_models: set[str] = set()
+        self._detector_ms: deque[float] = deque(maxlen=_MAX_TIMES)
+        self._n_detected = 0
+        self._measured_from_ns = 0
+        self._pending_change: LevelChange | None = None  # waits for its model
+        self._reading: BoardReading | None = None
         self._distress, self._cool = "", True
         self._board: Worker[bool, BoardReading] = Worker("board", lambda _: board(), rest_s=BOARD_S)
         self._restart()
 
     def reconfigure(self, perception: PerceptionConfig) -> None:
-        """Use another configuration with the same levels. Its detector already runs."""
+        """Use another configuration with the same levels.
+
+        Call it after the detector of that configuration runs.
+        """
         before, self._perception = self._perception, perception
-        self._levels.budget_ms = perception.swap.budget_ms
+        self._state.budget_ms = perception.swap.budget_ms
         parts = ("detector", "isolation", "process")
         if any(getattr(before, part) != getattr(perception, part) for part in parts):
             self._restart()
@@ -86,33 +89,34 @@ class LoadShedder:
     @property
     def level(self) -> int:
         """Current level; 0: nothing is dropped."""
-        return self._levels.level
+        return self._state.level
 
     def step(self, now_ns: int) -> None:
-        """Measure the load and take the next step if it is due, between two ticks."""
+        """Measure the load, and change the level if that is due. Called between two ticks."""
         self._measure()
         self._check_board(now_ns)
-        if self._move is not None:
-            self._follow(self._move, now_ns)
-        elif self._waiting:
-            self._begin_second(now_ns)
-        elif now_ns - self._begun_ns >= SECOND_NS:
-            second = self._second()
-            self._begin_second(now_ns)
-            move = self._levels.update(second, now_ns)
-            if move is not None:
-                self._begin(move, now_ns)
+        if self._pending_change is not None:
+            self._check_swap(self._pending_change, now_ns)
+        elif self._is_blocked:
+            self._restart_measurement(now_ns)
+        elif now_ns - self._measured_from_ns >= SECOND_NS:
+            second = self._load_of_last_second()
+            self._restart_measurement(now_ns)
+            change = self._state.update(second, now_ns)
+            if change is not None:
+                self._begin_change(change, now_ns)
 
     def status(self) -> dict[str, object]:
         """Return the part of the status message."""
+        state = "waiting" if self._is_blocked else "steady"
         return {
             "level": self.level,
-            "levels": len(self._entries),
-            "state": "stepping" if self._move else "waiting" if self._waiting else "steady",
-            "why": self._why,
+            "levels": len(self._settings),
+            "state": "stepping" if self._pending_change else state,
+            "why": self._last_change,
             "distress": self._distress,
-            "paused": sorted(self._paused(self.level)),
-            "power_mode": None if self._seen is None else self._seen.power_mode,
+            "paused": sorted(self._paused_scorers(self.level)),
+            "power_mode": None if self._reading is None else self._reading.power_mode,
             "steps": dict(self.steps),
         }
 
@@ -121,7 +125,7 @@ class LoadShedder:
         self._board.close(timeout_s=BOARD_S)
 
     @property
-    def _waiting(self) -> bool:
+    def _is_blocked(self) -> bool:
         """True if another swap runs, or if the current model is not that of the level."""
         wanted = self._model_on(self.level)
         running = wanted is None or self._swapper.running == wanted
@@ -131,16 +135,16 @@ class LoadShedder:
         """Restart at level 0, whose model runs."""
         detector = self._perception.detector
         self._model = detector.model if detector.kind == "onnx" else None
-        self._levels = DegradationLevels(len(self._entries), self._perception.swap.budget_ms)
-        self._unfit.clear()
-        self._move = None
-        self._pause(0)
+        self._state = DegradationLevels(len(self._settings), self._perception.swap.budget_ms)
+        self._unfit_models.clear()
+        self._pending_change = None
+        self._pause_scorers(0)
 
     def _measure(self) -> None:
-        stats = self._worker.stats
-        if stats.done != self._done:
-            self._done = stats.done
-            self._times_ms.append(stats.last_latency_ns * 1e-6)
+        stats = self._detector.stats
+        if stats.done != self._n_detected:
+            self._n_detected = stats.done
+            self._detector_ms.append(stats.last_latency_ns * 1e-6)
 
     def _check_board(self, now_ns: int) -> None:
         if self._board.idle:
@@ -148,89 +152,95 @@ class LoadShedder:
         board = self._board.poll()
         if board is None:
             return
-        before, self._seen = self._seen, board
+        before, self._reading = self._reading, board
         self._distress = throttling_reason(board, before, MARGIN_C)
         self._cool = not throttling_reason(board, before, MARGIN_C + COOL_C)
         if before is not None and board.power_mode != before.power_mode:
-            self._levels.reset_times()
+            self._state.reset_times()
             self._log(
                 f"load shedding: power mode {board.power_mode}, was {before.power_mode}", now_ns
             )
 
-    def _second(self) -> LoadSample:
-        """Return the load since the last call."""
-        took_ms = median(self._times_ms) if self._times_ms else None
-        state, detail = detector_health(self._worker)
-        ill = f"the detector is degraded: {detail}" if state == "degraded" else ""
-        return LoadSample(took_ms, ill or self._distress, self._cool)
+    def _load_of_last_second(self) -> LoadSample:
+        """Return the load since the measurement was restarted."""
+        median_ms = median(self._detector_ms) if self._detector_ms else None
+        state, detail = detector_health(self._detector)
+        degraded = f"the detector is degraded: {detail}" if state == "degraded" else ""
+        return LoadSample(median_ms, degraded or self._distress, self._cool)
 
-    def _begin_second(self, now_ns: int) -> None:
-        self._begun_ns = now_ns
-        self._times_ms.clear()
+    def _restart_measurement(self, now_ns: int) -> None:
+        self._measured_from_ns = now_ns
+        self._detector_ms.clear()
 
-    def _begin(self, move: LevelChange, now_ns: int) -> None:
-        down = move.level > self.level
-        paused = self._entries[max(move.level, self.level) - 1].pause
-        wanted = self._model_on(move.level)
-        what = f"model {wanted}"
+    def _begin_change(self, change: LevelChange, now_ns: int) -> None:
+        down = change.level > self.level
+        paused = self._settings[max(change.level, self.level) - 1].pause
+        wanted = self._model_on(change.level)
+        action = f"model {wanted}"
         if paused is not None:
-            what = f"pause {paused}" if down else f"resume {paused}"
-        where = f"{'down' if down else 'up'} to level {move.level} of {len(self._entries)}"
-        self._why = f"{where}: {what}: {move.why}"
-        self._log(f"load shedding: {self._why}", now_ns)
+            action = f"pause {paused}" if down else f"resume {paused}"
+        direction = f"{'down' if down else 'up'} to level {change.level} of {len(self._settings)}"
+        self._last_change = f"{direction}: {action}: {change.why}"
+        self._log(f"load shedding: {self._last_change}", now_ns)
         if wanted in (None, self._swapper.running):
-            self._arrive(move, now_ns)
+            self._finish_change(change, now_ns)
             return
         try:
             self._swapper.request(wanted, True, now_ns)
         except SwapError as error:
-            self._abort(move, str(error), now_ns)
+            self._abort_change(change, str(error), now_ns)
         else:
-            self._move = move
+            self._pending_change = change
 
-    def _follow(self, move: LevelChange, now_ns: int) -> None:
-        """Check the swap that a step waits for."""
+    def _check_swap(self, change: LevelChange, now_ns: int) -> None:
+        """Check the swap of the detector that a change of the level waits for."""
         swap = self._swapper.status()
         if swap["state"] not in FINAL_STATES:
             return
         if swap["state"] == "kept":
-            self._arrive(move, now_ns)
+            self._finish_change(change, now_ns)
             return
-        if move.level > self.level:
-            self._unfit.add(str(swap["model"]))  # the next level is tried without it
-        self._abort(move, str(swap["detail"]), now_ns)
+        if change.level > self.level:
+            self._unfit_models.add(str(swap["model"]))  # from now on `_model_on` ignores it
+        self._abort_change(change, str(swap["detail"]), now_ns)
 
-    def _arrive(self, move: LevelChange, now_ns: int) -> None:
-        self.steps["down" if move.level > self.level else "up"] += 1
-        self._move = None
-        self._levels.arrived(move.level, now_ns)
-        self._pause(move.level)
-        self._begin_second(now_ns)
+    def _finish_change(self, change: LevelChange, now_ns: int) -> None:
+        self.steps["down" if change.level > self.level else "up"] += 1
+        self._pending_change = None
+        self._state.arrived(change.level, now_ns)
+        self._pause_scorers(change.level)
+        self._restart_measurement(now_ns)
 
-    def _abort(self, move: LevelChange, why: str, now_ns: int) -> None:
-        self._move = None
-        self._why = f"level {move.level} cannot be used: {why}"
-        self._log(f"load shedding: {self._why}", now_ns)
-        if self._model_on(move.level) == self._swapper.running:  # the level is usable otherwise
-            self._arrive(move, now_ns)
+    def _abort_change(self, change: LevelChange, why: str, now_ns: int) -> None:
+        self._pending_change = None
+        self._last_change = f"level {change.level} cannot be used: {why}"
+        self._log(f"load shedding: {self._last_change}", now_ns)
+        if self._model_on(change.level) == self._swapper.running:
+            # Without that model, the level has the model that runs now: only its pause is left.
+            self._finish_change(change, now_ns)
         else:
-            self._levels.change_failed(now_ns)
-            self._begin_second(now_ns)
+            self._state.change_failed(now_ns)
+            self._restart_measurement(now_ns)
 
     def _model_on(self, level: int) -> str | None:
-        """Return the model of a level, or None if the detector has no model."""
-        named = [r.model for r in self._entries[:level] if r.model and r.model not in self._unfit]
-        return named[-1] if named else self._model
+        """Return the model of a level: the last one named up to it that is not unfit.
 
-    def _paused(self, level: int) -> frozenset[str]:
-        return frozenset(r.pause for r in self._entries[:level] if r.pause)
+        None if the detector has no model.
+        """
+        named = [setting.model for setting in self._settings[:level] if setting.model]
+        fit = [model for model in named if model not in self._unfit_models]
+        return fit[-1] if fit else self._model
 
-    def _pause(self, level: int) -> None:
+    def _paused_scorers(self, level: int) -> frozenset[str]:
+        return frozenset(setting.pause for setting in self._settings[:level] if setting.pause)
+
+    def _pause_scorers(self, level: int) -> None:
         if self._scorers is not None:
-            self._scorers.shed = self._paused(level)
+            self._scorers.shed = self._paused_scorers(level)
 
 
 def _check_here(name: str) -> None:
+    """Raise if a model is not on this computer."""
     card = load_detector_card(name)
     if card.server is None and not card.is_here():
         raise ModelError(

@@ -123,16 +123,18 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
     leaves: dict[str, Use] = {
         kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")
     }
-    frozen = "no pixel has changed over {value:.1f} m of driving"
-    uncover, restart = "uncover the camera, or restart its driver", "restart its driver"
-    unit = "correct its unit (32FC1 is m, 16UC1 is mm) or the camera's mount"
+    frozen = "has changed over {value:.1f} m of driving"
+    uncover = "uncover the camera, or restart the camera driver"
+    restart = "restart the driver of the sensor"
+    unit = "correct the depth's unit (32FC1 is m, 16UC1 is mm) or the camera's mount"
     table = (
         DataCheck("depth_empty", lambda f: f.depth_valid,
                   "camera/depth: only {value:.1%} of the pixels have a value",
-                  "uncover the camera, restart its driver, or correct the depth's unit",
+                  "uncover the camera, restart the camera driver, or correct the depth's unit",
                   "stand", lowest=_VALID, leaves=leaves["depth"]),
-        DataCheck("depth_frozen", lambda f: f.depth_driven_m, f"camera/depth: {frozen}", restart,
-                  "stand", highest=DRIVEN_M, leaves=leaves["depth"]),
+        DataCheck("depth_frozen", lambda f: f.depth_driven_m,
+                  f"camera/depth: no pixel {frozen}", restart, "stand", highest=DRIVEN_M,
+                  leaves=leaves["depth"]),
         DataCheck("depth_unit", lambda f: f.depth_scale,
                   "camera/depth: values are {value:.0f} times the distance of the floor, so they "
                   "cannot be in metres", unit, "stand", highest=1.0, leaves=leaves["depth"]),
@@ -141,9 +143,9 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "check delay and stamps of the images, the odometry and the camera's mount",
                   "stand", highest=MISFIT, leaves=leaves["depth"]),
         DataCheck("cloud_empty", lambda f: f.cloud_points, "lidar: no point has a value",
-                  "uncover the LiDAR, or restart its driver",
+                  "uncover the LiDAR, or restart the LiDAR driver",
                   "stand", lowest=1.0, leaves=leaves["cloud"]),
-        DataCheck("cloud_frozen", lambda f: f.cloud_driven_m, f"lidar: {frozen}", restart,
+        DataCheck("cloud_frozen", lambda f: f.cloud_driven_m, f"lidar: no point {frozen}", restart,
                   "stand", highest=DRIVEN_M, leaves=leaves["cloud"]),
         DataCheck("rgb_covered", lambda f: f.rgb_levels,
                   "camera/rgb: the image has one colour ({value:.0f} levels)", uncover,
@@ -152,14 +154,14 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "camera/rgb: the image is dark (level {value:.0f} of 255)",
                   "uncover the camera, or switch the light on",
                   "stand", lowest=12.0, leaves="map"),
-        DataCheck("rgb_frozen", lambda f: f.rgb_driven_m, f"camera/rgb: {frozen}", restart,
+        DataCheck("rgb_frozen", lambda f: f.rgb_driven_m, f"camera/rgb: no pixel {frozen}", restart,
                   "stand", highest=DRIVEN_M, leaves="map"),
         DataCheck("late", lambda f: f.late_s,
                   "sensors: frames arrive {value:.1f} s later than the pose of the same time",
-                  "speed up the driver or the link", "stand", highest=blind_s, leaves="map"),
+                  "speed up the driver or the network", "stand", highest=blind_s, leaves="map"),
         DataCheck("camera_axis", lambda f: f.axis_z,
-                  "camera: it looks up or down (z {value:+.2f} in the base frame)",
-                  "check that its frame is optical (z forward, x right)",
+                  "camera: looks up or down (z {value:+.2f} of its axis in the base frame)",
+                  "check that the camera's frame is optical (z forward, x right)",
                   "warn", lowest=-0.9, highest=0.7),
         DataCheck("floor", lambda f: f.floor_lost,
                   "map: no floor near the base, but ground far below; nothing is mapped",
@@ -167,7 +169,7 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "degrade", highest=0.0),
         DataCheck("pose_age", lambda f: f.pose_age_s,
                   "odom: frames are mapped with poses or transforms {value:.2f} s old",
-                  "speed up the localization or its link, or raise source.wait_s",
+                  "speed up the localization or the network, or raise source.wait_s",
                   "warn", highest=_POSE_OLD_S),
     )  # fmt: skip
     unused = {"depth", "cloud"} - {mapped, lifted}

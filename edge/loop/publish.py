@@ -1,4 +1,4 @@
-"""Stage 9: publish the result of a tick to every sink, with the events since the last result."""
+"""Stage `publish`: pass the result of a tick, and the events since the last one, to all sinks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from edge.tasks.facts import TaskStatus
 from edge.text import one_line
 from edge.types import Detections, Goal, GoalStatus, Observation
 
-_KEPT = 256  # largest number of events between two results; older ones are dropped
+_MAX_EVENTS = 256  # largest number of events between two results; older ones are dropped
 
 
 def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
@@ -33,7 +33,7 @@ def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
     The second sink of a class is `Name.2`. If `status()` raises, the entry has the reason. Any
     thread may call this.
     """
-    found: dict[str, dict[str, Any]] = {}
+    by_name: dict[str, dict[str, Any]] = {}
     seen: Counter[str] = Counter()
     for sink in sinks:
         name = type(sink).__name__
@@ -44,8 +44,8 @@ def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
             status = dict(sink.status())
         except Exception as error:
             status = {"problem": f"status(): {one_line(f'{type(error).__name__}: {error}')}"}
-        found[name if seen[name] == 1 else f"{name}.{seen[name]}"] = status
-    return found
+        by_name[name if seen[name] == 1 else f"{name}.{seen[name]}"] = status
+    return by_name
 
 
 class ResultPublisher:
@@ -79,9 +79,9 @@ class ResultPublisher:
         latency: LatencyRing,
         health: Callable[[], dict[str, Any]],
     ) -> None:
-        self.goals: deque[Goal] = deque(maxlen=_KEPT)
-        self.goal_statuses: deque[GoalStatus] = deque(maxlen=_KEPT)
-        self.events: deque[Event] = deque(maxlen=_KEPT)
+        self.goals: deque[Goal] = deque(maxlen=_MAX_EVENTS)
+        self.goal_statuses: deque[GoalStatus] = deque(maxlen=_MAX_EVENTS)
+        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self.detections: Detections | None = None
         self._sinks = sinks
         self._map, self._site, self._tracker, self._scorers = map, site, goals, scorers
@@ -127,7 +127,7 @@ class ResultPublisher:
             mission=cache(partial(mission_facts, mission)),
             task=cache(task),
             instances=cache(
-                lambda: [found.copied() for label in targets for found in map.tracker.of(label)]
+                lambda: [track.copied() for label in targets for track in map.tracker.of(label)]
             ),
             objects=cache(partial(_objects, map, stamp_ns)),
             rooms=map.rooms.rooms,
@@ -139,6 +139,7 @@ class ResultPublisher:
             choice=None if scorers is None else scorers.answers.choice,
             known_m2=lambda: grid.known_m2,
             snapshot=grid.snapshot,
+            # The likely places of targets mean nothing without a mission.
             layers=lambda: map.layers(likely=not mission.idle),
             latency=self._latency.report,
             spans=self._latency.spans,
@@ -151,15 +152,15 @@ class ResultPublisher:
         detections.observation.hold()
         self.detections = detections
 
-    def publish(self, result: TickResult, faults: ErrorBoundary) -> None:
+    def publish(self, result: TickResult, boundary: ErrorBoundary) -> None:
         """Publish the result to every sink. An error of a sink does not affect the others.
 
         Such an error is an event of the next result.
         """
-        for published in (self.goals, self.goal_statuses, self.events, self._input_log.pending):
-            published.clear()
+        for recent in (self.goals, self.goal_statuses, self.events, self._input_log.pending):
+            recent.clear()
         for sink in self._sinks:
-            with faults.contain(f"{type(sink).__name__}.tick", result.now_ns):
+            with boundary.contain(f"{type(sink).__name__}.tick", result.now_ns):
                 sink.tick(result)
 
     def release_detections(self) -> None:

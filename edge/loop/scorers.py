@@ -1,7 +1,7 @@
-"""Scorers of views and directions: queried in the background, read when they answer.
+"""Scorers of views and directions. They answer in the background; the loop collects the answers.
 
-The status message reports the answers and policies may use them. The value maps are written from
-one scorer, for the part of the map that the camera saw at the question.
+The status message reports the answers, and policies may use them. The answers of one scorer are
+also written to the value maps, for the part of the map that the camera saw in the question's image.
 """
 
 from __future__ import annotations
@@ -42,22 +42,35 @@ from edge.policies.base import FRONTIER, Candidates, ImageSimilarity, ScorerOutp
 from edge.types import Detections, Observation
 
 SIGHTED_NS = 2_000_000_000  # objects seen longer ago do not count as in view
-MAX_SIGHTINGS = 20
+MAX_SIGHTINGS = 20  # largest number of objects that a question names
 
 ScoreOf = Callable[[Detections], np.ndarray]
 """Returns (n,) float32 in [0, 1], a score for each prompt."""
 
 
-class _Question(NamedTuple):
-    """A question to a similarity scorer. `range_profile` is what it sees, or None."""
+class _SimilarityQuestion(NamedTuple):
+    """A question to a similarity scorer.
+
+    Attributes:
+        observation: The observation with the image.
+        targets: The targets to compare the image with.
+        range_profile: The part of the map that the camera sees; None if the answer is not written
+            to the value maps.
+    """
 
     observation: Observation
     targets: tuple[str, ...]
     range_profile: RangeProfile | None
 
 
-class _Directions(NamedTuple):
-    """A question to a choice scorer. `xy_m` are the places of the frontiers of the view's marks."""
+class _ChoiceQuestion(NamedTuple):
+    """A question to a choice scorer.
+
+    Attributes:
+        view: The image with marks.
+        xy_m: (n, 2) float64 in `map`, places of the frontiers of the marks.
+        range_profile: As in `_SimilarityQuestion`.
+    """
 
     view: MarkedView
     xy_m: np.ndarray
@@ -75,13 +88,15 @@ class _SimilarityAnswers:
         self.name = scorer.name
         self._scorer = scorer
 
-    def prepare(self, question: _Question) -> tuple[_Question, np.ndarray]:
+    def prepare(self, question: _SimilarityQuestion) -> tuple[_SimilarityQuestion, np.ndarray]:
         """Return the question with a copy of the image, so that the frame is not held."""
         assert question.observation.rgb is not None
         return question, question.observation.rgb.copy()
 
-    def answer(self, looked: tuple[_Question, np.ndarray]) -> tuple[_Question, ImageSimilarity]:
-        question, rgb = looked
+    def answer(
+        self, prepared: tuple[_SimilarityQuestion, np.ndarray]
+    ) -> tuple[_SimilarityQuestion, ImageSimilarity]:
+        question, rgb = prepared
         seen, targets = question.observation, question.targets
         score = self._scorer.score(rgb, targets)
         return question, ImageSimilarity(seen.stamp_ns, seen.pose, targets, score)
@@ -97,12 +112,14 @@ class _ChoiceAnswers:
         self.name = scorer.name
         self._scorer = scorer
 
-    def prepare(self, question: _Directions) -> tuple[_Directions, Any]:
+    def prepare(self, question: _ChoiceQuestion) -> tuple[_ChoiceQuestion, Any]:
         return question, self._scorer.prepare(question.view)
 
-    def answer(self, looked: tuple[_Directions, Any]) -> tuple[_Directions, FrontierChoice] | None:
-        question, shown = looked
-        choice = self._scorer.answer(shown)
+    def answer(
+        self, prepared: tuple[_ChoiceQuestion, Any]
+    ) -> tuple[_ChoiceQuestion, FrontierChoice] | None:
+        question, image = prepared
+        choice = self._scorer.answer(image)
         return None if choice is None else (question, choice)
 
     def close(self) -> None:
@@ -149,15 +166,17 @@ class Scorers:
         self._detector = ""
         self.value_source = value_source
         self.shed: frozenset[str] = frozenset()
-        self._n_questions = 0  # counts questions about directions
-        asked = None if similarity is None else _SimilarityAnswers(similarity)
-        self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
+        self._n_questions = 0  # number of questions about directions so far
+        answers = None if similarity is None else _SimilarityAnswers(similarity)
+        self._similarity = (
+            None if answers is None else ScorerWorker("similarity", answers, 0.0, inline)
+        )
         self._by_prior = isinstance(choice, PriorChoice)  # fast, so it needs no thread
-        to_choose = None if choice is None else _ChoiceAnswers(choice)
+        chooser = None if choice is None else _ChoiceAnswers(choice)
         self._choice = (
             None
-            if to_choose is None
-            else ScorerWorker("choice", to_choose, rest_s, inline or self._by_prior)
+            if chooser is None
+            else ScorerWorker("choice", chooser, rest_s, inline or self._by_prior)
         )
         self.paused = False
         self.newest_swap = False
@@ -204,23 +223,27 @@ class Scorers:
         similarity = None if "similarity" in self.shed else self._similarity
         choice = None if "choice" in self.shed else self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
-            sight = values.range_profile(observation) if self.value_source == "similarity" else None
-            similarity.submit(_Question(observation, targets, sight))
+            profile = (
+                values.range_profile(observation) if self.value_source == "similarity" else None
+            )
+            similarity.submit(_SimilarityQuestion(observation, targets, profile))
         if choice is not None and choice.idle:
             c = candidates
-            open_ = np.flatnonzero((c.kind[: c.n] == FRONTIER) & ~c.blocked[: c.n])
-            marks = visible_marks(observation, c.xy_m[open_], c.id[open_])
+            frontiers = np.flatnonzero((c.kind[: c.n] == FRONTIER) & ~c.blocked[: c.n])
+            marks = visible_marks(observation, c.xy_m[frontiers], c.id[frontiers])
             if marks:
-                sight = values.range_profile(observation) if self.value_source == "choice" else None
-                about = self._next_target(targets, target)
-                xy_m, lift = _places_m(observation.pose, marks), None
+                profile = (
+                    values.range_profile(observation) if self.value_source == "choice" else None
+                )
+                asked_target = self._next_target(targets, target)
+                xy_m, ratio = _places_m(observation.pose, marks), None
                 if self._by_prior and prior is not None:
-                    lift = np.ones(len(marks), np.float32)
-                    prior.likelihood_ratio(about, xy_m.astype(np.float32), len(marks), lift)
+                    ratio = np.ones(len(marks), np.float32)
+                    prior.likelihood_ratio(asked_target, xy_m.astype(np.float32), len(marks), ratio)
                 seen = sightings(tracker, around, observation)
-                ways = mark_costs(c, open_, marks)
-                view = MarkedView(observation, about, marks, seen, lift, ways)
-                choice.submit(_Directions(view, xy_m, sight))
+                costs = mark_costs(c, frontiers, marks)
+                view = MarkedView(observation, asked_target, marks, seen, ratio, costs)
+                choice.submit(_ChoiceQuestion(view, xy_m, profile))
 
     def on_detections(self, detections: Detections, values: ValueMap) -> None:
         """Use the running detector's scores as similarity, if so configured."""
@@ -229,8 +252,8 @@ class Scorers:
             self._detector = detections.model
             score = self._score_of(detections)
             answer = ImageSimilarity(seen.stamp_ns, seen.pose, detections.prompts, score)
-            sight = values.range_profile(seen) if self.value_source == "similarity" else None
-            self._take_similarity(answer, sight, values)
+            profile = values.range_profile(seen) if self.value_source == "similarity" else None
+            self._set_similarity(answer, profile, values)
 
     def collect_answers(self, values: ValueMap, idle: bool = False) -> None:
         """Collect the new answers and write them to the value maps.
@@ -246,24 +269,24 @@ class Scorers:
         similarity = None if self._similarity is None else self._similarity.poll()
         if similarity is not None:
             question, answer = similarity
-            self._take_similarity(answer, question.range_profile, values)
+            self._set_similarity(answer, question.range_profile, values)
         choice = None if self._choice is None else self._choice.poll()
         if choice is not None:
             asked, chosen = choice
             self.answers = replace(self.answers, choice=chosen)
             if asked.range_profile is not None:
-                place = {mark.id: i for i, mark in enumerate(asked.view.marks)}
-                xy_m = asked.xy_m[[place[i] for i in chosen.ids]]
+                index = {mark.id: i for i, mark in enumerate(asked.view.marks)}
+                xy_m = asked.xy_m[[index[i] for i in chosen.ids]]
                 values.write_directions(
                     asked.range_profile, chosen.target, xy_m, chosen.p, chosen.scene
                 )
 
-    def _take_similarity(
-        self, answer: ImageSimilarity, sight: RangeProfile | None, values: ValueMap
+    def _set_similarity(
+        self, answer: ImageSimilarity, profile: RangeProfile | None, values: ValueMap
     ) -> None:
         self.answers = replace(self.answers, similarity=answer)
-        if sight is not None:
-            values.write_view(sight, answer.targets, answer.score)
+        if profile is not None:
+            values.write_view(profile, answer.targets, answer.score)
 
     def _next_target(self, targets: tuple[str, ...], target: str) -> str:
         """Return the target of the next question about directions.
@@ -301,7 +324,9 @@ class Scorers:
                     else self._similarity.counts()
                 ),
                 "stamp_ns": None if similarity is None else similarity.stamp_ns,
-                "scores": {} if similarity is None else _by(similarity.targets, similarity.score),
+                "scores": {}
+                if similarity is None
+                else _rounded(similarity.targets, similarity.score),
             }
         if self._choice is not None:
             status["choice"] = {
@@ -311,7 +336,7 @@ class Scorers:
                 "target": None if choice is None else choice.target,
                 "scene": None if choice is None else choice.scene,
                 "elsewhere": None if choice is None else choice.elsewhere,
-                "frontiers": {} if choice is None else _by(choice.ids, choice.p),
+                "frontiers": {} if choice is None else _rounded(choice.ids, choice.p),
             }
         return status
 
@@ -343,29 +368,29 @@ def mark_costs(candidates: Candidates, open_: np.ndarray, marks: Sequence[Mark])
     path_m, gain_m2 = candidates.path_m[open_], candidates.gain_m2[open_]
     ids = np.array([mark.id for mark in marks], np.int64)
     is_mark = candidates.id[open_] == ids[:, None]  # (marks, k)
-    at, others = is_mark.argmax(axis=1), np.isfinite(path_m) & ~is_mark.any(axis=0)
+    index, is_other = is_mark.argmax(axis=1), np.isfinite(path_m) & ~is_mark.any(axis=0)
     rest = np.zeros(3, np.float32)
-    if others.any():
-        rest[:] = np.count_nonzero(others), path_m[others].min(), gain_m2[others].max()
-    return MarkCosts(path_m[at], gain_m2[at], rest)
+    if is_other.any():
+        rest[:] = np.count_nonzero(is_other), path_m[is_other].min(), gain_m2[is_other].max()
+    return MarkCosts(path_m[index], gain_m2[index], rest)
 
 
 def sightings(
     tracker: InstanceTracker, around: TrackedObjects | None, observation: Observation
 ) -> tuple[DetectedObject, ...]:
     """Return the objects detected in the last `SIGHTED_NS` and not rejected, nearest first."""
-    pose, least = observation.pose, tracker.config.min_hits
+    pose, min_hits = observation.pose, tracker.config.min_hits
     found = [
         (instance.label, instance.center_m)
         for instance in tracker.all
         if instance.state != "rejected"
-        and instance.hits >= least
+        and instance.hits >= min_hits
         and observation.stamp_ns - instance.last_seen_ns <= SIGHTED_NS
     ]
     if around is not None:
         n, targets = around.n, {names.canonical(i.label) for i in tracker.all}
-        fresh = around.last_seen_ns[:n] >= observation.stamp_ns - SIGHTED_NS
-        for i in np.flatnonzero(fresh & (around.hits[:n] >= least)):
+        is_recent = around.last_seen_ns[:n] >= observation.stamp_ns - SIGHTED_NS
+        for i in np.flatnonzero(is_recent & (around.hits[:n] >= min_hits)):
             word = around.words[around.word[i]]
             if word not in targets:  # the tracker knows more about targets
                 found.append((word, around.xyz_m[i]))
@@ -398,24 +423,24 @@ def make_scorers(
     perception = config.perception
     card = similarity_card(perception)
     choice = perception.choice
-    asked: ViewScorer | None = None
+    chooser: ViewScorer | None = None
     if isinstance(choice, ChoiceCooccurrence):
-        asked = PriorChoice()
+        chooser = PriorChoice()
     elif not isinstance(choice, ChoiceNone):
-        asked = make_choice(choice, perception)
-    if card is None and asked is None:
+        chooser = make_choice(choice, perception)
+    if card is None and chooser is None:
         return None
     remake: Callable[[str], ViewScorer] | None = None
     if isinstance(choice, ChoiceOnnx):
 
-        def made_again(name: str) -> ViewScorer:
-            wanted = choice.model_copy(update={"card": name})
+        def make_swapped(name: str) -> ViewScorer:
+            settings = choice.model_copy(update={"card": name})
             if perception.isolation == "thread":  # only a process can kill a model that hangs
-                apart = perception.model_copy(update={"isolation": "process"})
-                make_choice(wanted, apart).close()
-            return make_choice(wanted, perception)
+                in_process = perception.model_copy(update={"isolation": "process"})
+                make_choice(settings, in_process).close()
+            return make_choice(settings, perception)
 
-        remake = made_again
+        remake = make_swapped
     similarity, from_detections = None, None
     score_of: ScoreOf = best_scores
     if card is not None and is_running_detector(card, perception):
@@ -425,7 +450,7 @@ def make_scorers(
         similarity = make_similarity(card, perception, targets)
     return Scorers(
         similarity,
-        asked,
+        chooser,
         from_detections,
         score_of,
         inline=config.loop.lockstep,
@@ -435,5 +460,5 @@ def make_scorers(
     )
 
 
-def _by(keys: Sequence[object], values: np.ndarray) -> dict[str, float]:
+def _rounded(keys: Sequence[object], values: np.ndarray) -> dict[str, float]:
     return {str(k): round(float(v), 4) for k, v in zip(keys, values, strict=True)}

@@ -15,21 +15,26 @@ from edge.mapping.grid import RollingMap
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import PolicyInput
 
-# Time without a candidate after which the robot turns on the spot, and the number of turns of a
-# full circle.
-TURN_AFTER_NS, TURNS = 1_000_000_000, 3
+# Time without a candidate after which the robot turns on the spot.
+TURN_AFTER_NS = 1_000_000_000
+# Number of turns that make a full circle.
+TURNS = 3
 # Seen from afar, the border of known space flickers. A frontier that appears after the search was
 # exhausted must exist for this time.
 LASTING_NS = 2_000_000_000
 # Shortest time of a retry of blocked places. A new frontier appears there a tick or two after the
 # opening, and is used only after `LASTING_NS`.
 _RETRY_NS = LASTING_NS + 1_000_000_000
-# Number of retries, and the pause before the next one: a person in the way may have left.
-_RETRIES, _PAUSE_NS = 2, 10_000_000_000
+# Largest number of retries of blocked places.
+_RETRIES = 2
+# Shortest time between two retries: a person in the way may leave in this time.
+_PAUSE_NS = 10_000_000_000
 # A frontier is unreliable if it was left this many times (for another, or because it vanished)
 # before the robot arrived: it is visible only from afar, or farther than it looks. The robot then
 # either drives all the way to it or ignores it.
-_OFTEN, _SAME_M, LEFT = 3, 0.6, 64
+_OFTEN_LEFT = 3
+_SAME_FRONTIER_M = 0.6  # frontiers that were left this near to each other count as the same
+LEFT = 64  # largest number of remembered frontiers that were left
 _SAME_PLACE_M = 0.3  # two goals this near to each other count as the same place
 
 
@@ -41,8 +46,8 @@ class SearchState:
         exhausted: True if no candidate was left and turns on the spot showed nothing new. Later
             candidates are used, but the robot does not turn again.
         left: Places of frontiers that were left before the robot arrived.
-        has_moved: True if a confirmed object was not seen again at its place. A restart forgets
-            it.
+        has_moved: True if a confirmed object was not seen again at its place. A checkpoint does
+            not save this.
     """
 
     exhausted: bool = False
@@ -81,10 +86,13 @@ class SearchState:
 
     def often_left(self, xy_m: tuple[float, float]) -> bool:
         """Return True if a frontier here was left too often before the robot arrived."""
-        return sum(math.dist(xy_m, left) < _SAME_M for left in self.left) >= _OFTEN
+        return sum(math.dist(xy_m, left) < _SAME_FRONTIER_M for left in self.left) >= _OFTEN_LEFT
 
     def mark_out_of_reach(self, instance_id: int, at_m: tuple[float, float]) -> bool:
-        """Record an instance as out of reach from a place; return True if it was so before."""
+        """Record an instance as out of reach from a place.
+
+        Return True if the last call had the same instance and the same place.
+        """
         before, self._out_of_reach = self._out_of_reach, (instance_id, at_m)
         return (
             before is not None
@@ -131,8 +139,8 @@ class SearchState:
         Discarded candidates and rejected objects get one more chance. Blocked places are opened in
         the map, up to twice.
         """
-        first, self._second_chance = not self._second_chance, True
-        if first:
+        is_first, self._second_chance = not self._second_chance, True
+        if is_first:
             pool.unblock_all()
             tracker.forget_rejected(context.target)
         if self._retry is not None:
@@ -141,7 +149,7 @@ class SearchState:
                 return True
             self._retry = None
         if self._retries == _RETRIES or not grid.bumps.closed_m:
-            return first
+            return is_first
         if context.now_ns >= self._next_retry_ns:  # doors open, and people go
             grid.bumps.open_all()
             pool.unblock_all()
@@ -154,9 +162,10 @@ class SearchState:
 
 
 class NextBestView:
-    """A choice of viewpoints from which the detector can see objects better.
+    """The choice of the next viewpoint from which the detector can see objects better.
 
-    Viewpoints come one after another, until none is worth a goal. Each is tried once.
+    The robot goes to one viewpoint after another, until none is worth a goal. Each viewpoint is
+    tried once.
 
     Args:
         images_needed: Number of images that the robot stays at a viewpoint.
@@ -164,13 +173,14 @@ class NextBestView:
     Attributes:
         images_needed: As in `Args`; may be set.
         done: True if no useful viewpoint is left.
-        views: Number of viewpoints that were seen, at the viewpoint or on the way to it.
+        views: Number of viewpoints that are finished: the detector saw enough at the viewpoint, or
+            already on the way to it.
     """
 
-    def __init__(self, enough: int) -> None:
+    def __init__(self, images_needed: int) -> None:
         self.done = False
         self.views = 0
-        self.images_needed = enough
+        self.images_needed = images_needed
         self._view: Viewpoint | None = None
         self._searching = self._unreachable = False
         self._images_at_arrival: int | None = None  # the detector's number of images at the arrival

@@ -1,7 +1,7 @@
 """The semantic map: all knowledge of the surroundings, in the frame `map`.
 
-It holds the occupancy grid, the objects and the candidates. One class owns them, because all are
-valid only in the current frame.
+One class owns the occupancy grid, the objects and the candidates, because all of them are valid
+only in the current frame.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Detections, Instance, Observation
 
-_SAME_AREA_M2 = 0.5
+_SAME_AREA_M2 = 0.5  # smallest change of a closed room's area for which it is painted again
 
 
 class SemanticMap:
-    """The semantic map. Stages 3 to 5 of the tick write it.
+    """The semantic map. The stages `map`, `lift` and `candidates` of the tick write it.
 
     They call `update`, `on_detections`, `infer` and `gather`, in this order.
 
@@ -102,14 +102,14 @@ class SemanticMap:
         return update
 
     def on_detections(self, detections: Detections) -> None:
-        """Turn boxes into sightings and instances, with the depth and pose of their image."""
+        """Turn boxes into objects and instances, with the depth and pose of their image."""
         perception, seen = self.config.perception, detections.observation
-        lifted, around = self._back_projector.back_project(detections, self.grid.floor_over_base_m)
-        self.objects.update(lifted, around)
+        targets, others = self._back_projector.back_project(detections, self.grid.floor_over_base_m)
+        self.objects.update(targets, others)
         self.crops.rename(self.objects.renamed)
         if seen.rgb is not None:
             self.crops.observe(self.objects.observed, seen.rgb)
-        self.tracker.update(lifted, seen.stamp_ns)
+        self.tracker.update(targets, seen.stamp_ns)
         self.tracker.expire(seen, detections.prompts)
         self.grid.coverage.on_image(seen, perception.confirm_range_m, perception.confirm_hits)
 
@@ -208,9 +208,9 @@ class SemanticMap:
 
         Args:
             grid: The restored grid; see `edge.loop.map_checkpoint.make_map`.
-            part: Returns the arrays of a part.
-            later_ns: Shift of times on the loop's clock.
-            later_stamp_ns: Shift of stamps on the sensors' clock.
+            part: Returns the arrays of a part, by its name in `state_dict`.
+            later_ns: Added to saved times of the loop's clock.
+            later_stamp_ns: Added to saved stamps of the sensors' clock.
         """
         self._set_grid(grid)
         grid.bumps.load_state_dict(part("bumps"), later_ns)
@@ -233,9 +233,9 @@ class SemanticMap:
         Args:
             likely: Include the layers of the prior, if there is one.
         """
-        valued = self._targets if self.config.value_source is not None else ()
-        values, found = self.grid.values, {"looked at": self.grid.coverage.snapshot}
-        found |= {VALUE_LAYER + target: partial(values.snapshot, target) for target in valued}
+        targets = self._targets if self.config.value_source is not None else ()
+        values, layers = self.grid.values, {"looked at": self.grid.coverage.snapshot}
+        layers |= {VALUE_LAYER + target: partial(values.snapshot, target) for target in targets}
         if self.prior is not None and likely:
-            found |= {f"likely place of {x}": self.prior.layer(x) for x in self._targets}
-        return found
+            layers |= {f"likely place of {x}": self.prior.layer(x) for x in self._targets}
+        return layers

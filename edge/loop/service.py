@@ -51,8 +51,9 @@ INGEST, CHECK, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = ran
     len(stages.STAGES)
 )
 NOTHING_CHANGED = (0, 0, 0, 0)
-_MOST_PAST = 32
-_EXIT_M = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # how far away the way out of a zone is looked for
+_MAX_PAST_MISSIONS = 32
+_EXIT_M = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""Radii of the search for a free cell outside a zone that the robot is in, tried in this order."""
 
 
 class Service:
@@ -135,7 +136,7 @@ class Service:
         self._travel_costs = make_travel_cost_estimator(
             config.mission.planner, config.loop.lockstep
         )
-        self.behaviour = self._behaviour_of(self.mission)
+        self.behaviour = self._make_behaviour(self.mission)
         for part in (self._travel_costs, self.map.room_surveyor, scorers):
             if part is not None:
                 part.wrap_workers(input_log.wrap)
@@ -160,16 +161,17 @@ class Service:
             sinks, self.map, self.site, self.goals, scorers, input_log, self.latency,
             self._health.status,
         )  # fmt: skip
-        self._changed = NOTHING_CHANGED
+        self._changed_cells = NOTHING_CHANGED
         self._detections: Detections | None = None  # of this tick, like `scores` and `pose`
         self.scores = np.zeros(0, np.float32)
         self.pose: SE2 | None = None
         self._last_tick_ns = 0  # loop time of the last complete tick
         self._resume_ns: int | None = None  # loop time at which a pause ends by itself
         self._images = 0  # number of images that the detector has processed, as of this tick
-        self._newest_seq = self._void_seq = -1
+        self._newest_seq = -1  # number of the newest observation
+        self._last_void_seq = -1  # boxes of this observation and older ones are in the old frame
         self.refused = self._in_zone = False
-        self.past_missions: deque[dict[str, str]] = deque(maxlen=_MOST_PAST)
+        self.past_missions: deque[dict[str, str]] = deque(maxlen=_MAX_PAST_MISSIONS)
         if checkpoint is not None:
             checkpoint.resume(self.mission)
         if idle:
@@ -207,8 +209,8 @@ class Service:
             self.site.start = Place(START, pose)
         if self.mission.destinations:
             self.mission.locate(self.site.start.pose, pose)
-        judge = partial(self.plausibility.permitted_use, observation, now_ns)
-        use = self._input_log.record_decision(USE, judge, usual="")
+        decide_use = partial(self.plausibility.permitted_use, observation, now_ns)
+        use = self._input_log.record_decision(USE, decide_use, usual="")
         self._end_stage(CHECK)
         self.refused = use != ""
         if self.refused:
@@ -262,16 +264,16 @@ class Service:
         saved = checkpoint.map
         if saved.waiting is None:
             return
-        why = partial(saved.frame_mismatch, sighted)
-        found = saved.take(self._input_log.record_decision(FRAME_DECISION, why))
-        if found is None:
+        find_mismatch = partial(saved.frame_mismatch, sighted)
+        restored = saved.take(self._input_log.record_decision(FRAME_DECISION, find_mismatch))
+        if restored is None:
             return
-        grid, loaded = found
-        goes_on = checkpoint.is_resumed(self.mission, loaded.state.targets)
+        grid, loaded = restored
+        resumed = checkpoint.is_resumed(self.mission, loaded.state.targets)
         with self.error_boundary.contain("restore", sighted.now_ns):
-            restore(MapParts(self.map, self.goals, self.policy), grid, loaded, sighted, goes_on)
+            restore(MapParts(self.map, self.goals, self.policy), grid, loaded, sighted, resumed)
             checkpoint.crops.restore(self.map.crops)
-        if goes_on:
+        if resumed:
             self.mission.mark_stale_before(self.map.tracker.newest_id)
         else:
             self._reset_search()
@@ -279,9 +281,9 @@ class Service:
         self.event(f"restored {known} from the checkpoint", sighted.now_ns)
 
     def _map(self, observation: Observation, now_ns: int) -> None:
-        """Stage 3: integrate the depth image or cloud into the map."""
+        """Stage `map`: integrate the depth image or cloud into the map."""
         update = self.map.update(observation, now_ns)
-        self._changed = NOTHING_CHANGED if update is None else update.changed
+        self._changed_cells = NOTHING_CHANGED if update is None else update.changed
         if update is None:
             return
         self.plausibility.on_mapped(update)
@@ -289,12 +291,12 @@ class Service:
             self.policy.reset("map rolled")
 
     def _track(self, detections: Detections | None, now_ns: int) -> None:
-        """Stage 4: turn boxes into instances, with the depth and pose of their image."""
+        """Stage `lift`: turn boxes into instances, with the depth and pose of their image."""
         self._detections = None
         if detections is None:
             return
         try:
-            void = detections.observation.seq <= self._void_seq
+            void = detections.observation.seq <= self._last_void_seq
             if not void and detections.prompts == self.mission.spec.prompts:
                 self.latency.span(DETECT, detections.latency_ns)
                 if self.scorers is not None:
@@ -307,7 +309,7 @@ class Service:
             detections.observation.release()
 
     def _ask_scorers(self, scorers: Scorers, observation: Observation) -> None:
-        """Before stage 6: send the next questions to the scorers and collect their answers."""
+        """Before the stage `score`: ask the scorers, and collect their answers."""
         mission, here = self.mission, self.map
         if mission.active:
             targets, candidates = mission.spec.prompts, here.pool.candidates
@@ -321,12 +323,12 @@ class Service:
             self.latency.exclude_elapsed(perf_counter_ns())
 
     def _score(self, observation: Observation, now_ns: int) -> PolicyInput:
-        """Stage 6: build the policy's context and score the candidates."""
+        """Stage `score`: build the policy's context and score the candidates."""
         context = PolicyInput(
             observation,
             observation.pose,
             self.map.view,
-            self._changed,
+            self._changed_cells,
             self.map.pool.read_only,
             self._detections,
             ScorerOutputs() if self.scorers is None else self.scorers.answers,
@@ -340,7 +342,7 @@ class Service:
         return context
 
     def _plan(self, context: PolicyInput) -> PolicyInput:
-        """Stage 7: count time, let the behaviour advance the mission, and check its limits.
+        """Stage `plan`: count time, let the behaviour advance the mission, and check its limits.
 
         If the plan changed the active target, the candidates of the new target are scored at once.
         """
@@ -357,12 +359,12 @@ class Service:
         return self._score(context.observation, now_ns)
 
     def _select(self, context: PolicyInput) -> Goal | None:
-        """Stage 8: return the behaviour's goal, or None if no mission is active."""
+        """Stage `select`: return the behaviour's goal, or None if no mission is active."""
         if not self.mission.active:
             self.goals.idle()
             return None
-        if (leaving := self._leave_zone(context)) is not None:
-            return leaving
+        if (exit_goal := self._leave_zone(context)) is not None:
+            return exit_goal
         return self.behaviour.select(context, self.scores, self._images)
 
     def _leave_zone(self, context: PolicyInput) -> Goal | None:
@@ -420,13 +422,13 @@ class Service:
         )
         self.mission, self._resume_ns = mission, None
         self.behaviour.close()
-        self.behaviour = self._behaviour_of(mission)
+        self.behaviour = self._make_behaviour(mission)
         self._reset_search()
         self._detections = None
         self._discard_pending()
         self.mission.start(now_ns)
 
-    def _behaviour_of(self, mission: MissionRun) -> Behaviour:
+    def _make_behaviour(self, mission: MissionRun) -> Behaviour:
         config, here, goals = self.config, self.map, self.goals
         if mission.spec.steps is None:
             return SearchBehaviour(mission, config, here, goals, self._travel_costs)
@@ -435,8 +437,8 @@ class Service:
     def _record_past(self, mission: MissionRun) -> None:
         if mission.id:
             status = mission.status(self.goals.phase)
-            over = (status.phase, status.reason) if mission.done else ("failed", "replaced")
-            self.past_missions.append({"id": mission.id, "phase": over[0], "reason": over[1]})
+            outcome = (status.phase, status.reason) if mission.done else ("failed", "replaced")
+            self.past_missions.append({"id": mission.id, "phase": outcome[0], "reason": outcome[1]})
 
     def _reset_search(self) -> None:
         """Forget what was examined and tried for the previous mission."""
@@ -454,7 +456,8 @@ class Service:
         """Use another configuration from the next tick on.
 
         Args:
-            config: Differs only in keys of `edge.loop.reload.LIVE`. Its detector already runs.
+            config: The new configuration. It differs only in keys of `edge.loop.reload.LIVE`, and
+                its detector already runs.
             policy: Policy of this configuration; the current one if its settings did not change.
         """
         self._input_log.note("config", config=config)
@@ -478,20 +481,20 @@ class Service:
     def pause(self, paused: bool, now_ns: int, for_s: float | None = None) -> None:
         """Pause the mission, so that the robot stands still, or resume it.
 
-        To resume a mission that waits, but is not paused, ends the wait.
+        If the mission is not paused but waits, resuming it ends the wait.
 
         Args:
             paused: True to pause.
             now_ns: Loop time.
-            for_s: Seconds until the mission goes on by itself; None: until it is told to. A restart
-                forgets them, and the mission stays paused.
+            for_s: Time after which the mission resumes by itself [s]. None: it stays paused until
+                it is resumed. A restart forgets this time, and the mission stays paused.
         """
         self._resume_ns = now_ns + int(1e9 * for_s) if paused and for_s is not None else None
-        goes_on = not paused and self.mission.waiting
-        if paused == self.mission.paused and not goes_on:  # repeated requests are logged once
+        ends_wait = not paused and self.mission.waiting
+        if paused == self.mission.paused and not ends_wait:  # repeated requests are logged once
             return
         self._input_log.note("pause", paused=paused, now_ns=now_ns)
-        if goes_on:
+        if ends_wait:
             self.mission.end_wait(now_ns)
             return
         self.mission.pause(paused)
@@ -512,12 +515,12 @@ class Service:
         self._input_log.note("fail", reason=reason, now_ns=now_ns)
         self.mission.fail(reason, now_ns)
 
-    def on_goal_status(self, answer: GoalStatus) -> None:
+    def on_goal_status(self, status: GoalStatus) -> None:
         """Handle a goal status of the controller. A status for an old goal has no effect on it."""
-        self._input_log.note("goal_status", goal_status=answer)
-        answer = self.goals.client.with_sent_stamp(answer)
-        self._publisher.goal_statuses.append(answer)
-        self.goals.on_goal_status(answer)
+        self._input_log.note("goal_status", goal_status=status)
+        status = self.goals.client.with_sent_stamp(status)
+        self._publisher.goal_statuses.append(status)
+        self.goals.on_goal_status(status)
 
     def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
         """Handle a loop cycle without a usable observation.
@@ -572,12 +575,12 @@ class Service:
         self._discard_pending()
         self.behaviour.on_pose_jump()
         self.goals.on_pose_jump()
-        self._void_seq = self._newest_seq
+        self._last_void_seq = self._newest_seq
         if self.checkpoint is not None:
             self.checkpoint.map.on_pose_jump()
 
     def event(self, text: str, now_ns: int, level: int = logging.INFO) -> None:
-        """Report an event for people to the log and the sinks.
+        """Report an event, for people, to the log and the sinks.
 
         Args:
             text: The event, one line.

@@ -26,13 +26,14 @@ log = logging.getLogger("edge.loop.service_health")
 STEP_S = 300.0
 """Longest time between two progress reports of the start."""
 HANGS_S = 10.0
-"""A loop without a cycle, or a detector at one image, for this time counts as hanging."""
+"""The loop hangs if it has no cycle for this time, the detector if it works at one image for this
+time."""
 PROBES = ("/healthz", "/readyz")
 """Pages whose HTTP status is public, but whose content needs the token."""
-_CHECK_S = 1.0
-_UNSEEN = "no usable observations"  # without the duration, which would change each second
+_CHECK_PERIOD_S = 1.0  # time between two searches for problems
+_NO_OBSERVATIONS = "no usable observations"  # without the duration, which would change each second
 _LOG_AFTER_S = 5.0  # sensors that start together with the service are running by then
-_LOG_AGAIN_S = 10.0
+_LOG_AGAIN_S = 10.0  # shortest time between two log lines about missing inputs
 
 State = Literal["starting", "running", "reloading", "stopping"]
 STATES: tuple[State, ...] = get_args(State)
@@ -55,9 +56,9 @@ class ServiceHealth:
         self.state: State = "starting"
         self._manager, self._clock = manager, clock
         self._problems: tuple[str, ...] = ("starting",)
-        self._sent = self._shortage = ""
-        self._beat_s = self._ping_s = self._check_s = self._ready_s = clock()
-        self._stamp_ns, self._seen_s = 0, -math.inf
+        self._sent_line = self._open_files_problem = ""
+        self._last_beat_s = self._next_ping_s = self._next_check_s = self._ready_s = clock()
+        self._stamp_ns, self._observed_s = 0, -math.inf
         self._images, self._detected_s = 0, clock()
         self._logged, self._logged_s = "", -math.inf  # last logged line about missing inputs
 
@@ -70,25 +71,28 @@ class ServiceHealth:
 
     def ready(self) -> None:
         """Report that the loop begins."""
-        self._beat_s = self._ready_s = self._clock()
-        self._problems = (_UNSEEN,)
+        self._last_beat_s = self._ready_s = self._clock()
+        self._problems = (_NO_OBSERVATIONS,)
         self.state = "running"
         self._manager.ready()
 
     def beat(self, running: RunningService) -> None:
         """Report a loop cycle. The loop's thread calls this; it never waits."""
-        self._beat_s = now_s = self._clock()
+        self._last_beat_s = now_s = self._clock()
         if running.service.stamp_ns != self._stamp_ns:
-            self._stamp_ns, self._seen_s = running.service.stamp_ns, now_s
-        if self._manager.ping_s is not None and now_s >= self._ping_s:
-            self._ping_s = now_s + self._manager.ping_s
+            self._stamp_ns, self._observed_s = running.service.stamp_ns, now_s
+        if self._manager.ping_s is not None and now_s >= self._next_ping_s:
+            self._next_ping_s = now_s + self._manager.ping_s
             self._manager.alive()
         reloads = running.reloader is not None and running.reloader.busy
         if reloads != (self.state == "reloading"):
-            self.state, self._check_s = "reloading" if reloads else "running", now_s
-            (self._manager.reloading if reloads else self._manager.ready)()
-        if now_s >= self._check_s:
-            self._check_s = now_s + _CHECK_S
+            self.state, self._next_check_s = "reloading" if reloads else "running", now_s
+            if reloads:
+                self._manager.reloading()
+            else:
+                self._manager.ready()
+        if now_s >= self._next_check_s:
+            self._next_check_s = now_s + _CHECK_PERIOD_S
             self._check(running, now_s)
 
     def stopping(self) -> None:
@@ -101,14 +105,14 @@ class ServiceHealth:
         images = stats.done + stats.failed
         if images != self._images or running.worker.idle:
             self._images, self._detected_s = images, now_s
-        unseen_s, at_one_image_s = now_s - self._seen_s, now_s - self._detected_s
+        unseen_s, at_one_image_s = now_s - self._observed_s, now_s - self._detected_s
         self._problems = tuple(_problems(running, unseen_s, at_one_image_s))
         self._log_unseen(now_s)
-        if (short := open_files_problem()) and short != self._shortage:
+        if (short := open_files_problem()) and short != self._open_files_problem:
             log.error("%s: new files and connections fail until others are closed", short)
-        elif self._shortage and not short:
+        elif self._open_files_problem and not short:
             log.info("files and connections can be opened again")
-        self._shortage = short
+        self._open_files_problem = short
         self._problems += (short,) * bool(short)
         status = running.service.status
         doing = status.reason if status.phase == "idle" else status.instruction
@@ -117,18 +121,18 @@ class ServiceHealth:
             line = f"not ready: {'; '.join(self._problems)} ({line})"
         if running.reloader is not None and running.reloader.outcome:
             line = f"{line}; reload: {running.reloader.outcome}"
-        if line != self._sent:
-            self._sent = line
+        if line != self._sent_line:
+            self._sent_line = line
             self._manager.status(line)
 
     def _log_unseen(self, now_s: float) -> None:
         """Log the missing inputs after a while without observations, and again if they change."""
-        unseen = next((why for why in self._problems if why.startswith(_UNSEEN)), "")
+        unseen = next((why for why in self._problems if why.startswith(_NO_OBSERVATIONS)), "")
         if not unseen:
             self._logged = ""
         elif (
             unseen != self._logged
-            and now_s - max(self._seen_s, self._ready_s) >= _LOG_AFTER_S
+            and now_s - max(self._observed_s, self._ready_s) >= _LOG_AFTER_S
             and now_s - self._logged_s >= _LOG_AGAIN_S
         ):
             self._logged, self._logged_s = unseen, now_s
@@ -139,12 +143,12 @@ class ServiceHealth:
     @property
     def silent_s(self) -> float:
         """Time since the newest loop cycle, or since the start."""
-        return self._clock() - self._beat_s
+        return self._clock() - self._last_beat_s
 
     @property
     def unseen_s(self) -> float:
         """Time since the newest observation that was not refused; infinite before the first."""
-        return self._clock() - self._seen_s
+        return self._clock() - self._observed_s
 
     def hangs(self) -> tuple[str, ...]:
         """Return the reasons to restart the service; empty while the loop runs."""
@@ -179,7 +183,7 @@ def _problems(running: RunningService, unseen_s: float, at_one_image_s: float) -
             "inputs", running.now_ns, lambda: missing_inputs(service.inputs())
         )
         why = "; ".join(filter(None, (why, service.plausibility.why("stand"))))
-        yield f"{_UNSEEN}: {why}" if why else _UNSEEN
+        yield f"{_NO_OBSERVATIONS}: {why}" if why else _NO_OBSERVATIONS
     if doubt := service.plausibility.why("degrade"):
         yield doubt
     if service.error_boundary.state != "ok":

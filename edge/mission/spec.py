@@ -29,6 +29,7 @@ from edge.mission.language.english import describe
 from edge.mission.language.errands import CHECK, spell_out
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
+from edge.mission.language.nouns import listed
 from edge.mission.language.places import EXPLORED, quote_places
 from edge.mission.language.said import MissionOrder, NoMissionError, understand
 from edge.mission.language.tokens import UnclearError
@@ -100,6 +101,10 @@ class MissionSpec:
                 f"{self.translation.reading} was taken: it fulfils all of them"
             )
         return tuple(lines)
+
+
+_SMALL_WORDS = frozenset(listed("the next near room and for from here there with wait"))
+"""Words of names that say nothing about the thing."""
 
 
 def prepare(
@@ -193,12 +198,25 @@ def translate(
     if letters == {"a"} and '"a"' not in text:
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
+    for reason in said.speech.reasons:
+        if shared := _shared_word(reason, translation.formula):
+            hint = (
+                f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
+            )
+            raise UnclearError(f"instruction: {one_line(reason)!r}: {hint}", reason)
     english = translation.english
     if unused := "; ".join(f"'{one_line(reason)}'" for reason in said.speech.reasons):
         english += f" (Not part of the order: {unused}.)"
     if asks_for_work(said.speech.text):
         english += " (The robot has no arms: it only drives there.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)
+
+
+def _shared_word(remark: str, formula: Formula) -> str:
+    """Return a word that a remark shares with a target or a ban; "" if there is none."""
+    targets = " ".join(ltl.propositions(formula)).lower()
+    spoken = set(re.findall(r"[a-z]{3,}", remark.lower())) - _SMALL_WORDS
+    return next((word for word in re.findall(r"[a-z]{3,}", targets) if word in spoken), "")
 
 
 def _is_read(instruction: str) -> bool:

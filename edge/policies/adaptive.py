@@ -11,10 +11,13 @@ from edge.jit import jit
 from edge.policies.base import PolicyInput, Why
 from edge.policies.value_map import count_frontiers, values_near
 
-LEAST_SPREAD, LEAST_RATIO = 0.030, 1.2
-"""The values decide if their standard deviation and their ratio of maximum to mean exceed these."""
+LEAST_SPREAD = 0.030
+"""The values decide only if their standard deviation exceeds this."""
+LEAST_RATIO = 1.2
+"""The values decide only if their maximum exceeds their mean by this factor."""
 MAX_STOPS = 8
-"""Largest number of stops in a tour; of more stops the nearest are used (cost is exponential)."""
+"""Largest number of stops in a tour. Of more stops the nearest are used, because the cost of a
+tour grows exponentially."""
 _FIRST, _STEP = 2.0, 0.05
 """Score of a tour's first stop, and the decrement for each later stop. Other scores are below 1."""
 
@@ -43,9 +46,9 @@ class AdaptivePolicy:
         self._write_values(context, n)
         pose, xy_m = context.pose, candidates.xy_m
         away_m = np.hypot(xy_m[:n, 0] - pose.x_m, xy_m[:n, 1] - pose.y_m)
-        open_ = np.isfinite(path_m) & ~candidates.blocked[:n]
-        open_ &= away_m > self.config.delta_reached_m
-        stops = self._promising(np.flatnonzero(open_ & ~np.isnan(value[:n])))
+        reachable = np.isfinite(path_m) & ~candidates.blocked[:n]
+        reachable &= away_m > self.config.delta_reached_m
+        stops = self._promising(np.flatnonzero(reachable & ~np.isnan(value[:n])))
         if len(stops) > 0:
             stops = stops[np.argsort(path_m[stops], kind="stable")][:MAX_STOPS]
             order = shortest_tour(path_m[stops].astype(np.float64), xy_m[stops])
@@ -72,12 +75,12 @@ class AdaptivePolicy:
 
     def _promising(self, scored: np.ndarray) -> np.ndarray:
         """Return the scored frontiers for the tour; none if geometry decides."""
-        c, value = self.config, self._value[scored]
+        config, value = self.config, self._value[scored]
         if len(scored) < 2 or value.std() <= LEAST_SPREAD:
             return scored[:0]
         if value.max() <= LEAST_RATIO * value.mean():
             return scored[:0]
-        return scored[value >= c.keep * value.max()]
+        return scored[value >= config.keep * value.max()]
 
     def _make_room(self, capacity: int) -> None:
         self._score, self._value = (np.zeros(capacity, np.float32) for _ in range(2))
@@ -99,11 +102,11 @@ def shortest_tour(path_m, xy_m):
     """
     k = len(path_m)
     full = 1 << k
-    between = np.zeros((k, k))
+    between_m = np.zeros((k, k))
     for i in range(k):
         for j in range(k):
             straight = math.hypot(xy_m[i, 0] - xy_m[j, 0], xy_m[i, 1] - xy_m[j, 1])
-            between[i, j] = max(straight, abs(path_m[i] - path_m[j]))
+            between_m[i, j] = max(straight, abs(path_m[i] - path_m[j]))
     # cost[stops, i]: length of the shortest path that begins at stop i and visits all of `stops`.
     # The tour is built from its end (Held-Karp).
     cost, after = np.full((full, k), np.inf), np.zeros((full, k), np.int64)
@@ -117,18 +120,18 @@ def shortest_tour(path_m, xy_m):
             for j in range(k):
                 if not rest >> j & 1:
                     continue
-                total = between[i, j] + cost[rest, j]
+                total = between_m[i, j] + cost[rest, j]
                 if total < cost[stops, i]:
                     cost[stops, i], after[stops, i] = total, j
     order = np.zeros(k, np.int64)
-    at = 0
+    stop = 0
     for i in range(k):
-        if path_m[i] + cost[full - 1, i] < path_m[at] + cost[full - 1, at]:
-            at = i
+        if path_m[i] + cost[full - 1, i] < path_m[stop] + cost[full - 1, stop]:
+            stop = i
     stops = full - 1
     for place in range(k):
-        order[place] = at
-        following = after[stops, at]
-        stops &= ~(1 << at)
-        at = following
+        order[place] = stop
+        next_stop = after[stops, stop]
+        stops &= ~(1 << stop)
+        stop = next_stop
     return order

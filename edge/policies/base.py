@@ -16,9 +16,11 @@ from edge.perception.tracking.sightings import TrackedObjects
 from edge.types import Detections, Observation
 
 FRONTIER, INSTANCE, SPIN = 0, 1, 2
+"""Kinds of candidates, as in `Candidates.kind`."""
 SNAP_M = np.array([0.6, 1.5, 0.0])
-"""Largest distance of a goal cell from its candidate, by kind. A frontier borders free space. The
-surface of an instance is behind inflation and often on a table. A spin turns on the spot."""
+"""Largest distance of a goal cell from its candidate in metres, by kind. A frontier borders free
+space. The surface of an instance is behind inflated cells, and often on a table. A spin turns on
+the spot."""
 
 
 class Candidates:
@@ -106,9 +108,9 @@ class ScorerOutputs:
     An output may be seconds old, or never come.
 
     Attributes:
-        similarity: over the whole field of view, used by VLFM.
-        choice: for each frontier, used by ViTL. `FrontierChoice.ids` are candidate ids; an id that
-            is no candidate any more is stale.
+        similarity: similarity of the whole field of view to each target, used by VLFM.
+        choice: probability of each frontier, used by ViTL. `FrontierChoice.ids` are candidate ids.
+            Some of these candidates may be gone.
     """
 
     similarity: ImageSimilarity | None = None
@@ -139,20 +141,21 @@ class PolicyInput:
     Policies only read it. Arrays that outlive the call are read-only.
 
     Attributes:
-        observation: the newest one, with image, depth or cloud, and camera. Its arrays are valid
-            until `score` returns.
+        observation: the newest observation, with image, depth or cloud, and camera. Its arrays are
+            valid until `score` returns.
         pose: pose of the robot at that observation.
         map: the current map. `snapshot` and `known_m2` are too expensive for every tick.
         changed: half-open rectangle (x0, y0, x1, y1) of the world cells whose state this
             observation changed; cell (x, y) begins at (x, y) * `map.resolution_m`. All zero if no
             cell changed.
         candidates: frontiers, and instances of the active target.
-        detections: new boxes of targets that no other class explains better, with the observation
-            in which they were found. `class_id` indexes `targets`; `detections.context` has the
-            boxes of all other objects. None if there are no new detections.
-        answers: outputs of the scorers, which run in the background.
+        detections: new boxes of targets, without those that another class fits better, and the
+            observation in which they were found. `class_id` indexes `targets`;
+            `detections.context` has the boxes of all other objects. None if there are no new
+            detections.
+        answers: newest outputs of the scorers, which run in the background.
         targets: all targets of the mission.
-        target: the active one.
+        target: the active target.
         now_ns: time of the loop.
         objects: positions of all objects seen so far, targets and others; None if they are not
             recorded.
@@ -196,6 +199,7 @@ def distances_m(context: PolicyInput, how: Literal["path", "straight"]) -> np.nd
 
 
 Why = Literal["mission", "pose", "map rolled"]
+"""Reason for `Policy.reset`."""
 
 
 class Policy(Protocol):

@@ -27,36 +27,36 @@ class HvlPolicy:
     the strongest evidence in a direction counts, not the sum: ten pillows are no better evidence
     of a bed than one.
 
-    A frontier keeps the VL scores of its first observation (VL-Nav III.D). It has one for each
-    target of the mission (ViTL eq. 3), so no evidence is lost when the plan changes the target.
+    A frontier keeps the VL scores of its first observation (VL-Nav III.D). It has one VL score for
+    each target (ViTL eq. 3), so no evidence is lost when the plan changes the target.
     """
 
     def __init__(self, config: PolicyHvl) -> None:
         self.config = config
-        self._words: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+        self._related_words: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
         self._related = np.zeros((0, 0))
         self._n, self._id, self._vl = 0, np.zeros(0, np.int64), np.zeros((0, 0), np.float32)
-        self._remember(0, 0)
+        self._allocate(0, 0)
 
     def score(self, context: PolicyInput) -> np.ndarray:
         """Return S_HVL of each candidate; see `Policy.score`.
 
-        A VL score keeps its first value. The other terms are current.
+        A VL score keeps its first value. The other terms are computed again in each call.
         """
         c, candidates = self.config, context.candidates
         xy_m, kind, n = candidates.xy_m, candidates.kind, candidates.n
         if self._vl.shape != (len(context.targets), len(kind)):
-            self._remember(len(context.targets), len(kind))
+            self._allocate(len(context.targets), len(kind))
         self._n = carry_over(
             kind, candidates.id, n, self._id, self._n, self._vl, self._old_id, self._old_vl
         )
         seen = context.detections
         if seen is not None and seen.observation.camera is not None:
-            camera, at = seen.observation.camera, seen.observation.pose
+            camera, pose = seen.observation.camera, seen.observation.pose
             mu, alpha = self._evidence(seen, context.targets)
             vl_scores(
-                xy_m, candidates.first_seen_ns, self._n, at.x_m, at.y_m,
-                at.yaw_rad + optical_yaw_rad(seen.observation.T_base_camera),
+                xy_m, candidates.first_seen_ns, self._n, pose.x_m, pose.y_m,
+                pose.yaw_rad + optical_yaw_rad(seen.observation.T_base_camera),
                 seen.observation.stamp_ns, camera.hfov_rad, mu, alpha, len(seen), SIGMA_RAD,
                 self._vl,
             )  # fmt: skip
@@ -71,25 +71,29 @@ class HvlPolicy:
     def _evidence(
         self, seen: Detections, targets: tuple[str, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bearing of each box, targets first, and its evidence for each target.
+        """Return the bearing of each box and its evidence for each target.
+
+        The boxes of targets come first, then the boxes of other objects.
 
         Returns:
-            mu (k,) float64 radians, alpha (k, targets) float64.
+            mu (k,) float64, bearings in radians; alpha (k, targets) float64, evidence.
         """
         alpha = np.zeros((len(seen), len(targets)))
         alpha[np.arange(len(seen)), seen.class_id] = seen.score
-        middle = 0.5 * (seen.xyxy_px[:, 0] + seen.xyxy_px[:, 2])
-        around, weight = seen.context, self.config.w_context
-        if around is not None and len(around) and weight > 0.0:
-            if self._words != (around.words, targets):
-                self._words = (around.words, targets)
-                self._related = relatedness(around.words, targets)
-            said = weight * around.score[:, None] * self._related[around.class_id]
-            alpha = np.concatenate((alpha, said))
-            middle = np.append(middle, 0.5 * (around.xyxy_px[:, 0] + around.xyxy_px[:, 2]))
+        centre_u_px = 0.5 * (seen.xyxy_px[:, 0] + seen.xyxy_px[:, 2])
+        context, weight = seen.context, self.config.w_context
+        if context is not None and len(context) and weight > 0.0:
+            if self._related_words != (context.words, targets):
+                self._related_words = (context.words, targets)
+                self._related = relatedness(context.words, targets)
+            context_alpha = weight * context.score[:, None] * self._related[context.class_id]
+            alpha = np.concatenate((alpha, context_alpha))
+            centre_u_px = np.append(
+                centre_u_px, 0.5 * (context.xyxy_px[:, 0] + context.xyxy_px[:, 2])
+            )
         camera = seen.observation.camera
         assert camera is not None  # the caller checked
-        return camera.bearing_of(middle), alpha
+        return camera.bearing_of(centre_u_px), alpha
 
     def reset(self, why: Why) -> None:
         """Forget all frontiers, unless only the map window moved."""
@@ -105,20 +109,20 @@ class HvlPolicy:
         ids, vl = state["id"], state["vl"]
         if ids.ndim != 1 or vl.ndim != 2 or vl.shape[1] != len(ids) or np.isinf(vl).any():
             raise ValueError("the saved scores of frontiers do not fit together")
-        self._remember(len(vl), len(ids))
+        self._allocate(len(vl), len(ids))
         self._id[:], self._vl[:], self._n = ids, vl, len(ids)
 
-    def _remember(self, targets: int, capacity: int) -> None:
+    def _allocate(self, targets: int, capacity: int) -> None:
         """Allocate VL scores for `capacity` frontiers.
 
         Old scores are kept if the number of targets is the same.
         """
         n = min(self._n, capacity) if len(self._vl) == targets else 0
-        known, vl = self._id[:n], self._vl[:, :n]
+        ids, vl = self._id[:n], self._vl[:, :n]
         self._id, self._old_id = (np.zeros(capacity, np.int64) for _ in range(2))
         self._vl, self._old_vl = (np.zeros((targets, capacity), np.float32) for _ in range(2))
         self._ratio, self._score = (np.zeros(capacity, np.float32) for _ in range(2))
-        self._n, self._id[:n] = n, known
+        self._n, self._id[:n] = n, ids
         if n:
             self._vl[:, :n] = vl
 
@@ -184,9 +188,9 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma,
         xy: (cap, 2) float32 map positions, `n` frontiers first.
         first_seen: (cap,) int64 stamps.
         n: number of frontiers.
-        x: position of the robot when the image was taken.
-        y: position of the robot when the image was taken.
-        yaw: heading of the camera when the image was taken.
+        x: x of the robot in `map` when the image was taken, in metres.
+        y: y of the robot in `map` when the image was taken, in metres.
+        yaw: heading of the camera in `map` when the image was taken, in radians.
         stamp: stamp of the image.
         fov: horizontal field of view in radians.
         mu: (k,) float64, bearing of each detection.
@@ -206,17 +210,17 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma,
             continue
         confidence = math.cos(offset / (0.5 * fov) * 0.5 * math.pi) ** 2
         for t in range(vl.shape[0]):
-            said = most = 0.0
+            total = strongest = 0.0
             for k in range(len(mu)):
                 if alpha[k, t] == 0.0:
                     continue
                 z = (offset - mu[k]) / sigma
-                heard = alpha[k, t] * math.exp(-0.5 * z * z)
+                evidence = alpha[k, t] * math.exp(-0.5 * z * z)
                 if k < boxes:
-                    said += heard
+                    total += evidence
                 else:
-                    most = max(most, heard)
-            vl[t, i] = (said + most) * confidence
+                    strongest = max(strongest, evidence)
+            vl[t, i] = (total + strongest) * confidence
 
 
 @jit

@@ -34,23 +34,25 @@ class SearchPolicy:
         n = candidates.n
         kind, path_m = candidates.kind[:n], candidates.path_m[:n]
         score = np.sqrt(np.maximum(candidates.gain_m2[:n], 0.0)) / (START_M + path_m)
-        frontiers = int(np.count_nonzero(kind == FRONTIER))
+        n_frontiers = int(np.count_nonzero(kind == FRONTIER))
         if context.prior is not None:
             if len(self._ratio) < len(candidates.id):
                 self._ratio = np.ones(len(candidates.id), np.float32)
-            context.prior.likelihood_ratio(context.target, candidates.xy_m, frontiers, self._ratio)
-            score[:frontiers] *= self._ratio[:frontiers]
-        return np.where(kind == INSTANCE, self._of_instances(context), score)
+            context.prior.likelihood_ratio(
+                context.target, candidates.xy_m, n_frontiers, self._ratio
+            )
+            score[:n_frontiers] *= self._ratio[:n_frontiers]
+        return np.where(kind == INSTANCE, self._instance_scores(context), score)
 
-    def _of_instances(self, context: PolicyInput) -> np.ndarray:
+    def _instance_scores(self, context: PolicyInput) -> np.ndarray:
         """Return (n,) scores of known objects; see the class."""
         candidates, pose = context.candidates, context.pose
         n = candidates.n
         xy_m, path_m = candidates.xy_m[:n], candidates.path_m[:n]
         straight_m = np.hypot(xy_m[:, 0] - pose.x_m, xy_m[:, 1] - pose.y_m)
-        way_m = np.where(np.isfinite(path_m), path_m, straight_m)
-        chance = np.where(candidates.confirmed[:n], SURE, np.sqrt(candidates.confidence[:n]))
-        return chance / (START_M + way_m)
+        distance_m = np.where(np.isfinite(path_m), path_m, straight_m)
+        probability = np.where(candidates.confirmed[:n], SURE, np.sqrt(candidates.confidence[:n]))
+        return probability / (START_M + distance_m)
 
     def reset(self, why: Why) -> None:
         """Do nothing: this policy has no memory."""

@@ -17,16 +17,16 @@ from edge.policies.base import FRONTIER, INSTANCE, SNAP_M, SPIN, Candidates, Pol
 from edge.types import CandidateKind, Goal, Instance
 
 # A frontier within this distance of a vanished one replaces it.
-_HEIR_M = 1.0
+_SUCCESSOR_M = 1.0
 STOP_M = (0.7, 0.85)
-"""Stopping distances from a few points of an instance, in order of preference. The second one is
-for an object far back on a table, which the robot cannot get nearer to."""
+"""Stopping distances from the surface of an instance in metres, in order of preference. The second
+one is for an object far back on a table, which the robot cannot get nearer to."""
 # The best cell may move by this distance, or by this share of the robot's distance to the cell,
 # before the goal is replaced.
 _MOVE_M, _MOVE_SHARE = 0.3, 0.25
 ENOUGH, MOST_POINTS = 0.2, 10
-"""Surface points that must lie within the stopping distance: a share of all points, and an upper
-limit. Fewer points may belong to another object in front."""
+"""Number of surface points that must lie within the stopping distance: this share of all points,
+but at most `MOST_POINTS`. Fewer points may belong to another object in front."""
 
 _GOAL_KIND: dict[int, CandidateKind] = {FRONTIER: "frontier", INSTANCE: "instance", SPIN: "spin"}
 
@@ -40,7 +40,7 @@ class CurrentGoal(NamedTuple):
     Attributes:
         goal: the goal.
         peak: best score of the goal's candidate so far.
-        often_left: returns True if the robot has often left this candidate before it arrived.
+        often_left: returns True if the robot has often left this candidate before it arrived there.
     """
 
     goal: Goal
@@ -57,8 +57,8 @@ def ranked(
 ) -> np.ndarray:
     """Return the indices of the candidates in the order of algorithm 2.
 
-    Instances come before frontiers, then by score. Blocked candidates and frontiers within
-    `delta_reached_m` of the robot are left out.
+    Instances come first. Spins are ranked with the frontiers, by score. Blocked candidates and
+    frontiers within `delta_reached_m` of the robot are left out.
 
     Args:
         candidates: the candidates.
@@ -98,40 +98,41 @@ def choose(
         held: the current goal, if any.
         margin: how much better another candidate must be, as a fraction of the current score.
         instance_of: returns the instance with an id, or None if it is gone.
-        stop_m: stopping distance from an instance, if enough of its points are as near.
+        stop_m: stopping distance from an instance, tried before `STOP_M`; see `ENOUGH`.
 
     Returns:
         A goal, the best score of its candidate so far, and True if the candidate is unchanged.
         The goal is a reachable free cell that faces the candidate; it is the same object as before
         while it is still valid. None if no candidate is reachable.
     """
-    present = -1 if held is None else _index_of(held.goal, context.candidates)
-    may_stay = present in order
+    current = -1 if held is None else _index_of(held.goal, context.candidates)
+    is_candidate = current in order
     for index in map(int, order):
         cell = _cell(context, index, instance_of, stop_m)
         if cell is None:
             continue
         if (
             held is not None
-            and may_stay
-            and index != present
-            and not _beats(index, present, context, score, held, margin)
+            and is_candidate
+            and index != current
+            and not _is_clearly_better(index, current, context, score, held, margin)
         ):
-            kept = _cell(context, present, instance_of, stop_m)
-            index, cell = (index, cell) if kept is None else (present, kept)
+            kept = _cell(context, current, instance_of, stop_m)
+            if kept is not None:
+                index, cell = current, kept
         value = float(score[index])
-        if held is None or index != present:
+        if held is None or index != current:
             return _goal(context, index, cell, value), max(0.0, value), False
         goal = held.goal
-        if not _serves(goal, cell, context):
+        if not _is_still_valid(goal, cell, context):
             goal = _goal(context, index, cell, value)
         return goal, max(held.peak, value), True
     return None
 
 
-def _beats(
+def _is_clearly_better(
     index: int,
-    present: int,
+    current: int,
     context: PolicyInput,
     score: np.ndarray,
     held: CurrentGoal,
@@ -144,15 +145,15 @@ def _beats(
     back. It also completes its approach to a frontier that it left often: the path there may lead
     past places where another frontier scores better.
     """
-    kind, sure = context.candidates.kind, context.candidates.confirmed
-    instances = kind[index] == INSTANCE, kind[present] == INSTANCE
-    if instances[0] != instances[1] or sure[index] > sure[present]:
+    kind, confirmed = context.candidates.kind, context.candidates.confirmed
+    are_instances = kind[index] == INSTANCE, kind[current] == INSTANCE
+    if are_instances[0] != are_instances[1] or confirmed[index] > confirmed[current]:
         return True
-    if kind[present] == SPIN:
+    if kind[current] == SPIN:
         return False
     if kind[index] == INSTANCE:
         return bool(score[index] > (1.0 + margin) * held.peak)
-    return bool(score[index] > (1.0 + margin) * score[present]) and not held.often_left()
+    return bool(score[index] > (1.0 + margin) * score[current]) and not held.often_left()
 
 
 def _index_of(goal: Goal, candidates: Candidates) -> int:
@@ -161,11 +162,11 @@ def _index_of(goal: Goal, candidates: Candidates) -> int:
         return candidates.n - 1 if candidates.kind[candidates.n - 1] == SPIN else -1
     if goal.kind == "instance":
         return candidates.index_of(INSTANCE, goal.candidate_id)
-    same = candidates.index_of(FRONTIER, goal.candidate_id)
-    return same if same >= 0 else candidates.nearest(FRONTIER, goal.candidate_xy_m, _HEIR_M)
+    index = candidates.index_of(FRONTIER, goal.candidate_id)
+    return index if index >= 0 else candidates.nearest(FRONTIER, goal.candidate_xy_m, _SUCCESSOR_M)
 
 
-def _serves(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
+def _is_still_valid(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
     """Return True if a goal is still valid for its candidate, whose best cell is now `cell`.
 
     The tolerance grows with the distance, so a far goal is not resent for small changes.
@@ -178,7 +179,11 @@ def _serves(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
 
 
 def _cell(context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: float) -> Cell | None:
-    """Return the reachable free cell for a candidate; None if there is none."""
+    """Return the reachable free cell for a candidate; None if there is none.
+
+    If no free cell is near enough to an instance, the cell is at the frontier on the shortest way
+    to it, or, without such a frontier, next to the nearest point of its surface.
+    """
     candidates, pose = context.candidates, context.pose
     kind, xy_m = int(candidates.kind[index]), candidates.xy_m[index]
     if kind == SPIN:
@@ -187,29 +192,29 @@ def _cell(context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: flo
         instance = instance_of(int(candidates.id[index]))
         if instance is None or instance.state == "rejected":  # changed since it was gathered
             return None
-        enough = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
-        for within_m, points in ((stop_m, enough), *((within_m, 1) for within_m in STOP_M)):
+        enough_points = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
+        for within_m, points in ((stop_m, enough_points), *((within_m, 1) for within_m in STOP_M)):
             found = context.map.stopping_point(instance.points_m, within_m, points)
             if found is not None:
                 return found[0], found[1]
         surface_m = instance.points_m[:, :2]
-        away = np.hypot(surface_m[:, 0] - pose.x_m, surface_m[:, 1] - pose.y_m)
-        xy_m = surface_m[int(np.argmin(away))]
-        through = _way_through(candidates, xy_m)
-        if through >= 0:
-            xy_m, kind = candidates.xy_m[through], FRONTIER
+        away_m = np.hypot(surface_m[:, 0] - pose.x_m, surface_m[:, 1] - pose.y_m)
+        xy_m = surface_m[int(np.argmin(away_m))]
+        frontier = _frontier_towards(candidates, xy_m)
+        if frontier >= 0:
+            xy_m, kind = candidates.xy_m[frontier], FRONTIER
     found = context.map.nearest(float(xy_m[0]), float(xy_m[1]), float(SNAP_M[kind]))
     return None if found is None else (found[0], found[1])
 
 
-def _way_through(candidates: Candidates, xy_m: np.ndarray) -> int:
+def _frontier_towards(candidates: Candidates, xy_m: np.ndarray) -> int:
     """Return the index of the frontier on the shortest path to an unmapped position; -1 if none."""
     n = candidates.n
-    there = np.hypot(candidates.xy_m[:n, 0] - xy_m[0], candidates.xy_m[:n, 1] - xy_m[1])
-    way = candidates.path_m[:n] + there
-    way[(candidates.kind[:n] != FRONTIER) | candidates.blocked[:n]] = np.inf
-    best = int(way.argmin()) if n else -1
-    return best if best >= 0 and np.isfinite(way[best]) else -1
+    rest_m = np.hypot(candidates.xy_m[:n, 0] - xy_m[0], candidates.xy_m[:n, 1] - xy_m[1])
+    total_m = candidates.path_m[:n] + rest_m
+    total_m[(candidates.kind[:n] != FRONTIER) | candidates.blocked[:n]] = np.inf
+    best = int(total_m.argmin()) if n else -1
+    return best if best >= 0 and np.isfinite(total_m[best]) else -1
 
 
 def _goal(context: PolicyInput, index: int, cell: Cell, score: float) -> Goal:

@@ -15,9 +15,9 @@ from edge.policies.base import FRONTIER, Candidates, PolicyInput, Why
 class ValueMapPolicy:
     """Policy that scores a frontier by the highest value within `radius_m` of it.
 
-    Without a value nearby, a frontier has value 0. The score adds `config.nearness` / (1 + path
-    length). A small `nearness` only breaks ties between equal values. Without any values, the robot
-    therefore explores the nearest frontier.
+    A frontier without a value nearby has value 0. The score is the value + `config.nearness` /
+    (1 + path length in m). A small `nearness` only breaks ties between equal values. Without any
+    values, the robot therefore explores the nearest frontier.
     """
 
     def __init__(self, config: PolicyVlfm | PolicyDirectional) -> None:

@@ -29,25 +29,25 @@ from edge.text import one_line
 
 METADATA = "metadata.yaml"
 WINDOW_NS = 1_000_000_000
-"""In files that are nearly sorted, messages are at most this far from their place."""
-_MOST_WAITING_BYTES = 1 << 28
+"""In a file that is nearly sorted, log times differ by at most this from those in sorted order."""
+_MAX_WAITING_BYTES = 1 << 28
 _MESSAGE_BYTES = 1000  # memory of a message besides its payload
 _SQLITE = b"SQLite format 3\0"
 _ROS1 = b"#ROSBAG V"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _BLOCK_BYTES = 1 << 20
-_LONGEST_NAMES = 2000  # characters of a topic and its type together
-_STORED = (".mcap", ".mcap.zstd", ".db3", ".db3.zstd")
+_MAX_NAME_CHARS = 2000  # characters of a topic and its type together
+_SUFFIXES = (".mcap", ".mcap.zstd", ".db3", ".db3.zstd")
 
 
 def in_order(
-    messages: Iterable[RecordedMessage], most_bytes: int = _MOST_WAITING_BYTES
+    messages: Iterable[RecordedMessage], most_bytes: int = _MAX_WAITING_BYTES
 ) -> Iterator[RecordedMessage]:
     """Yield nearly sorted messages in the order of their log times.
 
     Args:
-        messages: nearly sorted.
-        most_bytes: limit of messages in the sorting buffer.
+        messages: messages that are nearly sorted.
+        most_bytes: limit of the messages in the sorting buffer, in bytes.
     """
     waiting: list[tuple[int, int, RecordedMessage]] = []
     size = 0
@@ -90,7 +90,7 @@ class Db3Reader:
                     for number, name, kind, encoding in db.execute(
                         "SELECT id, name, type, serialization_format FROM topics "
                         "WHERE length(name) + length(type) <= ? LIMIT ?",
-                        (_LONGEST_NAMES, MAX_KEPT),
+                        (_MAX_NAME_CHARS, MAX_KEPT),
                     )
                 }
                 begun = True
@@ -137,7 +137,7 @@ class Bag:
         notes: problems that the user should know, such as missing or damaged files, one per line.
 
     Raises:
-        RecordingError: there is no recording, or of another kind; one line.
+        RecordingError: there is no recording, or a recording of another kind; one line.
     """
 
     def __init__(self, path: Path) -> None:
@@ -150,10 +150,10 @@ class Bag:
         if not self.path.exists():
             raise RecordingError(f"{self.path}: no such file")
         with ExitStack() as stack:
-            files = _files_of(self.path, self.notes) if self.path.is_dir() else [self.path]
+            files = _files_in(self.path, self.notes) if self.path.is_dir() else [self.path]
             for path in files:
-                with self._noted(alone=len(files) == 1):
-                    self._files.append(_unpacked(path, stack))
+                with self._note_errors(alone=len(files) == 1):
+                    self._files.append(_unpack(path, stack))
             if not self._files:
                 raise RecordingError(f"{self.path}: nothing to read: {'; '.join(self.notes)}")
             self._stack = stack.pop_all()
@@ -165,11 +165,11 @@ class Bag:
     def __iter__(self) -> Iterator[RecordedMessage]:
         """Yield every message, file by file. A damaged file ends early, with a note."""
         for path in self._files:
-            with self._noted(alone=len(self._files) == 1):
+            with self._note_errors(alone=len(self._files) == 1):
                 yield from self._messages(path)
 
     def _messages(self, path: Path) -> Iterator[RecordedMessage]:
-        reading = Db3Reader(path) if _begins(path, _SQLITE) else McapReader(path)
+        reading = Db3Reader(path) if _begins_with(path, _SQLITE) else McapReader(path)
         for message in reading:
             payload = _payload(message.payload)
             if payload is None:
@@ -180,7 +180,7 @@ class Bag:
             self._note(f"{path.name}: {reading.truncation}")
 
     @contextmanager
-    def _noted(self, alone: bool) -> Iterator[None]:
+    def _note_errors(self, alone: bool) -> Iterator[None]:
         """Skip a file that cannot be read, unless it is the only one (`alone`)."""
         try:
             yield
@@ -199,41 +199,40 @@ class Bag:
         Args:
             topics: their names.
             sorted_nearly: True if all messages are within `WINDOW_NS` of their place. If not, the
-                file is read once per topic, since it may hold one topic after the other.
+                file is read once per topic, because it may hold one topic after the other.
         """
         if sorted_nearly:
             return in_order(m for m in self if m.topic in topics)
-        most_bytes = _MOST_WAITING_BYTES // max(1, len(topics))
-        each = (in_order(self._of(topic), most_bytes) for topic in sorted(topics))
+        most_bytes = _MAX_WAITING_BYTES // max(1, len(topics))
+        each = (in_order(self._of_topic(topic), most_bytes) for topic in sorted(topics))
         return heapq.merge(*each, key=lambda m: m.log_ns)
 
-    def _of(self, topic: str) -> Iterator[RecordedMessage]:
+    def _of_topic(self, topic: str) -> Iterator[RecordedMessage]:
         return (m for m in self if m.topic == topic)
 
 
-def _files_of(folder: Path, notes: list[str]) -> list[Path]:
+def _files_in(folder: Path, notes: list[str]) -> list[Path]:
     """Return the files of a rosbag2 folder in the order in which they were written."""
-    there = sorted((p for p in folder.iterdir() if p.name.endswith(_STORED)), key=_natural)
-    named = _named(folder, notes)
-    if named is not None:
-        files = []
-        for name in named:
+    files = sorted((p for p in folder.iterdir() if p.name.endswith(_SUFFIXES)), key=_natural_order)
+    listed = _listed_files(folder, notes)
+    if listed is not None:
+        present, files = files, []
+        for name in listed:
             # The names of compressed files may lack the suffix.
-            found = next((p for p in there if p.name in (name, f"{name}.zstd")), None)
+            found = next((p for p in present if p.name in (name, f"{name}.zstd")), None)
             if found is None:
                 notes.append(f"{METADATA} names {one_line(name, 80)}, but there is no such file")
             else:
                 files.append(found)
-        there = files
-    elif there:
+    elif files:
         notes.append(f"no {METADATA}: files are read in the order of their names")
-    if not there:
-        kinds = ", ".join(_STORED)
+    if not files:
+        kinds = ", ".join(_SUFFIXES)
         raise RecordingError(f"{folder}: no recording in this folder (looked for {kinds})")
-    return there
+    return files
 
 
-def _named(folder: Path, notes: list[str]) -> list[str] | None:
+def _listed_files(folder: Path, notes: list[str]) -> list[str] | None:
     """Return the names in `metadata.yaml` without folders, which old or forged files have."""
     path = folder / METADATA
     if not path.exists():
@@ -246,13 +245,13 @@ def _named(folder: Path, notes: list[str]) -> list[str] | None:
         return None
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def _natural_order(path: Path) -> list[tuple[int, str]]:
     """Return a sort key that puts `bag_10` behind `bag_9`."""
     parts = re.findall(r"\d+|\D+", path.name)
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
-def _begins(path: Path, magic: bytes) -> bool:
+def _begins_with(path: Path, magic: bytes) -> bool:
     return _first_bytes(path, len(magic)) == magic
 
 
@@ -264,7 +263,7 @@ def _first_bytes(path: Path, n: int) -> bytes:
         raise RecordingError(f"{path}: {error.strerror}") from None
 
 
-def _unpacked(path: Path, stack: ExitStack) -> Path:
+def _unpack(path: Path, stack: ExitStack) -> Path:
     """Return the file, or a decompressed copy.
 
     Raises:
@@ -273,7 +272,7 @@ def _unpacked(path: Path, stack: ExitStack) -> Path:
     out, first = path, _first_bytes(path, len(_SQLITE))
     if first.startswith(_ZSTD):
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="edge-bag-")))
-        out = _decompressed(path, folder / path.name.removesuffix(".zstd"))
+        out = _decompress(path, folder / path.name.removesuffix(".zstd"))
         first = _first_bytes(out, len(_SQLITE))
     if not first:
         raise RecordingError(f"{path}: empty: name another file")
@@ -287,7 +286,7 @@ def _unpacked(path: Path, stack: ExitStack) -> Path:
     return out
 
 
-def _decompressed(path: Path, out: Path) -> Path:
+def _decompress(path: Path, out: Path) -> Path:
     """Write a decompressed copy, which may use half the free disk space."""
     left = shutil.disk_usage(out.parent).free // 2
     try:

@@ -14,7 +14,15 @@ from edge.bus.wire import schemas
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of an MCAP file or of a Foxglove server."""
+    """One channel of an MCAP file or of a Foxglove server.
+
+    Attributes:
+        topic: name of the channel.
+        encoding: encoding of the messages.
+        schema: name of the schema.
+        schema_encoding: language of the schema.
+        schema_text: the schema.
+    """
 
     topic: str
     encoding: Literal["cdr", "json"]
@@ -103,6 +111,6 @@ VISUAL = (
     PICTURE, DEPTH, CAMERA_INFO, CLOUD, ODOMETRY, TF, BOXES, EVENTS, GOAL, MAP, STATUS, LATENCY,
     MISSION, TRAJECTORY, GOAL_STATUS, PATH, MARKERS, SPANS,
 )  # fmt: skip
-"""Channels for people; the journal is for the replay."""
+"""All channels but the journal, which is for the replay only."""
 
 JOURNAL = of_json("/journal", "edge.Journal", _JOURNAL)

@@ -25,7 +25,7 @@ from edge.recording.session import RecordedRun
 from edge.recording.trace import PAGE, trace_bytes
 from edge.text import format_table, one_line, read_json
 
-_PATIENCE_S = 10.0
+_PATIENCE_S = 10.0  # timeout of the request to the service
 MAX_SPANS = 2_000_000
 """Most spans of a trace, about an hour; each takes a kilobyte while the trace is written."""
 
@@ -77,14 +77,14 @@ def _differing(
     then: dict[str, Any] | None, now: dict[str, Any] | None
 ) -> Iterator[tuple[str, str, str]]:
     for key in ("target", "phase", "goal", "sent"):
-        a, b = (None if said is None else said[key] for said in (then, now))
+        a, b = (None if decisions is None else decisions[key] for decisions in (then, now))
         if a != b:
-            yield key, _shown(a), _shown(b)
+            yield key, _text_of(a), _text_of(b)
 
 
-def _shown(value: Any) -> str:
+def _text_of(value: Any) -> str:
     if isinstance(value, list):
-        return "; ".join(map(_shown, value)) or "-"
+        return "; ".join(map(_text_of, value)) or "-"
     if not isinstance(value, dict):
         return "-" if value is None else one_line(value)
     x_m, y_m, yaw_rad = value["pose"]
@@ -96,7 +96,7 @@ def _shown(value: Any) -> str:
 
 
 def latencies(then: dict[str, Any], now: LatencyReport) -> str:
-    """Compare latencies by stage. The recorded ones are of the newest ticks in the ring."""
+    """Compare latencies by stage. The recorded latencies are of the newest ticks in the ring."""
     rows = [("ms", "p50 recorded", "replayed", "p95 recorded", "replayed", "ratio")]
     for row in now.rows:
         before = then["tick"] if row.name == now.tick.name else then["stages"].get(row.name)
@@ -132,7 +132,7 @@ def trace(args: argparse.Namespace) -> int:
     if args.file.endswith((".mcap", PARTIAL)):
         content = trace_bytes(spans_of(Path(args.file)))
     else:
-        content = _asked(args.file)
+        content = _ask_service(args.file)
     out = args.out or Path("trace.json")
     save(out, content)
     print(f"{out}: open it in https://ui.perfetto.dev")
@@ -149,7 +149,7 @@ def spans_of(path: Path) -> list[Span]:
     session = RecordedRun(path)
     for m in session.messages():
         if m.topic == channels.SPANS.topic:
-            spans += _spans(path, m.payload)
+            spans += _parse_spans(path, m.payload)
         if len(spans) >= MAX_SPANS:
             print(f"{path}: only its first {MAX_SPANS} spans; name a later file for more")
             return spans[:MAX_SPANS]
@@ -160,7 +160,7 @@ def spans_of(path: Path) -> list[Span]:
     return spans
 
 
-def _spans(path: Path, payload: bytes) -> list[Span]:
+def _parse_spans(path: Path, payload: bytes) -> list[Span]:
     try:
         spans = [Span(*span) for span in read_json(payload, MAX_VALUES)["spans"]]
         trace_bytes(spans)
@@ -170,7 +170,7 @@ def _spans(path: Path, payload: bytes) -> list[Span]:
     return spans
 
 
-def _asked(name: str) -> bytes:
+def _ask_service(name: str) -> bytes:
     """Return the trace page of the running service of a configuration."""
     http = load(name).http
     if http.port is None:

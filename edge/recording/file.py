@@ -25,17 +25,17 @@ from edge.recording.reader import MAGIC, DamagedError, Message, records
 PARTIAL = ".partial"
 COMPRESSIONS = {kind.name.lower(): kind for kind in CompressionType}
 """`none`, `lz4` and `zstd`, as in the configuration."""
-_LONGER = "damaged: a record is longer than what is left of the file"
+_RECORD_TOO_LONG = "damaged: a record is longer than what is left of the file"
 _RECOVERING = ".recovering"
-"""Another suffix, since the recovered file may have the name of its partial file."""
+"""Not `PARTIAL`: NAME.partial may be the damaged file that is recovered to NAME."""
 
 
 class RecordingError(FileError):
     """A recording cannot be written or read; the message is one line."""
 
 
-class _Whole:
-    """A stream for the library: `write` writes everything or raises, without a buffer."""
+class _UnbufferedFile:
+    """Output stream for the library `mcap`: `write` writes everything or raises; no buffer."""
 
     def __init__(self, path: Path) -> None:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
@@ -67,11 +67,11 @@ class McapWriter:
     Args:
         path: name of the complete file.
         compression: `none`, `lz4` or `zstd`.
-        metadata: of the file, by name.
-        suffix: of the name until the file is complete.
+        metadata: metadata of the file, by name.
+        suffix: suffix of the file's name until the file is complete.
 
     Raises:
-        OSError: by `add`, `sync` and the end of the block: the disk is full or gone.
+        OSError: raised by `add`, `sync` and the end of the block: the disk is full or gone.
     """
 
     def __init__(
@@ -109,14 +109,14 @@ class McapWriter:
 
     def open(self) -> None:
         """Create the file; if that raises OSError, there is no file."""
-        self._file = _Whole(self._partial)
+        self._file = _UnbufferedFile(self._partial)
         try:
             self._writer = Writer(
                 self._file, compression=COMPRESSIONS[self._compression], enable_data_crcs=True
             )
             self._writer.start("ros2", "edge")
-            for name, said in self._metadata.items():
-                self._writer.add_metadata(name, said)
+            for name, fields in self._metadata.items():
+                self._writer.add_metadata(name, fields)
         except OSError:
             self.abandon()
             self._partial.unlink()
@@ -126,11 +126,11 @@ class McapWriter:
         self, channel: Channel, log_ns: int, stamp_ns: int, *payload: Any, sequence: int = 0
     ) -> None:
         """Add one message with its log time, stamp and payload, which may have several parts."""
-        at = self._channels.get(channel)
-        if at is None:
-            at = self._channels[channel] = self._register(channel)
+        number = self._channels.get(channel)
+        if number is None:
+            number = self._channels[channel] = self._register(channel)
         data = b"".join(payload)
-        self._writer.add_message(at, max(0, log_ns), data, max(0, stamp_ns), sequence)
+        self._writer.add_message(number, max(0, log_ns), data, max(0, stamp_ns), sequence)
         self.messages += 1
 
     @property
@@ -177,9 +177,9 @@ class McapReader:
     """The messages of a file in the order in which they were written.
 
     Attributes:
-        metadata: by name, read so far.
-        schemas: by id, read so far.
-        channels: by id, read so far.
+        metadata: metadata that were read so far, by name.
+        schemas: schemas that were read so far, by id.
+        channels: channels that were read so far, by id.
         is_complete: True if the end of the data was read; a file that is cut off has no end.
         truncation: why reading stopped before the end; empty if it did not.
     """
@@ -197,18 +197,18 @@ class McapReader:
         Raises:
             RecordingError: no such file, or no MCAP file.
         """
-        with _opened(self.path) as file:
-            found = records(file)
+        with _open_to_read(self.path) as file:
+            reading = records(file)
             begun = False
             while not self.is_complete:
                 try:
-                    record = next(found)
+                    record = next(reading)
                 except EOFError:
-                    self._end(begun, _LONGER if _has_end(file) else "cut off")
+                    self._stop_reading(begun, _RECORD_TOO_LONG if _has_end(file) else "cut off")
                     return
                 except DamagedError as error:
-                    over = not file.read(1) and not _has_end(file)
-                    self._end(begun, "cut off" if over else f"damaged: {error}")
+                    is_cut = not file.read(1) and not _has_end(file)
+                    self._stop_reading(begun, "cut off" if is_cut else f"damaged: {error}")
                     return
                 begun = True
                 if isinstance(record, Schema):
@@ -222,7 +222,7 @@ class McapReader:
                 elif isinstance(record, Message) and record.channel_id in self.channels:
                     yield self._message(record)
 
-    def _end(self, begun: bool, why: str) -> None:
+    def _stop_reading(self, begun: bool, why: str) -> None:
         if not begun:
             raise RecordingError(f"{self.path}: not an MCAP file")
         self.truncation = why
@@ -244,14 +244,17 @@ def _has_end(file: BinaryIO) -> bool:
 
 
 def is_complete(path: str | os.PathLike[str]) -> bool:
-    """Return True if a file has the end of a complete one; raise RecordingError for no file."""
-    with _opened(Path(path)) as file:
+    """Return True if a file ends as a complete file does; raise RecordingError for no file.
+
+    `McapReader.is_complete` is another check: all data were read.
+    """
+    with _open_to_read(Path(path)) as file:
         return _has_end(file)
 
 
 def is_being_written(path: Path) -> bool:
     """Return True if a process is writing this file now."""
-    with _opened(path) as file:
+    with _open_to_read(path) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -260,7 +263,7 @@ def is_being_written(path: Path) -> bool:
 
 
 @contextmanager
-def _opened(path: Path):  # type: ignore[no-untyped-def]
+def _open_to_read(path: Path):  # type: ignore[no-untyped-def]
     try:
         file = open_regular(path)
     except OSError as error:
@@ -282,27 +285,27 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
     Raises:
         RecordingError: `path` cannot be read, or `out` exists or cannot be written.
     """
-    for there in (out, out.with_name(out.name + _RECOVERING)):
-        if there.exists():
-            raise RecordingError(f"{there}: exists already; name another file with --out")
+    for new in (out, out.with_name(out.name + _RECOVERING)):
+        if new.exists():
+            raise RecordingError(f"{new}: exists already; name another file with --out")
     reading = McapReader(path)
     messages = iter(reading)
-    first = next(messages, None)  # before creating a file: it may be no recording
+    following = next(messages, None)  # before a file is created: `path` may be no recording
     copy = McapWriter(out, "zstd", reading.metadata, _RECOVERING)
     try:
         with copy:
             known: dict[str, Channel] = {}
-            while first is not None:
-                m, first = first, next(messages, None)
+            while following is not None:
+                m, following = following, next(messages, None)
                 if m.topic not in known:
-                    known[m.topic] = _channel_of(reading, m)
+                    known[m.topic] = _copy_channel(reading, m)
                 copy.add(known[m.topic], m.log_ns, m.stamp_ns, m.payload, sequence=m.sequence)
     except OSError as error:
         raise RecordingError(f"{out}: cannot be written: {error.strerror}") from None
     return copy.messages, reading.truncation
 
 
-def _channel_of(reading: McapReader, message: RecordedMessage) -> Channel:
+def _copy_channel(reading: McapReader, message: RecordedMessage) -> Channel:
     of_name = (s for s in reading.schemas.values() if s.name == message.schema)
     schema = next(of_name, Schema(0, b"", "", message.schema))  # a channel may have no schema
     text = schema.data.decode(errors="replace")

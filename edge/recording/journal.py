@@ -42,7 +42,7 @@ FORMAT, VERSION = "edge-recording", 2
 VERSIONS = ("1", "2")
 """Versions that can be read."""
 MAX_VALUES = 1 << 20
-"""Most JSON values of one message; an array counts as one."""
+"""Largest number of JSON values in one message; a base64 array counts as one."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class JournalPage:
     """One message of the journal.
 
     Attributes:
-        entries: inputs in order. The field `result` of `result` stays as JSON.
+        entries: inputs in order. In an entry of kind `result`, the field `result` stays JSON.
         observation: the observation without its arrays, as JSON; None: there was none.
-        decisions: what a replay compares; None: there were none.
+        decisions: decisions that a replay compares; None: there were none.
     """
 
     entries: list[LoopInput]
@@ -68,7 +68,7 @@ def encode_page(
     Args:
         inputs: inputs since the last page.
         result: the newest result of these inputs.
-        seen: its observation, with only the arrays that are recorded.
+        seen: observation of the result, with only the arrays that are recorded.
         rig: camera and mounts as last written, empty at first; changed in place.
     """
     page = {
@@ -95,20 +95,20 @@ def decode_page(payload: bytes) -> JournalPage:
     for entry in page["entries"]:
         n, kind = entry.pop("n"), entry.pop("kind")
         entries.append(LoopInput(n, kind, _DECODE[kind](entry)))
-    return JournalPage(entries, page["observation"], _checked(page["decisions"]))
+    return JournalPage(entries, page["observation"], _check_decisions(page["decisions"]))
 
 
-_NOWHERE = {"pose": (0.0, 0.0, 0.0), "score": 0.0, "kind": "", "id": 0, "target": ""}
+_NO_GOAL = {"pose": (0.0, 0.0, 0.0), "score": 0.0, "kind": "", "id": 0, "target": ""}
 
 
-def _checked(said: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Check decisions of `decisions_of`, which will be compared and printed."""
+def _check_decisions(said: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Raise an error for malformed decisions, which will be compared and printed."""
     if said is None:
         return None
     if missing := sorted({"target", "phase", "goal", "sent"} - said.keys()):
         raise ValueError(f"the recorded decisions lack {', '.join(missing)}")
-    for goal in (said["goal"] or dict(_NOWHERE), *said["sent"]):
-        if not _NOWHERE.keys() <= goal.keys() or len(goal["pose"]) != 3:
+    for goal in (said["goal"] or dict(_NO_GOAL), *said["sent"]):
+        if not _NO_GOAL.keys() <= goal.keys() or len(goal["pose"]) != 3:
             raise ValueError("a recorded goal lacks a field, or its pose is not x, y, yaw")
         goal["pose"] = [float(v) for v in goal["pose"]]
         goal["score"] = float(goal["score"])
@@ -193,7 +193,7 @@ def observation_of(
     )  # fmt: skip
 
 
-# -- entries --------------------------------------------------------------------------------------
+# -- entries: `_x` encodes, `_x_of` or `x_of` decodes --------------------------------------------
 
 
 def _array(array: np.ndarray) -> dict[str, Any]:
@@ -426,30 +426,30 @@ def config_of(said: dict[str, Any]) -> Config:
     return parse(said, path)
 
 
-_SAME = dict
+_UNCHANGED = dict
 _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     "start": _start,
-    "tick": _SAME,
+    "tick": _UNCHANGED,
     "images": lambda fields: {"done": fields["done"]},
-    "request": _SAME,
+    "request": _UNCHANGED,
     "result": lambda fields: {
         "worker": fields["worker"], "result": _RESULT[fields["worker"]](fields["result"])
     },
-    "decision": _SAME,
+    "decision": _UNCHANGED,
     "idle": lambda fields: {"now_ns": fields["now_ns"], "pose": _pose(fields["pose"])},
     "goal_status": lambda fields: asdict(fields["goal_status"]),
     "mission": lambda fields: {
         **fields, "translation": _translation(fields["translation"])
     },
-    "pause": _SAME,
-    "cancel": _SAME,
-    "fail": _SAME,
+    "pause": _UNCHANGED,
+    "cancel": _UNCHANGED,
+    "fail": _UNCHANGED,
     "config": lambda fields: {"config": config_text(fields["config"])},
-    "jump": _SAME,
+    "jump": _UNCHANGED,
     "site": lambda fields: {**fields, "site": fields["site"].geojson()},
 }  # fmt: skip
 _DECODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
-    **dict.fromkeys(_ENCODE, _SAME),
+    **dict.fromkeys(_ENCODE, _UNCHANGED),
     "start": _start_of,
     "goal_status": _answer_of,
     "mission": lambda said: {**said, "translation": _translation_of(said["translation"])},

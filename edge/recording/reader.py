@@ -29,11 +29,16 @@ MAX_RECORD_BYTES = 1 << 27
 Twice the largest message that a robot sends (`source.max_message_mb`).
 """
 MAX_KEPT, MAX_KEPT_BYTES = 10_000, 1 << 23
-"""Limits of all schemas, channels and metadata of a file together, which stay in memory."""
-_BLOCK_BYTES = 1 << 20
+"""Largest number, and size in bytes, of all schemas, channels and metadata of a file together.
 
+They stay in memory.
+"""
+_BLOCK_BYTES = 1 << 20  # read at a time from a record that is skipped
+
+# A record's opcode and size; a message's channel, sequence number, log time and publish time.
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+# Records that are yielded apart from messages.
 _KEPT = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
@@ -60,7 +65,7 @@ Record = Header | Schema | Channel | Metadata | DataEnd | Message
 
 
 def records(file: BinaryIO) -> Iterator[Record]:
-    """Yield the records of a file in their order; `ZmqHeader` is first, `DataEnd` last.
+    """Yield the records of a file in their order; `Header` is first, `DataEnd` last.
 
     Attachments, indices and unknown records are skipped.
 
@@ -70,7 +75,7 @@ def records(file: BinaryIO) -> Iterator[Record]:
     """
     if _read(file, len(MAGIC)) != MAGIC:
         raise DamagedError("no MCAP magic at the start of the file")
-    crc, kept, begun = zlib.crc32(MAGIC), _Kept(), False
+    crc, kept, begun = zlib.crc32(MAGIC), _KeptRecords(), False
     while True:
         head = _read(file, _HEAD.size)
         opcode, size = _HEAD.unpack(head)
@@ -78,29 +83,29 @@ def records(file: BinaryIO) -> Iterator[Record]:
             raise DamagedError("it does not begin with a header")
         begun = True
         if opcode == Opcode.DATA_END:
-            end = _parsed(DataEnd, _read(file, _checked(size)))
+            end = _parse(DataEnd, _read(file, _check_size(size)))
             if end.data_section_crc not in (0, crc):
                 raise DamagedError("the checksum of its data does not match")
             yield end
             return
         crc = zlib.crc32(head, crc)
-        if opcode not in _READ:
+        if opcode not in _USED:
             while size > 0:
                 block = _read(file, min(size, _BLOCK_BYTES))
                 crc, size = zlib.crc32(block, crc), size - len(block)
             continue
-        body = _read(file, _checked(size, _most(opcode)))
+        body = _read(file, _check_size(size, _max_size(opcode)))
         crc = zlib.crc32(body, crc)
         if opcode == Opcode.CHUNK:
-            yield from _unpacked(_parsed(Chunk, body), kept)
+            yield from _chunk_records(_parse(Chunk, body), kept)
         else:
             yield _record(opcode, body, kept)
 
 
-_READ = (Opcode.CHUNK, Opcode.MESSAGE, *_KEPT)
+_USED = (Opcode.CHUNK, Opcode.MESSAGE, *_KEPT)
 
 
-class _Kept:
+class _KeptRecords:
     """Counts the records that stay in memory; a repeated record counts once."""
 
     def __init__(self) -> None:
@@ -119,8 +124,8 @@ class _Kept:
             )
 
 
-def _unpacked(chunk: Chunk, kept: _Kept) -> Iterator[Record]:
-    data = _decompressed(chunk)
+def _chunk_records(chunk: Chunk, kept: _KeptRecords) -> Iterator[Record]:
+    data = _decompress(chunk)
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise DamagedError("the checksum of a chunk does not match")
     at = 0
@@ -132,13 +137,13 @@ def _unpacked(chunk: Chunk, kept: _Kept) -> Iterator[Record]:
         if size > len(data) - at:
             raise DamagedError("a record is longer than its chunk")
         if opcode == Opcode.MESSAGE or opcode in _KEPT:
-            yield _record(opcode, data[at : at + _checked(size, _most(opcode))], kept)
+            yield _record(opcode, data[at : at + _check_size(size, _max_size(opcode))], kept)
         at += size
 
 
-def _decompressed(chunk: Chunk) -> bytes:
+def _decompress(chunk: Chunk) -> bytes:
     """Return the records of a chunk; allocates no more than its declared size."""
-    size = _checked(chunk.uncompressed_size)
+    size = _check_size(chunk.uncompressed_size)
     try:
         if chunk.compression == "":
             data = chunk.data
@@ -161,9 +166,9 @@ def _decompressed(chunk: Chunk) -> bytes:
     return data
 
 
-def _record(opcode: int, body: bytes, kept: _Kept) -> Record:
+def _record(opcode: int, body: bytes, kept: _KeptRecords) -> Record:
     if opcode != Opcode.MESSAGE:
-        record = _parsed(_KEPT[Opcode(opcode)], body)
+        record = _parse(_KEPT[Opcode(opcode)], body)
         kept.add(opcode, record, len(body))
         return record
     if len(body) < _MESSAGE.size:
@@ -181,7 +186,7 @@ class _Body(ReadDataStream):
         return data
 
 
-def _parsed(kind: type[McapRecord], body: bytes) -> McapRecord:
+def _parse(kind: type[McapRecord], body: bytes) -> McapRecord:
     try:
         return kind.read(_Body(BytesIO(body)))
     except EndOfFile:
@@ -198,11 +203,11 @@ def _read(file: BinaryIO, size: int) -> bytes:
     return data
 
 
-def _most(opcode: int) -> int:
+def _max_size(opcode: int) -> int:
     return MAX_KEPT_BYTES if opcode in _KEPT else MAX_RECORD_BYTES
 
 
-def _checked(size: int, most: int = MAX_RECORD_BYTES) -> int:
+def _check_size(size: int, most: int = MAX_RECORD_BYTES) -> int:
     if size > most:
         raise DamagedError(f"a record or chunk of {size} bytes, at most {most} are allowed")
     return size

@@ -40,7 +40,7 @@ from edge.recording.session import RecordedRun, RecordedStep
 from edge.text import one_line
 from edge.types import Detections, Observation
 
-_BY_THE_MAP = ("travel_cost", "rooms")
+_MAP_WORKERS = ("travel_cost", "rooms")  # workers that need only the map
 
 
 class ReplayError(UserError):
@@ -52,7 +52,7 @@ class Difference:
     """A tick with different decisions.
 
     Attributes:
-        tick: counts from 1; 0: before the first.
+        tick: number of the tick, from 1; 0: before the first.
         stamp_ns: stamp of the observation; 0: there was none.
         recorded: recorded decisions, see `edge.recording.journal.decisions_of`; None: none.
         replayed: replayed decisions; None: none.
@@ -69,16 +69,16 @@ class ReplayResult:
     """Result of a replay.
 
     Attributes:
-        ticks: replayed ticks.
-        differing: ticks with different decisions.
+        ticks: number of replayed ticks.
+        differing: number of ticks with different decisions.
         first: the first difference.
         goals_then: number of recorded goals.
         goals_now: number of replayed goals.
         n_unrecorded: images for the detector that were not recorded.
-        ended: why the replay ended before the run did; empty if it did not.
+        ended: why the replay ended before the run; empty if it reached the run's end.
         phase_then: last recorded phase of the mission.
         phase_now: last replayed phase.
-        seconds: duration of the replayed observations.
+        seconds: time from the first to the last replayed observation.
         latency_then: last recorded latency report, JSON; None: there is none.
         latency_now: latency of the replay.
     """
@@ -105,8 +105,8 @@ class DecisionSink:
 
     def tick(self, result: TickResult) -> None:
         """Collect decisions; see `edge.loop.result.Sink`."""
-        if (said := decisions_of(result)) is not None:
-            self.decisions.append(said)
+        if (decisions := decisions_of(result)) is not None:
+            self.decisions.append(decisions)
 
     def close(self) -> None:
         """Do nothing."""
@@ -119,32 +119,32 @@ class _Run:
         session: the recorded run.
         config: another configuration; None: the recorded one.
         detect: run the detector on the recorded images.
-        stack: closes what is opened.
+        stack: closes all that the run opens.
     """
 
     def __init__(
         self, session: RecordedRun, config: Config | None, detect: bool, stack: ExitStack
     ) -> None:
-        self._other = config is not None
+        self._has_other_config = config is not None
         self._session, self._detect, self._stack = session, detect, stack
-        self.config = self._recorded(session.config()) if config is None else _alone(config)
-        self._now, self.sink = ReplayTick(), DecisionSink()
+        self.config = self._limit(session.config()) if config is None else _replay_settings(config)
+        self._tick_events, self.sink = ReplayTick(), DecisionSink()
         self._replay_source: ReplaySource | None = None
         self._failed: Observation | None = None  # observation of a failed or refused tick
         self.service: Service | None = None
         self._worker: DetectorWorker | None = None
 
-    def _recorded(self, config: Config) -> Config:
+    def _limit(self, config: Config) -> Config:
         """Return the recorded configuration without file names and with limits on computation."""
         if self._session.trust:
-            return _alone(config)
+            return _replay_settings(config)
         mission, usual = config.mission, MissionConfig()
         limits = {
             name: min(getattr(mission, name), getattr(usual, name))
             for name in ("compile_limit_steps", "max_states")
         }
         config = config.model_copy(update={"mission": mission.model_copy(update=limits)})
-        config, detector = _alone(config), config.perception.detector
+        config, detector = _replay_settings(config), config.perception.detector
         if not isinstance(detector, DetectorOnnx):
             return config
         if self._detect and detector.vocabulary is not None:
@@ -160,12 +160,12 @@ class _Run:
     def n_unrecorded(self) -> int:
         return 0 if self._replay_source is None else self._replay_source.n_unrecorded
 
-    def do(self, moment: RecordedStep) -> None:
+    def do(self, step: RecordedStep) -> None:
         """Give the inputs of a page to the service."""
-        if moment.observation is not None:
-            self._now.add_frame(moment.observation, moment.picture)
-        for action, entries in _actions(moment.page.entries):
-            self._now.begin(entries)
+        if step.observation is not None:
+            self._tick_events.add_frame(step.observation, step.picture)
+        for action, entries in _actions(step.page.entries):
+            self._tick_events.begin(entries)
             if self._worker is not None:
                 self._count_images(entries)
             if action.kind == "start":
@@ -173,7 +173,7 @@ class _Run:
             elif self.service is None:
                 raise RecordingError("the journal does not begin with a start")
             else:
-                _DO[action.kind](self, moment.observation, **action.fields)
+                _HANDLERS[action.kind](self, step.observation, **action.fields)
 
     def _start(
         self,
@@ -201,12 +201,12 @@ class _Run:
         self._worker = worker = DetectorWorker(detector, inline=True)
         self._stack.callback(worker.close)
         scorers = self._scorers(spec.prompts)
-        own = ()
-        if self._other:
+        real_workers = ()
+        if self._has_other_config:
             by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
             by_rules = config.tasks.planner.kind == "rules"
-            own = (*_BY_THE_MAP, *["choice"] * by_prior, *[TASK] * by_rules)
-        self._replay_source = ReplaySource(self._now, detect, own)
+            real_workers = (*_MAP_WORKERS, *["choice"] * by_prior, *[TASK] * by_rules)
+        self._replay_source = ReplaySource(self._tick_events, detect, real_workers)
         policy = make_policy(config.policy, config.path)
         self.service = Service(
             config, spec, worker, policy, [self.sink], checkpoint, scorers,
@@ -279,22 +279,22 @@ class _Run:
 
     def _reconfigure(self, observation: Observation | None, config: Config) -> None:
         """Apply a recorded reload, unless another configuration is used for the whole run."""
-        if not self._other:
+        if not self._has_other_config:
             self._session.check(config)
-            config, service = self._recorded(config), self.service
+            config, service = self._limit(config), self.service
             same = config.policy == service.config.policy
             policy = service.policy if same else make_policy(config.policy, config.path)
             service.reconfigure(config, policy)
 
 
-def _alone(config: Config) -> Config:
+def _replay_settings(config: Config) -> Config:
     """Return the configuration for a replay: lockstep, without sinks and checkpoint."""
     loop = config.loop.model_copy(update={"lockstep": True})
     mission = config.mission.model_copy(update={"checkpoint": None})
     return config.model_copy(update={"loop": loop, "mission": mission, "sinks": ()})
 
 
-_DO: dict[str, Callable[..., None]] = {
+_HANDLERS: dict[str, Callable[..., None]] = {
     "tick": _Run._tick,
     "idle": _Run._idle,
     "goal_status": lambda run, _, goal_status: run.service.on_goal_status(goal_status),
@@ -349,9 +349,9 @@ def replay(
     outcome, first_ns = ReplayResult(), None
     with ExitStack() as stack:
         run = _Run(session, config, detect, stack)
-        for moment in session.moments():
+        for step in session.moments():
             try:
-                run.do(moment)
+                run.do(step)
             except UserError:
                 raise
             except Exception as error:  # an error that the loop survived, or damaged data
@@ -359,11 +359,11 @@ def replay(
                     f"{session.head.path}: the replay failed after {outcome.ticks} "
                     f"ticks: {type(error).__name__}: {one_line(error, 120)}"
                 ) from error
-            _compare(outcome, moment, run.sink.decisions)
+            _compare(outcome, step, run.sink.decisions)
             run.sink.decisions.clear()
-            if moment.observation is not None:
-                first_ns = moment.observation.stamp_ns if first_ns is None else first_ns
-                outcome.seconds = (moment.observation.stamp_ns - first_ns) * 1e-9
+            if step.observation is not None:
+                first_ns = step.observation.stamp_ns if first_ns is None else first_ns
+                outcome.seconds = (step.observation.stamp_ns - first_ns) * 1e-9
             each(outcome)
         outcome.n_unrecorded, outcome.ended = run.n_unrecorded, session.gap or session.truncation
         outcome.latency_then = session.latency
@@ -372,17 +372,17 @@ def replay(
     return outcome
 
 
-def _compare(outcome: ReplayResult, moment: RecordedStep, now: list[dict[str, Any]]) -> None:
-    then = [] if moment.page.decisions is None else [moment.page.decisions]
-    outcome.ticks += sum(entry.kind == "tick" for entry in moment.page.entries)
-    outcome.goals_then += sum(len(said["sent"]) for said in then)
-    outcome.goals_now += sum(len(said["sent"]) for said in now)
+def _compare(outcome: ReplayResult, step: RecordedStep, now: list[dict[str, Any]]) -> None:
+    then = [] if step.page.decisions is None else [step.page.decisions]
+    outcome.ticks += sum(entry.kind == "tick" for entry in step.page.entries)
+    outcome.goals_then += sum(len(decisions["sent"]) for decisions in then)
+    outcome.goals_now += sum(len(decisions["sent"]) for decisions in now)
     outcome.phase_then = then[-1]["phase"] if then else outcome.phase_then
     outcome.phase_now = now[-1]["phase"] if now else outcome.phase_now
     if then != now:
         outcome.differing += 1
         if outcome.first is None:
-            stamp_ns = 0 if moment.observation is None else moment.observation.stamp_ns
+            stamp_ns = 0 if step.observation is None else step.observation.stamp_ns
             outcome.first = Difference(
                 outcome.ticks, stamp_ns, then[-1] if then else None, now[-1] if now else None
             )

@@ -15,8 +15,8 @@ from edge.recording import journal
 from edge.recording.file import RecordingError
 from edge.types import Detections, Observation
 
-_MOST_FRAMES = 256  # frames that wait for their detections
-_MOST_FRAMES_BYTES = 1 << 30  # a recording of 1 MB may hold 256 frames of 100 MB
+_MAX_FRAMES = 256  # frames that wait for their detections
+_MAX_FRAMES_BYTES = 1 << 30  # a recording of 1 MB may hold 256 frames of 100 MB
 
 
 class NullModel:
@@ -48,11 +48,11 @@ class ReplayTick:
     """Recorded worker events and decisions of the replayed tick, and frames of earlier ticks.
 
     Attributes:
-        asked: names of workers that got a question.
-        found: answers by worker.
-        decided: decisions by name.
+        asked: names of the workers that got a question in this tick.
+        found: answers of this tick, by worker.
+        decided: decisions of this tick, by name.
         frames: observations that may still get detections, by number.
-        pictures: numbers of those with a recorded image.
+        pictures: numbers of the frames with a recorded image.
     """
 
     asked: set[str] = field(default_factory=set)
@@ -73,8 +73,8 @@ class ReplayTick:
         if picture:
             self.pictures.add(observation.seq)
         while len(self.frames) > 1 and (
-            len(self.frames) > _MOST_FRAMES
-            or sum(map(_bytes_of, self.frames.values())) > _MOST_FRAMES_BYTES
+            len(self.frames) > _MAX_FRAMES
+            or sum(map(_bytes_of, self.frames.values())) > _MAX_FRAMES_BYTES
         ):
             self._forget(next(iter(self.frames)))
 
@@ -104,7 +104,7 @@ class _ReplayedWorker:
     ) -> None:
         self._name, self._worker, self._now, self._decode = name, worker, now, decode
         # In one tick an answer may come after the next question.
-        self._asked: deque[Any] = deque(maxlen=2)
+        self._questions: deque[Any] = deque(maxlen=2)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._worker, name)
@@ -114,14 +114,14 @@ class _ReplayedWorker:
         return self._name in self._now.asked
 
     def submit(self, item: Any) -> None:
-        self._asked.append(item)
+        self._questions.append(item)
 
     def poll(self) -> Any:
-        said = self._now.found.get(self._name)
-        return None if said is None else self._decode(said, self._asked)
+        answer = self._now.found.get(self._name)
+        return None if answer is None else self._decode(answer, self._questions)
 
     def discard_all(self) -> None:
-        self._asked.clear()
+        self._questions.clear()
 
 
 class ReplaySource(InputLog):
@@ -141,54 +141,55 @@ class ReplaySource(InputLog):
     ) -> None:
         super().__init__()
         self.n_unrecorded = 0
-        self._now, self._detect, self._own = now, detect, own
+        self._now, self._detect, self._real_workers = now, detect, own
         self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
-            "detector": self._detections,
-            "travel_cost": lambda said, asked: journal.survey_of(said),
-            "rooms": lambda said, asked: journal.rooms_of(said),
-            "similarity": self._similarity,
-            "choice": self._choice,
-            "task": lambda said, asked: journal.draft_of(said),
+            "detector": self._decode_detections,
+            "travel_cost": lambda answer, asked: journal.survey_of(answer),
+            "rooms": lambda answer, asked: journal.rooms_of(answer),
+            "similarity": self._decode_similarity,
+            "choice": self._decode_choice,
+            "task": lambda answer, asked: journal.draft_of(answer),
         }
 
     def record_decision(
         self, what: str, decide: Callable[[], str], usual: str | None = None
     ) -> str:
-        """Return the recorded decision; if there is none, the usual one.
+        """Return the recorded decision; if there is none, the usual decision.
 
-        Without a usual one, decide now: other settings may need a decision that was not recorded.
+        Without a usual decision, decide now: other settings may need a decision that was not
+        recorded.
         """
-        said = self._now.decided.get(what, usual)
-        return decide() if said is None else said
+        decision = self._now.decided.get(what, usual)
+        return decide() if decision is None else decision
 
     def wrap(self, name: str, worker: Any) -> Any:
-        if name in self._own:
+        if name in self._real_workers:
             return worker
         return _ReplayedWorker(name, worker, self._now, self._decode[name])
 
-    def _detections(self, said: dict[str, Any], asked: Any) -> Detections | None:
-        observation = self._now.frame(said["seq"])
+    def _decode_detections(self, answer: dict[str, Any], asked: Any) -> Detections | None:
+        observation = self._now.frame(answer["seq"])
         if self._detect is None:
-            return journal.detections_of(said, observation)
-        if said["seq"] not in self._now.pictures:
+            return journal.detections_of(answer, observation)
+        if answer["seq"] not in self._now.pictures:
             self.n_unrecorded += 1
             return None
         return self._detect(observation)
 
-    def _similarity(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
-        similarity = journal.similarity_of(said)
-        question = _question(asked, similarity.stamp_ns)
+    def _decode_similarity(self, answer: dict[str, Any], asked: Iterable[Any]) -> Any:
+        similarity = journal.similarity_of(answer)
+        question = _find_question(asked, similarity.stamp_ns)
         return None if question is None else (question, similarity)
 
-    def _choice(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
+    def _decode_choice(self, answer: dict[str, Any], asked: Iterable[Any]) -> Any:
         """Return the recorded choice; None if other settings led to another question."""
-        choice = journal.choice_of(said)
-        question = _question(asked, choice.stamp_ns)
+        choice = journal.choice_of(answer)
+        question = _find_question(asked, choice.stamp_ns)
         if question is None or not {m.id for m in question.view.marks} >= set(choice.ids):
             return None
         return question, choice
 
 
-def _question(asked: Iterable[Any], stamp_ns: int) -> Any:
+def _find_question(asked: Iterable[Any], stamp_ns: int) -> Any:
     """Return the question about the observation of this stamp; None if there was none."""
     return next((q for q in asked if q.observation.stamp_ns == stamp_ns), None)

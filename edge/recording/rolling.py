@@ -22,6 +22,7 @@ log = logging.getLogger("edge.recording")
 
 PREFIX = "edge-"
 AGAIN_S = 5.0
+"""Time in seconds until recording is tried again after an error."""
 _MB = 1_000_000
 _NAME = re.compile(rf"{PREFIX}\d{{8}}T\d{{6}}\.\d{{3}}Z\.mcap({re.escape(PARTIAL)})?", re.ASCII)
 
@@ -31,9 +32,10 @@ class RecordingLimits:
     """Limits of files and folder.
 
     Attributes:
-        max_mb: size of a file; then the next one begins.
-        max_s: age of a file; then the next one begins.
-        keep_mb: size of the folder; the oldest files are deleted, never one that is being written.
+        max_mb: size of a file in MB at which the next file begins.
+        max_s: age of a file in seconds at which the next file begins.
+        keep_mb: size of the folder in MB. The oldest files are deleted, but none that is being
+            written.
         sync_s: data reach the disk within this time.
     """
 
@@ -44,14 +46,14 @@ class RecordingLimits:
 
 
 class RollingRecorder:
-    """Writes the files.
+    """Writes the files of one run.
 
     Args:
-        folder: created if missing.
+        folder: folder of the files; created if missing.
         limits: limits of files and folder.
         compression: `none`, `lz4` or `zstd`.
-        metadata: returns the metadata of the file of a number, by name.
-        clock: seconds.
+        metadata: returns the metadata, by name, of a file, given the number of the file from 0.
+        clock: returns a time in seconds.
 
     Attributes:
         messages: number of messages written.
@@ -73,9 +75,10 @@ class RollingRecorder:
         self._folder, self._limits, self._compression = folder, limits, compression
         self._metadata, self._clock = metadata, clock
         self._file: McapWriter | None = None
-        self._parts = self._fresh = 0  # files; messages that may not be on the disk yet
+        self._n_files = 0
+        self._unsynced = 0  # messages that may not be on the disk yet
         self._began_s = self._synced_s = 0.0
-        self._again_s = -float("inf")
+        self._retry_s = -float("inf")
 
     @property
     def name(self) -> str:
@@ -84,13 +87,13 @@ class RollingRecorder:
         return "" if file is None else file.path.name
 
     def ready(self) -> None:
-        """Begin a new file if needed; later messages may be in another file than earlier ones."""
+        """Begin a new file if needed. Call it before messages that must be in one file."""
         now_s = self._clock()
         if self._file is not None:
             full = self._file.bytes >= self._limits.max_mb * _MB
             if full or now_s - self._began_s >= self._limits.max_s:
                 self._finish()
-        if self._file is None and now_s >= self._again_s:
+        if self._file is None and now_s >= self._retry_s:
             self._begin(now_s)
 
     def add(
@@ -103,7 +106,7 @@ class RollingRecorder:
         try:
             self._file.add(channel, log_ns, stamp_ns, *payload, sequence=sequence)
             self.messages += 1
-            self._fresh += 1
+            self._unsynced += 1
         except OSError as error:
             self.lost += 1
             self._close_failed(error)
@@ -116,7 +119,7 @@ class RollingRecorder:
         self._synced_s = now_s
         try:
             self._file.sync()
-            self._fresh = 0
+            self._unsynced = 0
         except OSError as error:
             self._close_failed(error)
 
@@ -127,7 +130,7 @@ class RollingRecorder:
 
     def _begin(self, now_s: float) -> None:
         path = _free_name(self._folder)
-        file = McapWriter(path, self._compression, self._metadata(self._parts))
+        file = McapWriter(path, self._compression, self._metadata(self._n_files))
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             make_room(self._folder, int((self._limits.keep_mb - self._limits.max_mb) * _MB))
@@ -139,13 +142,13 @@ class RollingRecorder:
             log.warning("%s: recording again, in %s; %d messages are lost", self._folder, path.name,
                         self.lost)  # fmt: skip
             self.problem = ""
-        self._file, self._parts = file, self._parts + 1
+        self._file, self._n_files = file, self._n_files + 1
         self._began_s = self._synced_s = now_s
 
     def _finish(self) -> None:
         try:
             self._file.finish()
-            self._file, self._fresh = None, 0
+            self._file, self._unsynced = None, 0
         except OSError as error:
             self._close_failed(error)
 
@@ -153,13 +156,13 @@ class RollingRecorder:
         """Close the file as it is; it can be read up to its end."""
         self._file.abandon()
         self._file = None
-        self.messages -= self._fresh
-        self.lost += self._fresh
-        self._fresh = 0
+        self.messages -= self._unsynced
+        self.lost += self._unsynced
+        self._unsynced = 0
         self._report(error)
 
     def _report(self, error: OSError) -> None:
-        self._again_s = self._clock() + AGAIN_S
+        self._retry_s = self._clock() + AGAIN_S
         why = error.strerror or str(error)
         if why != self.problem:
             log.error("%s: cannot record: %s; trying again every few seconds", self._folder,

@@ -23,7 +23,15 @@ from edge.types import Observation
 
 @dataclass(frozen=True)
 class RecordingHeader:
-    """Metadata of a file; `part` is its number within its session."""
+    """Metadata of a file of a recorded run.
+
+    Attributes:
+        path: the file.
+        session: id of the run.
+        part: number of the file within the run, from 0.
+        edge: version of edge that recorded it.
+        config: the configuration as JSON, without secrets.
+    """
 
     path: Path
     session: str
@@ -37,9 +45,10 @@ class RecordedStep(NamedTuple):
 
     Attributes:
         page: the page.
-        observation: with the recorded arrays; None: there was none.
-        picture: True if `rgb` is a recorded image; otherwise it is black, or None without a camera.
-        missing: arrays of the observation that were not recorded.
+        observation: the observation with its recorded arrays; None: there was none.
+        picture: True if `rgb` is a recorded image; otherwise `rgb` is black, or None without a
+            camera.
+        missing: names of arrays of the observation that were not recorded (`depth`, `cloud`).
     """
 
     page: JournalPage
@@ -56,22 +65,22 @@ def read_header(path: Path) -> RecordingHeader:
     """
     reading = McapReader(path)
     next(iter(reading), None)
-    said = reading.metadata.get(FORMAT)
-    if said is None:
+    metadata = reading.metadata.get(FORMAT)
+    if metadata is None:
         raise RecordingError(
             f"{path}: an MCAP file, but not of the sink `mcap`: it has no journal to replay; "
             "`edge play FILE CONFIG` plays the recording of any robot"
         )
-    if said.get("version") not in VERSIONS:
+    if metadata.get("version") not in VERSIONS:
         raise RecordingError(
-            f"{path}: recorded by edge {one_line(said.get('edge', '?'), 40)} in version "
-            f"{one_line(said.get('version', '?'), 20)} of the format; this one reads "
+            f"{path}: recorded by edge {one_line(metadata.get('edge', '?'), 40)} in version "
+            f"{one_line(metadata.get('version', '?'), 20)} of the format; this one reads "
             f"{' and '.join(VERSIONS)}"
         )
     try:
-        config = dict(read_json(said["config"], journal.MAX_VALUES).items())
-        edge = one_line(said["edge"], 40)
-        return RecordingHeader(path, said["session"], int(said["part"]), edge, config)
+        config = dict(read_json(metadata["config"], journal.MAX_VALUES).items())
+        edge = one_line(metadata["edge"], 40)
+        return RecordingHeader(path, metadata["session"], int(metadata["part"]), edge, config)
     except (KeyError, ValueError, AttributeError):
         raise RecordingError(f"{path}: damaged: its metadata cannot be read") from None
 
@@ -98,7 +107,7 @@ class RecordedRun:
     def __init__(self, path: Path, trust: bool = False) -> None:
         self.trust = trust
         self.head = read_header(path)
-        self.files = _from(self.head)
+        self.files = _files_from(self.head)
         self.truncation = self.gap = ""
         self.latency: dict[str, Any] | None = None
 
@@ -156,10 +165,10 @@ class RecordedRun:
                 continue
             try:
                 if m.topic == channels.LATENCY.topic:
-                    self.latency = _latency(m.payload)
+                    self.latency = _parse_latency(m.payload)
                     continue
                 page = journal.decode_page(m.payload)
-                moment = _moment(page, array_messages, rig)
+                step = _make_step(page, array_messages, rig)
             except Exception as error:  # damaged data can raise anything
                 what = m.topic.lstrip("/")
                 raise RecordingError(
@@ -172,61 +181,61 @@ class RecordedRun:
                 self.gap = "the messages that follow were dropped while recording"
                 return
             n += len(numbers)
-            if moment.missing:
-                lacks = " and ".join(moment.missing)
+            if step.missing:
+                lacks = " and ".join(step.missing)
                 self.gap = f"the next frame's {lacks} was dropped while recording"
                 return
-            yield moment
+            yield step
 
 
-def _from(head: RecordingHeader) -> list[Path]:
+def _files_from(head: RecordingHeader) -> list[Path]:
     files, part = [head.path], head.part
-    there = {}
+    parts: dict[int, Path] = {}
     for path in files_of(head.path.resolve().parent):
         try:
             other = read_header(path)
         except RecordingError:
             continue
         if other.session == head.session:
-            there[other.part] = path
-    while (part := part + 1) in there:
-        files.append(there[part])
+            parts[other.part] = path
+    while (part := part + 1) in parts:
+        files.append(parts[part])
     return files
 
 
-_MOST_PIXELS = 1 << 26
+_MAX_PIXELS = 1 << 26
 _ARRAY_TOPICS = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
 
 
-def _moment(
+def _make_step(
     page: JournalPage, array_messages: dict[str, RecordedMessage], rig: dict[str, Any]
 ) -> RecordedStep:
-    said = page.observation
-    if said is None:
+    fields = page.observation
+    if fields is None:
         return RecordedStep(page, None, False, ())
     depth_m, cloud_m, rgb = _depth(array_messages), _cloud(array_messages), _picture(array_messages)
     picture = rgb is not None
-    if rgb is None and said["rgb_hw"] is not None:
-        height, width = said["rgb_hw"]
+    if rgb is None and fields["rgb_hw"] is not None:
+        height, width = fields["rgb_hw"]
         _check_pixels(height, width)
         rgb = np.zeros((height, width, 3), np.uint8)
     arrays = {"depth": depth_m, "cloud": cloud_m}
-    lacks = tuple(name for name, array in arrays.items() if said[name] and array is None)
-    observation = journal.observation_of(said, rig, rgb, depth_m, cloud_m)
+    lacks = tuple(name for name, array in arrays.items() if fields[name] and array is None)
+    observation = journal.observation_of(fields, rig, rgb, depth_m, cloud_m)
     return RecordedStep(page, observation, picture, lacks)
 
 
 def _check_pixels(height: int, width: int) -> None:
-    if not 0 <= height * width <= _MOST_PIXELS:
+    if not 0 <= height * width <= _MAX_PIXELS:
         raise ValueError(f"a picture of {height}x{width} pixels")
 
 
-def _latency(payload: bytes) -> dict[str, Any]:
-    said = read_json(payload, journal.MAX_VALUES)
-    for row in (said["tick"], *said["stages"].values()):
+def _parse_latency(payload: bytes) -> dict[str, Any]:
+    report = read_json(payload, journal.MAX_VALUES)
+    for row in (report["tick"], *report["stages"].values()):
         for name in ("p50_ms", "p95_ms"):
             row[name] = float(row[name])
-    return said
+    return report
 
 
 def _depth(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:

@@ -15,11 +15,11 @@ from edge.loop.latency import Span
 
 PAGE = "/trace"
 PID, LOOP = 1, 1
-_US = 1e-3
+_US = 1e-3  # microseconds in a nanosecond
 
 
 def trace_of(spans: Iterable[Span]) -> dict[str, Any]:
-    """Return complete events in microseconds since the first.
+    """Return one event for each span, in microseconds since the first span.
 
     The loop's thread has the ticks and their stages; each background stage has a thread. Of a
     background stage only the time is known at which its result was used. A span that seems to begin
@@ -28,24 +28,24 @@ def trace_of(spans: Iterable[Span]) -> dict[str, Any]:
     ordered = sorted(spans, key=lambda s: (s.begin_ns, -s.took_ns))
     first_ns = min((span.begin_ns for span in ordered), default=0)
     threads = {"loop": LOOP}
-    free_ns: dict[int, int] = {}
+    ends_ns: dict[int, int] = {}
     events = []
     for name, begin_ns, took_ns, in_tick in ordered:
         thread = LOOP
         if not in_tick:
             thread = threads.setdefault(name, LOOP + len(threads))
             end_ns = begin_ns + took_ns
-            begin_ns = max(begin_ns, free_ns.get(thread, begin_ns))
+            begin_ns = max(begin_ns, ends_ns.get(thread, begin_ns))
             took_ns = max(0, end_ns - begin_ns)
-            free_ns[thread] = begin_ns + took_ns
+            ends_ns[thread] = begin_ns + took_ns
         events.append({
             "name": name, "cat": "tick" if in_tick else "background", "ph": "X",
             "ts": (begin_ns - first_ns) * _US, "dur": took_ns * _US, "pid": PID, "tid": thread,
         })  # fmt: skip
-    return {"traceEvents": [*_names(threads), *events], "displayTimeUnit": "ms"}
+    return {"traceEvents": [*_name_events(threads), *events], "displayTimeUnit": "ms"}
 
 
-def _names(threads: dict[str, int]) -> Iterable[dict[str, Any]]:
+def _name_events(threads: dict[str, int]) -> Iterable[dict[str, Any]]:
     names = [("process_name", LOOP, "edge")]
     names += [("thread_name", thread, name) for name, thread in threads.items()]
     for kind, thread, name in names:

@@ -1,4 +1,4 @@
-"""Version 1 of the journal: the old names of its fields, for recordings of before."""
+"""Version 1 of the journal: converts its old names, so that old recordings can be replayed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FIELDS = {
     "found": {"what": "result"},
     "start": {"saved": "mission_checkpoint", "places": "map_checkpoint"},
 }
-"""Old name → new name of the entries' kinds, of the workers, and of the fields of a kind."""
+"""Old name → new name: of the kinds of entries, of the workers, and of the fields of a kind."""
 GOAL_KINDS = {"look": "spin"}
 
 
@@ -20,14 +20,14 @@ def present_page(page: dict[str, Any]) -> dict[str, Any]:
     if "said" not in page:
         return page
     page["decisions"] = decisions = page.pop("said")
-    page["entries"] = [_entry(entry) for entry in page["entries"]]
+    page["entries"] = [_present_entry(entry) for entry in page["entries"]]
     for goal in () if decisions is None else (decisions["goal"], *decisions["sent"]):
         if goal is not None:
             goal["kind"] = GOAL_KINDS.get(goal["kind"], goal["kind"])
     return page
 
 
-def _entry(entry: dict[str, Any]) -> dict[str, Any]:
+def _present_entry(entry: dict[str, Any]) -> dict[str, Any]:
     kind, fields = entry["kind"], FIELDS.get(entry["kind"], {})
     entry = {fields.get(name, name): value for name, value in entry.items()}
     entry["kind"] = KINDS.get(kind, kind)

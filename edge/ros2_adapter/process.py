@@ -32,13 +32,12 @@ log = logging.getLogger("edge.ros2_adapter")
 HERE = Path(__file__).parent
 NODE, LAUNCH_FILE = HERE / "node", HERE / "edge_adapter.launch.py"
 
-_DEPTHS, _DEPTH = (
-    {"tf": 100, "tf_static": 100, "odom": 100, "map": 1, "keepout_mask": 1, "keepout_info": 1},
-    5,
-)
-_STOP_S = 5.0
+# Messages in the queues of ROS, by topic; `_DEPTH` for all others.
+_DEPTHS = {"tf": 100, "tf_static": 100, "odom": 100, "map": 1, "keepout_mask": 1, "keepout_info": 1}
+_DEPTH = 5
+_STOP_S = 5.0  # until a node that does not end is killed
 _POLL_S = 0.2
-_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0
+_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0  # before restarts: the first, and the limit of its doubling
 _STABLE_S = 60.0  # after this run time a restart begins with the short pause again
 
 
@@ -77,25 +76,25 @@ def make_plan(config: Config) -> dict[str, Any]:
         quality = {"reliable": reliable or latched, "latched": latched}
         return {**place(name), "type": kind, **quality, "depth": _DEPTHS.get(name, _DEPTH)}
 
-    wanted = settings.adapter.reliable
-    heard = [passed(name, accepted_types(name, settings.topic(name))[0], name in wanted)
-             for name in SUBSCRIBED]  # fmt: skip
+    reliable_topics = settings.adapter.reliable
+    received = [passed(name, accepted_types(name, settings.topic(name))[0], name in reliable_topics)
+                for name in SUBSCRIBED]  # fmt: skip
     by_action = settings.goals == "navigate_to_pose"
     unused = {"goal"} if by_action else set()
     if not settings.keepout_filter:
         unused |= {"keepout_mask", "keepout_info"}
     if settings.requests:
-        heard.append(passed("request", STRING, reliable=True))
+        received.append(passed("request", STRING, reliable=True))
     else:
         unused.add("answer")
-    said = [name for name in PUBLISHED if name not in unused]
+    published = [name for name in PUBLISHED if name not in unused]
     return {
         "version": version("eclipse-zenoh"),
         "zenoh": str(session_config(config.zenoh, "connect")),
         "node": f"{settings.node}_adapter",
         "max_bytes": int(config.source.max_message_mb * 1e6),
-        "heard": heard,
-        "said": [passed(name, PUBLISHED[name], reliable=True) for name in said],
+        "heard": received,
+        "said": [passed(name, PUBLISHED[name], reliable=True) for name in published],
         "action": {**place("navigate_to_pose"), "type": NAVIGATE_TO_POSE} if by_action else None,
     }
 
@@ -132,8 +131,8 @@ def supervise(config: Config, stop: threading.Event) -> int:
         if stop.is_set():
             break
         if code == os.EX_UNAVAILABLE:
-            error = "ros2-adapter: the node cannot run here: see its error above"
-            raise UnavailableError(error)
+            message = "ros2-adapter: the node cannot run here: see its error above"
+            raise UnavailableError(message)
         pause_s = _PAUSE_S if time.monotonic() - begun_s > _STABLE_S else pause_s
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         log.warning("the node ended (%s): starting it again in %g s", how, pause_s)

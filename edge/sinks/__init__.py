@@ -31,7 +31,7 @@ def find_sinks(config: Config) -> list[Callable[..., Sink]]:
     wheres = (config.locate(f"sinks.{i}") for i in range(len(config.sinks)))
     return [
         component_factory(
-            "sink", sink.kind, sink.options, REGISTRY, where, needs, given, known=known
+            "sink", sink.kind, sink.options, REGISTRY, where, needs=needs, given=given, known=known
         )
         for sink, where in zip(config.sinks, wheres, strict=True)
     ]

@@ -16,22 +16,23 @@ from edge.loop.result import TickResult
 from edge.memory import Item, KnownObject, MappedRoom, Place, Site, Zone
 from edge.types import Goal, Instance
 
+# Colours: red, green, blue and opacity, each from 0 to 1.
 _FRONTIER: markers.RGBA = (0.2, 0.6, 1.0, 0.8)
 _THING: markers.RGBA = (1.0, 0.6, 0.1, 0.6)
 _REJECTED: markers.RGBA = (0.5, 0.5, 0.5, 0.3)
 _GOAL: markers.RGBA = (0.2, 0.9, 0.3, 0.9)
-_WORDS: markers.RGBA = (1.0, 1.0, 1.0, 1.0)
-_KNOWN: markers.RGBA = (0.4, 0.6, 0.9, 0.6)
+_TEXT: markers.RGBA = (1.0, 1.0, 1.0, 1.0)
+_REMEMBERED: markers.RGBA = (0.4, 0.6, 0.9, 0.6)
 _ROOM: markers.RGBA = (0.6, 0.4, 0.9, 0.8)
 _PLACE: markers.RGBA = (0.1, 0.7, 0.8, 0.9)
 _ZONES: dict[str, markers.RGBA] = {
     "keep_out": (0.9, 0.2, 0.2, 0.9), "stay_inside": (0.2, 0.7, 0.3, 0.9),
 }  # fmt: skip
-_LABEL_M = (0.0, 0.0, 0.2)
+_LABEL_M = (0.0, 0.0, 0.2)  # a text marker has a height only
 
 
 class PathRing:
-    """The driven path: the last poses, `apart_m` apart, in a preallocated ring."""
+    """The driven path: the last poses, at least `apart_m` apart, in a preallocated ring."""
 
     def __init__(self, capacity: int = 2000, apart_m: float = 0.1) -> None:
         self._poses = np.zeros((capacity, 3))
@@ -90,7 +91,7 @@ def markers_of(drawing: Drawing) -> list[Marker]:
     """Return markers: frontiers as spheres, objects as cubes with names, the goal as an arrow.
 
     Places are arrows with names, zones lines with names, and remembered objects spheres with names.
-    These are left out if an object of the mission has their name.
+    Remembered objects with the name of an object of the mission are left out.
     """
     drawn = []
     if len(drawing.frontiers_m):
@@ -104,19 +105,19 @@ def markers_of(drawing: Drawing) -> list[Marker]:
         colour = _REJECTED if thing.state == "rejected" else _THING
         at, words = SE2(x, y, 0.0), f"{thing.label} {thing.score:.2f}"
         drawn.append(Marker("things", i, markers.CUBE, (0.25,) * 3, colour, at, z))
-        drawn.append(Marker("names", i, markers.TEXT, _LABEL_M, _WORDS, at, z + 0.4, words))
+        drawn.append(Marker("names", i, markers.TEXT, _LABEL_M, _TEXT, at, z + 0.4, words))
     named = {thing.label for thing in drawing.instances}
     others = [known for known in drawing.objects if known.name not in named]
     if others:
         points = np.array([known.xyz_m for known in others])
         drawn.append(
-            Marker("objects", 0, markers.SPHERE_LIST, (0.12,) * 3, _KNOWN, points_m=points)
+            Marker("objects", 0, markers.SPHERE_LIST, (0.12,) * 3, _REMEMBERED, points_m=points)
         )
     for i, known in enumerate(others):
         x, y, z = known.xyz_m
         at = SE2(x, y, 0.0)
         drawn.append(
-            Marker("object names", i, markers.TEXT, _LABEL_M, _KNOWN, at, z + 0.3, known.name)
+            Marker("object names", i, markers.TEXT, _LABEL_M, _REMEMBERED, at, z + 0.3, known.name)
         )
     for room in drawing.rooms:
         drawn.append(_line("rooms", room.id, room.polygon_m, _ROOM, 0.03))
@@ -125,7 +126,7 @@ def markers_of(drawing: Drawing) -> list[Marker]:
             Marker("room names", room.id, markers.TEXT, _LABEL_M, _ROOM, at, 0.2, room.title)
         )
     for i, item in enumerate(drawing.site.items):
-        drawn += _of_item(i, item)
+        drawn += _item_markers(i, item)
     if drawing.goal is not None:
         pose = drawing.goal.pose
         drawn.append(Marker("goal", 0, markers.ARROW, (0.5, 0.08, 0.08), _GOAL, pose, 0.1))
@@ -142,10 +143,10 @@ def _line(
     return Marker(group, id, markers.LINE_STRIP, (width_m,) * 3, colour, points_m=ring)
 
 
-def _of_item(i: int, item: Item) -> Iterator[Marker]:
+def _item_markers(i: int, item: Item) -> Iterator[Marker]:
     """Yield the markers of a place or zone; its label lies over its position or first corner.
 
-    A room's name has none: the room has one.
+    A name that a person gave to a room has no marker here: it is the title of the room's marker.
     """
     if isinstance(item, Place):
         yield Marker("places", i, markers.ARROW, (0.4, 0.06, 0.06), _PLACE, item.pose, 0.05)

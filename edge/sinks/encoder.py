@@ -39,9 +39,9 @@ SHOWN_HZ = 10.0
 """Rate of pose, transforms and boxes: enough for people."""
 TRAJECTORY_HZ = 0.2
 """A trajectory may be long; it is also sent when it changes."""
-QUALITY = 85
+QUALITY = 85  # of JPEG
 CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
-_SPARE = 16
+_MAX_SPARE = 16  # depth buffers
 _NO_DEPTH = np.zeros((0, 0), np.uint16)
 _NO_ARRAYS = {"rgb": None, "depth_m": None, "cloud_m": None}
 _INFO = 2  # of foxglove.Log
@@ -63,8 +63,8 @@ class EncodedMessage(NamedTuple):
     sequence: int = 0
 
 
-class _Later(NamedTuple):
-    """A message that is not encoded yet; any thread may do it."""
+class _PendingMessage(NamedTuple):
+    """A message that is not encoded yet; any thread may encode it."""
 
     channel: Channel
     stamp_ns: int
@@ -87,7 +87,7 @@ class ResultSnapshot:
     now_ns: int
     observation: Observation | None
     arrays: dict[str, np.ndarray]
-    messages: list[_Later]
+    messages: list[_PendingMessage]
 
     @property
     def bytes(self) -> int:
@@ -120,7 +120,7 @@ class ResultEncoder:
         self._mission: tuple[str, str, str] | None = None
         self._trajectory: RefinedTrajectory | None = None
         self._spans_ns = 0  # spans are sent up to here
-        self._spare: deque[np.ndarray] = deque(maxlen=_SPARE)  # depth buffers, of both threads
+        self._spare: deque[np.ndarray] = deque(maxlen=_MAX_SPARE)  # depth buffers, of both threads
 
     def capture(self, result: TickResult, arrays: bool = True) -> ResultSnapshot:
         """Copy the data of a result that the source will overwrite.
@@ -131,41 +131,41 @@ class ResultEncoder:
         """
         if result.pose is not None:
             self._driven_path.add(result.pose)
-        pending: list[_Later] = []
-        seen, kept = result.observation, {}
-        if seen is not None:
-            kept = self._arrays(seen, result.now_ns) if arrays else {}
-            seen = replace(seen, slot=None, **_NO_ARRAYS)
+        pending: list[_PendingMessage] = []
+        observation, kept = result.observation, {}
+        if observation is not None:
+            kept = self._copy_arrays(observation, result.now_ns) if arrays else {}
+            observation = replace(observation, slot=None, **_NO_ARRAYS)
             if self._pace.is_due("pose", result.now_ns) or "rgb" in kept:
-                pending += _of_pose(seen, "cloud_m" in kept)
-            if seen.camera is not None and self._pace.is_due("info", result.now_ns):
-                pending.append(_of_camera(seen.stamp_ns, seen.camera))
-            pending += _of_arrays(seen, kept)
+                pending += _pose_messages(observation, "cloud_m" in kept)
+            if observation.camera is not None and self._pace.is_due("info", result.now_ns):
+                pending.append(_camera_message(observation.stamp_ns, observation.camera))
+            pending += _array_messages(observation, kept)
         if result.detections is not None and self._pace.is_due("boxes", result.now_ns):
-            pending.append(_of_detections(result.detections))
-        pending += self._of_result(result, result.now_ns)
-        return ResultSnapshot(result.now_ns, seen, kept, pending)
+            pending.append(_boxes_message(result.detections))
+        pending += self._result_messages(result, result.now_ns)
+        return ResultSnapshot(result.now_ns, observation, kept, pending)
 
-    def _arrays(self, seen: Observation, now_ns: int) -> dict[str, np.ndarray]:
+    def _copy_arrays(self, observation: Observation, now_ns: int) -> dict[str, np.ndarray]:
         """Return copies of the wanted arrays; see `ResultSnapshot.arrays`."""
-        there = {
-            "rgb": (seen.rgb, channels.PICTURE),
-            "depth_m": (seen.depth_m, channels.DEPTH),
-            "cloud_m": (seen.cloud_m, channels.CLOUD),
+        available = {
+            "rgb": (observation.rgb, channels.PICTURE),
+            "depth_m": (observation.depth_m, channels.DEPTH),
+            "cloud_m": (observation.cloud_m, channels.CLOUD),
         }
         if not (self._rgb_hz > 0 and self._pace.is_due("rgb", now_ns)):
-            del there["rgb"]
+            del available["rgb"]
         return {
-            name: self._depth(array) if name == "depth_m" else array.copy()
-            for name, (array, channel) in there.items()
+            name: self._copy_depth(array) if name == "depth_m" else array.copy()
+            for name, (array, channel) in available.items()
             if array is not None and self._wanted(channel)
         }
 
-    def _depth(self, depth_m: np.ndarray) -> np.ndarray:
+    def _copy_depth(self, depth_m: np.ndarray) -> np.ndarray:
         """Copy depth, as exact millimetres if possible.
 
-        These take half the bytes and compress better. The conversion costs as much as a copy, since
-        the map has just read the array.
+        Millimetres take half the bytes and compress better. The conversion costs as much as a copy,
+        since the map has just read the array.
         """
         mm = self._spare.pop() if self._spare else _NO_DEPTH
         if mm.shape != depth_m.shape:
@@ -175,96 +175,104 @@ class ResultEncoder:
         self._spare.append(mm)
         return depth_m.copy()
 
-    def _of_result(self, result: TickResult, now_ns: int) -> Iterator[_Later]:
+    def _result_messages(self, result: TickResult, now_ns: int) -> Iterator[_PendingMessage]:
         for goal in result.goals:
             encode = partial(messages.encode_pose_stamped, goal.stamp_ns, goal.pose)
-            yield _Later(channels.GOAL, goal.stamp_ns, encode)
+            yield _PendingMessage(channels.GOAL, goal.stamp_ns, encode)
         for answer in result.goal_statuses:
-            said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
-            yield _Later(channels.GOAL_STATUS, now_ns, partial(json_bytes, said))
+            fields = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
+            yield _PendingMessage(channels.GOAL_STATUS, now_ns, partial(json_bytes, fields))
         for event in result.events:
-            yield _Later(channels.EVENTS, event.now_ns, partial(_log, *event))
+            yield _PendingMessage(channels.EVENTS, event.now_ns, partial(_encode_log, *event))
         status = result.status
         if (status.target, status.phase, status.reason) != self._mission:
             self._mission = (status.target, status.phase, status.reason)
-            yield _Later(channels.MISSION, now_ns, partial(json_bytes, asdict(status)))
+            yield _PendingMessage(channels.MISSION, now_ns, partial(json_bytes, asdict(status)))
         if self._pace.is_due("status", now_ns):
-            yield _Later(channels.STATUS, now_ns, partial(json_bytes, status_message(result)))
+            yield _PendingMessage(
+                channels.STATUS, now_ns, partial(json_bytes, status_message(result))
+            )
         if self._pace.is_due("latency", now_ns):
-            yield _Later(channels.LATENCY, now_ns, lambda: json_bytes(result.latency().as_dict()))
-            yield _Later(channels.SPANS, now_ns, partial(self._spans, result))
+            yield _PendingMessage(
+                channels.LATENCY, now_ns, lambda: json_bytes(result.latency().as_dict())
+            )
+            yield _PendingMessage(channels.SPANS, now_ns, partial(self._encode_spans, result))
         if self._pace.is_due("map", now_ns):
-            yield _Later(
+            yield _PendingMessage(
                 channels.MAP, now_ns,
                 lambda: messages.encode_occupancy_grid(now_ns, result.snapshot()),
             )  # fmt: skip
         if self._pace.is_due("drawings", now_ns):
-            way, drawing = self._driven_path.poses(), drawing_of(result)
-            path = partial(transforms.encode_path, now_ns, MAP_FRAME, way)
-            yield _Later(channels.PATH, now_ns, path)
-            yield _Later(
+            driven, drawing = self._driven_path.poses(), drawing_of(result)
+            path = partial(transforms.encode_path, now_ns, MAP_FRAME, driven)
+            yield _PendingMessage(channels.PATH, now_ns, path)
+            yield _PendingMessage(
                 channels.MARKERS, now_ns,
                 lambda: markers.encode_markers(now_ns, MAP_FRAME, markers_of(drawing)),
             )  # fmt: skip
 
-        yield from self._of_task(result, now_ns)
+        yield from self._trajectory_messages(result, now_ns)
 
-    def _of_task(self, result: TickResult, now_ns: int) -> Iterator[_Later]:
-        """Yield the trajectory if it changed, and now and then; an empty one after its end."""
+    def _trajectory_messages(self, result: TickResult, now_ns: int) -> Iterator[_PendingMessage]:
+        """Yield the trajectory if it changed, and every few seconds; an empty one after its end."""
         task = result.task()
         refined = None if task is None else task.refined
         due = refined is not None and self._pace.is_due("trajectory", now_ns)
         if due or refined is not self._trajectory:
             self._trajectory = refined
-            yield _Later(channels.TRAJECTORY, now_ns, partial(path_message, refined, now_ns))
+            yield _PendingMessage(
+                channels.TRAJECTORY, now_ns, partial(path_message, refined, now_ns)
+            )
 
-    def _spans(self, result: TickResult) -> bytes:
+    def _encode_spans(self, result: TickResult) -> bytes:
         """Encode the spans since the last call."""
         spans = result.spans(self._spans_ns)
         ends_ns = [s.begin_ns + (0 if s.in_tick else s.took_ns) for s in spans]
         self._spans_ns = max(ends_ns, default=self._spans_ns)
         return json_bytes({"spans": spans})
 
-    def encode(self, moment: ResultSnapshot) -> Iterator[EncodedMessage]:
+    def encode(self, snapshot: ResultSnapshot) -> Iterator[EncodedMessage]:
         """Yield the messages in the order of events; payloads are valid until `release`."""
-        for channel, stamp_ns, encode, sequence in moment.messages:
+        for channel, stamp_ns, encode, sequence in snapshot.messages:
             if self._wanted(channel):
-                made = encode()
-                payload = made if isinstance(made, tuple) else (made,)
+                encoded = encode()
+                payload = encoded if isinstance(encoded, tuple) else (encoded,)
                 yield EncodedMessage(channel, stamp_ns, payload, sequence)
 
-    def release(self, moment: ResultSnapshot) -> None:
-        """Release a moment: its arrays may be reused."""
-        depth = moment.arrays.pop("depth_m", None)
+    def release(self, snapshot: ResultSnapshot) -> None:
+        """Take back the arrays of a snapshot for later ones."""
+        depth = snapshot.arrays.pop("depth_m", None)
         if depth is not None and depth.dtype == np.uint16:
             self._spare.append(depth)
 
 
-def _of_pose(seen: Observation, cloud: bool) -> Iterator[_Later]:
+def _pose_messages(observation: Observation, cloud: bool) -> Iterator[_PendingMessage]:
     """Yield the pose of the robot and of its sensors."""
-    stamp_ns, T = seen.stamp_ns, seen.T_map_base
-    yield _Later(
+    stamp_ns, T = observation.stamp_ns, observation.T_map_base
+    yield _PendingMessage(
         channels.ODOMETRY, stamp_ns, partial(messages.encode_odometry, stamp_ns, T, 0.0, 0.0)
     )
     tf = [Transform(stamp_ns, MAP_FRAME, BASE_FRAME, T)]
-    if seen.camera is not None:
-        tf.append(Transform(stamp_ns, BASE_FRAME, CAMERA_FRAME, seen.T_base_camera))
+    if observation.camera is not None:
+        tf.append(Transform(stamp_ns, BASE_FRAME, CAMERA_FRAME, observation.T_base_camera))
     if cloud:
-        tf.append(Transform(stamp_ns, BASE_FRAME, LIDAR_FRAME, seen.T_base_lidar))
-    yield _Later(channels.TF, stamp_ns, partial(transforms.encode_transforms, tf))
+        tf.append(Transform(stamp_ns, BASE_FRAME, LIDAR_FRAME, observation.T_base_lidar))
+    yield _PendingMessage(channels.TF, stamp_ns, partial(transforms.encode_transforms, tf))
 
 
-def _of_camera(stamp_ns: int, camera: CameraModel) -> _Later:
+def _camera_message(stamp_ns: int, camera: CameraModel) -> _PendingMessage:
     encode = partial(messages.encode_camera_info, stamp_ns, CAMERA_FRAME, camera)
-    return _Later(channels.CAMERA_INFO, stamp_ns, encode)
+    return _PendingMessage(channels.CAMERA_INFO, stamp_ns, encode)
 
 
-def _of_arrays(seen: Observation, arrays: dict[str, np.ndarray]) -> Iterator[_Later]:
+def _array_messages(
+    observation: Observation, arrays: dict[str, np.ndarray]
+) -> Iterator[_PendingMessage]:
     """Yield the messages of the arrays."""
-    stamp_ns, n = seen.stamp_ns, seen.seq & 0xFFFFFFFF
+    stamp_ns, n = observation.stamp_ns, observation.seq & 0xFFFFFFFF
     for name, array in arrays.items():
         channel, frame, encode = _ENCODERS[name]
-        yield _Later(channel, stamp_ns, partial(encode, stamp_ns, frame, array), n)
+        yield _PendingMessage(channel, stamp_ns, partial(encode, stamp_ns, frame, array), n)
 
 
 _Encoder = Callable[[int, str, np.ndarray], Any]
@@ -275,12 +283,12 @@ _ENCODERS: dict[str, tuple[Channel, str, _Encoder]] = {
 }
 
 
-def _of_detections(found: Detections) -> _Later:
+def _boxes_message(found: Detections) -> _PendingMessage:
     stamp_ns = found.observation.stamp_ns
-    return _Later(channels.BOXES, stamp_ns, partial(_boxes, stamp_ns, found))
+    return _PendingMessage(channels.BOXES, stamp_ns, partial(_encode_boxes, stamp_ns, found))
 
 
-def _boxes(stamp_ns: int, found: Detections) -> bytes:
+def _encode_boxes(stamp_ns: int, found: Detections) -> bytes:
     """Encode foxglove.ImageAnnotations."""
     at = _time(stamp_ns)
     outlines, words = [], []
@@ -299,7 +307,7 @@ def _boxes(stamp_ns: int, found: Detections) -> bytes:
     return json_bytes({"circles": [], "points": outlines, "texts": words})
 
 
-def _log(now_ns: int, text: str) -> bytes:
+def _encode_log(now_ns: int, text: str) -> bytes:
     """Encode foxglove.Log."""
     return json_bytes({
         "timestamp": _time(now_ns), "level": _INFO, "message": one_line(text, 1000),
@@ -312,8 +320,8 @@ def _time(stamp_ns: int) -> dict[str, int]:
     return {"sec": seconds, "nsec": nanoseconds}
 
 
-def json_bytes(said: Any) -> bytes:
-    return _JSON(said).encode()
+def json_bytes(value: Any) -> bytes:
+    return _JSON(value).encode()
 
 
 _JSON = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode

@@ -15,8 +15,8 @@ from edge.mapping.zones import ZonePolygons, keepout_mask
 class KeepoutPublisher:
     """Publishes the zones as a mask, when it changes; for one thread.
 
-    While the robot is inside a zone, the mask is open, as the published map is. Else the controller
-    could not drive out.
+    While the robot is inside a zone, the mask is open (all cells unknown), as the published map is.
+    Otherwise the controller could not drive out.
 
     Args:
         put: publishes a nav_msgs/OccupancyGrid.
@@ -40,7 +40,7 @@ class KeepoutPublisher:
         if changed:
             self._zones = zones
             self._mask = keepout_mask(zones, self._resolution_m, self._inflation_m)
-        is_open = pose is not None and _holds(self._mask, pose)
+        is_open = pose is not None and _is_closed_at(self._mask, pose)
         if changed or is_open != self._is_open:
             self._is_open = is_open
             mask = self._mask
@@ -48,7 +48,7 @@ class KeepoutPublisher:
             self._put(messages.encode_occupancy_grid(stamp_ns, shown, self._frame))
 
 
-def _holds(mask: Grid, pose: SE2) -> bool:
+def _is_closed_at(mask: Grid, pose: SE2) -> bool:
     """Return True if the mask closes the cell of a pose."""
     cell = mask.cell_of(pose.x_m, pose.y_m)
     return cell is not None and bool(mask.cells[cell] > 0)

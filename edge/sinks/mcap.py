@@ -31,9 +31,11 @@ from edge.text import one_line
 
 PAGE_NS = 500_000_000  # longest delay of a journal page
 BATCH = 8
-"""Ticks that are written together, after a tick: half the cost of single writes, at a time when the
-loop is idle."""
-_CLOSE_S = 5.0
+"""Number of ticks that are written together: this costs half as much as single writes.
+
+They are written after a tick, when the loop is idle.
+"""
+_CLOSE_S = 5.0  # longest time to write what is pending at the end
 
 
 class _Item(NamedTuple):
@@ -75,7 +77,7 @@ class McapSink:
         compression: str = "lz4",
         pending_mb: float = 64.0,
     ) -> None:
-        _check(max_mb, max_s, keep_mb, sync_s, rgb_hz, compression, pending_mb)
+        _check_values(max_mb, max_s, keep_mb, sync_s, rgb_hz, compression, pending_mb)
         where = resources.expand(folder)
         try:
             make_writable(where)
@@ -92,8 +94,8 @@ class McapSink:
         self._encoder = ResultEncoder(config, rgb_hz)
         self._inputs: list[LoopInput] = []
         self._page_ns: int | None = None  # start of the current page
-        self._held_back: TickResult | None = None  # its last result
-        self._rig: dict[str, Any] = {}  # as last written
+        self._held_back: TickResult | None = None  # the last result of the page
+        self._rig: dict[str, Any] = {}  # camera and mounts as last written
         self._most_bytes, self._pending_bytes = int(pending_mb * 1e6), 0
         self._lock = threading.Lock()  # for pending bytes
         self._dropped = {"arrays": 0, "moments": 0}
@@ -113,7 +115,7 @@ class McapSink:
         """Raise an error for invalid numbers or names; see `edge.config.components`."""
         bound = inspect.signature(cls).bind(config=None, **options)
         bound.apply_defaults()
-        _check(**{k: v for k, v in bound.arguments.items() if k not in ("config", "folder")})
+        _check_values(**{k: v for k, v in bound.arguments.items() if k not in ("config", "folder")})
 
     def tick(self, result: TickResult) -> None:
         """Queue the result for writing; see `edge.loop.result.Sink`."""
@@ -127,13 +129,13 @@ class McapSink:
             self._queue(result)
 
     def _queue(self, result: TickResult) -> None:
-        room = self._pending_bytes < self._most_bytes
-        moment = self._encoder.capture(result, arrays=room)
-        self._dropped["arrays"] += result.observation is not None and not room
-        size = moment.bytes
+        has_room = self._pending_bytes < self._most_bytes
+        snapshot = self._encoder.capture(result, arrays=has_room)
+        self._dropped["arrays"] += result.observation is not None and not has_room
+        size = snapshot.bytes
         with self._lock:
             self._pending_bytes += size
-        self._batch.append(_Item(moment, tuple(self._inputs), result, size))
+        self._batch.append(_Item(snapshot, tuple(self._inputs), result, size))
         self._inputs, self._page_ns, self._held_back = [], None, None
         if len(self._batch) >= BATCH:
             self._flush()
@@ -181,9 +183,9 @@ class McapSink:
 
         Encoding between image writes, which flush the CPU caches, would be twice as slow.
         """
-        made = [list(self._messages_of(item)) for item in batch]
-        for item, messages in zip(batch, made, strict=True):
-            with self._contained():
+        encoded = [list(self._messages_of(item)) for item in batch]
+        for item, messages in zip(batch, encoded, strict=True):
+            with self._count_errors():
                 self._files.ready()
                 for message in messages:
                     self._files.add(
@@ -196,15 +198,15 @@ class McapSink:
 
     def _messages_of(self, item: _Item) -> Iterator[EncodedMessage]:
         """Yield the messages of a tick, the journal's page last, since its arrays come first."""
-        moment = item.snapshot
-        with self._contained():  # an error of the display must not lose data for the replay
-            yield from self._encoder.encode(moment)
-        with self._contained():
-            page = journal.encode_page(item.inputs, item.result, moment.observation, self._rig)
-            yield EncodedMessage(channels.JOURNAL, moment.now_ns, (page,))
+        snapshot = item.snapshot
+        with self._count_errors():  # an error of the display must not lose data for the replay
+            yield from self._encoder.encode(snapshot)
+        with self._count_errors():
+            page = journal.encode_page(item.inputs, item.result, snapshot.observation, self._rig)
+            yield EncodedMessage(channels.JOURNAL, snapshot.now_ns, (page,))
 
     @contextmanager
-    def _contained(self) -> Iterator[None]:
+    def _count_errors(self) -> Iterator[None]:
         """Count an error and continue with what follows."""
         try:
             yield
@@ -214,14 +216,14 @@ class McapSink:
 
     def _metadata(self, part: int) -> dict[str, dict[str, str]]:
         config = json.dumps(journal.config_text(self._config))
-        said = {
+        fields = {
             "version": str(journal.VERSION), "edge": __version__, "session": self._session,
             "part": str(part), "config": config,
         }  # fmt: skip
-        return {journal.FORMAT: said}
+        return {journal.FORMAT: fields}
 
 
-def _check(
+def _check_values(
     max_mb: float,
     max_s: float,
     keep_mb: float,

@@ -1,8 +1,8 @@
 """Clients of Nav2's actions NavigateToPose, DockRobot and UndockRobot: send goals, report progress.
 
-Nav2 replaces an old goal by a new one itself. If a server still drives to the old one, that goal is
-cancelled. A goal ends with its result, which has the reason. If the result is lost, for example
-because a router restarted, the action's `status` topic is used.
+Nav2's own server drops the old goal when it gets a new one. Other servers may not; there this
+client cancels the old goal after `REPLACED_S`. A goal ends with its result, which has the reason.
+If the result is lost, for example because a router restarted, the action's `status` topic is used.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from edge.types import Goal, GoalStatus
 
 log = logging.getLogger("edge.sinks.ros2")
 
-AGAIN_S = 0.5
-RESULT_LATE_S = 1.0
-GONE_S = 3.0  # a restarted router is back within this time
-PATIENCE_S = 5.0  # before a warning that the action is missing
-REPLACED_S = 0.5  # a server with one goal at a time has stopped the previous one by then
-_ACCEPT_S = 5.0
-_RESULT_S = 600.0
-_KEPT = 16
+RETRY_S = 0.5  # time between two requests
+RESULT_LATE_S = 1.0  # time that a result may come after the `status` topic has reported the end
+GONE_S = 3.0  # time after which a missing action fails the goal; a restarted router is back by then
+PATIENCE_S = 5.0  # time without the action before a warning
+REPLACED_S = 0.5  # time in which a server with one goal at a time has dropped the replaced goal
+_ACCEPT_S = 5.0  # timeout of the answers to a new goal and to a cancellation
+_RESULT_S = 600.0  # timeout of a request for the result; it is then sent again
+_KEPT = 16  # messages of a topic between two updates, and replaced goals
 _STATES = {navigation.CANCELED: "cancelled", navigation.ABORTED: "aborted"}
 
 
@@ -43,13 +43,14 @@ class _Driven:
 
     Attributes:
         stage: `waiting`: not sent; `sent`: not answered; `driving`: accepted.
-        reply: pending reply: first to the request, then the result.
+        reply: pending reply: first the answer to the goal, then its result.
         due_s: when to request again if no reply is pending.
         since_s: when the goal was given.
         lost_s: since when the action has been gone; 0: it is there.
-        status: how the goal ended by the `status` topic, at `ended_s`; 0: not ended.
-        unwanted: True if it is to be cancelled as soon as Nav2 has accepted it.
-        recoveries: recoveries reported so far.
+        status: status with which the goal ended, from the `status` topic; 0: not ended.
+        ended_s: when that status came.
+        unwanted: True if the goal is to be cancelled as soon as Nav2 has accepted it.
+        recoveries: number of recoveries reported so far.
     """
 
     goal: Goal
@@ -73,7 +74,7 @@ class NavigateToPoseClient:
 
     Args:
         node: the ROS 2 node.
-        action: its ROS name.
+        action: ROS name of the action.
         frame_id: frame of the goals.
         on_status: called with each new status of a goal.
     """
@@ -97,7 +98,7 @@ class NavigateToPoseClient:
         self._replaced: deque[bytes] = deque(maxlen=_KEPT)  # goals replaced by newer ones
         self._cancel_replaced_s = math.inf  # when to cancel those that are still active
         self._malformed = 0
-        self._waiting_told = False
+        self._waiting_logged = False
 
     def send(self, goal: Goal) -> None:
         """Drive to this goal, and no longer to the previous one."""
@@ -114,20 +115,20 @@ class NavigateToPoseClient:
         if driven is None:
             return
         if driven.stage == "driving":
-            self._take_back(driven)
+            self._drop(driven)
         elif driven.stage == "sent":
             driven.unwanted = True
-            # Also at once, in case this service ends: Nav2 may have accepted the goal unnoticed.
-            self._call_off(driven.goal_id)
+            # Cancel now as well, in case this service ends: Nav2 may have accepted the goal.
+            self._send_cancel(driven.goal_id)
         else:
             self._driven = None
 
     def update(self) -> None:
         """Process what arrived; request again if no reply is pending."""
         for _, payload in self._feedback.take():
-            self._guarded(self._feed_back, payload.to_bytes())
+            self._guarded(self._on_feedback, payload.to_bytes())
         for _, payload in self._status.take():
-            self._guarded(self._note_status, payload.to_bytes())
+            self._guarded(self._on_status_message, payload.to_bytes())
         if self._driven is not None:
             self._guarded(_STEPS[self._driven.stage], self, self._driven)
         if time.monotonic() >= self._cancel_replaced_s:
@@ -147,20 +148,23 @@ class NavigateToPoseClient:
     def _step_waiting(self, driven: _Driven) -> None:
         now_s = time.monotonic()
         if not self._send.has_server():
-            if now_s - driven.since_s > PATIENCE_S and not self._waiting_told:
-                self._waiting_told = True
+            if now_s - driven.since_s > PATIENCE_S and not self._waiting_logged:
+                self._waiting_logged = True
                 log.warning("ros2: waiting for %s: is Nav2 running?", self._action)
             return
         if now_s < driven.due_s:
             return
-        driven.due_s, self._waiting_told = now_s + AGAIN_S, False
+        driven.due_s, self._waiting_logged = now_s + RETRY_S, False
         # A new id for each attempt: a server refuses an id that it knows.
         driven.goal_id = uuid.uuid4().bytes
         request = self._encode(driven.goal_id, driven.goal)
         driven.reply, driven.stage = self._send.call(request), "sent"
 
     def _adopt(self, goal: Goal) -> bool:
-        """Continue the current action for a new goal; return False if there is none."""
+        """Continue the current action for a new goal; return False if there is none.
+
+        For subclasses, whose actions do not depend on the pose of the goal.
+        """
         driven = self._driven
         if driven is None or driven.unwanted:
             return False
@@ -186,12 +190,12 @@ class NavigateToPoseClient:
             return
         self._cancel_replaced_s = time.monotonic() + REPLACED_S
         if not navigation.decode_send_goal_answer(payload):
-            self._settle(driven, "failed", f"refused by {self._name}")
+            self._finish(driven, "failed", f"refused by {self._name}")
             return
         driven.stage, driven.due_s = "driving", 0.0
         driven.reply = PendingReply(None)
         if driven.unwanted:
-            self._take_back(driven)
+            self._drop(driven)
             return
         self._report(GoalStatus(driven.goal.stamp_ns, "accepted"))
         self._step_driving(driven)
@@ -199,34 +203,34 @@ class NavigateToPoseClient:
     def _step_driving(self, driven: _Driven) -> None:
         payload = driven.reply.poll()
         if payload is not None:
-            self._end(driven, self._decode_result(payload))
+            self._report_result(driven, self._decode_result(payload))
         elif driven.status and time.monotonic() >= driven.ended_s + RESULT_LATE_S:
-            self._end(driven, navigation.Result(driven.status))
+            self._report_result(driven, navigation.Result(driven.status))
         elif driven.reply.done and time.monotonic() >= driven.due_s:
-            self._ask_how_it_ends(driven)
+            self._request_result(driven)
 
-    def _ask_how_it_ends(self, driven: _Driven) -> None:
+    def _request_result(self, driven: _Driven) -> None:
         now_s = time.monotonic()
         if self._result.has_server():
-            driven.due_s, driven.lost_s = now_s + AGAIN_S, 0.0
+            driven.due_s, driven.lost_s = now_s + RETRY_S, 0.0
             driven.reply = self._result.call(navigation.encode_get_result(driven.goal_id))
         elif driven.lost_s == 0.0:
             driven.lost_s = now_s
         elif now_s - driven.lost_s > GONE_S:
-            self._settle(driven, "failed", f"{self._name} is gone")
+            self._finish(driven, "failed", f"{self._name} is gone")
 
     # -- messages from Nav2 -----------------------------------------------------------------------
 
-    def _feed_back(self, payload: bytes) -> None:
-        said, driven = navigation.decode_feedback(payload), self._driven
-        if driven is None or driven.stage != "driving" or said.goal_id != driven.goal_id:
+    def _on_feedback(self, payload: bytes) -> None:
+        feedback, driven = navigation.decode_feedback(payload), self._driven
+        if driven is None or driven.stage != "driving" or feedback.goal_id != driven.goal_id:
             return
-        if said.recoveries > driven.recoveries:
-            driven.recoveries = said.recoveries
-            reason = f"{said.recoveries} recoveries, {said.distance_m:.1f} m left"
+        if feedback.recoveries > driven.recoveries:
+            driven.recoveries = feedback.recoveries
+            reason = f"{feedback.recoveries} recoveries, {feedback.distance_m:.1f} m left"
             self._report(GoalStatus(driven.goal.stamp_ns, "accepted", reason))
 
-    def _note_status(self, payload: bytes) -> None:
+    def _on_status_message(self, payload: bytes) -> None:
         driven = self._driven
         for goal_id, status in navigation.decode_goal_statuses(payload):
             ours = driven is not None and goal_id == driven.goal_id
@@ -235,34 +239,37 @@ class NavigateToPoseClient:
             elif status in SETTLED and goal_id in self._replaced:
                 self._replaced.remove(goal_id)
 
-    def _end(self, driven: _Driven, result: navigation.Result) -> None:
+    def _report_result(self, driven: _Driven, result: navigation.Result) -> None:
         if result.status == SUCCEEDED:
-            self._settle(driven, "reached", "")
+            self._finish(driven, "reached", "")
         elif result.status in SETTLED:
             code = f" (error {result.error_code})" if result.error_code else ""
             words = f": {one_line(result.error)}" if result.error else ""
-            self._settle(driven, "failed", f"{_STATES[result.status]} by Nav2{code}{words}")
+            self._finish(driven, "failed", f"{_STATES[result.status]} by Nav2{code}{words}")
         else:
-            self._settle(driven, "failed", f"unknown to Nav2 (status {result.status})")
+            self._finish(driven, "failed", f"unknown to Nav2 (status {result.status})")
 
-    def _settle(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
+    def _finish(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
         self._driven = None
         if not driven.unwanted:
             self._report(GoalStatus(driven.goal.stamp_ns, state, reason))
 
-    def _take_back(self, driven: _Driven) -> None:
-        """Cancel a goal without waiting for the answer: poses show if the robot drives on."""
+    def _drop(self, driven: _Driven) -> None:
+        """Cancel a goal and forget it.
+
+        The answer is not needed: a robot that drives on is noticed by its poses.
+        """
         self._driven = None
-        self._call_off(driven.goal_id)
+        self._send_cancel(driven.goal_id)
 
     def _cancel_replaced(self) -> None:
         """Cancel replaced goals that may still be active."""
         for goal_id in self._replaced:
-            self._call_off(goal_id)
+            self._send_cancel(goal_id)
         self._replaced.clear()
         self._cancel_replaced_s = math.inf
 
-    def _call_off(self, goal_id: bytes) -> None:
+    def _send_cancel(self, goal_id: bytes) -> None:
         self._cancel.call(navigation.encode_cancel(goal_id))
 
 
@@ -303,9 +310,9 @@ class DockRobotClient(NavigateToPoseClient):
         if self._driven is None or self._driven.goal.target != goal.target or not self._adopt(goal):
             super().send(goal)
 
-    def _settle(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
+    def _finish(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
         self.docked |= state == "reached"
-        super()._settle(driven, state, reason)
+        super()._finish(driven, state, reason)
 
     def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
         dock_id = self._docks[names.normalise(goal.target)]
@@ -314,8 +321,8 @@ class DockRobotClient(NavigateToPoseClient):
     def _decode_result(self, payload: bytes) -> navigation.Result:
         return navigation.decode_dock_result(payload)
 
-    def _feed_back(self, payload: bytes) -> None:
-        """Do nothing: the feedback of DockRobot tells no progress that a mission needs."""
+    def _on_feedback(self, payload: bytes) -> None:
+        """Do nothing: the feedback of DockRobot has no progress that a mission needs."""
 
 
 class UndockRobotClient(NavigateToPoseClient):
@@ -353,15 +360,15 @@ class UndockRobotClient(NavigateToPoseClient):
     def _decode_result(self, payload: bytes) -> navigation.Result:
         return navigation.decode_undock_result(payload)
 
-    def _feed_back(self, payload: bytes) -> None:
+    def _on_feedback(self, payload: bytes) -> None:
         """Do nothing: UndockRobot has no feedback."""
 
-    def _settle(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
+    def _finish(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
         if state == "reached" and not driven.unwanted:
             self._driven = None
             self._go_on(driven.goal)
         else:
-            super()._settle(driven, state, reason)
+            super()._finish(driven, state, reason)
 
 
 _STEPS: dict[str, Callable[[NavigateToPoseClient, _Driven], None]] = {

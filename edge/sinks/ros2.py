@@ -46,15 +46,15 @@ class Ros2Sink:
         )
         self._keepout = self._keepout_publisher(config) if settings.keepout_filter else None
         self._zones: ZonePolygons | None = None
-        self._goal = None
+        self._goal_publisher = None
         self._navigator: NavigateToPoseClient | None = None
         self._docker: DockRobotClient | None = None
         self._undocker: UndockRobotClient | None = None
-        self._reply_publisher = None
+        self._status_publisher = None
         if settings.goals == "topic":
-            self._goal = self._publisher("goal")
+            self._goal_publisher = self._publisher("goal")
         else:
-            self._reply_publisher = declare_publisher(session, topics.GOAL_STATUS, config.zenoh)
+            self._status_publisher = declare_publisher(session, topics.GOAL_STATUS, config.zenoh)
             action = settings.topic("navigate_to_pose")
             self._navigator = NavigateToPoseClient(
                 self._node, action, self._frame, self._send_status
@@ -124,13 +124,13 @@ class Ros2Sink:
         self._worker.submit(("goal", None), key="goal")
         if self._worker.close(_CLOSE_S):
             self._node.close()
-            if self._reply_publisher is not None:
-                self._reply_publisher.undeclare()
+            if self._status_publisher is not None:
+                self._status_publisher.undeclare()
 
     # -- on the worker's thread ------------------------------------------------------------------
 
-    def _deliver(self, what: tuple[str, Any]) -> None:
-        name, item = what
+    def _deliver(self, message: tuple[str, Any]) -> None:
+        name, item = message
         if name == "goal":
             self._drive(item)
         elif name == "map":
@@ -142,8 +142,8 @@ class Ros2Sink:
             stamp_ns, refined = item
             self._planned.put(path_message(refined, stamp_ns, self._frame))
         else:
-            stamp_ns, way, drawing = item
-            self._path.put(transforms.encode_path(stamp_ns, self._frame, way))
+            stamp_ns, driven, drawing = item
+            self._path.put(transforms.encode_path(stamp_ns, self._frame, driven))
             payload = markers.encode_markers(stamp_ns, self._frame, markers_of(drawing))
             self._markers.put(payload)
 
@@ -175,6 +175,7 @@ class Ros2Sink:
         self._navigator.send(goal)
 
     def _beat(self) -> None:
+        """Update the clients, and send a pending goal; the worker calls this periodically."""
         self._node.update()
         for docking in (self._docker, self._undocker):
             if docking is not None:
@@ -184,15 +185,17 @@ class Ros2Sink:
         # A planner treats each message as a new goal: send once, when there is a subscriber.
         elif (
             self._pending_goal is not None
-            and self._goal is not None
-            and self._goal.has_subscribers()
+            and self._goal_publisher is not None
+            and self._goal_publisher.has_subscribers()
         ):
             goal, self._pending_goal = self._pending_goal, None
-            self._goal.put(messages.encode_pose_stamped(goal.stamp_ns, goal.pose, self._frame))
+            self._goal_publisher.put(
+                messages.encode_pose_stamped(goal.stamp_ns, goal.pose, self._frame)
+            )
 
     def _send_status(self, answer: GoalStatus) -> None:
-        said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
-        self._reply_publisher.put(json.dumps(said).encode())
+        fields = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
+        self._status_publisher.put(json.dumps(fields).encode())
 
 
 def _encode_map(stamp_ns: int, take: Callable[[], Grid], frame_id: str) -> bytes:

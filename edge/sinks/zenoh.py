@@ -29,19 +29,27 @@ from edge.sinks.rate_limiter import RateLimiter
 from edge.tasks.follow import path_message
 from edge.tasks.refine import RefinedTrajectory
 
-UNANSWERED_S = 0.5
-UNSETTLED_S = 1.0
+# Periods at which messages are repeated.
+UNANSWERED_S = 0.5  # a goal that the controller has not acknowledged
+UNSETTLED_S = 1.0  # a goal that it has acknowledged
 MISSION_S = 1.0
 TRAJECTORY_S = 5.0
 LATENCY_HZ = 1.0
-_CLOSE_S = 1.0
+_CLOSE_S = 1.0  # longest time to send what is pending at the end
 
 WRITTEN = tuple(topic for topic in topics.ALL if topic.writer == "service")
 
 
 @dataclass(slots=True)
 class _Repeated:
-    """A message that is repeated; used by the worker's thread only."""
+    """A message that is repeated; used by the worker's thread only.
+
+    Attributes:
+        payload: the encoded message.
+        period_s: time between repetitions.
+        due_s: monotonic time of the next repetition.
+        stamp_ns: stamp of a goal; 0 for other messages.
+    """
 
     payload: bytes
     period_s: float
@@ -114,8 +122,8 @@ class ZenohSink:
         """
         if not self._lockstep:
             return result.snapshot
-        taken = result.snapshot()
-        return lambda: taken
+        grid = result.snapshot()
+        return lambda: grid
 
     def status(self) -> dict[str, Any]:
         """Return worker statistics; see `edge.loop.result.Sink`."""
@@ -128,7 +136,11 @@ class ZenohSink:
                 publisher.undeclare()
 
     def _put(self, name: str, item: Any) -> None:
-        """Queue a tick, and in lockstep everything, in order; otherwise only the newest counts."""
+        """Queue an item.
+
+        A tick, and in lockstep every item, is sent in order. Otherwise a newer item replaces an
+        older one of the same name.
+        """
         if self._lockstep or name == "tick":
             self._worker.enqueue((name, item))
         else:
@@ -136,8 +148,8 @@ class ZenohSink:
 
     # -- on the worker's thread ------------------------------------------------------------------
 
-    def _deliver(self, what: tuple[str, Any]) -> None:
-        name, item = what
+    def _deliver(self, message: tuple[str, Any]) -> None:
+        name, item = message
         if name == "answered":
             self._slow_down(*item)
             return
@@ -155,6 +167,7 @@ class ZenohSink:
             self._repeated[name] = _Repeated(payload, period_s, due_s, stamp_ns)
 
     def _slow_down(self, stamp_ns: int, settled: bool) -> None:
+        """Repeat an acknowledged goal less often, and a settled goal no more."""
         goal = self._repeated.get("goal")
         if goal is None or goal.stamp_ns != stamp_ns:
             return

@@ -34,25 +34,26 @@ TF, TF_STATIC = "tf", "tf_static"
 _DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 _BASES = ("base_link", "base_footprint", "base", "base_frame")
 _WORLDS = ("map", "odom", "world")
-_MOST_TOPICS = 10_000
-_MOST_STATIC_BYTES = 1 << 23
-_MOST_FRAMES = 4096
-_SHOWN = 12
+_MAX_TOPICS = 10_000
+_MAX_STATIC_BYTES = 1 << 23
+_MAX_FRAMES = 4096
+_MAX_LISTED = 12  # topics in a message
 
 _TYPES = {kind for name in SUBSCRIBED for kind in accepted_types(name, "")}
-"""Message types that can be read."""
-_WORST = -5.0
-"""A topic with this score or less is not guessed."""
+"""Message types that can be played."""
+_MIN_SCORE = -5.0
+"""A topic is guessed only if its score is above this."""
 
 Words = dict[str, float]
-_GOOD: dict[str, Words] = {
+"""Points of a word in the name of a topic."""
+_LIKELY_WORDS: dict[str, Words] = {
     RGB: {"rgb": 4, "color": 4, "colour": 4, "image": 1, "raw": 0.5, "front": 1},
     DEPTH: {"depth": 4, "stereo": 2, "aligned": 3, "registered": 3, "front": 1, "raw": 0.5},
     CLOUD: {"lidar": 3, "velodyne": 3, "ouster": 3, "livox": 3, "points": 2, "front": 1},
     SCAN: {"scan": 2, "front": 1},
     ODOMETRY: {"odom": 2, "odometry": 2, "filtered": 1},
 }
-_BAD: dict[str, Words] = {
+_UNLIKELY_WORDS: dict[str, Words] = {
     RGB: {
         "ir": 4, "infra": 4, "infra1": 4, "infra2": 4, "thermal": 4, "mask": 6, "label": 6,
         "labels": 6, "segmentation": 6, "semantic": 6, "disparity": 6, "confidence": 6,
@@ -77,9 +78,9 @@ class TopicFacts:
 
     Attributes:
         type: such as `sensor_msgs/msg/Image`.
-        encoding: of its messages; only `cdr` can be read.
+        encoding: encoding of the messages; only `cdr` can be played.
         count: number of messages.
-        frame_id: of its first message; "" if it has none.
+        frame_id: `frame_id` of the first message; "" if it has none.
         child: `child_frame_id` of the first odometry message; "" for other types.
         is_depth: True if its first image is depth.
     """
@@ -97,12 +98,13 @@ class RecordingContents:
     """The contents of a recording, from one pass over all its messages.
 
     Attributes:
-        topics: those with messages, by name.
+        topics: the topics that have messages, by name.
         first_ns: log time of the first message.
         last_ns: log time of the last message.
-        sorted_nearly: see `Bag.by_time`.
-        static: payloads of each `tf_static`, by topic, since a subscriber gets them all at once.
-        static_bytes: size of all of these, also of those that were not kept.
+        sorted_nearly: True if the messages are nearly sorted by log time; see `Bag.by_time`.
+        static: payloads of the `tf_static` messages, by topic. Playback processes all of them at
+            its start, as a late subscriber would.
+        static_bytes: size of all `tf_static` messages, also of those that are not in `static`.
         parents: parent of each tf frame.
         moving: frames with a transform on `tf`, which is published repeatedly.
     """
@@ -146,14 +148,14 @@ class RecordingContents:
     def topic_list(self) -> str:
         """List the topics in one line."""
         shown = [
-            f"{one_line(name, 80)} ({_of_type(facts)}, {facts.count})"
+            f"{one_line(name, 80)} ({_type_text(facts)}, {facts.count})"
             for name, facts in sorted(self.topics.items())
         ]
-        left = len(shown) - _SHOWN
-        return ", ".join(shown[:_SHOWN] + [f"{left} more"] * (left > 0)) or "no topics"
+        left = len(shown) - _MAX_LISTED
+        return ", ".join(shown[:_MAX_LISTED] + [f"{left} more"] * (left > 0)) or "no topics"
 
 
-def _of_type(facts: TopicFacts) -> str:
+def _type_text(facts: TopicFacts) -> str:
     as_what = "" if facts.encoding == "cdr" else f" as {facts.encoding}"
     return one_line(f"{facts.type}{as_what}", 60)
 
@@ -171,7 +173,7 @@ def read_contents(bag: Bag, stop: threading.Event) -> RecordingContents:
         raise_if_stopped(stop)
         facts = found.topics.get(message.topic)
         if facts is None:
-            if len(found.topics) >= _MOST_TOPICS:
+            if len(found.topics) >= _MAX_TOPICS:
                 continue
             if not found.topics:
                 found.first_ns = message.log_ns
@@ -194,7 +196,7 @@ def _type_name(schema: str) -> str:
 
 
 def _describe(facts: TopicFacts, message: RecordedMessage) -> None:
-    """Set facts from the first message. If that is damaged, it is counted during playback."""
+    """Set facts from the first message. A damaged message is counted later, during playback."""
     if facts.encoding != "cdr" or facts.type not in _TYPES or facts.type == SUBSCRIBED[TF]:
         return
     facts.is_depth = "depth" in message.topic.lower()
@@ -218,14 +220,14 @@ def _take_frames(found: RecordingContents, message: RecordedMessage) -> None:
     static = _is_static(message.topic)
     if static:
         found.static_bytes += len(message.payload)
-        if found.static_bytes <= _MOST_STATIC_BYTES:
+        if found.static_bytes <= _MAX_STATIC_BYTES:
             found.static.setdefault(message.topic, []).append(message.payload)
     try:
         transforms = decode_transforms(message.payload)
     except DecodeError:
         return
     for transform in transforms:
-        if len(found.parents) < _MOST_FRAMES and transform.child != transform.parent:
+        if len(found.parents) < _MAX_FRAMES and transform.child != transform.parent:
             found.parents[transform.child] = transform.parent
             if not static:
                 found.moving.add(transform.child)
@@ -235,8 +237,13 @@ def _is_static(topic: str) -> bool:
     return topic.endswith("tf_static")
 
 
-def missing_inputs(config: Config, there: Collection[str]) -> Iterator[str]:
-    """Yield the inputs that an observation needs and that are not in `there`."""
+def missing_inputs(config: Config, present: Collection[str]) -> Iterator[str]:
+    """Yield the inputs that an observation needs and that are not present.
+
+    Args:
+        config: the configuration.
+        present: our names of the topics that were found.
+    """
     required = {field for field, stream in streams_of(config).items() if stream.required}
     groups = [
         [topic.key for topic, kind in KINDS.items() if kind.field == field]
@@ -245,7 +252,7 @@ def missing_inputs(config: Config, there: Collection[str]) -> Iterator[str]:
     if required & {"rgb", "depth_m"}:
         groups.append([INFO])
     groups.append([ODOMETRY])
-    yield from (" or ".join(names) for names in groups if not set(there).intersection(names))
+    yield from (" or ".join(names) for names in groups if not set(present).intersection(names))
 
 
 # -- matching -----------------------------------------------------------------------------------
@@ -253,12 +260,12 @@ def missing_inputs(config: Config, there: Collection[str]) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class TopicMatching:
-    """The topics of a recording and the sensors they are played as.
+    """The topics of a recording, and the sensor as which each is played.
 
     Attributes:
         topics: topic of the recording by our name (`camera/rgb`), for those that were found.
         config: the configuration with the frames of this recording in `ros2`.
-        by_tf: True if mounts, and the pose of the odometry frame, come from tf.
+        by_tf: True if the recording has tf.
         moving_frame: the tf frame whose transforms are the poses; "": odometry has them.
         lines: one line per choice, for the user.
     """
@@ -280,18 +287,21 @@ def match_topics(
         contents: of the recording.
         wanted: our names of the sensors' topics; tf is always searched.
     """
-    choose = _Choice(config, contents)
+    chooser = _TopicChooser(config, contents)
     for name in (DEPTH, RGB, INFO, CLOUD, SCAN, ODOMETRY):
         if name in wanted:
-            choose.choose(name)
+            chooser.choose(name)
     for name in (TF, TF_STATIC):
-        choose.choose(name)
-    frames = _Frames(config, contents, choose.found)
-    found = choose.found
+        chooser.choose(name)
+    found, how = chooser.found, chooser.how
+    frames = _FrameMatcher(config, contents)
+    frames.resolve(found)
+    if frames.drops_odometry:
+        del found[ODOMETRY]
     if frames.moving_frame:
-        choose.how[ODOMETRY] = f"tf, of {frames.moving_frame}"
-    rows = [(name, found.get(name, "-"), choose.how[name]) for name in choose.how]
-    rows = [(name, one_line(topic, 80), one_line(how, 200)) for name, topic, how in rows]
+        how[ODOMETRY] = f"tf, of {frames.moving_frame}"
+    rows = [(name, found.get(name, "-"), how[name]) for name in how]
+    rows = [(name, one_line(topic, 80), one_line(words, 200)) for name, topic, words in rows]
     lines = (
         *format_table(rows, left=3).splitlines(),
         *(one_line(line, 300) for line in frames.lines),
@@ -299,8 +309,13 @@ def match_topics(
     return TopicMatching(found, frames.config, frames.by_tf, frames.moving_frame, lines)
 
 
-class _Choice:
-    """Chooses a topic for each name; `how` describes each choice in a few words."""
+class _TopicChooser:
+    """Chooses the topic of each sensor.
+
+    Attributes:
+        found: topic of the recording by our name.
+        how: a few words about each choice, by our name.
+    """
 
     def __init__(self, config: Config, contents: RecordingContents) -> None:
         self._config, self._contents = config, contents
@@ -308,35 +323,40 @@ class _Choice:
         self.how: dict[str, str] = {}
 
     def choose(self, name: str) -> None:
-        there = {
+        """Choose the topic for one of our names."""
+        present = {
             topic: facts
             for topic, facts in self._contents.topics.items()
             if facts.encoding == "cdr" and facts.type in accepted_types(name, topic)
         }
-        topic, how = self._by_name(name, there)
+        topic, how = self._by_name(name, present)
         if not topic:
-            may = [t for t, facts in there.items() if self._may_be(name, t, facts)]
-            points = {t: self._points(name, t, there[t]) for t in may}
-            topic = max((t for t in may if points[t][0] > _WORST), key=points.get, default="")
+            scores = {
+                t: self._score(name, t, facts)
+                for t, facts in present.items()
+                if self._may_be(name, t, facts)
+            }
+            likely = (t for t, score in scores.items() if score[0] > _MIN_SCORE)
+            topic = max(likely, key=scores.get, default="")
             how = f"guessed{how}" if topic else f"not there{how}"
         if topic:
             self.found[name] = topic
-            facts = there[topic]
+            facts = present[topic]
             how = f"{facts.count} {facts.type}, {how}" if how else f"{facts.count} {facts.type}"
         self.how[name] = how
 
-    def _by_name(self, name: str, there: dict[str, TopicFacts]) -> tuple[str, str]:
+    def _by_name(self, name: str, present: dict[str, TopicFacts]) -> tuple[str, str]:
         """Return the topic with the configured, our own or the usual name, and a description."""
-        said = self._config.ros2.topics.get(name)
-        if said is not None:
-            if topic := next((t for t in _transported(said) if t in there), ""):
+        configured = self._config.ros2.topics.get(name)
+        if configured is not None:
+            if topic := next((t for t in _with_compressed(configured) if t in present), ""):
                 return topic, "ros2.topics"
-            other = self._contents.topics.get(said)
-            brings = "" if other is None else f", which has {other.encoding} {other.type}"
-            return "", f": ros2.topics has {said}{brings}"
+            other = self._contents.topics.get(configured)
+            has = "" if other is None else f", which has {other.encoding} {other.type}"
+            return "", f": ros2.topics has {configured}{has}"
         for usual in (f"/{name}", DEFAULT_TOPICS[name]):
-            for topic in _transported(usual):
-                if topic in there and self._may_be(name, topic, there[topic]):
+            for topic in _with_compressed(usual):
+                if topic in present and self._may_be(name, topic, present[topic]):
                     return topic, ""
         return "", ""
 
@@ -348,16 +368,16 @@ class _Choice:
         # Only one LiDAR is mapped, and a cloud has more information than a scan.
         return name != SCAN or CLOUD not in self.found
 
-    def _points(self, name: str, topic: str, facts: TopicFacts) -> tuple:
-        """Return a sort key of a candidate topic: the most points win."""
+    def _score(self, name: str, topic: str, facts: TopicFacts) -> tuple:
+        """Return the sort key of a candidate topic; the largest wins. It begins with the points."""
         words = set(re.split(r"[^a-z0-9]+", topic.lower()))
-        points = sum(_GOOD.get(name, {}).get(word, 0.0) for word in words)
-        points -= sum(_BAD.get(name, {}).get(word, 0.0) for word in words)
+        points = sum(_LIKELY_WORDS.get(name, {}).get(word, 0.0) for word in words)
+        points -= sum(_UNLIKELY_WORDS.get(name, {}).get(word, 0.0) for word in words)
         ros2 = self._config.ros2
         if name == RGB:
-            points += 2 * _shared(topic, self.found.get(DEPTH, ""))
+            points += 2 * _n_shared_parts(topic, self.found.get(DEPTH, ""))
         elif name == INFO:
-            points += self._info_points(topic)
+            points += self._camera_info_score(topic)
         elif name == CLOUD:  # a cloud in a world frame is a map, not a sweep
             points -= 6 * (facts.frame_id in (ros2.map_frame, *_WORLDS))
         elif name == ODOMETRY:
@@ -366,24 +386,26 @@ class _Choice:
         is_raw = facts.type != COMPRESSED
         return points, is_raw, facts.count, topic
 
-    def _info_points(self, topic: str) -> float:
-        """Return points for a camera info topic: it usually is next to its image topic."""
+    def _camera_info_score(self, topic: str) -> float:
+        """Return the points of a camera info topic, which usually is next to its image topic."""
         points = 0.0
         for weight, image in ((4, RGB), (2, DEPTH)):
-            of = self.found.get(image, "")
+            image_topic = self.found.get(image, "")
             for end in COMPRESSED_ENDINGS:
-                of = of.removesuffix(end)
-            points += weight * (topic.rpartition("/")[0] == of.rpartition("/")[0] != "")
-            points += 0.1 * weight * _shared(topic, of)
+                image_topic = image_topic.removesuffix(end)
+            namespace = topic.rpartition("/")[0]
+            if namespace and namespace == image_topic.rpartition("/")[0]:
+                points += weight
+            points += 0.1 * weight * _n_shared_parts(topic, image_topic)
         return points
 
 
-def _transported(topic: str) -> list[str]:
+def _with_compressed(topic: str) -> list[str]:
     """Return an image topic and its names when image_transport compresses it."""
     return [topic, *(f"{topic}{end}" for end in COMPRESSED_ENDINGS)]
 
 
-def _shared(topic: str, other: str) -> int:
+def _n_shared_parts(topic: str, other: str) -> int:
     """Return the number of name parts that two topics have in common at the start."""
     n = 0
     for a, b in zip(topic.split("/")[1:], other.split("/")[1:], strict=False):
@@ -393,14 +415,26 @@ def _shared(topic: str, other: str) -> int:
     return n
 
 
-class _Frames:
-    """Finds the frames of a recording for `ros2.map_frame` and `ros2.base_frame`."""
+class _FrameMatcher:
+    """Finds the frames of a recording, and where its poses and mounts come from.
 
-    def __init__(self, config: Config, contents: RecordingContents, found: dict[str, str]) -> None:
+    Attributes:
+        by_tf: True if the recording has tf.
+        drops_odometry: True if poses come from tf, although the recording has odometry.
+        moving_frame: see `TopicMatching`.
+        config: the configuration with the frames that `resolve` found.
+        lines: one line per choice, for the user.
+    """
+
+    def __init__(self, config: Config, contents: RecordingContents) -> None:
         self._contents = contents
-        self.lines: list[str] = []
-        self.by_tf, self.moving_frame = bool(contents.parents), ""
         self.config = config
+        self.by_tf, self.drops_odometry, self.moving_frame = bool(contents.parents), False, ""
+        self.lines: list[str] = []
+
+    def resolve(self, found: dict[str, str]) -> None:
+        """Find the frames, given the topics of the recording by our name."""
+        config, contents = self.config, self._contents
         if not self.by_tf:
             self.lines.append(
                 "frames: no tf in the recording: mounts come from `sensors`, odometry is in map"
@@ -409,13 +443,12 @@ class _Frames:
         ros2, odom = config.ros2, contents.topics.get(found.get(ODOMETRY, ""))
         sensors = [contents.topics[found[n]].frame_id for n in (RGB, CLOUD, SCAN) if n in found]
         base = self._base(ros2.base_frame, odom, sensors)
-        if odom is not None and self._is_elsewhere(odom, base):
+        if odom is not None and self._odometry_is_apart(odom, base):
             self.lines.append(
                 f"odom: tf does not connect {one_line(odom.frame_id)} with {ros2.map_frame}, but "
                 f"{base}: poses come from tf"
             )
-            del found[ODOMETRY]
-            odom = None
+            self.drops_odometry, odom = True, None
         if odom is None:
             self.moving_frame = contents.moving_frame(base)
         world = self._map(ros2.map_frame, base, odom)
@@ -429,32 +462,34 @@ class _Frames:
         self.config = config.model_copy(update={"ros2": ros2.model_copy(update=frames)})
         self.lines.append(f"frames: {base} in {world}, by tf")
 
-    def _is_elsewhere(self, odom: TopicFacts, base: str) -> bool:
-        """Return True if tf connects the base with the map, but not the odometry frame."""
+    def _odometry_is_apart(self, odom: TopicFacts, base: str) -> bool:
+        """Return True if tf has the base in the map, but not the odometry frame."""
         connected, world = self._contents.connected, self.config.ros2.map_frame
-        localised = connected(base, world) and bool(self._contents.moving_frame(base))
-        return localised and bool(odom.frame_id) and not connected(odom.frame_id, world)
+        has_base = connected(base, world) and bool(self._contents.moving_frame(base))
+        return has_base and bool(odom.frame_id) and not connected(odom.frame_id, world)
 
-    def _base(self, said: str, odom: TopicFacts | None, sensors: list[str]) -> str:
+    def _base(self, configured: str, odom: TopicFacts | None, sensors: list[str]) -> str:
         """Return the base frame: the configured one, or a frame that moves."""
-        base = said
+        base = configured
         if odom is not None:
-            if odom.child and not self._contents.connected(said, odom.child):
+            # Odometry is the pose of its child frame, so the base must be connected with it.
+            if odom.child and not self._contents.connected(configured, odom.child):
                 base = odom.child
-        elif said not in self._contents.parents:
+        elif configured not in self._contents.parents:
+            # tf lacks the configured frame: take a usual name, or a moving frame of a sensor.
             movers = filter(None, map(self._contents.moving_frame, sensors))
             usual = (name for name in _BASES if name in self._contents.parents)
-            base = next(iter((*usual, *movers, said)))
-        if base != said:
-            self.lines.append(f"base: {one_line(base)} instead of ros2.base_frame ({said})")
+            base = next(iter((*usual, *movers, configured)))
+        if base != configured:
+            self.lines.append(f"base: {one_line(base)} instead of ros2.base_frame ({configured})")
         return base
 
-    def _map(self, said: str, base: str, odom: TopicFacts | None) -> str:
+    def _map(self, configured: str, base: str, odom: TopicFacts | None) -> str:
         """Return the map frame: the configured one, or the frame of the poses."""
         frame = self._contents.root(base) if odom is None else odom.frame_id
-        if self._contents.connected(said, frame) or not frame:
-            return said
+        if self._contents.connected(configured, frame) or not frame:
+            return configured
         self.lines.append(
-            f"map: {one_line(frame)} instead of ros2.map_frame ({said}), which is not in tf"
+            f"map: {one_line(frame)} instead of ros2.map_frame ({configured}), which is not in tf"
         )
         return frame

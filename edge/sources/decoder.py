@@ -27,12 +27,12 @@ from edge.sources.messages import (
 from edge.sources.synchronizer import TimeSynchronizer
 from edge.sources.tf import RobotFrames
 
-_SHARE = 0.8  # part of a frame's waiting time in which its pose may wait for transforms
+_WAIT_SHARE = 0.8  # part of a frame's waiting time in which its pose may wait for transforms
 _INFO_BODY = 12  # offset behind CDR header and stamp: the rest is the same in most messages
 
 
 def _check_size(header: messages.ImageHeader | compressed.CompressedHeader, out: np.ndarray) -> int:
-    """Return the height, 0 for an empty image; raise WrongSizeError."""
+    """Return the height; 0 for an empty image. Raise WrongSizeError unless it fits `out`."""
     if header.height * header.width == 0:
         return 0
     if (header.height, header.width) != out.shape[:2]:
@@ -102,12 +102,11 @@ class CdrDecoder:
         self._frames = frames
         self._info = b""
         config = synchronizer.config
-        wait_ns = _SHARE * 1e9 * config.source.wait_s
+        wait_ns = _WAIT_SHARE * 1e9 * config.source.wait_s
         self._wait_ns = math.inf if config.loop.lockstep else wait_ns
         self._most_waiting = config.source.odometry_ring
-        self._waiting: deque[tuple[int, messages.OdometryMessage]] = (
-            deque()
-        )  # (arrival, pose without tf)
+        # (arrival in ns, pose) of the poses that wait for transforms.
+        self._waiting: deque[tuple[int, messages.OdometryMessage]] = deque()
 
     def offer(self, topic: Topic, payload: bytes, type_name: str = "") -> None:
         """Decode one message of a sensor topic in `edge.bus.topics`.
@@ -115,7 +114,7 @@ class CdrDecoder:
         Args:
             topic: the topic.
             payload: CDR.
-            type_name: its type, if it is not the topic's own type.
+            type_name: ROS 2 type of the payload, if it is not the topic's own type.
         """
         self._synchronizer.received(topic.key)
         if not payload:
@@ -125,9 +124,9 @@ class CdrDecoder:
             if topic is topics.ODOMETRY:
                 self.move(messages.decode_odometry(payload))
             elif topic is topics.CAMERA_INFO:
-                self._describe(payload)
+                self._offer_camera_info(payload)
             else:
-                self._show(topic, payload, type_name or topic.type)
+                self._offer_frame(topic, payload, type_name or topic.type)
         except DecodeError as error:
             self._synchronizer.count(topic.key, "malformed", str(error))
 
@@ -153,7 +152,7 @@ class CdrDecoder:
             else:
                 self._synchronizer.offer(Odometry(sample.stamp_ns, placed.T, placed.age_ns))
 
-    def _show(self, topic: Topic, payload: bytes, type_name: str) -> None:
+    def _offer_frame(self, topic: Topic, payload: bytes, type_name: str) -> None:
         kind, into = KINDS[topic], _INTO[type_name]
         stamp_ns, frame_id = messages.peek_header(payload)
         # Depth is registered to the colour image: it uses that mount, whatever its frame_id is.
@@ -161,10 +160,10 @@ class CdrDecoder:
         if by_tf and (why := self._frames.why_unplaced(frame_id)):
             self._synchronizer.count(topic.key, "no_transform", why)
             return
-        opened = partial(into, self._settings, payload)
-        self._synchronizer.offer(kind(stamp_ns, self._clock(), opened, frame_id, len(payload)))
+        decode = partial(into, self._settings, payload)
+        self._synchronizer.offer(kind(stamp_ns, self._clock(), decode, frame_id, len(payload)))
 
-    def _describe(self, payload: bytes) -> None:
+    def _offer_camera_info(self, payload: bytes) -> None:
         """Process camera info; drivers repeat it with every frame, but it hardly ever changes."""
         if payload[_INFO_BODY:] != self._info:
             info = messages.decode_camera_info(payload)

@@ -1,4 +1,4 @@
-"""Goal statuses from the motion controller."""
+"""Receiver of goal statuses from the motion controller."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ log = logging.getLogger("edge.sources.goal_status")
 
 STATES = ("accepted", "reached", "failed")
 _MAX_BYTES = 4096
-_KEPT = 64
+_KEPT = 64  # messages in the ring
 
 
 def parse_goal_status(payload: bytes) -> GoalStatus:
@@ -38,10 +38,10 @@ def parse_goal_status(payload: bytes) -> GoalStatus:
         raise ValueError(f"state: unknown {bounded_repr(state, 40)} (choices: {', '.join(STATES)})")
     if not isinstance(reason, str):
         raise ValueError(f"reason: expected text, got {bounded_repr(reason, 40)}")
-    return GoalStatus(stamp, state, one_line(reason), _place(data.get("blocked")))
+    return GoalStatus(stamp, state, one_line(reason), _parse_point(data.get("blocked")))
 
 
-def _place(blocked: object) -> tuple[float, float] | None:
+def _parse_point(blocked: object) -> tuple[float, float] | None:
     """Parse a point; raise ValueError if it is neither None nor a point."""
     if blocked is None:
         return None
@@ -52,7 +52,7 @@ def _place(blocked: object) -> tuple[float, float] | None:
 
 
 class GoalStatusInbox:
-    """Goal statuses since the last poll, oldest first, at most a ring.
+    """Receives goal statuses over Zenoh.
 
     Attributes:
         malformed: number of malformed messages.
@@ -68,6 +68,7 @@ class GoalStatusInbox:
         return self._ring.overruns
 
     def poll(self) -> list[GoalStatus]:
+        """Return the statuses since the last poll, oldest first; at most one ring."""
         answers = []
         for sample in self._ring.take():
             try:

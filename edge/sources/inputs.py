@@ -16,8 +16,8 @@ from edge.sources.streams import Stream
 SILENT_S = 1.0
 """An input is silent after this time, or after three periods if that is longer."""
 _WINDOW_NS = 2_000_000_000  # for measuring rates
-_NORMAL = ("superseded", "pose_jump", "clock_reset")
-"""Reasons that are no fault of the message: a newer one was used, or it was used."""
+_NO_FAULT = ("superseded", "pose_jump", "clock_reset")
+"""Reasons that are no fault: a newer message was used instead, or this message was used."""
 
 
 class _Input:
@@ -25,18 +25,22 @@ class _Input:
 
     Attributes:
         name: the topic in `edge/bus/topics.py`.
-        where: its key, ROS topic or address.
+        where: key, ROS topic or address of the input.
         group: inputs of one group can replace each other.
         needed: True if the robot cannot work without the group.
         expected_hz: configured rate; 0 for topics on events, which are never silent.
         silent_ns: an input without messages for this time is silent.
         came_ns: arrival of the newest message; None: never.
         used_ns: when a message was last used; None: never.
-        warning: warning about messages that are used; `warned_ns`: when it was last set.
+        received: number of messages.
+        warning: warning about messages that are used.
+        warned_ns: when the warning was last set.
         dropped: number of dropped messages by reason.
-        reason: of the drops since a message was used; `detail` likewise.
-        hz: rate over the last window. The current window began at `since_ns` and has `in_window`
-            messages.
+        reason: reason of the drops since a message was last used; "": none was dropped.
+        detail: more about that reason.
+        hz: rate over the last window.
+        since_ns: when the current window began.
+        in_window: number of messages in the current window.
     """
 
     __slots__ = (
@@ -81,7 +85,8 @@ class _Input:
         self.in_window += 1
         self.came_ns = now_ns
 
-    def has_warning(self, now_ns: int) -> str:
+    def current_warning(self, now_ns: int) -> str:
+        """Return the warning, "" if it is old."""
         return self.warning if now_ns - self.warned_ns <= _WINDOW_NS else ""
 
     def state(self, now_ns: int) -> InputState:
@@ -107,7 +112,7 @@ class InputTable:
     ) -> None:
         self._clock = clock
         self._inputs: list[_Input] = []
-        self._called: dict[str, list[_Input]] = {}
+        self._by_name: dict[str, list[_Input]] = {}
         sensors = config.sensors
         lidar_hz = 0.0 if sensors.lidar is None else sensors.lidar.rate_hz
         # Objects are detected in images, whatever the map is made of.
@@ -125,29 +130,29 @@ class InputTable:
         """Add an input."""
         row = _Input(name, group, needed, expected_hz)
         self._inputs.append(row)
-        self._called.setdefault(name, []).append(row)
+        self._by_name.setdefault(name, []).append(row)
 
     def listen(self, name: str, where: str) -> None:
-        """Set the place an input comes from. Drops named by that place then count for it too."""
-        for row in self._called.get(name, ()):
+        """Set where an input comes from; drops reported under that place count for the input."""
+        for row in self._by_name.get(name, ()):
             row.where = where
-            self._called.setdefault(where, []).append(row)
+            self._by_name.setdefault(where, []).append(row)
 
     def where(self, name: str) -> str:
         """Return the place an input comes from; its name if unknown."""
-        return next((row.where for row in self._called.get(name, ())), name)
+        return next((row.where for row in self._by_name.get(name, ())), name)
 
     # -- events, by name or place; those of unknown inputs are ignored ---------------------------
 
     def on_message(self, name: str) -> None:
         """Count a message."""
         now_ns = self._clock()
-        for row in self._called.get(name, ()):
+        for row in self._by_name.get(name, ()):
             row.on_message(now_ns)
 
     def on_used(self, name: str) -> None:
         """Record that a message was used."""
-        for row in self._called.get(name, ()):
+        for row in self._by_name.get(name, ()):
             row.used_ns, row.reason = self._clock(), ""
 
     def dropped(self, name: str, reason: str, detail: str = "") -> None:
@@ -156,16 +161,16 @@ class InputTable:
         For repeated drops with one reason the first detail is kept, so that the text does not
         flicker. The detail of missing transforms is updated, because it changes only with tf.
         """
-        for row in self._called.get(name, ()):
+        for row in self._by_name.get(name, ()):
             row.dropped[reason] = row.dropped.get(reason, 0) + 1
-            if reason not in _NORMAL and (reason != row.reason or reason == "no_transform"):
+            if reason not in _NO_FAULT and (reason != row.reason or reason == "no_transform"):
                 row.reason, row.detail = reason, detail
 
     def warn(self, name: str, doubt: str) -> None:
         """Record a warning about messages that are used. The first of a series is kept."""
         now_ns = self._clock()
-        for row in self._called.get(name, ()):
-            if not row.has_warning(now_ns):
+        for row in self._by_name.get(name, ()):
+            if not row.current_warning(now_ns):
                 row.warning = doubt
             row.warned_ns = now_ns
 
@@ -181,11 +186,11 @@ class InputTable:
         """Return the current table."""
         now_ns = self._clock()
         states = [row.state(now_ns) for row in self._inputs]
-        there = {
+        active = {
             row.group for row, state in zip(self._inputs, states, strict=True) if state != "missing"
         }
         return tuple(
-            _row(row, "unused" if state == "missing" and row.group in there else state, now_ns)
+            _row(row, "unused" if state == "missing" and row.group in active else state, now_ns)
             for row, state in zip(self._inputs, states, strict=True)
         )
 
@@ -194,7 +199,7 @@ def _row(row: _Input, state: InputState, now_ns: int) -> InputStatus:
     came_ns, hz = row.came_ns, row.hz
     if not hz and came_ns is not None and came_ns > row.since_ns:  # still in the first window
         hz = (row.in_window - 1) * 1e9 / (came_ns - row.since_ns)
-    why = row.has_warning(now_ns) if state == "ok" else ""
+    why = row.current_warning(now_ns) if state == "ok" else ""
     if state == "dropped":
         why = f"{row.reason}{row.detail and f' ({row.detail})'}"
     if hz and now_ns - came_ns > max(SILENT_S, 3.0 / hz) * 1e9:

@@ -39,7 +39,7 @@ class CameraInfo:
     """Intrinsics of the images that follow.
 
     Attributes:
-        camera: of the rectified images.
+        camera: intrinsics of the rectified images.
         lens: distortion of the raw images; None: no distortion.
         cut: see `edge.bus.wire.messages.CameraCalibration`.
     """
@@ -57,12 +57,12 @@ class SensorFrame:
     Attributes:
         stamp_ns: time of measurement.
         arrived_ns: time of arrival, on the synchronizer's clock.
-        into: decodes it into an array of its field and returns the number of rows or points;
-            raises ValueError (or `WrongSizeError`) with one line if it is malformed.
+        into: decodes the frame into an array of `field`, and returns the number of rows or points;
+            raises ValueError (or `WrongSizeError`) with one line if the frame is malformed.
         frame_id: the sensor's tf frame, for robots whose mounts move.
-        size: bytes in memory until it is used.
+        size: bytes in memory until the frame is used.
         topic: name under which drops are logged and counted.
-        field: the attribute of `Observation`, and of a pool's slot, that it becomes.
+        field: the attribute of `Observation`, and of a pool's slot, for the decoded frame.
     """
 
     stamp_ns: int

@@ -11,9 +11,10 @@ import numpy as np
 from edge.geometry import SE2, interpolate, se2_of, wrap_angle
 
 RESET_AFTER = 8
-_HASTE = 1.5  # robots exceed their configured speed, downhill or when pushed
-_FEW = 4
-_SPEED_OVER_NS = 100_000_000
+"""Number of stamps in a row after which earlier stamps count as a clock reset."""
+_SPEED_MARGIN = 1.5  # robots exceed their configured speed, downhill or when pushed
+_N_LINEAR = 4  # newest poses that are searched one by one, before bisection
+_SPEED_WINDOW_NS = 100_000_000  # shortest time over which the speed is measured
 _MAX_TURN_RAD = 1.0  # largest jump of yaw
 
 Missing = Literal["", "empty", "too_old", "too_new", "gap"]
@@ -32,7 +33,7 @@ class StampGuard:
 
     Example:
         >>> guard = StampGuard()
-        >>> [guard.judge(stamp_ns) for stamp_ns in (10, 20, 20, 5)]
+        >>> [guard.check(stamp_ns) for stamp_ns in (10, 20, 20, 5)]
         ['ok', 'ok', 'repeated', 'backward']
     """
 
@@ -69,8 +70,8 @@ class StampedPoses:
 
     Args:
         capacity: size of the ring, 2 or more.
-        apart_ns: of transforms closer than this only the newest is kept, so that a flood does not
-            push out transforms that frames still need.
+        apart_ns: of transforms with stamps closer than this, only the newest is kept. So a flood
+            does not push out transforms that frames still need.
     """
 
     def __init__(self, capacity: int, apart_ns: int = 0) -> None:
@@ -79,51 +80,51 @@ class StampedPoses:
         self._apart_ns = apart_ns
         self._stamps_ns, self._ages_ns = [0] * capacity, [0] * capacity
         self._poses = np.zeros((capacity, 4, 4))
-        self._written = 0
-        self._kept = 0
+        self._n_pushed = 0
+        self._n_kept = 0
 
     def __len__(self) -> int:
-        return self._kept
+        return self._n_kept
 
     def clear(self) -> None:
-        self._kept = 0
+        self._n_kept = 0
 
     def push(self, stamp_ns: int, T: np.ndarray, age_ns: int = 0) -> None:
         """Append the newest transform; `age_ns` is the age of its oldest part."""
-        if self._kept > 1 and stamp_ns - self.stamp(1) < self._apart_ns:
-            self._written -= 1
-            self._kept -= 1
-        i = self._written % len(self._stamps_ns)
+        if self._n_kept > 1 and stamp_ns - self.stamp(1) < self._apart_ns:
+            self._n_pushed -= 1
+            self._n_kept -= 1
+        i = self._n_pushed % len(self._stamps_ns)
         self._stamps_ns[i], self._ages_ns[i], self._poses[i] = stamp_ns, age_ns, T
-        self._written += 1
-        self._kept = min(self._kept + 1, len(self._stamps_ns))
+        self._n_pushed += 1
+        self._n_kept = min(self._n_kept + 1, len(self._stamps_ns))
 
     def replace(self, T: np.ndarray) -> None:
         """Replace the newest transform."""
-        self._poses[(self._written - 1) % len(self._stamps_ns)] = T
+        self._poses[(self._n_pushed - 1) % len(self._stamps_ns)] = T
 
     def stamp(self, n: int) -> int:
-        """Return the stamp of the `n`-th newest."""
-        return self._stamps_ns[(self._written - 1 - n) % len(self._stamps_ns)]
+        """Return the stamp of the `n`-th newest transform; 0 is the newest."""
+        return self._stamps_ns[(self._n_pushed - 1 - n) % len(self._stamps_ns)]
 
     def age(self, n: int) -> int:
-        """Return the age of the `n`-th newest's oldest part, in ns."""
-        return self._ages_ns[(self._written - 1 - n) % len(self._stamps_ns)]
+        """Return the age in ns of the oldest part of the `n`-th newest transform."""
+        return self._ages_ns[(self._n_pushed - 1 - n) % len(self._stamps_ns)]
 
     def pose(self, n: int) -> np.ndarray:
-        """Return the `n`-th newest, as a view of the ring."""
-        return self._poses[(self._written - 1 - n) % len(self._stamps_ns)]
+        """Return the `n`-th newest transform, as a view of the ring."""
+        return self._poses[(self._n_pushed - 1 - n) % len(self._stamps_ns)]
 
     def newer_than(self, stamp_ns: int) -> int:
         """Return the number of transforms newer than an instant."""
-        few = min(_FEW, self._kept)
-        for n in range(few):  # the usual case
+        n_linear = min(_N_LINEAR, self._n_kept)
+        for n in range(n_linear):  # the usual case
             if self.stamp(n) <= stamp_ns:
                 return n
-        return bisect_left(range(self._kept), -stamp_ns, few, key=lambda n: -self.stamp(n))
+        return bisect_left(range(self._n_kept), -stamp_ns, n_linear, key=lambda n: -self.stamp(n))
 
     def between(self, n: int, stamp_ns: int) -> np.ndarray:
-        """Interpolate between the `n`-th newest and its successor."""
+        """Interpolate between the `n`-th newest transform and its successor."""
         before_ns = self.stamp(n)
         fraction = (stamp_ns - before_ns) / (self.stamp(n - 1) - before_ns)
         return interpolate(self.pose(n), self.pose(n - 1), fraction)
@@ -134,8 +135,8 @@ class OdometryRing:
 
     Args:
         capacity: size of the ring.
-        max_gap_s: largest gap for interpolation and extrapolation.
-        max_jump_m: distance a pose may move beyond what the robot can drive.
+        max_gap_s: longest time between two poses that is interpolated, or that is extrapolated.
+        max_jump_m: distance that a pose may move beyond what the robot can drive in the time.
         max_speed_mps: top speed of the robot.
         max_turn_radps: top turn rate of the robot.
         apart_ns: see `StampedPoses`.
@@ -183,7 +184,7 @@ class OdometryRing:
         """Append a pose; `age_ns` is the age of the transforms that converted it into `map`.
 
         Returns:
-            "" or what was unusual. `repeated` and `backward` poses are rejected; after
+            "", or a word for what was unusual. `repeated` and `backward` poses are rejected; after
             `clock_reset` the new clock is used; `pose_jump` begins a new epoch.
         """
         self._latest = T_map_base
@@ -202,21 +203,21 @@ class OdometryRing:
         return "" if verdict == "ok" else verdict
 
     def _jumped(self, T_map_base: np.ndarray, elapsed_s: float) -> bool:
-        """Return True if no robot can move from the newest pose to this one in that time."""
+        """Return True if the robot cannot move from the newest pose to this one in that time."""
         last = self._poses.pose(0)
         moved_m = math.dist(T_map_base[:3, 3], last[:3, 3])
         turned_rad = abs(wrap_angle(se2_of(T_map_base).yaw_rad - se2_of(last).yaw_rad))
-        farthest_m = self._max_jump_m + _HASTE * self._max_speed_mps * elapsed_s
-        widest_rad = _MAX_TURN_RAD + _HASTE * self._max_turn_radps * elapsed_s
+        farthest_m = self._max_jump_m + _SPEED_MARGIN * self._max_speed_mps * elapsed_s
+        widest_rad = _MAX_TURN_RAD + _SPEED_MARGIN * self._max_turn_radps * elapsed_s
         return moved_m > farthest_m or turned_rad > widest_rad
 
     def pose_at(self, stamp_ns: int) -> tuple[np.ndarray | None, Missing, int]:
         """Return the pose at an instant, interpolated between its two neighbours.
 
         Returns:
-            (T_map_base, "", age of its transforms) or (None, reason, 0). `too_new` may succeed
-            later. The others never do: `empty`, `too_old` (before the ring begins), `gap` (the
-            neighbours are further apart than the largest gap).
+            (T_map_base, "", age of its transforms in ns) or (None, reason, 0). After `too_new` and
+            `empty` a later call may succeed. `too_old` (the instant is before the ring) and `gap`
+            (the neighbours are further apart than the largest gap) stay.
         """
         poses = self._poses
         if not len(poses):
@@ -243,7 +244,7 @@ class OdometryRing:
         poses, newest_ns = self._poses, self.newest_ns
         if newest_ns is None or not 0 <= stamp_ns - newest_ns <= self._max_gap_ns:
             return None, 0
-        over_ns = max(stamp_ns - newest_ns, _SPEED_OVER_NS)
+        over_ns = max(stamp_ns - newest_ns, _SPEED_WINDOW_NS)
         n = min(poses.newer_than(newest_ns - over_ns), len(poses) - 1)
         since_ns = poses.stamp(n)
         if newest_ns - since_ns < stamp_ns - newest_ns:  # too few poses to extrapolate this far

@@ -44,10 +44,10 @@ from edge.types import Observation
 log = logging.getLogger("edge.sources.played")
 
 _TOPICS = {topic.key: topic for topic in topics.ALL if topic.writer == "sensors"}
-_LONGEST_GAP_NS = 30_000_000_000
+_MAX_GAP_NS = 30_000_000_000  # a longer time without messages is skipped
 _REST_NS = 1_000_000_000  # time after the last message in which frames wait for their poses
 _AHEAD_BYTES = 1 << 26  # limit of messages that are read in advance
-_MOST_AT_ONCE = 256  # messages; between batches the loop handles signals
+_MAX_BATCH = 256  # messages; between batches the loop handles signals
 _ABSENT = "not in the recording"
 
 
@@ -62,7 +62,7 @@ class PlayedSource(PolledSource):
             as the loop runs; no frame is late.
 
     Attributes:
-        is_over: True once all was played.
+        is_over: True once all messages were played.
     """
 
     def __init__(
@@ -71,14 +71,18 @@ class PlayedSource(PolledSource):
         contents, matched = playback.contents, playback.matched
         self._matched, self._rate, self.is_over = matched, rate, False
         self._now_ns = self._last_ns = self._first_ns = contents.first_ns
-        self._played_frames = RobotFrames(_timed(matched.config)) if matched.by_tf else None
-        super().__init__(_timed(config), session, self._played_frames, lambda: self._now_ns)
+        self._played_frames = (
+            RobotFrames(_with_limited_wait(matched.config)) if matched.by_tf else None
+        )
+        super().__init__(
+            _with_limited_wait(config), session, self._played_frames, lambda: self._now_ns
+        )
         inputs = self._synchronizer.inputs
         if matched.by_tf:
             for name in (TF, TF_STATIC):
                 inputs.add(name, TF, needed=True)
                 inputs.listen(name, one_line(matched.topics.get(name, _ABSENT), 80))
-        self._take_static(contents)
+        self._process_static(contents)
         self._names = {topic: name for name, topic in matched.topics.items()}
         self._types = {topic: contents.topics[topic].type for topic in self._names}
         self._messages = playback.bag.by_time(self._names.keys(), contents.sorted_nearly)
@@ -91,11 +95,11 @@ class PlayedSource(PolledSource):
         self._began_ns: int | None = None
         self._skipped_ns = 0
 
-    def _take_static(self, contents: RecordingContents) -> None:
-        """Process all of tf_static at once, as a subscriber gets it."""
+    def _process_static(self, contents: RecordingContents) -> None:
+        """Process all of tf_static at once, as a late subscriber would get it."""
         if self._played_frames is not None:
             for payload in contents.static.get(self._matched.topics.get(TF_STATIC, ""), ()):
-                with suppress(DecodeError):  # it is counted when it is played
+                with suppress(DecodeError):  # counted when the message is played
                     self._played_frames.take(payload, static=True)
 
     def clock(self) -> int:
@@ -122,7 +126,7 @@ class PlayedSource(PolledSource):
         """Return the newest observation; see `edge.loop.source.Source`."""
         if self._rate is not None:
             return super().poll()
-        for _ in range(_MOST_AT_ONCE):
+        for _ in range(_MAX_BATCH):
             observation = self._synchronizer.poll()
             if observation is not None or self.is_over:
                 return observation
@@ -136,10 +140,10 @@ class PlayedSource(PolledSource):
 
     def _drain(self) -> int:
         now_ns, n = self.clock(), 0
-        while self._next is not None and self._next.log_ns <= now_ns and n < _MOST_AT_ONCE:
+        while self._next is not None and self._next.log_ns <= now_ns and n < _MAX_BATCH:
             self._advance()
             n += 1
-        if n < _MOST_AT_ONCE:
+        if n < _MAX_BATCH:
             self._now_ns = max(self._now_ns, now_ns)
             self.is_over = self._next is None and now_ns - self._last_ns > _REST_NS
         return n
@@ -154,15 +158,15 @@ class PlayedSource(PolledSource):
             return
         self._now_ns = self._last_ns = max(self._now_ns, message.log_ns)
         try:
-            self._take(message)
+            self._process(message)
         finally:
             self._next = next(self._messages, None)
-            if self._next is not None and self._next.log_ns - self._now_ns > _LONGEST_GAP_NS:
+            if self._next is not None and self._next.log_ns - self._now_ns > _MAX_GAP_NS:
                 gap_ns = self._next.log_ns - self._now_ns
                 self._skipped_ns += gap_ns
                 log.info("skipping %.0f s without messages in the recording", gap_ns * 1e-9)
 
-    def _take(self, message: RecordedMessage) -> None:
+    def _process(self, message: RecordedMessage) -> None:
         name = self._names[message.topic]
         self._decoder.settle()
         if name not in (TF, TF_STATIC):
@@ -172,11 +176,11 @@ class PlayedSource(PolledSource):
         elif self._played_frames is not None:
             self._take_transforms(name, message.payload, self._played_frames, name == TF_STATIC)
             if self._matched.moving_frame and name == TF:
-                self._take_poses(message.payload)
+                self._process_poses(message.payload)
 
-    def _take_poses(self, payload: bytes) -> None:
+    def _process_poses(self, payload: bytes) -> None:
         """Process poses from tf, for a recording without odometry."""
-        with suppress(DecodeError):  # it is counted already
+        with suppress(DecodeError):  # counted already
             for t in decode_transforms(payload):
                 if t.child == self._matched.moving_frame:
                     self._synchronizer.received(ODOMETRY)
@@ -250,7 +254,7 @@ class Playback:
         contents: contents of the recording.
         matched: the topics that are played.
         needed_topics: our names of the topics that the configuration needs.
-        read_s: duration of the first pass over the file.
+        read_s: duration in seconds of the first pass over the file.
         source: the source, once a service has opened it.
 
     Raises:
@@ -260,12 +264,12 @@ class Playback:
     def __init__(
         self, path: Path, config: Config, rate: float | None, stop: threading.Event | None = None
     ) -> None:
-        self.bag, self._config, self._rate = Bag(path), _timed(config), rate
+        self.bag, self._config, self._rate = Bag(path), _with_limited_wait(config), rate
         self._stop = stop or threading.Event()
         self.source: PlayedSource | None = None
 
     def __enter__(self) -> Playback:
-        began = time.perf_counter()
+        begin_s = time.perf_counter()
         log.info("reading %s", self.bag.path)
         self.bag.__enter__()
         try:
@@ -273,12 +277,12 @@ class Playback:
         except BaseException:
             self.bag.__exit__()
             raise
-        self.read_s = time.perf_counter() - began
-        heard = streams_of(self._config)
+        self.read_s = time.perf_counter() - begin_s
+        used_fields = streams_of(self._config)
         self.needed_topics = [
             topic.key
             for topic in _TOPICS.values()
-            if topic not in KINDS or KINDS[topic].field in heard
+            if topic not in KINDS or KINDS[topic].field in used_fields
         ]
         self.matched = match_topics(self._config, self.contents, self.needed_topics)
         return self
@@ -302,11 +306,11 @@ class Playback:
         The file must be undamaged, and each topic must have the name and type of a bus topic.
         """
         found, matched = self.contents.topics, self.matched
-        alike = (
+        unchanged = (
             topic == f"/{name}" and found[topic].type == full_name(_TOPICS[name].type)
             for name, topic in matched.topics.items()
         )
-        return bool(matched.topics) and not (matched.by_tf or self.bag.notes) and all(alike)
+        return bool(matched.topics) and not (matched.by_tf or self.bag.notes) and all(unchanged)
 
     @property
     def is_over(self) -> bool:
@@ -320,7 +324,7 @@ class Playback:
             RecordingError: one line with what was searched for and what was found.
         """
         if self._lacking():
-            raise self._nothing_played()
+            raise self._no_observation_error()
 
     def opening(self) -> Iterator[str]:
         """Yield lines about the contents of the recording and what of it is played."""
@@ -330,9 +334,9 @@ class Playback:
         yield from self.bag.notes
         yield from self.matched.lines
         used = set(self.matched.topics.values())
-        left = RecordingContents({t: facts for t, facts in found.topics.items() if t not in used})
-        if left.topics:
-            yield f"not used: {left.topic_list()}"
+        unused = RecordingContents({t: facts for t, facts in found.topics.items() if t not in used})
+        if unused.topics:
+            yield f"not used: {unused.topic_list()}"
 
     def outcome(self) -> Iterator[str]:
         """Yield lines about what happened to the messages.
@@ -343,7 +347,7 @@ class Playback:
         rows = () if self.source is None else self.source.input_table()
         n = 0 if self.source is None else self.source.counters["observations"]
         if n == 0:
-            raise self._nothing_played(rows)
+            raise self._no_observation_error(rows)
         table = [("input", "topic", "messages", "dropped")]
         table += [(row.name, row.where, row.received, _dropped(row)) for row in rows]
         yield format_table(table)
@@ -355,7 +359,7 @@ class Playback:
         poses = [ODOMETRY] if self.matched.moving_frame else []
         return list(missing_inputs(self._config, [*self.matched.topics, *poses]))
 
-    def _nothing_played(self, rows: tuple[InputStatus, ...] = ()) -> RecordingError:
+    def _no_observation_error(self, rows: tuple[InputStatus, ...] = ()) -> RecordingError:
         lacks = ", ".join(self._lacking())
         dropped = [f"{row.name} ({row.where}): {_dropped(row)}" for row in rows if row.dropped]
         parts = [
@@ -366,11 +370,11 @@ class Playback:
             *self.bag.notes,
             "set ros2.topics (names of topics) or mapping.input (what the map is made of)",
         ]
-        said = "; ".join(filter(None, parts))
-        return RecordingError(f"{self.bag.path}: it gives no observation: {said}")
+        details = "; ".join(filter(None, parts))
+        return RecordingError(f"{self.bag.path}: it gives no observation: {details}")
 
 
-def _timed(config: Config) -> Config:
+def _with_limited_wait(config: Config) -> Config:
     """Return the configuration of a source that waits for a limited time, not forever."""
     return config.model_copy(update={"loop": config.loop.model_copy(update={"lockstep": False})})
 

@@ -24,10 +24,11 @@ from edge.text import one_line
 from edge.types import Observation
 
 PAUSE_S = 0.0003
+"""Time in seconds between two polls of the rings."""
 
 
 class PolledSource(ABC):
-    """An `edge.loop.source.Source`; subclasses add `_drain` (receive messages) and `_where`.
+    """A source (`edge.loop.source.Source`) whose subclasses receive the messages, in `_drain`.
 
     Args:
         config: the configuration.
@@ -51,9 +52,9 @@ class PolledSource(ABC):
         self._decoder = CdrDecoder(self._synchronizer, clock, frames)
         self._max_bytes = int(config.source.max_message_mb * 1e6)
         self.inbox = GoalStatusInbox(session, config.zenoh)
-        heard = self._synchronizer.streams
+        fields = self._synchronizer.streams
         self._kept = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
-        self._kept |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in heard}
+        self._kept |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in fields}
         """Messages of each topic to buffer between polls; odometry is read first."""
         for topic in self._kept:
             self._synchronizer.inputs.listen(topic.key, self._where(topic))
@@ -112,12 +113,12 @@ class PolledSource(ABC):
         if self._is_too_large(name, payload):
             return
         try:
-            untaken = frames.take(bytes(payload), static)
+            problem = frames.take(bytes(payload), static)
         except DecodeError as error:
             self._synchronizer.count(name, "malformed", one_line(error))
             return
-        if untaken:
-            self._synchronizer.count(name, "malformed", f"{untaken}, cannot be used")
+        if problem:
+            self._synchronizer.count(name, "malformed", f"{problem}, cannot be used")
         else:
             self._synchronizer.inputs.on_used(name)
 

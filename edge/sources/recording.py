@@ -41,11 +41,11 @@ from edge.sources.contents import ODOMETRY, TF, TF_STATIC, missing_inputs
 
 log = logging.getLogger("edge.sources.recording")
 
-_ENDINGS = ("", *COMPRESSED_ENDINGS)
+_ENDINGS = ("", *COMPRESSED_ENDINGS)  # of a recorded topic
 _WITHOUT_HEADER = (f"/{TF}", f"/{TF_STATIC}")
-_RING = 64
-_PAUSE_S = 0.002
-_SYNC_S = 2.0
+_RING = 64  # messages of a topic between two polls
+_PAUSE_S = 0.002  # between two polls
+_SYNC_S = 2.0  # period of writing to the disk
 _TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}
 
 
@@ -94,8 +94,8 @@ def record(
         The number of messages written, by channel.
 
     Raises:
-        RecordingError: the file cannot be written. The messages so far are in `NAME.partial`, as
-            they are if this process is killed.
+        RecordingError: the file cannot be written. The messages so far are in `NAME.partial`. They
+            are there, too, if this process is killed.
     """
     stop = stop or threading.Event()
     taps = _taps(session, config)
@@ -213,6 +213,8 @@ def _stamp_of(channel: Channel, payload: bytes, otherwise_ns: int) -> int:
 
 
 class BusMessage(NamedTuple):
+    """A recorded message of the bus; `log_ns` is the time at which it was recorded."""
+
     topic: Topic
     log_ns: int
     payload: bytes
@@ -239,7 +241,12 @@ def read(path: str | os.PathLike[str]) -> Iterator[BusMessage]:
 
 
 class PlaybackStats(NamedTuple):
-    """Result of a playback: messages sent, and the largest delay of one of them."""
+    """Result of a playback.
+
+    Attributes:
+        messages: number of messages that were sent.
+        max_late_s: largest delay of a message.
+    """
 
     messages: int
     max_late_s: float
@@ -318,7 +325,14 @@ def _restamped(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> byt
 def wait_for_service(
     session: zenoh.Session, settings: ZenohConfig, timeout_s: float, stop: threading.Event
 ) -> bool:
-    """Return True if a service subscribes to odometry within the time (every service does)."""
+    """Return True once a service subscribes to odometry, as every service does; False if none came.
+
+    Args:
+        session: an open session.
+        settings: `zenoh` of the configuration.
+        timeout_s: how long to wait.
+        stop: stops waiting when it is set.
+    """
     deadline_s = time.monotonic() + timeout_s
     publisher = declare_publisher(session, topics.ODOMETRY, settings)
     try:
@@ -334,7 +348,7 @@ def wait_for_service(
 def player(
     config: Config, path: str | os.PathLike[str], rate: float = 1.0, loop: bool = False
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Play a recording in another process, which waits for the service and ends with the block.
+    """Play a recording in another process. It waits for the service, and ends with the block.
 
     Raises:
         RecordingError: no such file (the process reports other errors on stderr).
@@ -344,7 +358,7 @@ def player(
     command = [*python_module("edge.sources.recording"), "play", str(path), f"--rate={rate}"]
     process = subprocess.Popen(command + ["--loop"] * loop, stdin=subprocess.PIPE)
     try:
-        # Not as arguments, which every user of this computer can read.
+        # Not as arguments: every user of this computer can read those.
         with suppress(BrokenPipeError), process.stdin as settings:  # it reports why it failed
             settings.write(config.zenoh.model_dump_json().encode() + b"\n")
         yield process
@@ -372,10 +386,10 @@ def run(args: argparse.Namespace) -> int:
     if not written:
         print(f"nothing received at {config.zenoh.address}: is the service running?")
         return FAILED
-    there = {name for name in SUBSCRIBED if any(f"/{name}{end}" in written for end in _ENDINGS)}
-    if TF in there:  # tf can replace odometry
-        there.add(ODOMETRY)
-    lacks = list(missing_inputs(config, there))
+    received = {name for name in SUBSCRIBED if any(f"/{name}{end}" in written for end in _ENDINGS)}
+    if TF in received:  # tf can replace odometry
+        received.add(ODOMETRY)
+    lacks = list(missing_inputs(config, received))
     if lacks:
         print(f"nothing received from {', '.join(lacks)} (source.kind: {config.source.kind}): no "
               "map can be built from this recording")  # fmt: skip
@@ -394,18 +408,20 @@ def _play_command(args: argparse.Namespace) -> int:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """`python -m edge.sources.recording play FILE`, which `player` runs.
+    """Run `python -m edge.sources.recording play FILE`, which `player` starts.
 
-    A line of standard input is the section `zenoh` of a configuration, as JSON.
+    The first line of standard input is the section `zenoh` of a configuration, as JSON.
     """
     parser = argparse.ArgumentParser(prog="python -m edge.sources.recording")
     commands = parser.add_subparsers(required=True)
-    plays = commands.add_parser("play", help="send a recording as if the sensors were live")
-    plays.add_argument("file")
-    plays.add_argument("--rate", type=float, default=1.0)
-    plays.add_argument("--loop", action="store_true")
-    plays.add_argument("--wait", type=float, default=60.0, help="seconds to wait for the service")
-    plays.set_defaults(handler=_play_command)
+    play_parser = commands.add_parser("play", help="send a recording as if the sensors were live")
+    play_parser.add_argument("file")
+    play_parser.add_argument("--rate", type=float, default=1.0)
+    play_parser.add_argument("--loop", action="store_true")
+    play_parser.add_argument(
+        "--wait", type=float, default=60.0, help="seconds to wait for the service"
+    )
+    play_parser.set_defaults(handler=_play_command)
     args = parser.parse_args(argv)
     try:
         return args.handler(args)

@@ -14,12 +14,12 @@ from edge.sources.messages import DepthImage, Image, SensorFrame
 FISHEYE = "equidistant"
 MODELS = ("plumb_bob", "rational_polynomial", FISHEYE)
 _COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers that OpenCV accepts; missing ones are zero
-_NAMES = {"rect", "rectified"}
-_SAMPLES = 1000
-_OUTSIDE_PX = -10.0
-_MOST_PX = 32_766  # OpenCV's maps have 16 bits
-_OTHERWISE = "if they are rectified already, set source.distortion: ignore"
-_HOW = {Image.field: cv2.INTER_LINEAR, DepthImage.field: cv2.INTER_NEAREST}
+_RECTIFIED_WORDS = {"rect", "rectified"}
+_SAMPLES = 1000  # radii at which the distortion model is tested
+_OUTSIDE_PX = -10.0  # coordinate of pixels without a raw pixel
+_MAX_SIDE_PX = 32_766  # OpenCV's maps have 16 bits
+_ADVICE = "if they are rectified already, set source.distortion: ignore"
+_INTERPOLATIONS = {Image.field: cv2.INTER_LINEAR, DepthImage.field: cv2.INTER_NEAREST}
 
 
 def is_rectified(topic: str) -> bool:
@@ -28,18 +28,18 @@ def is_rectified(topic: str) -> bool:
     >>> is_rectified("/camera/image_rect_color"), is_rectified("/director/image_raw")
     (True, False)
     """
-    return not _NAMES.isdisjoint(re.split("[^a-z0-9]+", topic.lower()))
+    return not _RECTIFIED_WORDS.isdisjoint(re.split("[^a-z0-9]+", topic.lower()))
 
 
 class Rectifier:
-    """Rectifies the images of one camera with maps made at its first image; for one thread.
+    """Rectifies the images of one camera; for one thread. The maps are made at the first image.
 
     Depth uses the nearest pixel, since a mean of near and far is wrong. Pixels outside the raw
     image are 0.
 
     Args:
-        lens: of the raw images.
-        camera: of the rectified images, of the same size.
+        lens: distortion of the raw images.
+        camera: intrinsics of the rectified images, which have the same size.
 
     Raises:
         ValueError: unknown model, wrong number of coefficients, or too large an image.
@@ -48,9 +48,9 @@ class Rectifier:
     def __init__(self, lens: Lens, camera: CameraModel) -> None:
         self._lens, self._d, self._camera = lens, _coefficients(lens), camera
         shape = camera.height_px, camera.width_px
-        if max(shape) > _MOST_PX:
+        if max(shape) > _MAX_SIDE_PX:
             raise ValueError(
-                f"{lens}: an image of {shape[1]}x{shape[0]}, at most {_MOST_PX} a side"
+                f"{lens}: an image of {shape[1]}x{shape[0]}, at most {_MAX_SIDE_PX} a side"
             )
         self._maps: dict[str, tuple[np.ndarray, np.ndarray]] | None = None
         self._raw = {
@@ -65,8 +65,8 @@ class Rectifier:
         if rows:
             if self._maps is None:  # only now: camera info alone must cost no memory
                 self._maps = self._make_maps()
-            maps, how = self._maps[frame.field], _HOW[frame.field]
-            cv2.remap(raw, *maps, how, dst=out, borderMode=cv2.BORDER_CONSTANT)
+            maps, interpolation = self._maps[frame.field], _INTERPOLATIONS[frame.field]
+            cv2.remap(raw, *maps, interpolation, dst=out, borderMode=cv2.BORDER_CONSTANT)
         return rows
 
     def _make_maps(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -123,12 +123,12 @@ def _matrix(camera: CameraModel) -> np.ndarray:
 
 
 class LensPlan(NamedTuple):
-    """The use of a camera's images: rectified or not.
+    """Decision about the images of a camera: rectified or not.
 
     Attributes:
         distortion: see `edge.types.Observation`.
         rectifier: None: no field is rectified.
-        fields: fields to rectify.
+        fields: fields of `Observation` that are rectified.
         log_line: a line for the log; empty without distortion.
     """
 
@@ -158,7 +158,7 @@ def plan_for(
 
     Args:
         lens: distortion; None: none.
-        camera: of the rectified images.
+        camera: intrinsics of the rectified images.
         setting: `source.distortion`.
         rgb_topic: name of the colour topic.
         depth_topic: name of the depth topic; None: no depth is used.
@@ -180,8 +180,8 @@ def plan_for(
     try:
         rectifier = Rectifier(lens, camera)
     except ValueError as error:
-        raise ValueError(f"{error}; {_OTHERWISE}") from None
+        raise ValueError(f"{error}; {_ADVICE}") from None
     kinds, fields = "images are", (Image.field,)
     if depth_topic is not None and not is_rectified(depth_topic):
         kinds, fields = "images and depth are", (Image.field, DepthImage.field)
-    return LensPlan("rectified", rectifier, fields, f"{lens}: {kinds} rectified; {_OTHERWISE}")
+    return LensPlan("rectified", rectifier, fields, f"{lens}: {kinds} rectified; {_ADVICE}")

@@ -57,13 +57,13 @@ class Ros2Source(PolledSource):
         for topic, subscription in self._sensors.items():
             for type_name, payload in subscription.take():
                 n += 1
-                self._take(topic, subscription, type_name, payload)
+                self._offer(topic, subscription, type_name, payload)
         self._decoder.settle()
         every = (*self._transforms.values(), *self._sensors.values())
         self.counters["overrun"] = sum(subscription.overruns for subscription in every)
         return n
 
-    def _take(
+    def _offer(
         self, topic: Topic, subscription: Ros2Subscription, type_name: str, payload: zenoh.ZBytes
     ) -> None:
         if self._is_too_large(topic.key, payload):

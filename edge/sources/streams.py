@@ -10,7 +10,7 @@ from edge.sources.odometry import StampGuard
 KEPT = 4
 """Frames that are kept at any age, and that are buffered between two polls of a topic."""
 MOST = 64
-"""Most frames that are kept, at any size."""
+"""Largest number of frames that are kept, however small they are."""
 
 
 class Stream:
@@ -23,8 +23,8 @@ class Stream:
         most_bytes: limit of all frames together.
 
     Attributes:
-        delay_ns: arrival minus stamp of the newest frame, on two clocks; None before the first.
-            Only differences between streams are meaningful.
+        delay_ns: arrival minus stamp of the newest frame; None before the first. The two times are
+            of different clocks, so only differences between streams are meaningful.
     """
 
     def __init__(self, tolerance_ns: int, required: bool, kept_ns: int, most_bytes: int) -> None:
@@ -36,7 +36,7 @@ class Stream:
         self._bytes = 0
 
     def offer(self, frame: SensorFrame) -> str:
-        """Append a frame; return why it was rejected, or why an older one was dropped, or ""."""
+        """Append a frame; return why it was rejected, why an older frame was dropped, or ""."""
         verdict = self._guard.check(frame.stamp_ns)
         if verdict in ("repeated", "backward"):
             return verdict

@@ -43,10 +43,9 @@ from edge.types import Observation
 
 log = logging.getLogger("edge.sources")
 
-# Time to wait for an optional sensor, on top of its usual delay.
-_SLACK_NS = 50_000_000
-_POSES_APART_NS = 1_000_000
-_LARGEST = 4  # messages of the largest size that one stream may hold
+_EXTRA_WAIT_NS = 50_000_000  # for an optional sensor, on top of its usual delay
+_POSES_APART_NS = 1_000_000  # smallest distance of two poses that are kept
+_MAX_LARGE_MESSAGES = 4  # messages of the largest size that one stream may hold
 _NAMES = {kind.field: kind.topic for kind in (Image, DepthImage, Cloud)}
 
 REASONS = (
@@ -61,11 +60,11 @@ _LIMITS = {
     "pool_exhausted": "source.pool_slots",
     "pose_jump": "source.max_pose_jump_m",
 }
-"""The setting behind each kind of drop."""
+"""Setting that limits what is accepted, by the reason of a drop."""
 
 
 def streams_of(config: Config) -> dict[str, Stream]:
-    """Return the sensors that a configuration uses, by field, the leading one first.
+    """Return the streams of a configuration's sensors, by field, the leading one first.
 
     Raises:
         ConfigError: it needs a cloud but has no `sensors.lidar`.
@@ -75,28 +74,28 @@ def streams_of(config: Config) -> dict[str, Stream]:
     if lidar is None and (cloud_leads or perception.back_projection == "cloud"):
         key = "mapping.input" if cloud_leads else "perception.back_projection"
         raise ConfigError(f"{config.locate(key)}: cloud needs sensors.lidar (where it is mounted)")
-    must = config.loop.lockstep or not cloud_leads
+    needs_images = config.loop.lockstep or not cloud_leads
     half_frame_ns = int(0.5e9 / config.sensors.camera.rate_hz)
     # A frame may come this long before the leading frame, which then waits as long for its pose.
     kept_ns = int(2e9 * config.source.wait_s)
-    most_bytes = int(_LARGEST * 1e6 * config.source.max_message_mb)
+    most_bytes = int(_MAX_LARGE_MESSAGES * 1e6 * config.source.max_message_mb)
     streams = {}
     if cloud_leads or perception.back_projection == "cloud":
-        required = cloud_leads or config.loop.lockstep
-        streams["cloud_m"] = Stream(int(1e9 / lidar.rate_hz), required, kept_ns, most_bytes)
+        needs_cloud = cloud_leads or config.loop.lockstep
+        streams["cloud_m"] = Stream(int(1e9 / lidar.rate_hz), needs_cloud, kept_ns, most_bytes)
     # The simulator's detector takes distances from the depth image.
     if (
         not cloud_leads
         or perception.back_projection == "depth"
         or perception.detector.kind == "sim"
     ):
-        streams["depth_m"] = Stream(half_frame_ns, must, kept_ns, most_bytes)
-    streams["rgb"] = Stream(half_frame_ns, must, kept_ns, most_bytes)
+        streams["depth_m"] = Stream(half_frame_ns, needs_images, kept_ns, most_bytes)
+    streams["rgb"] = Stream(half_frame_ns, needs_images, kept_ns, most_bytes)
     leader = "cloud_m" if cloud_leads else "depth_m"
     return {leader: streams.pop(leader), **streams}
 
 
-def _nearest(leader: SensorFrame, name: str, nearest_ns: int | None) -> str:
+def _describe_nearest(leader: SensorFrame, name: str, nearest_ns: int | None) -> str:
     if nearest_ns is None:
         return f"no {name}"
     ms = (nearest_ns - leader.stamp_ns) / 1e6
@@ -109,7 +108,7 @@ class _Joined(NamedTuple):
     Attributes:
         frames: of all sensors, the leading one first.
         T_map_base: pose at the leading frame's stamp.
-        mounts: fields of `Observation`.
+        mounts: poses of the sensors on the base, by field of `Observation`.
         pose_age_ns: age of the odometry at the frame's stamp; 0: interpolated.
         tf_age_ns: age of the transforms at the frame's stamp.
     """
@@ -122,7 +121,12 @@ class _Joined(NamedTuple):
 
 
 class _Dropped(NamedTuple):
-    """The reason why a leading frame becomes no observation."""
+    """The reason why a leading frame becomes no observation.
+
+    Attributes:
+        reason: one of `REASONS`.
+        why: more about the reason, in one line.
+    """
 
     reason: str
     why: str
@@ -137,9 +141,9 @@ class TimeSynchronizer:
         mount_at: gives mounts that move; None: mounts come from the configuration.
 
     Attributes:
-        counters: `received` messages, `observations` returned, `old_pose` of these (see
-            `Observation.pose_age_ns`), and drops by reason (`REASONS`).
-        inputs: the same for each input, with rates and ages.
+        counters: numbers of messages (`received`), of observations (`observations`), of these with
+            an old pose (`old_pose`, see `Observation.pose_age_ns`), and of drops (`REASONS`).
+        inputs: messages and drops of each input, with rates and ages.
     """
 
     def __init__(
@@ -158,8 +162,8 @@ class TimeSynchronizer:
             config.robot.max_turn_radps,
             max(_POSES_APART_NS, 4 * wait_ns // config.source.odometry_ring),
         )
-        first = ("received", "observations", "old_pose")
-        self.counters: dict[str, int] = dict.fromkeys((*first, *REASONS), 0)
+        totals = ("received", "observations", "old_pose")
+        self.counters: dict[str, int] = dict.fromkeys((*totals, *REASONS), 0)
         self.streams = streams_of(config)
         self._leader, *self._others = self.streams
         self._clock = clock
@@ -176,7 +180,7 @@ class TimeSynchronizer:
         self._seq = 0
         self._logged: set[tuple[str, str]] = set()
         # Some drivers send the end of the range in place of "no return".
-        self._beyond_m = float(np.nextafter(np.float32(config.farthest_depth_m), np.float32(0)))
+        self._max_depth_m = float(np.nextafter(np.float32(config.farthest_depth_m), np.float32(0)))
         camera, lidar = config.sensors.camera, config.sensors.lidar
         self._T_base_camera = camera.T_base_camera()
         self._T_base_lidar = np.eye(4) if lidar is None else lidar.T_base_mount()
@@ -194,8 +198,8 @@ class TimeSynchronizer:
         self.inputs.dropped(topic, reason, detail)
         if reason != "superseded" and (topic, reason) not in self._logged:
             self._logged.add((topic, reason))
-            said = f"({detail}) " if detail else ""
-            log.warning("%s: dropped: %s %s(further ones are only counted)", topic, reason, said)
+            shown = f"({detail}) " if detail else ""
+            log.warning("%s: dropped: %s %s(further ones are only counted)", topic, reason, shown)
 
     def _count_old(self, leader: SensorFrame, joined: _Joined) -> None:
         """Count an observation with an old pose or mount; log the first of its kind."""
@@ -208,12 +212,14 @@ class TimeSynchronizer:
         ):
             if not age_ns:
                 continue
-            late = self._late(leader, topic, self._pose_delay_ns) if topic == "odom" else ""
-            said = f"mapped with {what} {age_ns / 1e6:.0f} ms old{late}"
-            self.inputs.warn(topic, said)
+            late = (
+                self._describe_delay(leader, topic, self._pose_delay_ns) if topic == "odom" else ""
+            )
+            warning = f"mapped with {what} {age_ns / 1e6:.0f} ms old{late}"
+            self.inputs.warn(topic, warning)
             if (topic, "old") not in self._logged:
                 self._logged.add((topic, "old"))
-                log.warning("%s: %s (further ones are only counted)", topic, said)
+                log.warning("%s: %s (further ones are only counted)", topic, warning)
 
     # -- messages in --------------------------------------------------------------------------
 
@@ -227,7 +233,7 @@ class TimeSynchronizer:
                 self._pose_delay_ns = self._pose_came_ns - message.stamp_ns
                 self.inputs.on_used(message.topic)
         elif isinstance(message, CameraInfo):
-            self._describe(message)
+            self._use_camera_info(message)
         elif (stream := self.streams.get(message.field)) is not None:
             reason = stream.offer(message)
             if message.field == Image.field:
@@ -237,7 +243,7 @@ class TimeSynchronizer:
         if reason:
             self.count(message.topic, reason)
 
-    def _describe(self, message: CameraInfo) -> None:
+    def _use_camera_info(self, message: CameraInfo) -> None:
         camera = message.camera
         if message == self._info:
             if self._camera is not None:
@@ -311,7 +317,7 @@ class TimeSynchronizer:
             elif not (since_ns > self._wait_for(stream) or stream.is_past(leader.stamp_ns)):
                 return None
             elif stream.required:
-                return _Dropped("unpaired", self._apart(leader, field))
+                return _Dropped("unpaired", self._describe_distance(leader, field))
         T_map_base, missing, tf_age_ns = self.odometry.pose_at(leader.stamp_ns)
         pose_age_ns = 0
         if missing in ("empty", "too_new"):
@@ -324,7 +330,7 @@ class TimeSynchronizer:
         if T_map_base is None:
             return self._without_pose(leader, missing)
         mounts = {"T_base_camera": self._T_base_camera, "T_base_lidar": self._T_base_lidar}
-        for name, frame_id, stamp_ns in self._moving(frames):
+        for name, frame_id, stamp_ns in self._moving_mounts(frames):
             placed = self._mount_at(frame_id, stamp_ns)
             if placed.T is None:
                 return _Dropped("no_transform", placed.why)
@@ -340,40 +346,42 @@ class TimeSynchronizer:
         late_ns = 0
         if stream.delay_ns is not None:
             late_ns = max(0, stream.delay_ns - self.streams[self._leader].delay_ns)
-        return min(self._wait_ns, late_ns + _SLACK_NS)
+        return min(self._wait_ns, late_ns + _EXTRA_WAIT_NS)
 
-    def _moving(self, frames: list[SensorFrame]) -> list[tuple[str, str, int]]:
+    def _moving_mounts(self, frames: list[SensorFrame]) -> list[tuple[str, str, int]]:
         """Return the moving mounts to look up: field of `Observation`, sensor frame, stamp."""
         if self._mount_at is None:
             return []
         by_field = {frame.field: frame for frame in frames}
-        asked = []
+        lookups = []
         if (cloud := by_field.get(Cloud.field)) is not None:
-            asked.append(("T_base_lidar", cloud.frame_id, cloud.stamp_ns))
+            lookups.append(("T_base_lidar", cloud.frame_id, cloud.stamp_ns))
         # Depth is registered to the colour image: same mount, at the depth's own stamp.
         image = by_field.get(DepthImage.field) or by_field.get(Image.field)
         if image is not None and self._camera_frame:
-            asked.append(("T_base_camera", self._camera_frame, image.stamp_ns))
-        return asked
+            lookups.append(("T_base_camera", self._camera_frame, image.stamp_ns))
+        return lookups
 
     def _without_pose(self, leader: SensorFrame, missing: Missing) -> _Dropped:
         if missing == "gap":
             why = "the poses around it are farther apart than source.max_pose_gap_s"
             return _Dropped("no_pose", why)
         newest_ns, delay_ns = self.odometry.newest_ns, self._pose_delay_ns
-        why = _nearest(leader, Odometry.topic, newest_ns) + self._late(leader, "odom", delay_ns)
+        why = _describe_nearest(leader, Odometry.topic, newest_ns) + self._describe_delay(
+            leader, "odom", delay_ns
+        )
         return _Dropped("stale" if missing == "too_old" else "no_pose", why)
 
-    def _apart(self, leader: SensorFrame, field: str) -> str:
+    def _describe_distance(self, leader: SensorFrame, field: str) -> str:
         """Describe how far the nearest frame of another sensor is, and which of them is late."""
         stream = self.streams[field]
         nearest = stream.nearest(leader.stamp_ns)
         if nearest is None:
-            return _nearest(leader, _NAMES[field], None)
-        said = _nearest(leader, nearest.topic, nearest.stamp_ns)
-        return said + self._late(leader, nearest.topic, stream.delay_ns)
+            return _describe_nearest(leader, _NAMES[field], None)
+        distance = _describe_nearest(leader, nearest.topic, nearest.stamp_ns)
+        return distance + self._describe_delay(leader, nearest.topic, stream.delay_ns)
 
-    def _late(self, leader: SensorFrame, topic: str, delay_ns: int | None) -> str:
+    def _describe_delay(self, leader: SensorFrame, topic: str, delay_ns: int | None) -> str:
         """Describe which of two topics arrives too late, and by how much; "" if neither does."""
         leader_delay_ns = self.streams[self._leader].delay_ns
         if delay_ns is None or leader_delay_ns is None:
@@ -382,8 +390,8 @@ class TimeSynchronizer:
         if abs(late_ns) <= wait_s * 1e9:
             return ""
         late, early = (topic, leader.topic) if late_ns > 0 else (leader.topic, topic)
-        said = f"{late} comes {abs(late_ns) / 1e6:.0f} ms after {early} of its stamp"
-        return f"; {said}, and source.wait_s is {wait_s:g}"
+        delay = f"{late} comes {abs(late_ns) / 1e6:.0f} ms after {early} of its stamp"
+        return f"; {delay}, and source.wait_s is {wait_s:g}"
 
     def _observe(self, leader: SensorFrame, joined: _Joined) -> Observation | None:
         """Decode into a slot of the pool; None (and counted) if that fails."""
@@ -399,7 +407,7 @@ class TimeSynchronizer:
             return None
         fields = None
         try:
-            fields = self._fields(frames, slot)
+            fields = self._decode_fields(frames, slot)
         finally:
             if fields is None:
                 slot.release()
@@ -411,7 +419,7 @@ class TimeSynchronizer:
                 self.inputs.on_used(frame.topic)
         for field in self._others:
             if field not in fields:  # optional: an observation without it is complete, too
-                self.inputs.unpaired(field, self._apart(leader, field))
+                self.inputs.unpaired(field, self._describe_distance(leader, field))
         self._count_old(leader, joined)
         return Observation(
             seq=self._seq - 1,
@@ -432,7 +440,9 @@ class TimeSynchronizer:
             return 0
         return max(self.odometry.newest_ns - leader.stamp_ns, 0)
 
-    def _fields(self, frames: list[SensorFrame], slot: PoolSlot) -> dict[str, np.ndarray] | None:
+    def _decode_fields(
+        self, frames: list[SensorFrame], slot: PoolSlot
+    ) -> dict[str, np.ndarray] | None:
         """Return the observation's arrays by name; None (and counted) if one is missing.
 
         Args:
@@ -474,5 +484,5 @@ class TimeSynchronizer:
             self.count(frame.topic, "empty", _NO_BEAM if isinstance(frame, LaserScanFrame) else "")
             return None
         if isinstance(frame, DepthImage):
-            drop_beyond(out, self._beyond_m)
+            drop_beyond(out, self._max_depth_m)
         return out[:n] if isinstance(frame, Cloud) else out

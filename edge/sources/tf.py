@@ -11,11 +11,11 @@ from edge.geometry import invert
 from edge.sources.messages import TransformLookup
 from edge.sources.odometry import StampedPoses, StampGuard
 
-_DEEPEST = 64
+_MAX_DEPTH = 64  # frames from a leaf to the root
 _KEPT = 128  # transforms of each moving frame
-_RARELY_NS = 500_000_000
-_SAME = TransformLookup(np.eye(4))
-_SAME.T.flags.writeable = False
+_RARELY_NS = 500_000_000  # see `_Edge`; at least this
+_IDENTITY = TransformLookup(np.eye(4))
+_IDENTITY.T.flags.writeable = False
 
 
 class _Edge:
@@ -51,9 +51,9 @@ class _Edge:
         self.T = transform.T
 
     def at(self, stamp_ns: int) -> tuple[np.ndarray, int]:
-        """Return the transform at an instant, and its age then.
+        """Return the transform at an instant, and its age in ns at that instant.
 
-        If the instant is before all transforms, the age is negative: the time to the first one.
+        If the instant is before all transforms, the age is negative: minus the time to the first.
         """
         moves = self._moves
         if moves is None:
@@ -65,10 +65,10 @@ class _Edge:
         if before_ns == stamp_ns:
             return moves.pose(n).copy(), 0
         later = max(n, 1) - 1
-        rarely = moves.stamp(later) - moves.stamp(later + 1) > self._rarely_ns
+        is_step = moves.stamp(later) - moves.stamp(later + 1) > self._rarely_ns
         if n == 0:
-            return moves.pose(0).copy(), 0 if rarely else stamp_ns - before_ns
-        return moves.pose(n).copy() if rarely else moves.between(n, stamp_ns), 0
+            return moves.pose(0).copy(), 0 if is_step else stamp_ns - before_ns
+        return moves.pose(n).copy() if is_step else moves.between(n, stamp_ns), 0
 
 
 class TfBuffer:
@@ -111,7 +111,7 @@ class TfBuffer:
 
     def why_apart(self, target: str, source: str) -> str:
         """Return which transform between two frames is missing; "" if they are connected."""
-        if not set(self._above(target)).isdisjoint(self._above(source)):
+        if not set(self._path_to_root(target)).isdisjoint(self._path_to_root(source)):
             return ""
         known = self._edges.keys() | {edge.parent for edge in self._edges.values()}
         absent = " and ".join(f"'{frame}'" for frame in (source, target) if frame not in known)
@@ -119,10 +119,10 @@ class TfBuffer:
         return f"no transform from '{source}' to '{target}' in tf{tail}"
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> TransformLookup:
-        """Return `T_target_source` at an instant."""
+        """Return `T_target_source` at an instant, or why it is not known."""
         if target == source:
-            return _SAME
-        above_target, above_source = self._above(target), self._above(source)
+            return _IDENTITY
+        above_target, above_source = self._path_to_root(target), self._path_to_root(source)
         meeting = next((frame for frame in above_source if frame in above_target), None)
         if meeting is None:
             return TransformLookup(None, why=self.why_apart(target, source))
@@ -136,24 +136,30 @@ class TfBuffer:
         return TransformLookup(T, max(age_ns, age_target_ns))
 
     def _climb(self, above: list[str], top: str, stamp_ns: int) -> tuple[np.ndarray, int, str]:
-        """Return (`T_top_frame` of the first frame, age of its oldest part, error or "")."""
-        T, oldest_ns, why = _SAME.T, 0, ""
+        """Return (`T_top_first`, age of its oldest part in ns, error or "").
+
+        Args:
+            above: the first frame and its ancestors.
+            top: one of them.
+            stamp_ns: the instant.
+        """
+        T, oldest_ns, why = _IDENTITY.T, 0, ""
         for frame in above:
             if frame == top:
                 break
             edge = self._edges[frame]
             T_parent_frame, age_ns = edge.at(stamp_ns)
             if age_ns < 0:
-                said = f"the first transform from '{frame}' to '{edge.parent}' is"
-                why = why or f"{said} {-age_ns / 1e6:.0f} ms later"
-            T = T_parent_frame if T is _SAME.T else T_parent_frame @ T
+                first = f"the first transform from '{frame}' to '{edge.parent}' is"
+                why = why or f"{first} {-age_ns / 1e6:.0f} ms later"
+            T = T_parent_frame if T is _IDENTITY.T else T_parent_frame @ T
             oldest_ns = max(oldest_ns, age_ns)
         return T, oldest_ns, why
 
-    def _above(self, frame: str) -> list[str]:
+    def _path_to_root(self, frame: str) -> list[str]:
         """Return the frame and all its ancestors."""
         above = [frame]
-        while len(above) < _DEEPEST and (edge := self._edges.get(above[-1])) is not None:
+        while len(above) < _MAX_DEPTH and (edge := self._edges.get(above[-1])) is not None:
             if edge.parent in above:
                 break  # a cycle
             above.append(edge.parent)
@@ -177,19 +183,19 @@ class RobotFrames:
         """Process a tf2_msgs/TFMessage; describe transforms that could not be used, or return "".
 
         Raises:
-            DecodeError: malformed.
+            DecodeError: the message is malformed.
         """
-        untaken = [t for t in decode_transforms(payload) if not self._tf.offer(t, static)]
-        if not untaken:
+        unusable = [t for t in decode_transforms(payload) if not self._tf.offer(t, static)]
+        if not unusable:
             return ""
-        first = untaken[0]
-        return f"{len(untaken)} transforms, the first from '{first.child}' to '{first.parent}'"
+        first = unusable[0]
+        return f"{len(unusable)} transforms, the first from '{first.child}' to '{first.parent}'"
 
     def why_unplaced(self, frame_id: str) -> str:
         """Return why a sensor's mount is unknown, given the frame id of its messages, or ""."""
         frame = frame_id.lstrip("/")
         if not frame:
-            return f"header.frame_id is {_empty(frame_id)}: the driver must name the sensor's frame"
+            return f"header.frame_id is {_shown(frame_id)}: the driver must name the sensor's frame"
         return self._tf.why_apart(self._base, frame)
 
     def mount_at(self, frame_id: str, stamp_ns: int) -> TransformLookup:
@@ -200,14 +206,14 @@ class RobotFrames:
         """Return `T_map_base` at the stamp of odometry, from its own frames through tf."""
         parent, child = odometry.frame_id.lstrip("/"), odometry.child_frame_id.lstrip("/")
         if not parent:
-            said = _empty(odometry.frame_id)
+            shown = _shown(odometry.frame_id)
             return TransformLookup(
-                None, why=f"header.frame_id is {said}: the driver must set it, as odom"
+                None, why=f"header.frame_id is {shown}: the driver must set it, as odom"
             )
         if not child:
-            said = _empty(odometry.child_frame_id)
+            shown = _shown(odometry.child_frame_id)
             fix = f"the driver must set it to the robot's frame, as {self._base}"
-            return TransformLookup(None, why=f"child_frame_id is {said}: {fix}")
+            return TransformLookup(None, why=f"child_frame_id is {shown}: {fix}")
         T_map_odom = self._tf.lookup(self._map, parent, odometry.stamp_ns)
         T_child_base = self._tf.lookup(child, self._base, odometry.stamp_ns)
         if T_map_odom.T is None or T_child_base.T is None:
@@ -216,5 +222,5 @@ class RobotFrames:
         return TransformLookup(T, max(T_map_odom.age_ns, T_child_base.age_ns))
 
 
-def _empty(name: str) -> str:
+def _shown(name: str) -> str:
     return f"'{name}'" if name else "empty"

@@ -18,15 +18,15 @@ from edge.text import read_json
 
 log = logging.getLogger("edge.sources.truth")
 
-_KEPT = 8
+_KEPT = 8  # messages
 _MAX_LABELS_BYTES = 1 << 20
 
 
 class SegmentationInbox:
     """The newest segmentations, by stamp; for the detector's thread.
 
-    It polls only when an image is requested. A full ring is then normal, because not every image is
-    searched.
+    The inbox polls only when an image is requested. A full ring is then normal, because not every
+    image is searched.
     """
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
@@ -36,8 +36,8 @@ class SegmentationInbox:
         self._ids = np.zeros((0, 0), np.uint16)
         self._newest: deque[tuple[int, bytes]] = deque(maxlen=_KEPT)
         key = config.zenoh.key(topics.SEGMENTATION.key)
-        self._arriving = session.declare_subscriber(key, zenoh.handlers.RingChannel(_KEPT))
-        self._described = Ring(session, config.zenoh.key(topics.LABELS.key), 1)
+        self._segmentations = session.declare_subscriber(key, zenoh.handlers.RingChannel(_KEPT))
+        self._label_ring = Ring(session, config.zenoh.key(topics.LABELS.key), 1)
 
     def at(self, stamp_ns: int) -> Segmentation | None:
         """Return the segmentation of the image nearest to an instant; valid until the next call.
@@ -45,7 +45,7 @@ class SegmentationInbox:
         Raises:
             ValueError: the message is malformed; one line.
         """
-        self._take()
+        self._receive()
         nearest = min(self._newest, key=lambda kept: abs(kept[0] - stamp_ns), default=None)
         if nearest is None or abs(nearest[0] - stamp_ns) > self._tolerance_ns:
             return None
@@ -55,14 +55,14 @@ class SegmentationInbox:
         messages.decode_image_into(nearest[1], header, self._ids)
         return Segmentation(self._ids, self._labels)
 
-    def _take(self) -> None:
-        for sample in self._described.take():
+    def _receive(self) -> None:
+        for sample in self._label_ring.take():
             try:
                 self._labels = parse_labels(sample.payload.to_bytes())
             except ValueError as error:
                 log.warning("%s: %s", topics.LABELS.key, error)
         for _ in range(_KEPT):
-            if (sample := self._arriving.try_recv()) is None:
+            if (sample := self._segmentations.try_recv()) is None:
                 break
             if len(sample.payload) > self._max_bytes:
                 continue

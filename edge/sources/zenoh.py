@@ -20,7 +20,7 @@ from edge.sources.polled import PolledSource
 class ZenohSource(PolledSource):
     """Source of the sensors under `zenoh.prefix`."""
 
-    OTHERWISE: ClassVar[tuple[Topic, ...]] = ()
+    NOT_FROM_ZENOH: ClassVar[tuple[Topic, ...]] = ()
     """Topics that a subclass receives in another way."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
@@ -29,7 +29,7 @@ class ZenohSource(PolledSource):
         self._rings = {
             topic: Ring(session, config.zenoh.key(topic.key), n)
             for topic, n in self._kept.items()
-            if topic not in self.OTHERWISE
+            if topic not in self.NOT_FROM_ZENOH
         }
 
     def close(self) -> None:

@@ -6,9 +6,9 @@ Each message has two parts. The header, at most 4 KB of JSON:
      "intrinsics": [fx, fy, cx, cy]}
 
 and the pixels, row by row without padding. `topic` is `camera/rgb` or `camera/depth`. `encoding` is
-one of sensor_msgs/Image (rgb8, bgr8, rgba8, bgra8, mono8; 16UC1 in mm, 32FC1 in m, or both in
-`source.depth_unit_m`; little-endian). `intrinsics`, in pixels, are needed once, and again when they
-change.
+one of sensor_msgs/Image (rgb8, bgr8, rgba8, bgra8, mono8, 16UC1, 32FC1; little-endian). Depth is in
+mm (16UC1) or m (32FC1), unless `source.depth_unit_m` gives another unit. `intrinsics`, in pixels,
+are needed once, and again when they change.
 """
 
 from __future__ import annotations
@@ -44,9 +44,10 @@ if TYPE_CHECKING:
 log = logging.getLogger("edge.sources.zmq")
 
 MAX_HEADER = 4096
-_CHECK_S = 1.0
+"""Longest header in bytes."""
+_CHECK_S = 1.0  # period of checks of the connection
 _FRAME_ID = "camera"
-_MOST_PX = 1e7
+_MAX_PX = 1e7
 _BYTES_PX = {
     "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "16UC1": 2, "32FC1": 4,
 }  # fmt: skip
@@ -59,7 +60,9 @@ class ZmqHeader:
     """The parsed header of a message.
 
     Attributes:
-        camera: None if it has no intrinsics.
+        topic: `camera/rgb` or `camera/depth`.
+        image: size, encoding and stamp of the image.
+        camera: intrinsics; None if the header has none.
     """
 
     topic: str
@@ -73,11 +76,11 @@ def parse_header(data: bytes, n_bytes: int) -> ZmqHeader:
     Raises:
         ValueError: with one line that names the fault.
     """
-    said = read_json_object(data, MAX_HEADER)
-    if unknown := said.keys() - set(_FIELDS):
+    fields = read_json_object(data, MAX_HEADER)
+    if unknown := fields.keys() - set(_FIELDS):
         names = ", ".join(_FIELDS)
         raise ValueError(f"unknown {one_line(min(unknown), 40)!r} (choices: {names})")
-    topic, encoding = said.get("topic"), said.get("encoding")
+    topic, encoding = fields.get("topic"), fields.get("encoding")
     if not isinstance(topic, str) or topic not in _FRAMES:
         raise ValueError(
             f"topic: unknown {bounded_repr(topic, 40)} (choices: {', '.join(_FRAMES)})"
@@ -86,34 +89,36 @@ def parse_header(data: bytes, n_bytes: int) -> ZmqHeader:
         raise ValueError(
             f"encoding: unknown {bounded_repr(encoding, 40)} (choices: {', '.join(_BYTES_PX)})"
         )
-    stamp_ns, height, width = (_whole(said, name) for name in ("stamp", "height", "width"))
+    stamp_ns, height, width = (
+        _non_negative_int(fields, name) for name in ("stamp", "height", "width")
+    )
     step = width * _BYTES_PX[encoding]
     if height * step != n_bytes:
         raise ValueError(f"{width}x{height} {encoding} is {height * step} bytes, got {n_bytes}")
     image = images.ImageHeader(stamp_ns, "", height, width, encoding, step, 0, False)
-    return ZmqHeader(topic, image, _camera(said.get("intrinsics"), width, height))
+    return ZmqHeader(topic, image, _parse_intrinsics(fields.get("intrinsics"), width, height))
 
 
-def _whole(said: dict[str, Any], name: str) -> int:
-    value = said.get(name)
+def _non_negative_int(fields: dict[str, Any], name: str) -> int:
+    value = fields.get(name)
     if type(value) is not int or not 0 <= value < 1 << 63:
         raise ValueError(f"{name}: expected a whole number, got {bounded_repr(value, 40)}")
     return value
 
 
-def _camera(intrinsics: object, width: int, height: int) -> CameraModel | None:
+def _parse_intrinsics(intrinsics: object, width: int, height: int) -> CameraModel | None:
     """Parse intrinsics; raise ValueError if they are neither None nor a camera."""
     if intrinsics is None:
         return None
     is_four = isinstance(intrinsics, list) and len(intrinsics) == 4
-    if not is_four or not all(type(v) in (int, float) and abs(v) <= _MOST_PX for v in intrinsics):
+    if not is_four or not all(type(v) in (int, float) and abs(v) <= _MAX_PX for v in intrinsics):
         raise ValueError(
             f"intrinsics: expected [fx, fy, cx, cy] in px, got {bounded_repr(intrinsics, 40)}"
         )
     return CameraModel(width, height, *map(float, intrinsics))
 
 
-def _into(
+def _decode_checked(
     unit_m: float | None, buffer: memoryview, header: images.ImageHeader, out: np.ndarray
 ) -> int:
     if (header.height, header.width) != out.shape[:2]:
@@ -135,7 +140,7 @@ class ZmqSource(ZenohSource):
             cloud but has no `sensors.lidar`.
     """
 
-    OTHERWISE = (topics.RGB, topics.DEPTH, topics.CAMERA_INFO)
+    NOT_FROM_ZENOH = (topics.RGB, topics.DEPTH, topics.CAMERA_INFO)
 
     def __init__(
         self,
@@ -150,18 +155,18 @@ class ZmqSource(ZenohSource):
         super().__init__(config, session)
         self._check_s = 0.0
         self.check_options(config, address)
-        self._zmq, self._context, self._camera = _socket(config, self._max_bytes)
+        self._zmq, self._context, self._socket = _open_socket(config, self._max_bytes)
         # Connect at the first poll: earlier messages would wait in ZeroMQ's queues.
         self._connected = False
         start_detached_thread("camera-name", _warn_unresolved, address)
-        self._disconnects = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
+        self._disconnects = self._socket.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
         self._disconnect_warned = False
 
     @staticmethod
     def check_options(config: Config, address: str, **options: Any) -> None:
         """Raise an error for invalid options; see `PolledSource.check_options`."""
         ZenohSource.check_options(config)
-        _, context, camera = _socket(config, 0)
+        _, context, camera = _open_socket(config, 0)
         try:
             _connect(config, camera, address)
         finally:
@@ -169,23 +174,23 @@ class ZmqSource(ZenohSource):
 
     def close(self) -> None:
         super().close()
-        self._camera.disable_monitor()
+        self._socket.disable_monitor()
         self._context.destroy(linger=0)
 
     def _where(self, topic: Topic) -> str:
-        return one_line(self._address) if topic in self.OTHERWISE else super()._where(topic)
+        return one_line(self._address) if topic in self.NOT_FROM_ZENOH else super()._where(topic)
 
     def _drain(self) -> int:
         return super()._drain() + self._drain_camera()
 
     def _drain_camera(self) -> int:
-        """Read at most one queue of messages, so that a flood cannot block the loop."""
+        """Read at most `KEPT` messages, so that a flood cannot block the loop; return how many."""
         if not self._connected:
-            self._camera.connect(self._address)
+            self._socket.connect(self._address)
             self._connected = True
         for n in range(KEPT):
             try:
-                parts = self._camera.recv_multipart(self._zmq.NOBLOCK, copy=False)
+                parts = self._socket.recv_multipart(self._zmq.NOBLOCK, copy=False)
             except self._zmq.Again:
                 self._reconnect_if_lost()
                 return n
@@ -208,7 +213,7 @@ class ZmqSource(ZenohSource):
         if header.camera is not None:
             self._synchronizer.inputs.on_message(CameraInfo.topic)
             self._synchronizer.offer(CameraInfo(header.camera))
-        into = partial(_into, self._depth_unit_m, parts[1].buffer, header.image)
+        into = partial(_decode_checked, self._depth_unit_m, parts[1].buffer, header.image)
         frame = _FRAMES[header.topic](
             header.image.stamp_ns, self._clock(), into, size=len(parts[1])
         )
@@ -228,8 +233,8 @@ class ZmqSource(ZenohSource):
         while self._disconnects.poll(0):
             self._disconnects.recv_multipart()
         with suppress(self._zmq.ZMQError):  # it is disconnected already
-            self._camera.disconnect(self._address)
-        self._camera.connect(self._address)
+            self._socket.disconnect(self._address)
+        self._socket.connect(self._address)
         if not self._disconnect_warned:
             self._disconnect_warned = True
             log.warning(
@@ -249,19 +254,19 @@ class ZmqTap:
     def __init__(self, config: Config) -> None:
         address = config.source.options.get("address", "")
         max_bytes = int(config.source.max_message_mb * 1e6)
-        self._zmq, self._context, self._camera = _socket(config, max_bytes)
-        _connect(config, self._camera, address)
+        self._zmq, self._context, self._socket = _open_socket(config, max_bytes)
+        _connect(config, self._socket, address)
         self._warned = False
 
     def take(self) -> Iterator[tuple[Channel, bytes]]:
         """Yield the messages since the last poll."""
         for _ in range(KEPT):
             try:
-                parts = self._camera.recv_multipart(self._zmq.NOBLOCK)
+                parts = self._socket.recv_multipart(self._zmq.NOBLOCK)
             except self._zmq.Again:
                 return
             try:
-                yield from _as_on_the_bus(*parts)
+                yield from _bus_messages(*parts)
             except (ValueError, TypeError) as error:
                 if not self._warned:
                     self._warned = True
@@ -274,7 +279,7 @@ class ZmqTap:
         self._context.destroy(linger=0)
 
 
-def _as_on_the_bus(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]]:
+def _bus_messages(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]]:
     """Convert a message for the bus; raise ValueError if it is malformed."""
     header = parse_header(head, len(pixels))
     image, topic = header.image, _FRAMES[header.topic].topic
@@ -290,7 +295,7 @@ def _as_on_the_bus(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]
     )
 
 
-def _socket(config: Config, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:
+def _open_socket(config: Config, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:
     try:
         import zmq
     except ImportError:
@@ -322,6 +327,6 @@ def _connect(config: Config, camera: zmq.Socket, address: str) -> None:
     try:
         camera.connect(address)
     except Exception as error:  # ZMQError, or others for an address of the wrong type
-        said = f"{one_line(address)}: {one_line(error)}"
+        cause = f"{one_line(address)}: {one_line(error)}"
         where = config.locate("source.options.address")
-        raise ConfigError(f"{where}: {said}; expected one like tcp://127.0.0.1:5555") from None
+        raise ConfigError(f"{where}: {cause}; expected one like tcp://127.0.0.1:5555") from None

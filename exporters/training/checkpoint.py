@@ -45,12 +45,13 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
         kept = torch.load(path, map_location=device, weights_only=True)
     except (OSError, EOFError, RuntimeError, ValueError, pickle.UnpicklingError):
         raise ExportError(
-            f"{path}: cannot be read as a checkpoint; remove it or use another --out"
+            f"{path}: not a readable checkpoint; remove the file, or use another --out"
         ) from None
     missing = [key for key in KEYS if key not in kept]
     if missing:
         raise ExportError(
-            f"{path}: of an older version (has no {', '.join(missing)}); use another --out"
+            f"{path}: a checkpoint of an older version (without {', '.join(missing)}); use "
+            "another --out"
         )
     return kept
 
@@ -68,8 +69,8 @@ def resume(path: Path, run: Run, device: str = "cpu") -> dict[str, Any] | None:
     for key in {**stored, **wanted}:
         if stored.get(key) != wanted.get(key):
             raise ExportError(
-                f"{path}: of another run: {key} was {stored.get(key)} and is {wanted.get(key)}; "
-                "use another --out"
+                f"{path}: the checkpoint of another run: {key} is {stored.get(key)} there and "
+                f"{wanted.get(key)} now; use another --out"
             )
     return kept
 

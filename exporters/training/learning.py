@@ -83,7 +83,7 @@ class Learner:
             for name, part in self._state.items():
                 part.load_state_dict(kept[name])
             self.done, self._trained_s = kept["step"], kept["seconds"]
-            log.info("going on from step %d", self.done)
+            log.info("training continues after step %d of %s", self.done, checkpoint)
         self._started_s = time.monotonic()
 
     def step(self, loss: Tensor, clip: float, share: Callable[[], None] | None = None) -> None:

@@ -152,7 +152,7 @@ def test_a_stopped_client_holds_up_no_other_answer(endpoint, start_viewer, monke
     monkeypatch.setattr(RequestServer, "_send", noted)
     # `exact`, so that the one that is stopped is waited for as long as can be.
     with (
-        open_session(ZenohConfig(endpoint=endpoint), "listen", exact=True) as session,
+        open_session(ZenohConfig(endpoint=endpoint), "listen", keep_zenoh_timeout=True) as session,
         open_session(ZenohConfig(endpoint=endpoint), "connect") as asking,
         ThreadPoolExecutor(1) as pool,
     ):

@@ -225,7 +225,7 @@ def test_equal_new_missions_one_after_the_other_are_one(session, serve, given_te
 
 
 def test_a_flood_of_one_new_mission_leaves_room_for_others(session, serve, monkeypatch):
-    monkeypatch.setattr("edge.bus.request_queue._SAME", 4)
+    monkeypatch.setattr("edge.bus.request_queue._MAX_MERGED", 4)
     preparing = Preparing()
     server = serve(preparing)
     give(server, session, "a")
@@ -385,7 +385,7 @@ def test_requests_that_come_faster_than_they_are_received_are_noticed(session, s
     taken(server).answer({})
     assert (asking.answer, server.overruns) == ({}, 0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("edge.bus.requests._ARRIVED", 8)
+        patch.setattr("edge.bus.requests._RING_QUERIES", 8)
         flooded = RequestServer(Flood(), "edge/flooded", {}, broken)
         eventually(lambda: flooded.overruns >= 3)
         flooded.close()

@@ -180,9 +180,11 @@ def test_an_interpreter_ends_though_nobody_left_its_session(free_endpoint):
 def test_a_message_over_the_limit_is_left_out_and_its_sender_stays(free_endpoint):
     settings = ZenohConfig(endpoint=free_endpoint, shared_memory=False)
     with (
-        # `exact`: who is only slow is not let go.
-        bus.open_session(settings, "listen", exact=True, most_bytes=1_000_000) as service,
-        bus.open_session(settings, "connect", exact=True) as client,
+        # `keep_zenoh_timeout`: who is only slow is not let go.
+        bus.open_session(
+            settings, "listen", keep_zenoh_timeout=True, most_bytes=1_000_000
+        ) as service,
+        bus.open_session(settings, "connect", keep_zenoh_timeout=True) as client,
     ):
         heard = service.declare_subscriber("a/key", zenoh.handlers.RingChannel(8))
         publisher = client.declare_publisher(

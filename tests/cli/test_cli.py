@@ -100,7 +100,9 @@ def fails(capsys, *words: str, code: int) -> str:
 def test_without_the_extra_lab_a_command_that_needs_it_says_so_first(command, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     error = fails(capsys, *command.split(), code=os.EX_UNAVAILABLE)
-    assert error == "matplotlib: not installed; run: pip install 'edge-vln[lab]'"
+    assert error == (
+        "matplotlib: not installed, but needed by this command; run: pip install 'edge-vln[lab]'"
+    )
 
 
 @pytest.mark.parametrize("command", ["run", "demo", "sim", "config", "bench", "doctor"])
@@ -279,7 +281,10 @@ def test_the_demos_page_is_at_one_port_and_stays(
     assert stays == bool(words)
     if served_at == "another port":
         assert port not in (None, usual)
-        assert f"port {usual} is in use, port {port} is used instead" in capsys.readouterr().err
+        assert (
+            f"port {usual} is in use, so the page is served on port {port}"
+            in capsys.readouterr().err
+        )
     else:
         assert port == (usual if served_at == "the usual port" else served_at)
 
@@ -366,11 +371,11 @@ def test_several_old_names_give_several_warnings():
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("replay x.mcap --trace --detect", "--detect: not with --trace or --recover"),
-        ("mission pause demo anna", "--robots: only with --fleet"),
-        ("mission new demo bed --share", "--share: only with --fleet"),
-        ("mission new demo bed --task --fleet", "--task: not with --fleet"),
-        ("replay x.mcap --out y", "--out: only with --trace or --recover"),
+        ("replay x.mcap --trace --detect", "--detect: not allowed with --trace or --recover"),
+        ("mission pause demo anna", "--robots: allowed only with --fleet"),
+        ("mission new demo bed --share", "--share: allowed only with --fleet"),
+        ("mission new demo bed --task --fleet", "--task: not allowed with --fleet"),
+        ("replay x.mcap --out y", "--out: allowed only with --trace or --recover"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(words, told, capsys):

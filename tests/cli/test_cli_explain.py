@@ -72,7 +72,7 @@ def test_all_readings_are_told_and_one_is_chosen():
     first, *listed, last = explained(said, formula=False)
     assert first == f"ambiguous:   it can be read in {len(listed)} ways"
     assert "Reach the sofa, then the bed." in listed[-1]
-    assert last.endswith("(1) is used: it fulfils all the others")
+    assert last.endswith("mission.instruction gets (1), which fulfils all the others")
     lines = explained(said, formula=False, reading=len(listed))
     assert lines[0] == "understood:  Reach the sofa, then the bed."
     assert lines[1 : 2 + len(listed)] == [f"reading:     {len(listed)} of {len(listed)}", *listed]

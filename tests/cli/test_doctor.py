@@ -81,7 +81,10 @@ def test_a_check_that_breaks_is_a_finding(monkeypatch):
 
     monkeypatch.setattr(doctor, "CHECKS", (check_the_weather,))
     (finding,) = doctor.examine(SIM)
-    assert (finding.level, finding.what) == ("fail", "the weather: RuntimeError: two lines")
+    assert (finding.level, finding.what) == (
+        "fail",
+        "check of the weather crashed: RuntimeError: two lines",
+    )
 
 
 @pytest.mark.parametrize(
@@ -100,7 +103,7 @@ def test_how_fast_this_computer_is(cache):
     calibration.save(calibration.SpeedCalibration(machine.identity(), 1.8, {}))
     (known,) = machine_checks.check_speed(SIM)
     assert known == machine_checks.Finding(
-        "ok", f"{machine.identity()}: 1.8 times slower than the reference computer"
+        "ok", f"speed of {machine.identity()}: 1.8 times slower than the reference computer"
     )
 
 
@@ -119,8 +122,9 @@ def test_a_package_that_cannot_be_loaded(monkeypatch):
         (
             ["opencv-python-headless", "opencv-python"],
             [
-                "opencv-python-headless and opencv-python overwrite each other — pip uninstall "
-                "opencv-python-headless opencv-python, then pip install opencv-python-headless"
+                "opencv-python-headless and opencv-python overwrite each other's files — pip "
+                "uninstall opencv-python-headless opencv-python, then pip install "
+                "opencv-python-headless"
             ],
         ),
     ],

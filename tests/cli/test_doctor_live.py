@@ -95,7 +95,12 @@ def heard(monkeypatch) -> Callable[..., list[tuple[str, str]]]:
 
 def test_nothing_that_comes_is_a_failure(heard):
     assert heard(lambda fields: None, ()) == [
-        ("fail", "no observation: no frame has all the inputs that it needs")
+        (
+            "fail",
+            "sensors give no observation: no frame has image, depth or cloud, and pose of "
+            "the same "
+            "time",
+        )
     ]
 
 
@@ -107,12 +112,12 @@ AGO_NS = 3_600_000_000_000
     ("change", "level", "says"),
     [
         (put("depth_m", lambda d: d * 1000), "fail", "cannot be in metres"),
-        (put("depth_m", lambda d: d * 1.5), "warn", "floor: measured at -0.25 m, expected at 0"),
+        (put("depth_m", lambda d: d * 1.5), "warn", "floor: measured at -0.25 m in the base frame"),
         (put("depth_m", np.zeros_like), "fail", "camera/depth: only 0.0% of the pixels"),
         (put("rgb", np.zeros_like), "fail", "camera/rgb: the image has one colour"),
         (put("rgb", lambda a: np.broadcast_to(np.arange(64, dtype=np.uint8)[:, None], a.shape)),
          "fail", "camera/rgb: no pixel has changed"),
-        (put("T_base_camera", lambda T: BODY), "warn", "camera: it looks up or down (z +1.00"),
+        (put("T_base_camera", lambda T: BODY), "warn", "camera: looks up or down (z +1.00"),
         (put("stamp_ns", lambda ns: ns - AGO_NS), "warn", "stamps: frames are 3600.0"),
     ],
     ids=["millimetres", "low floor", "no depth", "covered", "frozen", "body frame", "clock"],

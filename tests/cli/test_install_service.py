@@ -142,7 +142,9 @@ def private(tmp_path, monkeypatch) -> Path:
 
 def test_what_its_user_cannot_read_is_refused_with_what_to_do(private):
     with pytest.raises(
-        UserError, match=r"cannot read it; put it where all users can.*--user"
+        UserError,
+        match=r"cannot be read by the user that systemd creates.*; put it where all "
+        r"users can.*--user",
     ) as caught:
         unit(settings(private), "edge", None)
     assert "\n" not in str(caught.value)
@@ -168,19 +170,19 @@ def test_it_is_said_what_of_this_installation_cannot_be_read(private, monkeypatc
     monkeypatch.setattr(owner, what, link if what == "PACKAGE" else str(link))
     with pytest.raises(UserError, match=says.format(file)) as caught:
         unit(settings("/etc/hostname"), "edge", None)
-    assert f", who cannot enter {private.parent}, " in str(caught.value)
+    assert f", who cannot enter {private.parent}; " in str(caught.value)
     assert "--user" in str(caught.value)
 
 
 def test_what_lies_in_a_folder_that_is_another_to_the_service_is_refused(private, monkeypatch):
     me = pwd.getpwuid(os.getuid()).pw_name
     monkeypatch.setattr(install_service, "_TEMPORARY", (str(private.parent),))
-    with pytest.raises(UserError, match=r"robot.yaml: the service has a private /tmp"):
+    with pytest.raises(UserError, match=r"robot.yaml: the service has its own /tmp"):
         unit(settings(private), "edge", me)
 
 
 def test_a_user_who_is_not_there_is_refused():
-    with pytest.raises(UserError, match=r"^--user: 'no-such-user': no such user on this machine$"):
+    with pytest.raises(UserError, match=r"^--user: no user 'no-such-user' on this machine; "):
         unit(settings(), "edge", "no-such-user")
 
 

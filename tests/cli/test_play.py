@@ -116,7 +116,7 @@ def test_a_bench_of_a_covered_camera_says_so(config, tmp_path):
         for topic, kind, ns, payload in plain()
     ]
     path = write_mcap(tmp_path / "robot.mcap", sent)
-    with pytest.raises(UserError, match=r"20 s: .*camera/rgb: the image has one colour"):
+    with pytest.raises(UserError, match=r"in 20 s, .*camera/rgb: the image has one colour"):
         bench.run_bench(load(config), path, 20.0, threading.Event())
 
 

@@ -103,7 +103,7 @@ def test_a_checkpoint_that_is_not_the_cards_is_not_loaded(weights, tmp_path, cap
     name = NAME.replace("int8-cpu", "fp32")
     assert main([name, "--weights", str(false), "--cache", str(tmp_path)]) == 1
     error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "weights.pt: sha256 is" in error
+    assert "weights.pt: SHA-256 is" in error
     assert "not loaded" in error
     assert not list(tmp_path.glob("*.onnx"))
 
@@ -178,4 +178,4 @@ def test_a_variant_of_the_fp32_that_is_here_needs_no_weights(small, name, capsys
     assert "--weights is missing" in capsys.readouterr().err
     (small / "fp32.onnx").unlink()
     assert run(name, "--vocabulary", str(small / "words.npz")) == 1
-    assert "fp32.onnx: not found; give --weights" in capsys.readouterr().err
+    assert "fp32.onnx: no such file; give --weights" in capsys.readouterr().err

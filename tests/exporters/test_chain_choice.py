@@ -131,13 +131,13 @@ def test_what_cannot_be_quantized_is_one_line(edge, pictures, tmp_path):
     blind = {**card, "name": "blind-fp32", "vision_encoder": None, "embed_tokens": None}
     (models / "blind-fp32.yaml").write_text(yaml.safe_dump(blind))
     for name, precision, why in [
-        ("my-vlm-fp32", "q5", "--precision: 'q5' (choices: fp16, int8, q4, q4f16)"),
+        ("my-vlm-fp32", "q5", "--precision: no precision 'q5' (choices: fp16, int8, q4, q4f16)"),
         (
             "my-vlm-fp32",
             "int8",
-            "my-vlm-int8: another card has this name and is not made from my-vlm",
+            "my-vlm-int8: a card has this name already, and is not made from my-vlm",
         ),
-        ("my-vlm-fp16", "q4", "my-vlm-fp16: is fp16; give an FP32 card"),
+        ("my-vlm-fp16", "q4", "my-vlm-fp16: is fp16; give an FP32 model"),
         ("blind-fp32", "q4", "blind-fp32: has no vision encoder; give an FP32 card"),
     ]:
         words = ("export", "--quantize", name, "--precision", precision, "--calibration", pictures)

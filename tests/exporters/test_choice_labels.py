@@ -105,7 +105,7 @@ def test_the_scene_leads_there_where_a_mark_lies_near_a_shortest_way(row, leads)
 
 @pytest.mark.parametrize("text", ["", "5", "3:3", "a:b", "0:2,", "-3:2", "1:2:3"])
 def test_seeds_that_are_no_ranges_are_refused(text):
-    with pytest.raises(ExportError, match=r"--houses .*: give ranges such as 0:60"):
+    with pytest.raises(ExportError, match=r"--houses: got .*; give ranges such as 0:60"):
         seeds("--houses", text)
 
 

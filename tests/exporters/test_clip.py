@@ -87,7 +87,7 @@ def test_rank_agreement_counts_pairs(reference, candidate, share):
 
 def test_without_inputs_or_a_pair_there_is_nothing_to_say():
     assert np.isnan(rank_agreement(np.ones((1, 3)), np.ones((1, 3))))
-    with pytest.raises(ExportError, match="nothing to compare"):
+    with pytest.raises(ExportError, match="no pictures or texts to compare"):
         compare(np.empty((0, 4)), np.empty((0, 4)))
     with pytest.raises(ExportError, match="candidate's embeddings are zero or not finite"):
         compare(np.ones((1, 4)), np.full((1, 4), np.nan))
@@ -220,12 +220,12 @@ def test_a_folder_that_cannot_be_used_is_one_line(folders, tmp_path, capsys):
     empty.mkdir()
     assert "config.json: cannot be read" in fails(empty)
     (empty / "config.json").write_text('{"model_type": "bert"}')
-    assert "model_type: 'bert' (choices: clip" in fails(empty)
+    assert "model_type 'bert' cannot be exported (choices: clip" in fails(empty)
     (empty / "config.json").write_text('{"model_type": "clip"}')
     assert "no *.safetensors" in fails(empty)
-    assert "use lower-case letters" in fails(folders["clip"], name="My CLIP")
+    assert "use only lower-case letters" in fails(folders["clip"], name="My CLIP")
     assert "--calibration is missing" in fails(folders["clip"], "--precision", "fp16")
-    assert "'int4' is not for towers" in fails(folders["clip"], "--precision", "int4")
+    assert "an image or text encoder has no 'int4'" in fails(folders["clip"], "--precision", "int4")
 
 
 def test_weights_that_are_missing_are_not_left_random(folders, tmp_path, capsys):
@@ -246,15 +246,18 @@ def test_a_tokenizer_of_another_model_is_one_line(folders, tmp_path, capsys, kin
     told = (folder / "tokenizer.json").read_text()
     (folder / "tokenizer.json").write_text(re.sub(r'("a": )\d+', r"\g<1>5000", told))
     assert main(["x", "--weights", str(folder), "--cache", str(tmp_path / "cache")]) == 1
-    assert "tokenizer.json: token 5000, but the model has 10" in capsys.readouterr().err
+    assert (
+        "tokenizer.json: has a token 5000, but the model only tokens 0 to "
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
         ({"size": "large"}, "size: "),
-        ({"size": {"shortest_edge": 40}}, "crop_size: must equal size"),
-        ({"do_center_crop": False}, "do_center_crop: must be true"),
+        ({"size": {"shortest_edge": 40}}, "crop_size must equal size"),
+        ({"do_center_crop": False}, "do_center_crop must be true"),
     ],
 )
 def test_a_preparation_of_images_that_the_service_lacks_is_refused(

@@ -29,7 +29,7 @@ def test_check_sha256(tmp_path: Path):
     empty = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
     assert sha256_of(file) == empty
     check_sha256(file, empty)
-    with pytest.raises(ExportError, match=r"weights\.pt: sha256 is e3b0c44298fc…, expected 0000"):
+    with pytest.raises(ExportError, match=r"weights\.pt: SHA-256 is e3b0c44298fc…, expected 0000"):
         check_sha256(file, "0" * 64)
     with pytest.raises(ExportError, match="cannot be read"):
         sha256_of(tmp_path / "missing.pt")
@@ -95,7 +95,7 @@ def test_check_format(tmp_path: Path):
 
 def test_load_card_lists_the_choices(tmp_path: Path):
     (tmp_path / "small.yaml").write_text("name: small\n")
-    with pytest.raises(ExportError, match=r"no card 'large' \(choices: small\)"):
+    with pytest.raises(ExportError, match=r"no model card 'large' \(choices: small\)"):
         load_card("large", tmp_path)
     with pytest.raises(ModelError, match=r"small\.yaml: task: missing"):
         load_card("small", tmp_path)

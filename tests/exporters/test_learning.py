@@ -58,7 +58,7 @@ def test_a_run_that_stopped_goes_on_as_if_it_had_not_and_another_does_not(tmp_pa
     first, begun = learner_of(tmp_path / "parts.pt")
     steps(first, begun, 4)
     begun.keep()
-    with pytest.raises(ExportError, match=r"of another run: decay was 0\.0 and is 0\.5"):
+    with pytest.raises(ExportError, match=r"of another run: decay is 0\.0 there and 0\.5 now"):
         learner_of(tmp_path / "parts.pt", decay=0.5)
     again, rest = learner_of(tmp_path / "parts.pt")
     assert rest.done == 4

@@ -152,7 +152,7 @@ class FakeModel:
     ("changed", "step", "says"),
     [
         ({}, 10, None),
-        ({}, 9, "step 9 of 10"),
+        ({}, 9, "trained only 9 of 10 steps"),
         ({"ap50": 0.69}, 10, "ap50 0.69 < 0.7"),
         ({"ap50": float("nan")}, 10, "ap50 nan < 0.7"),
         ({"pairs_told_apart": 0.5}, 10, "pairs_told_apart 0.5 < 0.8"),

@@ -146,11 +146,11 @@ def run_of(frames, tmp_path_factory):
     ("plan_change", "change", "says"),
     [
         ({}, {}, None),
-        ({"seed": 1}, {}, "seed was 0 and is 1"),
-        ({"stages": ((3, HW, 2),)}, {}, "stages was "),
-        ({}, {"ranks": 2}, "ranks was 1 and is 2"),
-        ({}, {"frames": 9}, "frames was 8 and is 9"),
-        ({}, {"device": "cuda"}, "device was cpu and is cuda"),
+        ({"seed": 1}, {}, "seed is 0 there and 1 now"),
+        ({"stages": ((3, HW, 2),)}, {}, "stages is "),
+        ({}, {"ranks": 2}, "ranks is 1 there and 2 now"),
+        ({}, {"frames": 9}, "frames is 8 there and 9 now"),
+        ({}, {"device": "cuda"}, "device is cpu there and cuda now"),
     ],
 )
 def test_a_run_does_not_go_on_as_another(run_of, plan_change, change, says):
@@ -167,8 +167,8 @@ def test_a_run_does_not_go_on_as_another(run_of, plan_change, change, says):
 @pytest.mark.parametrize(
     ("kept", "says"),
     [
-        ({"model": {}, "averaged": {}, "step": 5, "seed": 0}, "of an older version .has no plan"),
-        (None, "cannot be read as a checkpoint"),
+        ({"model": {}, "averaged": {}, "step": 5, "seed": 0}, "of an older version .without plan"),
+        (None, "not a readable checkpoint"),
     ],
 )
 def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path, kept, says):
@@ -182,9 +182,9 @@ def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path, kept, says):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--houses", "0"], "--houses 0: give at least 1"),
-        (["--cores", "0"], "--cores 0: give at least 1"),
-        (["--cores", "3"], "--cores 3: give a number that divides the batch of 32"),
+        (["--houses", "0"], "--houses: got 0; give at least 1"),
+        (["--cores", "0"], "--cores: got 0; give at least 1"),
+        (["--cores", "3"], "--cores: got 3; give a number that divides the batch size 32"),
         (["--houses", "1", "--seed", "4"], "use another --out"),
     ],
 )

@@ -78,7 +78,7 @@ def test_the_table_is_the_count_of_the_training_houses():
         (None, "No such file"),
         (b"no gzip", "ot a gzipped file"),
         (gzip.compress(b"{", mtime=0), "line 1: not JSON"),
-        (gzip.compress(b'{"rooms": 3}', mtime=0), "not houses with rooms and objects"),
+        (gzip.compress(b'{"rooms": 3}', mtime=0), "not a file of ProcTHOR houses"),
         (gzip.compress(b"{}" * 100, mtime=0)[:-9], "end-of-stream"),
     ],
 )

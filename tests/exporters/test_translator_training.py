@@ -105,4 +105,4 @@ def test_the_command_leaves_a_file_and_its_card(
     check_file(tmp_path / f"{NAME}.onnx", card)
     assert yaml.safe_load(capsys.readouterr().out) == card.measured
     assert main(["--out", str(tmp_path), "--steps", "0"]) == 1
-    assert "--steps 0: give at least 1" in capsys.readouterr().err
+    assert "--steps: got 0; give at least 1" in capsys.readouterr().err

@@ -304,12 +304,14 @@ def test_what_cannot_be_made_is_one_line(folders, tmp_path, capsys):
         assert not list((tmp_path / "cache").glob("*.yaml"))
         return capsys.readouterr().err.strip().splitlines()[-1]
 
-    assert ": `edge models export x-fp32 --quantize --precision P" in fails("--precision", "q4")
+    assert "then run `edge models export x-fp32 --quantize --precision P" in fails(
+        "--precision", "q4"
+    )
 
 
 def test_a_vocabulary_without_letters_is_an_error(folders, tmp_path):
     told = json.loads((folders["idefics3"] / "tokenizer.json").read_text())
     del told["model"]["vocab"]["C"]
     (tmp_path / "tokenizer.json").write_text(json.dumps(told))
-    with pytest.raises(ExportError, match="no token for 'C'"):
+    with pytest.raises(ExportError, match="no token for the letter 'C'"):
         questions(tmp_path, 5)

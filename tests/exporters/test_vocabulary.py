@@ -51,7 +51,7 @@ def test_every_word_has_its_row_and_the_first_table_wins(detic, tmp_path):
     [
         (TABLES[0][0], b"[{}]", "KeyError('id')"),
         (TABLES[1][0], b"1,Sofa\n", "IndexError"),
-        (TABLES[1][0], b"1,Sofa,Sofa\n", "(2, 512), must be (1, 512) by"),
+        (TABLES[1][0], b"1,Sofa,Sofa\n", "shape (2, 512), expected (1, 512) as in"),
         (TABLES[2][0], b"categories = [open('x')]", "ValueError"),
         (TABLES[2][0], b"categories = (", "SyntaxError"),
         (TABLES[2][0], b"", "KeyError('categories')"),

@@ -111,7 +111,7 @@ def targets(*robots: FakeRobot) -> set[str]:
 
 def test_nobody_is_there(port, capsys):
     assert main(["fleet", "list", f"tcp/127.0.0.1:{port}"]) == 0
-    assert capsys.readouterr().out == "no robot found (at robots/*)\n"
+    assert capsys.readouterr().out == "no robot found (Zenoh keys robots/*)\n"
     assert main(["mission", "pause", "--fleet", f"tcp/127.0.0.1:{port}"]) == 69
 
 
@@ -136,7 +136,7 @@ def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
     assert not anna.mission.paused
     code, said = fleet("cancel", "carl", "anna")
     assert (code, anna.mission.done) == (69, False)
-    assert "fleet: no robot 'carl' (there are: anna, bob)" in said
+    assert "fleet: no robot 'carl' is online (choices: anna, bob)" in said
     assert fleet("cancel", "anna")[0] == 0
     assert anna.mission.reason == "cancelled"
     (shown,) = [line for line in fleet("list")[1].splitlines() if line.startswith("anna ")]

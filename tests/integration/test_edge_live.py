@@ -38,7 +38,7 @@ def test_the_demo_is_watched_and_commanded_from_its_page(edge, tmp_path):
         tab.click("#cancel")
         tab.says("#cancel", "Really?")
         tab.click("#cancel")
-        demo.says(f"failed; the live view {url} stays open until Ctrl-C")
+        demo.says(f"mission failed; the live view stays open until Ctrl-C: {url}")
         tab.says("#phase", "FAILED")
         assert demo.stop(signal.SIGINT) == 1, demo.output
         tab.says("#banner", "does not answer: last seen")

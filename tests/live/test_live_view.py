@@ -69,7 +69,7 @@ def full() -> dict:
 
 
 def test_before_the_service_is_there_the_page_is_and_says_what_it_waits_for(view):
-    view._vitals.starting("compiling")
+    view._health.starting("compiling")
     now = told(view, "/live/now")
     assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}
     assert (now["moment"], now["shot"], now["silent_s"]) == (None, None, None)

@@ -120,7 +120,7 @@ class Bench:
         """Wait until the shedder has read this of the board."""
         self.board = board
         self.shedder._board._rest_s = 0.0
-        return self.until(lambda: self.shedder._seen is board)
+        return self.until(lambda: self.shedder._reading is board)
 
     def close(self) -> None:
         self.shedder.close()

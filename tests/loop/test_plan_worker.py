@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from task_scenes import STREET, Thing, street
 
-from edge.loop.behaviours.plan_worker import AGAIN_M, _found_again
+from edge.loop.behaviours.plan_worker import SAME_OBJECT_M, _found_again
 
 
 @pytest.mark.parametrize(
@@ -17,7 +17,7 @@ from edge.loop.behaviours.plan_worker import AGAIN_M, _found_again
         (STREET, (2, "car"), 2),
         (STREET, (9, "bench"), None),
         ((Thing("van", 2.0, 0.0), Thing("car", 3.0, 0.0), Thing("car", 9.0, 0.0)), (9, "car"), 2),
-        ((Thing("car", AGAIN_M + 0.1, 0.0),), (9, "car"), None),
+        ((Thing("car", SAME_OBJECT_M + 0.1, 0.0),), (9, "car"), None),
     ],
     ids=["nothing", "by its number", "no such thing", "by its label", "too far off"],
 )

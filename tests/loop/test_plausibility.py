@@ -326,8 +326,8 @@ def test_a_fault_is_told_once_it_lasts_and_again_only_after_a_while():
     assert judge.stage.why("stand").startswith("camera/depth: only 0.0%")
     judge.see(after_ns=LASTS_NS, **bad)
     line = (
-        "camera/depth: only 0.0% of the pixels have a value: uncover the camera, restart its "
-        "driver, or correct the depth's unit"
+        "camera/depth: only 0.0% of the pixels have a value: uncover the camera, restart the "
+        "camera driver, or correct the depth's unit"
     )
     assert judge.said == [(line, logging.WARNING)]
     judge.see(**room())

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from edge.config import MissionConfig, TranslatorAuto, TranslatorLtl
 from edge.lab.eval.everyday import SITE, everyday_cases, score_everyday
+from edge.mission.language.remarks import is_remark
 from edge.mission.language.said import (
     Control,
     MemoryQuestion,
@@ -23,7 +24,7 @@ from edge.mission.language.tidy import tidied
 from edge.mission.language.tokens import TranslationError
 from edge.mission.spec import prepare, translate
 
-EVERYDAY = {"everyday": 150, "everyday_b": 149, "everyday_c": 139}
+EVERYDAY = {"everyday": 150, "everyday_b": 149, "everyday_c": 140, "everyday_d": 150}
 """Name of a file of 150 sentences → least number that must be right."""
 NAMES = [item.name for item in SITE.items]
 
@@ -63,6 +64,21 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("There is a mug in the office?", MemoryQuestion("exists", "mug", "office")),
         ("Any sign of the blue toolbox?", MemoryQuestion("exists", "blue toolbox")),
         ("Which room has the piano in it?", MemoryQuestion("where", "piano")),
+        ("where is the where is my wallet", MemoryQuestion("where", "wallet")),
+        ("Where is it my phone?", MemoryQuestion("where", "phone")),
+        ("I'm hungry. Where is the fridge?", MemoryQuestion("where", "fridge")),
+        ("Did you see a stretcher on your way?", MemoryQuestion("exists", "stretcher")),
+        ("Any boxes left on the shelf?", MemoryQuestion("exists", "boxes on the shelf")),
+        (
+            "Is the mug on the table in the office?",
+            MemoryQuestion("exists", "mug on the table", "office"),
+        ),
+        ("My keys, are they under the bed?", MemoryQuestion("exists", "keys under the bed")),
+        ("The mug is still on the desk?", MemoryQuestion("exists", "mug on the desk")),
+        (
+            "When you came past, was there a bed in the hall?",
+            MemoryQuestion("exists", "bed", "hall"),
+        ),
         # Orders to learn.
         ("Remember this as the dock.", SiteOrder("place", "dock")),
         ("Call this place the reading corner.", SiteOrder("place", "reading corner")),
@@ -81,6 +97,8 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("The kitchen is clean, do not go into the hall.", SiteOrder("keep_out", "hall")),
         ("In the bathroom you may not go.", SiteOrder("keep_out", "bathroom")),
         ("I've finished in the bathroom, so you can go in again.", SiteOrder("open", "bathroom")),
+        ("It is forbidden for you to enter in the hall, always.", SiteOrder("keep_out", "hall")),
+        ("I don't want you going into the hall, not ever.", SiteOrder("keep_out", "hall")),
         ("Here is the tea corner, please to memorize.", SiteOrder("place", "tea corner")),
         # Control.
         ("Stop!", Control("pause")),
@@ -95,6 +113,9 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("Hold up, forklift coming!", Control("pause")),
         ("Pause your round for five minutes.", Control("pause", 300.0)),
         ("You can move now.", Control("resume")),
+        ("Oh, stop, stop please, that's quite enough.", Control("pause")),
+        ("Wait there for ten minutes, will you, while I eat.", Control("pause", 600.0)),
+        ("Cancel that, I found it.", Control("cancel")),
     ],
 )
 def test_what_is_no_mission(said, found):
@@ -145,6 +166,14 @@ def test_several_things_at_once_are_refused(said):
         ("Track down a mug, will ya.", "Track down a mug", ()),
         ("go to, like, the bed, like a guard", "go to, the bed", ()),
         ("find a little robot", "find a little robot", ()),
+        ("find the red find the red mug", "find the red mug", ()),
+        ("come come here, dear, to me", "come here, to me", ()),
+        ("go to the hall the bed the hall the bed", "go to the hall the bed the hall the bed", ()),
+        ("Go round so you know your way.", "Go round", ("so you know your way",)),
+        ("Let's play, go to the bed", "go to the bed", ("let us play",)),
+        ("Go to the bed, there's lava in the hall", "Go to the bed",
+         ("there is lava in the hall",)),
+        ("There is a mug, find it", "There is a mug, find it", ()),
         ("find the mug, it is the red one", "find the mug, it is the red one", ()),
         ("landmark one is first, landmark two is second",
          "landmark one is first, landmark two is second", ()),
@@ -154,6 +183,41 @@ def test_several_things_at_once_are_refused(said):
 def test_speech_is_tidied(said, text, reasons):
     speech = tidied(said)
     assert (speech.restored(speech.text), speech.reasons) == (text, reasons)
+
+
+@pytest.mark.parametrize(
+    "clause",
+    [
+        "I do not want you there", "we visit the sofa", "I have locked the sofa",
+        "there is no way through the sofa", "we are skipping the sofa", "there is also the sofa",
+        "I start with the sofa", "the sofa is second", "I do not care which", "he said the sofa",
+        "they are on the sofa", "I heard a noise go to the sofa", "I was wrong", "never the sofa",
+    ],
+)  # fmt: skip
+def test_a_clause_that_may_direct_the_robot_is_no_remark(clause):
+    assert not is_remark(clause)
+    assert tidied(f"Go to the bed and the sink, {clause}").reasons == ()
+
+
+@pytest.mark.parametrize("remark", ["I heard the dog", "the hall is wet", "there is a mess"])
+@pytest.mark.parametrize(("ban", "name"), [("the sofa", "sofa"), ("room 3", '"room three"')])
+def test_a_ban_is_kept_next_to_a_remark(ban, name, remark):
+    found = translate(MissionConfig(), f"Go to the bed, don't enter {ban}, {remark}.", SITE)
+    assert str(found.formula) == f"F bed & G !{name}"
+    assert remark in found.english
+
+
+@pytest.mark.parametrize(
+    "ban", ["do not do not enter", "don't uh don't enter", "never never enter"]
+)
+def test_a_negation_that_is_said_again_stays_one(ban):
+    found = translate(MissionConfig(), f"Go to the bed, {ban} the kitchen.", SITE)
+    assert str(found.formula) == "F bed & G !kitchen"
+
+
+def test_a_remark_about_a_target_is_asked_about():
+    with pytest.raises(TranslationError, match="says more about 'sofa'"):
+        translate(MissionConfig(), "Go to the bed, don't go near the sofa, I heard the sofa.", SITE)
 
 
 def test_a_correction_of_nothing_is_refused():

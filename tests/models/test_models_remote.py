@@ -80,5 +80,5 @@ def test_the_doctor_looks_whether_anything_listens(far, there):
     with serving(KServe(model)) as server:
         far(server.url if there else "http://127.0.0.1:1")
         (found,) = [f for f in doctor.check_models(simulated()) if "model far" in f.what]
-    wanted = ("ok", "something listens at") if there else ("warn", "nothing listens at")
+    wanted = ("ok", "a server listens at") if there else ("warn", "no server listens at")
     assert (found.level, wanted[1] in found.what) == (wanted[0], True)

@@ -289,7 +289,7 @@ def test_recoveries_are_told(make, nav2, answers):
 
 
 def test_a_lost_result_is_asked_for_again(make, nav2, answers, monkeypatch):
-    monkeypatch.setattr(navigate, "AGAIN_S", 0.0)
+    monkeypatch.setattr(navigate, "RETRY_S", 0.0)
     make().tick(driving(1))
     goal_id = first_goal(nav2)
     nav2.lose(goal_id)
@@ -310,7 +310,7 @@ def test_the_status_tells_what_the_result_does_not(make, nav2, answers, monkeypa
 
 @pytest.mark.parametrize("dialect", [RMW_ZENOH, BRIDGE])
 def test_a_nav2_that_dies_has_failed_the_goal(make, theirs, answers, monkeypatch, dialect):
-    monkeypatch.setattr(navigate, "AGAIN_S", 0.0)
+    monkeypatch.setattr(navigate, "RETRY_S", 0.0)
     monkeypatch.setattr(navigate, "GONE_S", 0.0)
     nav2 = Nav2(theirs, dialect=dialect)
     make(via="rmw_zenoh" if dialect.has_tokens else "bridge").tick(driving(1))
@@ -323,7 +323,7 @@ def test_a_nav2_that_dies_has_failed_the_goal(make, theirs, answers, monkeypatch
 def test_what_is_no_answer_is_counted_and_asked_for_again(
     make, nav2, answers, theirs, caplog, monkeypatch
 ):
-    monkeypatch.setattr(navigate, "AGAIN_S", 0.0)
+    monkeypatch.setattr(navigate, "RETRY_S", 0.0)
     nav2.junk = 2
     make().tick(driving(1))
     eventually(lambda: len(nav2.goals) == 3)

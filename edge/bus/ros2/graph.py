@@ -10,7 +10,7 @@ from edge.bus.ros2.names import NO_HASH, Endpoint, Kind, every_token, known_hash
 
 log = logging.getLogger("edge.bus.ros2")
 
-_MOST = 8192
+_MAX_TOKENS = 8192
 
 
 class Graph:
@@ -27,27 +27,27 @@ class Graph:
         self._hashes: dict[str, str] = {}
         self._warned = False
         self._tokens = session.liveliness().declare_subscriber(
-            every_token(domain), zenoh.handlers.RingChannel(_MOST), history=True
+            every_token(domain), zenoh.handlers.RingChannel(_MAX_TOKENS), history=True
         )
 
     def update(self) -> bool:
         """Process the tokens since the last poll; return True if any endpoint changed."""
         changes = 0
-        while changes < _MOST and (sample := self._tokens.try_recv()) is not None:
+        while changes < _MAX_TOKENS and (sample := self._tokens.try_recv()) is not None:
             changes += 1
-            self._take(str(sample.key_expr), sample.kind == zenoh.SampleKind.DELETE)
+            self._apply(str(sample.key_expr), sample.kind == zenoh.SampleKind.DELETE)
         if changes == 0:
             return False
-        if changes == _MOST and not self._warned:
+        if changes == _MAX_TOKENS and not self._warned:
             self._warned = True
-            log.warning("ros2: more than %d endpoints: some are ignored", _MOST)
+            log.warning("ros2: more than %d endpoints: some are ignored", _MAX_TOKENS)
         self._index()
         return True
 
-    def _take(self, key: str, is_gone: bool) -> None:
+    def _apply(self, key: str, is_gone: bool) -> None:
         if is_gone:
             self._by_id.pop(key, None)
-        elif len(self._by_id) < _MOST:
+        elif len(self._by_id) < _MAX_TOKENS:
             endpoint = parse_token(key)
             if endpoint is not None and endpoint.zid != self._zid:
                 self._by_id[key] = endpoint

@@ -1,9 +1,8 @@
 """Naming schemes of a ROS 2 graph over Zenoh: rmw_zenoh and zenoh-bridge-ros2dds.
 
 rmw_zenoh has keys with types, liveliness tokens, attachments and type hashes. The bridge uses plain
-topic names. Sources: rmw_zenoh's docs/design.md,
-`liveliness_utils.cpp`, `attachment_helpers.cpp`; zenoh-plugin-ros2dds' `route_publisher.rs`,
-`route_service_srv.rs`.
+topic names. Sources: rmw_zenoh's docs/design.md, `liveliness_utils.cpp`,
+`attachment_helpers.cpp`; zenoh-plugin-ros2dds' `route_publisher.rs`, `route_service_srv.rs`.
 """
 
 from __future__ import annotations
@@ -63,13 +62,14 @@ Kind = Literal["NN", "MP", "MS", "SS", "SC"]
 KINDS: tuple[Kind, ...] = ("NN", "MP", "MS", "SS", "SC")
 
 RELIABLE, BEST_EFFORT, LATCHED = "::,10:,:,:,,", "2::,5:,:,:,,", ":1:,1:,:,:,,"
-"""Quality of service in a token, reliability:durability:history,depth:…
+"""Quality of service in a token: reliability:durability:history,depth:…
 
 A latched topic is transient local: a late subscriber gets the last message.
 """
 
+# Sequence number, time in ns, length of the endpoint's id, the id.
 _ATTACHMENT = struct.Struct("<qqB16s")
-_LONGEST = 1000
+_MAX_TOKEN_CHARS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +193,7 @@ def every_token(domain: int) -> str:
 def parse_token(key: str) -> Endpoint | None:
     """Parse an endpoint's token; None for a node's token and for anything else."""
     parts = key.split("/")
-    if len(parts) != 13 or parts[0] != "@ros2_lv" or len(key) > _LONGEST:
+    if len(parts) != 13 or parts[0] != "@ros2_lv" or len(key) > _MAX_TOKEN_CHARS:
         return None
     _, _, zid, _, _, kind, _, namespace, node, topic, dds, type_hash, _ = parts
     type_name = ros_name(dds)

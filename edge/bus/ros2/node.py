@@ -24,7 +24,7 @@ from edge.bus.session import Ring
 from edge.config import Config
 
 _IDS = itertools.count()  # of nodes and endpoints, in this process
-_POLL_S = 0.2
+_POLL_S = 0.2  # period of updates
 
 
 class Ros2Node:
@@ -33,7 +33,7 @@ class Ros2Node:
     Args:
         session: an open session.
         domain: ROS 2 domain id.
-        name: in the root namespace.
+        name: name of the node, in the root namespace.
         dialect: the naming scheme of the graph.
 
     Attributes:
@@ -134,8 +134,8 @@ class _Declared:
         if node.graph is None:
             self.declare()
             return
-        said = Endpoint(self._kind, node.zid, node.name, self.topic, self.type, self.hash)
-        token = names.endpoint_token(node.domain, node.nid, self._eid, said, self._qos)
+        endpoint = Endpoint(self._kind, node.zid, node.name, self.topic, self.type, self.hash)
+        token = names.endpoint_token(node.domain, node.nid, self._eid, endpoint, self._qos)
         self._gid = hashlib.blake2b(token.encode(), digest_size=16).digest()
         self._sequence = 0
         self.declare()
@@ -176,7 +176,7 @@ class Ros2Publisher(_Declared):
         topic: topic with a leading slash.
         type_name: ROS 2 name.
         latched: transient local: a late subscriber gets the last message. The bridge and the
-            adapter keep that message themselves; they get it when they subscribe.
+            adapter get it when they subscribe, and then keep it for late subscribers.
     """
 
     def __init__(self, node: Ros2Node, topic: str, type_name: str, latched: bool) -> None:
@@ -257,8 +257,8 @@ class Ros2Subscription(_Declared):
     def take(self) -> list[tuple[str, zenoh.ZBytes]]:
         """Return (type, payload) of the messages since the last poll, oldest first.
 
-        The type comes from the key and may be one that was not asked for. Without types in keys it
-        is the announced type.
+        The type comes from the key and may be a type that was not asked for. If keys have no types,
+        the announced type is returned.
         """
         samples = self._ring.take()
         if self.node.graph is None:
@@ -299,7 +299,7 @@ class Ros2Client(_Declared):
         return self.node.graph is None or bool(self.node.others("SS", self.topic))
 
     def call(self, payload: bytes) -> PendingReply:
-        """Send a request. The answer is over at once if the type's hash is unknown."""
+        """Send a request. If the type's hash is unknown, the returned reply is `done`."""
         if self._querier is None:
             return PendingReply(None)
         # Not a ring: it loses its last replies when the other side finishes.
@@ -328,7 +328,8 @@ class PendingReply:
     """The pending answer of a service to one request.
 
     Attributes:
-        done: True if no more will come: the answer was polled, is an error, or never came.
+        done: True if there is nothing more to poll: the answer was returned, is an error, or did
+            not come in time.
     """
 
     def __init__(self, replies: Any) -> None:

@@ -27,7 +27,7 @@ from edge.host.periodic import run_periodically
 
 STRING = "std_msgs/msg/String"
 POLL_S = 0.05
-_KEPT = 16
+_RING_MESSAGES = 16
 _MAX_REF_CHARS = 100
 _KEYS = {key.removesuffix("/request"): key for key in topics.REQUESTS}
 
@@ -50,12 +50,12 @@ class Ros2RequestServer:
         queues: Mapping[str, RequestQueue],
     ) -> None:
         self._node, self._queues = node, queues
-        self._requests = node.subscription(request_topic, (STRING,), _KEPT)
+        self._requests = node.subscription(request_topic, (STRING,), _RING_MESSAGES)
         self._answers = node.publisher(answer_topic, STRING)
         self._pending: queue.SimpleQueue[tuple[dict[str, Any], bytes]] = queue.SimpleQueue()
 
     def poll(self) -> None:
-        """Pass on what came; one thread must call this every `POLL_S`."""
+        """Pass on requests and publish answers; one thread must call this every `POLL_S`."""
         self._node.update()
         for _, payload in self._requests.take():
             self._receive(payload)
@@ -73,11 +73,11 @@ class Ros2RequestServer:
         try:
             request = _request_of(payload)
             label |= {name: request.pop(name) for name in ("to", "ref") if name in request}
-            queue_of = self._queue_of(label.get("to"))
+            accept = self._queue_of(label.get("to"))
         except ValueError as error:
             reply(error_of(str(error)), True)
         else:
-            queue_of(json.dumps(request).encode(), reply)
+            accept(json.dumps(request).encode(), reply)
 
     def _queue_of(self, to: object) -> Callable[..., None]:
         if not isinstance(to, str) or to not in _KEYS:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 HEADER = b"\x00\x01\x00\x00"
 
+# Layouts without padding: numbers, and a time in seconds and nanoseconds.
 U8 = struct.Struct("<B")
 U32 = struct.Struct("<I")
 STAMP = struct.Struct("<iI")
@@ -34,7 +35,7 @@ class CdrReader:
         self.at = len(HEADER)
         self._size = len(payload)
 
-    def _take(self, size: int, align: int) -> int:
+    def _advance(self, size: int, align: int) -> int:
         """Return the offset of the next `size` bytes and skip them.
 
         The alignment counts from the end of the header.
@@ -47,7 +48,7 @@ class CdrReader:
 
     def read(self, layout: struct.Struct, align: int) -> tuple:
         """Return the fields of `layout`, which has no padding and is aligned to `align`."""
-        return layout.unpack_from(self.payload, self._take(layout.size, align))
+        return layout.unpack_from(self.payload, self._advance(layout.size, align))
 
     @property
     def left(self) -> int:
@@ -56,11 +57,11 @@ class CdrReader:
 
     def skip(self, size: int, align: int) -> None:
         """Skip a field."""
-        self._take(size, align)
+        self._advance(size, align)
 
     def string(self) -> str:
         (length,) = self.read(U32, 4)
-        begin = self._take(length, 1)
+        begin = self._advance(length, 1)
         try:
             return bytes(self.payload[begin : begin + length]).rstrip(b"\0").decode()
         except UnicodeDecodeError:
@@ -69,7 +70,7 @@ class CdrReader:
     def sequence(self, item_size: int) -> tuple[int, int]:
         """Return (count, offset of the first item) of a sequence of numbers, and skip it."""
         (count,) = self.read(U32, 4)
-        return count, self._take(count * item_size, item_size if count else 1)
+        return count, self._advance(count * item_size, item_size if count else 1)
 
     def stamp_ns(self) -> int:
         seconds, nanoseconds = self.read(STAMP, 4)

@@ -13,8 +13,8 @@ from edge.geometry import FARTHEST_M
 
 _HEIGHT_WIDTH = struct.Struct("<II")
 _SCAN = struct.Struct("<7f")
-_FLOAT32 = 7
-_MAX_FIELDS = 64
+_FLOAT32 = 7  # datatype of sensor_msgs/PointField
+_MAX_FIELDS = 64  # of a point
 _FARTHEST_M = 0.5 * FARTHEST_M  # the map rejects end points of beams beyond FARTHEST_M
 
 
@@ -37,7 +37,7 @@ def cloud_parts(
     return writer.bytes(), memoryview(points.reshape(-1).view(np.uint8)), is_dense
 
 
-def _at_most(n: int) -> str:
+def _limit_text(n: int) -> str:
     return f"at most {n} are allowed: raise source.max_cloud_points"
 
 
@@ -73,7 +73,7 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = Fal
         The number of points written.
 
     Raises:
-        DecodeError: malformed, or more points than `cap`.
+        DecodeError: the message is malformed, or has more points than `cap`.
     """
     reader = CdrReader(payload)
     reader.header()
@@ -86,7 +86,7 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = Fal
     if n == 0:
         return 0
     if n > len(out_m):
-        raise DecodeError(f"cloud of {n} points, {_at_most(len(out_m))}")
+        raise DecodeError(f"cloud of {n} points, {_limit_text(len(out_m))}")
     # Drivers of organized clouds set row_step to 0, to all of the data or to a number of points.
     if height == 1 or size == n * point_step:
         row_step = width * point_step
@@ -111,9 +111,11 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = Fal
 class LaserScan:
     """sensor_msgs/LaserScan; beam i points at angle_min + i * angle_increment, left positive.
 
-    `ranges_m` (n,) float32 is a read-only view of the payload. A hit is in [range_min, range_max).
-    +inf or range_max and more: no obstacle within range_max. -inf, NaN or less than range_min: no
-    measurement (REP 117).
+    `ranges_m` (n,) float32 is a read-only view of the payload. Values (REP 117):
+
+    - from range_min to below range_max: a hit.
+    - range_max and more, or +inf: no obstacle within range_max.
+    - less than range_min, -inf or NaN: no measurement.
     """
 
     stamp_ns: int
@@ -168,11 +170,11 @@ def decode_scan_points_into(payload: bytes, out_m: np.ndarray, free: bool = Fals
         The number of rows written.
 
     Raises:
-        DecodeError: malformed, or more beams than `cap`.
+        DecodeError: the message is malformed, or has more beams than `cap`.
     """
     scan = decode_laser_scan(payload)
     if len(scan.ranges_m) > len(out_m):
-        raise DecodeError(f"scan of {len(scan.ranges_m)} beams, {_at_most(len(out_m))}")
+        raise DecodeError(f"scan of {len(scan.ranges_m)} beams, {_limit_text(len(out_m))}")
     return kernels.scan_points(
         scan.ranges_m,
         scan.angle_min_rad,

@@ -20,18 +20,18 @@ from edge.host.c_stderr import silenced
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _IHDR = struct.Struct(">4sIIB")  # name, width, height, bits
-_CHUNK, _CHECKSUM = struct.Struct(">I4s"), 4
+_CHUNK, _CHECKSUM = struct.Struct(">I4s"), 4  # length, name; bytes of the checksum
 _CRITICAL, _ANIMATED = (b"IHDR", b"PLTE", b"IDAT"), (b"acTL", b"fcTL", b"fdAT")
 _JPEG, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
-_SEGMENT = struct.Struct(">BBH")
+_SEGMENT = struct.Struct(">BBH")  # marker, kind, length
 _FRAME = struct.Struct(">BHH")  # bits, height, width
-_NO_FRAMES = (0xC4, 0xC8, 0xCC)
-_SCAN = 0xDA
-_MOST_SEGMENTS = 64
-_MOST_SCANS = 100
-# compressed_depth_image_transport puts it before the PNG: how depth was quantized to 16 bits.
+_NOT_FRAME_KINDS = (0xC4, 0xC8, 0xCC)
+_SCAN_KIND = 0xDA
+_MAX_SEGMENTS = 64
+_MAX_SCANS = 100
+# compressed_depth_image_transport puts this before the PNG: how depth was quantized to 16 bits.
 _DEPTH_HEADER = struct.Struct("<iff")
-_AS_IT_IS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+_COLOUR_UNROTATED = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 Content = Literal["colour", "16UC1", "inverse"]
 
@@ -41,9 +41,16 @@ class CompressedHeader:
     """The header of a compressed image.
 
     Attributes:
-        begin: offset of the JPEG or PNG in the payload; `end` likewise.
+        stamp_ns: stamp of the message.
+        frame_id: frame of the camera.
+        height: height of the image in pixels.
+        width: width of the image in pixels.
         content: `colour`; `16UC1`: plain depth; `inverse`: quantized 32FC1 depth: a value v > 0
             stands for `a / (v - b)` metres (compressed_depth_image_transport).
+        begin: offset of the first byte of the JPEG or PNG in the payload.
+        end: offset after its last byte.
+        a: see `content`.
+        b: see `content`.
         is_rgb: True if the encoder got RGB in place of BGR (`…; jpeg compressed rgb8`).
     """
 
@@ -66,7 +73,8 @@ def decode_compressed_header(payload: bytes) -> CompressedHeader:
     `16UC1; png compressed`, `16UC1; compressedDepth png`, `32FC1; compressedDepth png`.
 
     Raises:
-        DecodeError: malformed, neither JPEG nor PNG (such as RVL), or depth that is no 16-bit PNG.
+        DecodeError: the message is malformed, the image is neither JPEG nor PNG (such as RVL), or
+            depth is not a PNG of 16 bits.
     """
     reader = CdrReader(payload)
     stamp_ns, frame_id = reader.header()
@@ -83,7 +91,7 @@ def decode_compressed_header(payload: bytes) -> CompressedHeader:
         content = "inverse" if encoding == "32FC1" else "16UC1"
         if not (np.isfinite(a) and np.isfinite(b)):
             raise DecodeError("compressed depth whose quantization is NaN or inf")
-    height, width, bits = _size_of(payload, begin, end, words)
+    height, width, bits = _read_size(payload, begin, end, words)
     if bits != (8 if content == "colour" else 16):
         raise DecodeError(f"compressed image {words[:40]!r} of {bits} bits a channel")
     is_rgb = "compressed rgb" in words
@@ -98,7 +106,7 @@ def encode_jpeg(stamp_ns: int, frame_id: str, rgb: np.ndarray, quality: int) -> 
     return writer.bytes(memoryview(jpeg.reshape(-1)))
 
 
-def _size_of(payload: bytes, begin: int, end: int, words: str) -> tuple[int, int, int]:
+def _read_size(payload: bytes, begin: int, end: int, words: str) -> tuple[int, int, int]:
     """Return (height, width, bits per channel) of a JPEG or PNG from its first bytes."""
     if payload[begin : begin + 8] == _PNG and end - begin >= 8 + 4 + _IHDR.size:
         name, width, height, bits = _IHDR.unpack_from(payload, begin + 12)
@@ -129,23 +137,23 @@ def _check_chunks(payload: bytes, at: int, end: int) -> None:
 
 
 def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
-    """Return `_size_of` for a JPEG: walk over the segments before the pixels, to their end."""
+    """Return `_read_size` for a JPEG: walk over the segments before the pixels, to their end."""
     size = None
-    for _ in range(_MOST_SEGMENTS):
+    for _ in range(_MAX_SEGMENTS):
         if at + _SEGMENT.size + _FRAME.size > end:
             break
         marker, kind, length = _SEGMENT.unpack_from(payload, at)
         if marker != 0xFF:
             break
-        if 0xC0 <= kind <= 0xCF and kind not in _NO_FRAMES:
+        if 0xC0 <= kind <= 0xCF and kind not in _NOT_FRAME_KINDS:
             bits, height, width = _FRAME.unpack_from(payload, at + _SEGMENT.size)
             size = height, width, bits
-        if kind == _SCAN:
+        if kind == _SCAN_KIND:
             if size is None or payload.rfind(_JPEG_END, at, end) < 0:
                 break
             # A scan costs as much as a whole image; a small file can hold minutes of them.
-            if payload.count(_JPEG_SCAN, at, end) > _MOST_SCANS:
-                raise DecodeError(f"JPEG of more than {_MOST_SCANS} scans")
+            if payload.count(_JPEG_SCAN, at, end) > _MAX_SCANS:
+                raise DecodeError(f"JPEG of more than {_MAX_SCANS} scans")
             return size
         at += 2 + length
     raise DecodeError("JPEG without a size, or cut off")
@@ -161,12 +169,12 @@ def decode_compressed_into(
 
     Args:
         payload: the message.
-        header: its header.
+        header: header of the message.
         out: array to write.
         unit_m: see `decode_image_into`.
 
     Raises:
-        DecodeError: corrupt, or it does not match `out`.
+        DecodeError: the image is corrupt, or does not match `out`.
     """
     if out.shape[:2] != (header.height, header.width):
         height, width = out.shape[:2]
@@ -177,7 +185,7 @@ def decode_compressed_into(
     data = np.frombuffer(payload, np.uint8, header.end - header.begin, header.begin)
     try:
         with silenced():
-            picture = cv2.imdecode(data, _AS_IT_IS if colour else cv2.IMREAD_UNCHANGED)
+            picture = cv2.imdecode(data, _COLOUR_UNROTATED if colour else cv2.IMREAD_UNCHANGED)
     except cv2.error:
         picture = None
     if picture is None or picture.shape != out.shape:

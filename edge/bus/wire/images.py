@@ -26,6 +26,7 @@ _TO_RGB = {
 }
 _ENCODING_OF = {("uint8", 3): "rgb8", ("uint16", 2): "16UC1", ("float32", 2): "32FC1"}
 M_PER_MM = 0.001
+"""Metres in a millimetre."""
 _NO_DEPTH = np.uint16(64_000)
 """16-bit depth from this value on is invalid, in any unit.
 
@@ -35,7 +36,18 @@ Many drivers send 65535 for no return; time-of-flight sensors use 64001 and more
 
 @dataclass(frozen=True, slots=True)
 class ImageHeader:
-    """The header of an image message, checked against the payload's size."""
+    """The header of an image message, checked against the payload's size.
+
+    Attributes:
+        stamp_ns: stamp of the message.
+        frame_id: frame of the camera.
+        height: height in pixels.
+        width: width in pixels.
+        encoding: such as `rgb8`.
+        step: bytes from row to row.
+        data_offset: offset of the first pixel in the payload.
+        big_endian: True if the most significant byte of a number comes first.
+    """
 
     stamp_ns: int
     frame_id: str
@@ -146,7 +158,7 @@ def integers_into(
 
     Args:
         data: the bytes that the header describes.
-        header: of an image that is inside `data`.
+        header: header of the image; `data_offset` counts in `data`.
         out: array to write.
         unit_m: metres per unit; None: 0.001.
     """

@@ -12,11 +12,13 @@ from numba.extending import intrinsic
 
 from edge.jit import jit
 
-U0, U1, U2 = np.uintp(0), np.uintp(1), np.uintp(2)
+U0, U1, U2 = np.uintp(0), np.uintp(1), np.uintp(2)  # unsigned, see `cloud_points`
 INF = np.uint32(0x7F800000)  # a float32's exponent of NaN and inf
 
 
 def _loaded(data: Any, at: Any, word: Any, bits: int) -> Any:
+    """Return the type and the code of an intrinsic that loads one unsigned number of these bits."""
+
     def load(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, args[0])
         place = builder.gep(array.data, [args[1]])
@@ -42,6 +44,7 @@ def _half(typing: Any, data: Any, at: Any) -> Any:
 
 @jit(inline="always")
 def _swapped(word: int) -> int:
+    """Return a uint32 with its bytes in reverse order."""
     return (
         (word >> np.uint32(24))
         | ((word >> np.uint32(8)) & np.uint32(0xFF00))
@@ -71,7 +74,7 @@ def cloud_points(
         width: points in a row.
         row_step: bytes from row to row.
         point_step: bytes from point to point.
-        offsets: of x, y and z in a point.
+        offsets: offsets of x, y and z in a point, in bytes.
         big_endian: True to swap bytes.
         out: (cap, 3) float32 points viewed as uint32. `cap` must be at least height * width; the
             cloud must be inside `data`.

@@ -16,6 +16,7 @@ _POSE = struct.Struct("<7d")
 _SCALE = struct.Struct("<3d")
 _COLOUR = struct.Struct("<4f")
 
+# Values of visualization_msgs/Marker: kinds and actions.
 ARROW, CUBE, LINE_STRIP, SPHERE_LIST, TEXT = 0, 1, 4, 7, 9
 _ADD, _DELETE_ALL = 0, 3
 
@@ -29,12 +30,16 @@ class Marker:
     """One visualization_msgs/Marker.
 
     Attributes:
-        group: its namespace; unique together with `id`.
+        group: namespace of the marker.
+        id: number of the marker; unique in its group.
         kind: `ARROW`, `CUBE`, `LINE_STRIP`, `SPHERE_LIST` or `TEXT`.
-        scale_m: size along x, y, z. z is the height of a text, all are the diameter of a list, x is
-            the width of a line.
+        scale_m: size along x, y, z. For a text, z is the height. For a list of spheres, all are the
+            diameter. For a line, x is the width.
         colour: red, green, blue, alpha, 0 to 1.
-        points_m: (n, 3) centres of a list, or corners of a line.
+        pose: pose in the plane.
+        z_m: height of the pose.
+        text: text of a `TEXT`.
+        points_m: (n, 3) centres of the spheres of a list, or corners of a line.
     """
 
     group: str

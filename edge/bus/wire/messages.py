@@ -84,7 +84,7 @@ _COVARIANCE = struct.Struct("<36d")
 _K = struct.Struct("<9d")
 _P = struct.Struct("<12d")
 _HEIGHT_WIDTH = struct.Struct("<II")
-_MOST_COEFFICIENTS = 64
+_MAX_COEFFICIENTS = 64
 _ROI = struct.Struct("<IIIIIIB")
 _GRID_INFO = struct.Struct("<fII")
 _IDENTITY_3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -203,7 +203,8 @@ class CameraCalibration:
     """sensor_msgs/CameraInfo for the images as they are sent, with binning and roi applied.
 
     Attributes:
-        camera: rectified camera: from the projection matrix P, or K if P is zero.
+        stamp_ns: stamp of the message.
+        camera: rectified camera: from the projection matrix P, or from K if P is zero.
         lens: distortion of the raw image; None if all coefficients are zero.
         cut: binning and roi as text; empty if whole images are sent.
     """
@@ -221,9 +222,9 @@ def decode_camera_info(payload: bytes) -> CameraCalibration:
     height, width = reader.read(_HEIGHT_WIDTH, 4)
     model = reader.string()
     count, begin = reader.sequence(8)
-    if count > _MOST_COEFFICIENTS:
+    if count > _MAX_COEFFICIENTS:
         raise DecodeError(
-            f"distortion of {count} coefficients, expected {_MOST_COEFFICIENTS} or less"
+            f"distortion of {count} coefficients, expected {_MAX_COEFFICIENTS} or less"
         )
     d = struct.unpack_from(f"<{count}d", payload, begin)
     k = reader.read(_K, 8)
@@ -247,13 +248,13 @@ def decode_camera_info(payload: bytes) -> CameraCalibration:
         except ValueError as error:
             raise DecodeError(str(error)) from None
 
-    raw = k[0], k[4], k[2], k[5]
+    raw = k[0], k[4], k[2], k[5]  # fx, fy, cx, cy of the raw image
     camera = pinhole(*((p[0], p[5], p[2], p[6]) if p[0] != 0.0 else raw))
-    bent = any(_finite(d, "distortion"))
-    lens = Lens(one_line(model, 40), d, pinhole(*raw)) if bent else None
-    whole = (step_x, step_y, roi_width, roi_height) == (1, 1, width, height)
+    has_distortion = any(_finite(d, "distortion"))
+    lens = Lens(one_line(model, 40), d, pinhole(*raw)) if has_distortion else None
+    is_whole = (step_x, step_y, roi_width, roi_height) == (1, 1, width, height)
     cut = f"binning {step_x}x{step_y}, roi {roi_width}x{roi_height} at ({x}, {y})"
-    return CameraCalibration(stamp_ns, camera, lens, "" if whole else cut)
+    return CameraCalibration(stamp_ns, camera, lens, "" if is_whole else cut)
 
 
 def encode_occupancy_grid(stamp_ns: int, grid: Grid, frame_id: str = MAP_FRAME) -> bytes:

@@ -19,13 +19,14 @@ _I8 = struct.Struct("<b")
 _I16 = struct.Struct("<h")
 _U16 = struct.Struct("<H")
 _F32 = struct.Struct("<f")
-_MOST_GOALS = 1024
+_MAX_GOALS = 1024
 _KEEPOUT_FILTER = 0
 _STAGING_S, _UNDOCKING_S = 1000.0, 30.0  # defaults of DockRobot and UndockRobot
 
-# action_msgs/GoalStatus
+# Statuses of action_msgs/GoalStatus.
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6
 SETTLED = (SUCCEEDED, CANCELED, ABORTED)
+"""Statuses of a goal that has ended."""
 
 
 def encode_send_goal(
@@ -66,8 +67,9 @@ def decode_dock_result(payload: bytes) -> Result:
     """Decode DockRobot_GetResult_Response of any distribution."""
     reader = CdrReader(payload)
     (status,) = reader.read(_I8, 1)
-    reader.read(U8, 1)  # success, which the status tells as well
-    code, _ = reader.read(_U16, 2)[0], reader.read(_U16, 2)
+    reader.read(U8, 1)  # success, which the status has as well
+    (code,) = reader.read(_U16, 2)
+    reader.read(_U16, 2)  # number of retries
     return Result(status, code, reader.string() if reader.left >= 4 else "")
 
 
@@ -92,7 +94,13 @@ def encode_get_result(goal_id: bytes) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The end of a goal: its `status`, and Nav2's error code and message (0 and "" if none)."""
+    """The end of a goal.
+
+    Attributes:
+        status: one of `SETTLED`, or another status of action_msgs/GoalStatus.
+        error_code: Nav2's error code; 0: none.
+        error: Nav2's error message; "": none.
+    """
 
     status: int
     error_code: int = 0
@@ -102,8 +110,8 @@ class Result:
 def decode_result(payload: bytes) -> Result:
     """Decode NavigateToPose_GetResult_Response of any distribution.
 
-    Humble's result is empty, later ones have an error code, the newest also a message. The length
-    shows which it is.
+    Humble's result is empty. Later distributions have an error code, the newest also a message. The
+    length shows which fields there are.
     """
     reader = CdrReader(payload)
     (status,) = reader.read(_I8, 1)
@@ -132,8 +140,8 @@ def decode_goal_statuses(payload: bytes) -> list[tuple[bytes, int]]:
 
 def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
     (count,) = reader.read(U32, 4)
-    if count > _MOST_GOALS:
-        raise DecodeError(f"message of {count} goals, at most {_MOST_GOALS} are read")
+    if count > _MAX_GOALS:
+        raise DecodeError(f"message of {count} goals, at most {_MAX_GOALS} are read")
     goals = []
     for _ in range(count):
         (goal_id,) = reader.read(_UUID, 1)
@@ -143,14 +151,22 @@ def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
 
 
 def encode_keepout_info(stamp_ns: int, frame_id: str, mask_topic: str) -> bytes:
-    """Encode the nav2_msgs/CostmapFilterInfo that tells a KeepoutFilter the topic of its mask."""
+    """Encode the nav2_msgs/CostmapFilterInfo with the topic of the mask for a KeepoutFilter."""
     writer = CdrWriter().header(stamp_ns, frame_id).write(U8, 1, _KEEPOUT_FILTER)
     return writer.string(mask_topic).floats((0.0, 1.0), "f").bytes()
 
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """NavigateToPose_FeedbackMessage: progress of a goal."""
+    """NavigateToPose_FeedbackMessage: progress of a goal.
+
+    Attributes:
+        goal_id: id of the goal.
+        pose: pose of the robot.
+        elapsed_ns: time since the goal was accepted.
+        recoveries: number of recoveries so far.
+        distance_m: distance that is left to drive.
+    """
 
     goal_id: bytes
     pose: SE2

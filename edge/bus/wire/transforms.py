@@ -13,8 +13,9 @@ from edge.bus.wire.cdr import HEADER, U32, CdrReader, CdrWriter, DecodeError
 from edge.geometry import quaternion_of, se3_from_quaternion
 
 _TRANSFORM = struct.Struct("<7d")
-_SMALLEST = 12 + 1 + _TRANSFORM.size  # bytes of one transform
+_MIN_TRANSFORM_BYTES = 12 + 1 + _TRANSFORM.size  # bytes of one transform
 MOST_TRANSFORMS = 4096
+"""Largest number of transforms in a message."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +32,7 @@ def decode_transforms(payload: bytes) -> list[Transform]:
     """Decode tf2_msgs/TFMessage; the leading slash of a frame (ROS 1) is removed."""
     reader = CdrReader(payload)
     (count,) = reader.read(U32, 4)
-    if count > min(MOST_TRANSFORMS, len(payload) // _SMALLEST):
+    if count > min(MOST_TRANSFORMS, len(payload) // _MIN_TRANSFORM_BYTES):
         raise DecodeError(f"{count} transforms do not fit in {len(payload)} bytes")
     return [_read_transform(reader) for _ in range(count)]
 
@@ -67,7 +68,7 @@ def encode_path(
         stamp_ns: stamp of the path and of all poses.
         frame_id: frame of the poses.
         poses: (n, 3).
-        z_m: height, one for all or (n,).
+        z_m: height of all poses, or (n,) heights.
     """
     n = len(poses)
     writer = CdrWriter().header(stamp_ns, frame_id).write(U32, 4, n)
@@ -78,7 +79,7 @@ def encode_path(
     values[:, 5], values[:, 6] = np.sin(0.5 * poses[:, 2]), np.cos(0.5 * poses[:, 2])
     first = writer.header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
     # A pose ends at a multiple of eight bytes, so all later poses have the same layout.
-    again = CdrWriter().header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
-    rest = np.tile(np.frombuffer(again[len(HEADER) :], np.uint8), (n - 1, 1))
+    unpadded = CdrWriter().header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
+    rest = np.tile(np.frombuffer(unpadded[len(HEADER) :], np.uint8), (n - 1, 1))
     rest[:, -_TRANSFORM.size :] = values[1:].astype("<f8", copy=False).view(np.uint8)
     return first + rest.tobytes()

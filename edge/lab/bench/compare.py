@@ -51,8 +51,8 @@ def run(args: argparse.Namespace) -> int:
     if chooses and family not in families():
         if args.update_cards:
             raise UserError(
-                f"bench --models: --update-cards: {family} has no detector; only detector cards "
-                "keep figures: drop the option"
+                f"bench --models: --update-cards: {family} has no detector, and only the cards of "
+                "detectors hold measured times; drop --update-cards"
             )
         return choices.run(family, args, _pictures(args, config))
     todo = variants(family, providers_here(args.providers))
@@ -88,8 +88,8 @@ def _family(asked: str, config: Config) -> str:
     if isinstance(detector, DetectorOnnx):
         return load_detector_card(detector.model).family
     raise UserError(
-        f"{config.locate('perception.detector.kind')} is {detector.kind}: name a family "
-        f"(choices: {', '.join(families()) or 'none'})"
+        f"{config.locate('perception.detector.kind')} is {detector.kind}, which has no model to "
+        f"compare; give --models a family (choices: {', '.join(families()) or 'none'})"
     )
 
 
@@ -142,8 +142,8 @@ def compare(
     prompts, unknown = frames.prompts_for(pictures.labels, resolve)
     if not prompts:
         raise UserError(
-            "bench --models: the text encoder knows none of the labels in the frames: "
-            "choose another family or other frames"
+            f"bench --models: the text encoder of {todo[0].card.family} knows none of the objects "
+            "in the images; choose another family or other --images"
         )
     # Another family's encoder may not know all background words of the configured model.
     background = tuple(frames.words_for(settings.background, resolve))
@@ -179,7 +179,13 @@ def compare(
 def _run_all(bench: Bench, todo: Sequence[Variant]) -> Results:
     results = []
     for number, variant in enumerate(todo, 1):
-        log.info("%d of %d: %s on %s", number, len(todo), variant.card.name, variant.provider)
+        log.info(
+            "measuring model %d of %d: %s on %s",
+            number,
+            len(todo),
+            variant.card.name,
+            variant.provider,
+        )
         results.append((variant, bench.run(variant)))
     return results
 
@@ -256,7 +262,9 @@ def _again(bench: Bench, results: Results) -> dict[str, Any] | None:
     if len(ran) < 2:
         return None
     variant, first = ran[0]
-    log.info("measuring %s again, to see if the machine's speed has changed", variant.card.name)
+    log.info(
+        "measuring %s again, to see if the speed of this computer has changed", variant.card.name
+    )
     second = bench.run(variant)
     if isinstance(second, str):
         return None

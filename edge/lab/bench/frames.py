@@ -139,13 +139,13 @@ def from_folder(folder: Path, count: int) -> BenchFrames:
     """
     paths = sorted(p for p in folder.glob("*") if p.suffix.lower() in _IMAGES)[:count]
     if not paths:
-        raise UserError(f"{folder}: no images ({', '.join(_IMAGES)}): name another folder")
+        raise UserError(f"--images {folder}: no images ({', '.join(_IMAGES)}); give another folder")
     rgb = []
     for path in paths:  # OpenCV would wait forever on a pipe
         with silenced():
             image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
         if image is None:
-            raise UserError(f"{path}: not a readable image: remove it from the folder")
+            raise UserError(f"{path}: not a readable image; remove the file from the folder")
         rgb.append(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
     return BenchFrames(str(folder), rgb, tuple(names.ALIASES), None)
 

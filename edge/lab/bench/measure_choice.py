@@ -27,7 +27,10 @@ def measure(job: ChoiceJob) -> ChoiceMeasurement:
         found = scorer.answer(scorer.prepare(view))
         took_ms.append((time.perf_counter() - began) * 1e3)
         if found is None:  # no letter fits, so the image cannot be used for a comparison
-            raise UserError(f"view {view.observation.seq}: no room for letters: use larger images")
+            raise UserError(
+                f"image {view.observation.seq}: too small for the letters that mark the "
+                "frontiers; use larger --images"
+            )
         p.append([*found.p, found.elsewhere, found.scene])
     memory_mb = resident_mb() - before_mb
     return ChoiceMeasurement(np.array(took_ms), np.array(p, np.float32), load_s, memory_mb)

@@ -165,7 +165,9 @@ def update_cards(report: Report) -> Iterator[Path]:
         else:
             yield path
     if refused is not None:
-        raise UserError(f"{refused}; the figures are in the JSON file only")
+        raise UserError(
+            f"{refused}; the measured times are only in this output and the --json file"
+        )
 
 
 def _update_card(path: Path, report: Report, rows: list[dict[str, Any]]) -> None:

@@ -121,7 +121,9 @@ def run_bench(
         make_source = None if own else playback.open
         running = stack.enter_context(open_service(config, [], stop=stop, make_source=make_source))
         ready_s = time.perf_counter() - began
-        log.info("ready in %.1f s; playing %s for %g s", ready_s, recording.name, seconds)
+        log.info(
+            "service ready after %.1f s; playing %s for %g s", ready_s, recording.name, seconds
+        )
         if own:
             process = stack.enter_context(player(config, recording, loop=True))
             over = partial(_is_over, process)
@@ -145,8 +147,8 @@ def run_bench(
         detections = report.stage("detect").n
         why = failing or ("use more --seconds" if own else "see the log")
         raise UserError(
-            f"bench: nothing measured in {seconds:g} s: {why} ({tick.n} ticks, {detections} "
-            f"detections; counters: {counters})"
+            f"bench: measured {tick.n} ticks and {detections} detections in {seconds:g} s, needs "
+            f"at least 1 of each: {why} (counters: {counters})"
         )
     return {
         "table": report.table(),
@@ -229,15 +231,18 @@ def ensure_recording(
     if not path.exists():
         from edge.lab.eval.house_drive import house_drive
 
-        log.info("making the recording %s (once)", path)
+        log.info("making the recording for edge bench, once: %s", path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RecordingError(f"{path.parent}: {error.strerror}") from None
+            raise RecordingError(
+                f"{path.parent}: cannot be made: {error.strerror}; set EDGE_CACHE_DIR to a "
+                "writable folder"
+            ) from None
         began = time.perf_counter()
         record_messages(path, _with_progress(house_drive(config, seconds), seconds, stop))
         size_mb, took_s = path.stat().st_size / 1e6, time.perf_counter() - began
-        log.info("recorded %g s: %.0f MB, made in %.0f s", seconds, size_mb, took_s)
+        log.info("recording complete: %g s, %.0f MB, made in %.0f s", seconds, size_mb, took_s)
     return path
 
 
@@ -248,10 +253,10 @@ def _with_progress(
     first_ns, logged_s = None, 0.0
     for message in messages:
         if stop is not None and stop.is_set():
-            raise Stopped("stopped while making the recording")
+            raise Stopped("stopped by request while making the recording of edge bench")
         first_ns = message[1] if first_ns is None else first_ns
         done_s = (message[1] - first_ns) * 1e-9
         if done_s >= logged_s + _LOG_EVERY_S:
             logged_s = done_s
-            log.info("recorded %.0f of %g s", done_s, seconds)
+            log.info("making the recording: %.0f of %g s", done_s, seconds)
         yield message

@@ -79,8 +79,8 @@ class SwapBench:
         swap = self._running.service.detector_swap.status()
         if not self._during:
             raise UserError(
-                f"bench: the swap to {self._model} is still {swap['state']} at the end: "
-                "use more --seconds"
+                f"bench: --swap: the swap to {self._model} was not complete at the end (state: "
+                f"{swap['state']}); give more --seconds"
             )
         return {**swap, "before": self._before, "during": self._during}
 

@@ -63,7 +63,9 @@ def variants(family: str, providers: Sequence[str]) -> list[Variant]:
     cards = [c for c in all_cards() if isinstance(c, DetectCard) and c.family == family]
     if not cards:
         choices = ", ".join(families()) or "none"
-        raise UserError(f"bench --models: no detector of family {family!r} (choices: {choices})")
+        raise UserError(
+            f"bench --models: no detector has the family {family!r} (choices: {choices})"
+        )
     cards.sort(key=lambda c: (c.input.height * c.input.width, _PRECISIONS.index(c.precision)))
     return [
         Variant(card, name)
@@ -87,7 +89,9 @@ def providers_here(asked: str | None) -> list[str]:
     """
     available = _available()
     if not available:
-        raise UnavailableError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
+        raise UnavailableError(
+            "onnxruntime is not installed; run: pip install 'edge-vln[cpu]' (or [gpu])"
+        )
     here = [on for on, providers in PROVIDERS.items() if available.issuperset(providers)]
     if asked is None:
         return here
@@ -95,7 +99,8 @@ def providers_here(asked: str | None) -> list[str]:
     for word in wanted:
         if word not in here:
             raise UserError(
-                f"bench --models: --providers: no {word!r} here (choices: {', '.join(here)})"
+                f"bench --models: --providers: {word!r} is not available on this machine "
+                f"(choices: {', '.join(here)})"
             )
     return wanted
 

@@ -83,7 +83,10 @@ class KnownRoom:
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
         if not world.rooms:
-            raise ValueError(f"{world.name}: the world has no room data")
+            raise ValueError(
+                f"{world.name}: the world knows no rooms, which KnownRoom needs; use ProcTHOR "
+                "houses"
+            )
         self._world, self._radius_m = world, robot_radius_m
         self._search = SearchPolicy(PolicySearch())
         self._left_m: dict[str, np.ndarray] = {}

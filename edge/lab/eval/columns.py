@@ -116,10 +116,16 @@ def read_arms(path: Path) -> dict[str, Data]:
     """
     data = read_yaml(path)
     if not isinstance(data, dict) or not data:
-        raise ConfigError(f"{path}: expected a section of settings for each column's name")
+        raise ConfigError(
+            f"{path}: expected one section of settings for each arm, such as "
+            "`near: {policy: {kind: nearest_frontier}}`"
+        )
     for name, settings in data.items():
         if not isinstance(settings, dict | None):
-            raise ConfigError(f"{path}: {one_line(name)}: expected a section of settings")
+            raise ConfigError(
+                f"{path}: {one_line(name)}: expected a section of settings, got "
+                f"{one_line(settings):.80}"
+            )
     return {str(name): settings or {} for name, settings in data.items()}
 
 

@@ -145,7 +145,7 @@ def step_to_end(loop: ClosedLoop, stop: threading.Event) -> None:
         if loop.service.status.done:
             return
         if stop.is_set():
-            raise Stopped("stopped on request")
+            raise Stopped("episode stopped by request")
         loop.step()
 
 
@@ -180,7 +180,7 @@ def over_zenoh(
     if episode.site or episode.asks:
         raise UserError(
             "--processes: episodes with zones or questions cannot run in separate processes; "
-            "leave out --processes"
+            "omit --processes"
         )
     config = with_free_port(config)
     witness = GroundTruthLogger(config, world, lambda stamp_ns: truth.at(stamp_ns))
@@ -196,7 +196,7 @@ def over_zenoh(
         with child_processes(config, over, ("sim", "--no-motion"), ("sim", "--motion-only")):
             loop(running, over, once=True, each=check_stop)
         if stop.is_set():
-            raise Stopped("stopped on request")
+            raise Stopped("episode stopped by request")
         if page is not None:
             record = recorder.record(running.service.result(), running.source.counters)
             write_report(record, page)
@@ -231,8 +231,8 @@ class GroundTruthReader:
                 break
             if time.monotonic() > until_s:
                 raise UserError(
-                    f"the simulator sent no ground truth for t = {stamp_ns * 1e-9:.2f} s: see its "
-                    "output above"
+                    f"the simulator sent no ground truth for t = {stamp_ns * 1e-9:.2f} s; see the "
+                    "log above"
                 )
             time.sleep(_POLL_S)
         data = self._heard[stamp_ns]
@@ -262,7 +262,7 @@ def outcome_of(
         raise witness.fault
     status, now = witness.status, witness.now
     if status is None or now is None:
-        raise UserError("the service got no image and pose from the simulator: see the log above")
+        raise UserError("the service got no image and pose from the simulator; see the log above")
     failure, sight = witness.failure(status.target), witness.first_sight()
     away_m = left_m = None
     if episode.target is not None:

@@ -139,7 +139,7 @@ def objects_of(world: World, target: str) -> list[WorldObject]:
     found = [o for o in world.objects if names.same_name(o.label, target)]
     if not found:
         labels = ", ".join(sorted({o.label for o in world.objects}))
-        raise UserError(f"{world.name}: has no {target!r} (there are: {labels})")
+        raise UserError(f"world {world.name}: no object is a {target!r} (choices: {labels})")
     return found
 
 
@@ -177,13 +177,13 @@ def plan(
         try:
             found = _in_world(where, present, starts, seed, min_distance_m, strict=False)
         except WorldError as error:
-            log.warning("world skipped: %s", error)
+            log.warning("evaluation goes on without this world: %s", error)
             continue
         episodes += _drawn(found, per_world, seed, where.world.name)
     if targets and not episodes:
         raise UserError(
-            f"no world has any of the targets at a driving distance of {min_distance_m:g} m or "
-            "more: choose other --targets or a smaller --min-distance"
+            f"no world has a start {min_distance_m:g} m or more of driving from one of the "
+            "targets; choose other --targets or a smaller --min-distance"
         )
     return episodes
 
@@ -222,8 +222,8 @@ def plan_missions(
         ]  # fmt: skip
     if not episodes:
         raise UserError(
-            f"no world has two of the targets with a shortest path of {min_distance_m:g} m or "
-            "more: choose other --targets or a smaller --min-distance"
+            f"no world has a mission to two targets with a path of {min_distance_m:g} m or more; "
+            "choose other --targets or a smaller --min-distance"
         )
     return episodes
 
@@ -273,8 +273,9 @@ def _in_world(
                 found.append(make_episode(section, world.name, start, shortest_m, sensing, target))
         if strict and len(found) < starts:
             raise UserError(
-                f"{world.name}: only {len(found)} of {starts} starts lie {min_distance_m:g} m "
-                f"of driving from a {target}; ask for fewer or a smaller --min-distance"
+                f"world {world.name}: only {len(found)} of {starts} starts are {min_distance_m:g} "
+                f"m or more of driving from a {target}; give fewer --starts or a smaller "
+                "--min-distance"
             )
         episodes += found
     return episodes
@@ -310,7 +311,10 @@ def read(path: Path) -> list[Episode]:
     try:
         lines = read_regular(path, MAX_BYTES).splitlines()
     except OSError as error:
-        raise FileError(f"{path}: {error.strerror or error}; --plan writes it") from None
+        raise FileError(
+            f"{path}: cannot be read: {error.strerror or error}; `edge eval episodes --plan FILE` "
+            "writes such a file"
+        ) from None
     episodes: dict[str, Episode] = {}
     for number, line in enumerate(lines, start=1):
         if not line.strip():
@@ -318,10 +322,16 @@ def read(path: Path) -> list[Episode]:
         try:
             episode = parse_episode(read_json_object(line))
         except (KeyError, TypeError, ValueError) as error:
-            why = f"no {error}" if isinstance(error, KeyError) else one_line(error)
-            raise UserError(f"{path}: line {number}: not an episode: {why}") from None
+            missing = isinstance(error, KeyError)
+            why = f"the field {error} is missing" if missing else one_line(error)
+            raise UserError(
+                f"{path}: line {number}: not an episode: {why}; write the file with --plan"
+            ) from None
         if episode.id in episodes:
-            raise UserError(f"{path}: line {number}: duplicate id {one_line(episode.id)}")
+            raise UserError(
+                f"{path}: line {number}: an earlier line has the same id {one_line(episode.id)}; "
+                "remove one of the lines"
+            )
         episodes[episode.id] = episode
     return list(episodes.values())
 
@@ -336,13 +346,13 @@ def parse_episode(data: dict[str, Any]) -> Episode:
     target, instruction = data["target"], data.get("instruction")
     goals, asks = (tuple(map(str, data.get(name, ()))) for name in ("goals", "asks"))
     if not goals and not isinstance(target if instruction is None else instruction, str):
-        raise ValueError("target or instruction: expected a text")
+        raise ValueError("target or instruction: expected a text, got none")
     shortest_m = float(data["shortest_m"])
     if not 0.0 <= shortest_m < math.inf:
-        raise ValueError("shortest_m: expected a length in metres")
+        raise ValueError(f"shortest_m: expected a length in m, got {shortest_m:g}")
     world, sensing, site = data["world"], data.get("sensing", {}), data.get("site", {})
     if not all(isinstance(section, dict) for section in (world, sensing, site)):
-        raise ValueError("world, sensing and site: expected sections")
+        raise ValueError("world, sensing and site: expected JSON objects")
     return Episode(
         str(data["id"]), world, (x, y, yaw), target if instruction is None else None, instruction,
         shortest_m, sensing, goals, float(data.get("moved", 0.0)), site, str(data.get("ways", "")),

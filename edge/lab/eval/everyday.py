@@ -57,11 +57,16 @@ SITE = Site(tuple(Place(name, SE2(1.0, 1.0, 0.0)) for name in ("dock", "shelf", 
 OUTCOMES = ("right", "asked or refused", "wrong")
 _ARTICLES = re.compile(r"\b(?:the|a|an|my|our|your) ")
 _LEARN = (
-    ("lift|allow|remove", ("open",)), ("stay in|zone", ("stay_inside",)),
-    (r"keep[- ]out|stay out", ("keep_out",)), ("forget", ("forget",)),
-    ("remember", ("place", "room")), ("name the", ("room",)),
+    (r"forget", ("forget",)),
+    (r"\b(?:lift|remove)|\b(?:may|can|allow(?:ed)?)\b.* again|^(?:re-?)?open", ("open",)),
+    (r"\bstay(?:ing)? (?:only |just )?(?:in|inside|within)\b|stay-inside|\b(?:not|never) leave",
+     ("stay_inside",)),
+    (r"\b(?:ban|forbid|forbidden|prohibited|not|never|avoid|off limits|closed)\b"
+     r"|\b(?:keep|stay)[- ](?:out|away|off)|no[- ]go", ("keep_out",)),
+    (r"zone", ("stay_inside",)),
+    (r"remember|\b(?:name|call|mark|save|store|label|learn|place|room|is)\b", ("place", "room")),
 )  # fmt: skip
-"""Words of `meaning`, and the orders that mean it; the first row that fits counts."""
+"""Words of `meaning`, else of `said`, and the orders that mean it; the first such row counts."""
 _CONTROL = {
     "pause": "stop|wait|pause|halt|hold", "resume": "go on|continue|resume",
     "cancel": "cancel|abort|give up",
@@ -94,9 +99,11 @@ def everyday_cases(path: Path) -> list[dict[str, Any]]:
             cases = [json.loads(line) for line in file.read().decode().splitlines() if line.strip()]
         for case in cases:
             if not isinstance(case["said"], str) or not isinstance(case["expect"], str):
-                raise ValueError("said and expect must be text")
+                raise ValueError("the fields said and expect must be texts")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path}: not readable as everyday sentences: {error!r}") from error
+        raise UserError(
+            f"--everyday {path}: not in the format of docs/language.md: {error!r}"
+        ) from error
     return cases
 
 
@@ -131,7 +138,10 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
     if isinstance(said, Control):
         return bool(re.search(_CONTROL[said.do], meaning)) and _seconds(case) == (said.seconds or 0)
     if isinstance(said, SiteOrder):
-        fits = next((orders for words, orders in _LEARN if re.search(words, meaning)), ())
+        fits = next(
+            (do for of in (meaning, case["said"]) for words, do in _LEARN if re.search(words, of)),
+            (),
+        )
         name = _plain(said.name or "this room")
         return said.do in fits and name in (about, _plain(f"{about} room"))
     named = f"{said.about} in {said.room}" if said.room and said.about else said.about or said.room
@@ -141,6 +151,7 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
 def _plain(name: str) -> str:
     """Return a name without articles: "lamp next to sofa"."""
     text = _ARTICLES.sub("", f"{name.lower()} ").strip()
+    text = re.sub(r"^(?:nearest|closest) (.+?) to ", r"\1 nearest to ", text)
     for word, same in (("beside", "next to"), ("close to", "near"), ("inside", "in")):
         text = re.sub(rf"\b{word}\b", same, text)
     return (

@@ -42,15 +42,17 @@ class JsonLinesFile(Generic[T]):
             if len(whole) < len(content):  # a run was interrupted during a write
                 path.write_bytes(whole)
         except OSError as error:
-            raise FileError(f"{path}: {error.strerror or error}") from None
+            raise FileError(
+                f"{path}: cannot be used: {error.strerror or error}; choose another --out"
+            ) from None
         self.found: list[T] = []
         for number, text in enumerate(whole.splitlines(), start=1):
             try:
                 self.found.append(parse(read_json_object(text)))
             except (KeyError, TypeError, ValueError) as error:
                 raise UserError(
-                    f"{path}: line {number}: not {what} of this version ({one_line(error)}): "
-                    "choose another --out"
+                    f"{path}: line {number}: not {what} of this version of edge "
+                    f"({one_line(error)}); choose another --out"
                 ) from None
 
     def append(self, line: bytes) -> None:
@@ -63,4 +65,4 @@ class JsonLinesFile(Generic[T]):
             with self.path.open("ab", buffering=0) as file:
                 file.write(line)
         except OSError as error:
-            raise FileError(f"{self.path}: {error.strerror or error}") from None
+            raise FileError(f"{self.path}: cannot be written: {error.strerror or error}") from None

@@ -98,7 +98,7 @@ def frames_in(folder: Path, labelled: bool = True) -> list[int]:
     if not numbers:
         wanted = "image_2/, velodyne/ and labels/" if labelled else "image_2/ and velodyne/"
         raise KittiError(
-            f"{folder}: no frame with {wanted}: give the folder of a SemanticKITTI sequence"
+            f"{folder}: no frame with {wanted}; give the folder of a SemanticKITTI sequence"
         )
     return numbers
 
@@ -124,7 +124,7 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
     poses, times = _table(folder / "poses.txt", 12), _table(folder / "times.txt", 1)
     if not 0 <= number < min(len(poses), len(times)):
         raise KittiError(
-            f"{folder}: frame {number}: poses.txt and times.txt end at "
+            f"{folder}: no pose or time of frame {number}: poses.txt and times.txt end at frame "
             f"{min(len(poses), len(times)) - 1}"
         )
     path = folder / "image_2" / f"{number:06d}.png"
@@ -132,13 +132,16 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
     with silenced():
         bgr = cv2.imdecode(png, cv2.IMREAD_COLOR) if len(png) else None
     if bgr is None:
-        raise KittiError(f"{path}: not an image")
+        raise KittiError(f"{path}: not a readable image; fetch the file again")
     scan = _array(folder / "velodyne" / f"{number:06d}.bin", np.float32, 4).reshape(-1, 4)
     label = np.zeros(len(scan), np.uint32)
     if labelled:
         label = _array(folder / "labels" / f"{number:06d}.label", np.uint32, 1)
     if len(scan) != len(label):
-        raise KittiError(f"{folder}: frame {number}: {len(scan)} points, but {len(label)} labels")
+        raise KittiError(
+            f"{folder}: frame {number}: {len(scan)} points but {len(label)} labels; fetch both "
+            "files again"
+        )
     fine = plausible_points(scan[:, :3])
     scan, label = scan[fine], label[fine]
     P2 = calibration["P2"]
@@ -147,7 +150,9 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
         camera = CameraModel(width, height, P2[0, 0], P2[1, 1], P2[0, 2], P2[1, 2])
         offset_m = np.linalg.solve(P2[:, :3], P2[:, 3])  # P2 = K [I | t]
     except ValueError as error:  # includes a matrix without an inverse
-        raise KittiError(f"{path}: P2 of calib.txt: {error}") from None
+        raise KittiError(
+            f"{folder / 'calib.txt'}: P2 does not fit {path.name} ({width}x{height} px): {error}"
+        ) from None
     T_cam0_velo = _rigid(calibration["Tr"], folder / "calib.txt: Tr")
     T_cam2_cam0 = np.eye(4)
     T_cam2_cam0[:3, 3] = offset_m
@@ -297,7 +302,7 @@ def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> 
     """
     if not numbers:
         there = frames_in(folder, labelled)
-        raise KittiError(f"{folder}: no frame chosen (there are {there})")
+        raise KittiError(f"{folder}: no frame chosen; choose some of {there}")
     return [read_frame(folder, number, labelled) for number in numbers]
 
 
@@ -343,7 +348,7 @@ def _rigid(rows: np.ndarray, where: object) -> np.ndarray:
         turns = np.allclose(R @ R.T, np.eye(3), atol=_SKEW) and np.linalg.det(R) > 0.0
     if not (turns and np.abs(T[:3, 3]).max() <= FARTHEST_M):
         raise KittiError(
-            f"{where}: not a rotation and a translation within {FARTHEST_M / 1000:g} km"
+            f"{where}: expected a rotation, and a translation of at most {FARTHEST_M / 1000:g} km"
         )
     return T
 
@@ -352,13 +357,19 @@ def _bytes(path: Path) -> bytes:
     try:
         return read_regular(path)
     except OSError as error:
-        raise KittiError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise KittiError(
+            f"{path}: cannot be read: {error.strerror or error}; give the folder of a "
+            "SemanticKITTI sequence"
+        ) from None
 
 
 def _array(path: Path, of: type, columns: int) -> np.ndarray:
     data = _bytes(path)
     if len(data) % (columns * np.dtype(of).itemsize):
-        raise KittiError(f"{path}: {len(data)} bytes are not rows of {columns} {np.dtype(of)}")
+        raise KittiError(
+            f"{path}: {len(data)} bytes are not a multiple of {columns} {np.dtype(of)} values; "
+            "fetch the file again"
+        )
     return np.frombuffer(data, of)
 
 
@@ -368,9 +379,9 @@ def _table(path: Path, columns: int) -> np.ndarray:
     try:
         table = np.array([[float(value) for value in row] for row in rows])
     except ValueError:
-        raise KittiError(f"{path}: not a table of {columns} numbers a line") from None
+        raise KittiError(f"{path}: expected {columns} numbers in each line") from None
     if table.ndim != 2 or table.shape[1] != columns or not np.isfinite(table).all():
-        raise KittiError(f"{path}: not a table of {columns} numbers a line")
+        raise KittiError(f"{path}: expected {columns} finite numbers in each line")
     return table
 
 
@@ -384,7 +395,7 @@ def _matrices(path: Path) -> dict[str, np.ndarray]:
         try:
             out[key.strip()] = np.array([float(value) for value in values.split()]).reshape(3, 4)
         except ValueError:
-            raise KittiError(f"{path}: {key}: not 12 numbers") from None
+            raise KittiError(f"{path}: {key}: expected 12 numbers") from None
     return out
 
 
@@ -392,4 +403,4 @@ def _text(path: Path) -> str:
     try:
         return _bytes(path).decode("ascii")
     except UnicodeDecodeError:
-        raise KittiError(f"{path}: not a text file") from None
+        raise KittiError(f"{path}: not an ASCII text file") from None

@@ -46,7 +46,7 @@ def plan_questions(
         try:
             (pose,) = free_poses(world, 1, seed, radius_m)
         except WorldError as error:
-            log.warning("world skipped: %s", error)
+            log.warning("evaluation goes on without this world: %s", error)
             continue
         start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
         if asks:
@@ -56,7 +56,7 @@ def plan_questions(
                 )
             )
     if not episodes:
-        raise UserError("no world has any of the targets: choose other --targets")
+        raise UserError("no world has any of the targets; choose other --targets")
     return episodes
 
 

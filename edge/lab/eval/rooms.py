@@ -23,8 +23,8 @@ from edge.memory import MappedRoom, RoomMemory
 from edge.memory.rooms import TYPICAL, typical_things
 from edge.text import format_table
 
-EXPLORE_S, GOAL_S = 180.0, 240.0
-"""Simulated time for exploring a house, and for driving to a room."""
+EXPLORE_S = 180.0
+"""Simulated time for exploring a house."""
 _SAME_ROOM = 0.5
 """Smallest share of a mapped room's floor in one true room to be judged."""
 _PART = 0.2
@@ -132,12 +132,11 @@ def drive_to(
     config: Config, world: World, kind: str, start: tuple[float, float, float]
 ) -> RoomGoalOutcome:
     """Drive to a room of a kind in an unknown house."""
-    limits = {"instruction": f"go to the {kind}", "time_limit_s": GOAL_S}
-    settings = {"mission": limits, "sim": {"start": list(start)}}
+    settings = {"mission": {"instruction": f"go to the {kind}"}, "sim": {"start": list(start)}}
     data = merged(data_of(config), _LOCKSTEP, settings)
     loop = ClosedLoop(parse(data, config.path), world=world, colour=False)
     try:
-        loop.run(GOAL_S + 5.0)
+        loop.run(config.mission.time_limit_s + 5.0)
         status, pose = loop.service.status, loop.drive.motion.pose
         at = int(true_room_at(world, np.array([[pose.x_m, pose.y_m]]))[0])
         right = at >= 0 and world.room_kinds[at] == kind
@@ -156,7 +155,7 @@ def worlds_of(config: Config, specs: list[str]) -> Iterator[tuple[Config, World]
         world = world_list.load(here)
         if not world.room_kinds:
             raise UserError(
-                f"{world.name}: the kinds of its rooms are not known: use ProcTHOR houses"
+                f"--worlds: {world.name}: the kinds of the rooms are not known; use ProcTHOR houses"
             )
         yield here, world
 
@@ -177,9 +176,8 @@ def run(args: argparse.Namespace) -> int:
             loop = explore(here, world)
             verdicts += judge_rooms(world, loop.service.map.rooms)
             loop.close()
-        for kind in random.Random(args.seed).sample(
-            sorted(set(world.room_kinds)), k=min(args.goals, len(set(world.room_kinds)))
-        ):
+        kinds, rng = sorted(set(world.room_kinds)), random.Random(f"{args.seed} {world.name}")
+        for kind in rng.sample(kinds, k=min(args.goals, len(kinds))):
             pose = _start_elsewhere(here, world, kind, args.seed)
             if pose is not None:
                 outcomes.append(drive_to(here, world, kind, pose))

@@ -118,7 +118,9 @@ def run(args: argparse.Namespace) -> int:
     episodes = _episodes(config, args)
     if any(episode.goals for episode in episodes):
         if args.processes or args.report:
-            raise UserError("sessions of several goals: leave out --processes and --report")
+            raise UserError(
+                "--processes, --report: not possible with sessions (--goals); omit both options"
+            )
         columns = cols.with_and_without_memory(columns)
     if args.plan is not None:
         eps.write(args.plan, episodes)
@@ -127,7 +129,9 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or args.report
     if out is not None:
         for name, count in changed(columns, out).items():
-            print(f"{name}: settings changed; {count} earlier outcomes are ignored")
+            print(
+                f"arm {name}: its settings have changed, so {count} earlier outcomes are not used"
+            )
     logging.getLogger("edge").setLevel(logging.WARNING)  # each episode logs its mission
     outcomes = run_all(
         columns, episodes, out, workers=args.workers, processes=args.processes,
@@ -143,7 +147,9 @@ def _columns(args: argparse.Namespace) -> dict[str, cols.Data]:
     for words in args.arm or ():
         name, settings = cols.parse_arm(words)
         if name in given:
-            raise UserError(f"--arm {name}: this name is used twice; choose another")
+            raise UserError(
+                f"--arm {name}: two arms have this name; choose another for one of them"
+            )
         given[name] = settings
     return given
 
@@ -156,7 +162,7 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     targets = eps.COMMON_TARGETS if asked == "common" else [t.strip() for t in asked.split(",")]
     targets = [target for target in targets if target]
     if not targets:
-        raise UserError("--targets: name at least one, such as --targets sofa,bed")
+        raise UserError("--targets: got no name; give at least one, such as --targets sofa,bed")
     if args.goals is not None:
         planned = plan_sessions(
             config, worlds, targets, args.goals, args.seed, args.min_distance, args.moved

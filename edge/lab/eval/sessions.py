@@ -73,7 +73,7 @@ def plan_sessions(
         try:
             (start,) = free_poses(world, 1, seed, radius_m)
         except WorldError as error:
-            log.warning("world skipped: %s", error)
+            log.warning("evaluation goes on without this world: %s", error)
             continue
         pose = (round(start.x_m, 3), round(start.y_m, 3), round(start.yaw_rad, 3))
         fields = MissionCostFields(world, radius_m)
@@ -81,15 +81,20 @@ def plan_sessions(
         goals = _chain(fields, pose, [targets[k] for k in rng.permutation(len(targets))],
                        count, min_distance_m)  # fmt: skip
         if len(goals) < count:
-            log.warning("world skipped: %s: only %d of %d goals", world.name, len(goals), count)
+            log.warning(
+                "evaluation goes on without the world %s: only %d of %d targets are far enough "
+                "apart",
+                world.name, len(goals), count,
+            )  # fmt: skip
             continue
         sessions.append(
             make_episode(section, world.name, pose, 0.0, sensing, goals=goals, moved=moved)
         )
     if not sessions:
         raise UserError(
-            f"no world has {count} of the targets at {min_distance_m:g} m or more from one "
-            "another: choose other --targets, fewer --goals or a smaller --min-distance"
+            f"no world has {count} of the targets, each {min_distance_m:g} m or more of driving "
+            "from the one before; choose other --targets, fewer --goals or a smaller "
+            "--min-distance"
         )
     return sessions
 
@@ -208,7 +213,10 @@ class _Session:
 
     def _move(self, number: int) -> None:
         if not isinstance(self._world, BoxWorld):
-            raise UserError(f"{self._world.name}: the objects of this kind of world cannot move")
+            raise UserError(
+                f"--moved: objects of the world {self._world.name} cannot be moved; use houses "
+                "(house, generated or ProcTHOR)"
+            )
         pose = self.loop.drive.motion.pose
         rng = np.random.default_rng([number, *self._episode.id.encode()])
         radius_m = self._config.robot.radius_m
@@ -223,7 +231,9 @@ class _Session:
         """
         left_m = remaining_m(self._config, self._world, goal, x_m, y_m)
         if left_m is None:
-            raise UserError(f"{self._world.name}: no path to a {goal} from ({x_m:.2f}, {y_m:.2f})")
+            raise UserError(
+                f"world {self._world.name}: no path to a {goal} from ({x_m:.2f}, {y_m:.2f}) m"
+            )
         return round(left_m, 4)
 
 

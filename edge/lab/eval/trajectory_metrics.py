@@ -151,7 +151,9 @@ def point_contacts(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) 
 def _points(path_m: np.ndarray) -> np.ndarray:
     path = np.ascontiguousarray(path_m, np.float64)
     if path.ndim != 2 or path.shape[1] != 2 or not len(path) or not np.isfinite(path).all():
-        raise ValueError(f"a trajectory: expected finite points (n, 2), n >= 1, got {path.shape}")
+        raise ValueError(
+            f"trajectory: expected at least one point, shape (n, 2), all finite; got {path.shape}"
+        )
     return path
 
 

@@ -83,7 +83,9 @@ def _table(path: Path, what: str) -> Iterator[io.TextIOWrapper]:
     except (
         OSError, ValueError, csv.Error, KeyError, TypeError, AttributeError, FormulaError
     ) as error:  # fmt: skip
-        raise UserError(f"{path}: not readable as {what}: {error!r}") from error
+        raise UserError(
+            f"{path}: not readable as {what}: {error!r}; see `edge eval translate --help`"
+        ) from error
 
 
 def lang2ltl_cases(path: Path) -> tuple[list[TranslationCase], Counter[str]]:
@@ -176,12 +178,12 @@ def from_prefix(text: str) -> Formula:
         op = {"i": "->", "e": "<->"}.get(word, word)
         n = 1 if op in UNARY else 2 if op in STRENGTH else 0
         if n > len(done):
-            raise ValueError(f"{text!r}: an operator lacks an operand")
+            raise ValueError(f"formula {text!r}: an operator has too few operands")
         args = [done.pop() for _ in range(n)]
         if op in ("&", "|"):
             done.append(conj(*args) if op == "&" else disj(*args))
         else:
             done.append(Formula(op, tuple(args)) if n else ap(op))
     if len(done) != 1:
-        raise ValueError(f"{text!r}: expected one formula, got {len(done)}")
+        raise ValueError(f"formula {text!r}: expected one formula, got {len(done)}")
     return done[0]

@@ -44,7 +44,9 @@ def _sections_of(spec: str) -> list[WorldSection]:
         houses = [house.get("name") for house in read_houses(resources.expand(name))]
         chosen = [houses[k] for k in _range(spec, matched, len(houses)) if k < len(houses)]
         if not chosen:
-            raise UserError(f"--worlds {spec}: {name} has {len(houses)} houses, none in this range")
+            raise UserError(
+                f"--worlds {spec}: no house in this range; {name} has houses 0 to {len(houses) - 1}"
+            )
         return [{"kind": "procthor", "file": name, "name": house} for house in chosen]
     if name == "generated" and ranged:
         seeds = _range(spec, matched, None)
@@ -55,7 +57,7 @@ def _sections_of(spec: str) -> list[WorldSection]:
     mesh, comma, objects = name.partition(",")
     if comma and objects and not ranged:
         return [{"kind": "mesh", "mesh": mesh, "objects": objects}]
-    raise UserError(f"--worlds {spec}: not understood (forms: {WORLD_FORMS})")
+    raise UserError(f"--worlds {spec}: no such world; give one of these forms: {WORLD_FORMS}")
 
 
 def _range(spec: str, matched: re.Match[str], length: int | None) -> range:
@@ -65,7 +67,9 @@ def _range(spec: str, matched: re.Match[str], length: int | None) -> range:
     first = int(matched["first"] or 0)
     end = first + 1 if matched["to"] is None else int(matched["end"] or length or 0)
     if not first < end <= first + _MAX_SEEDS:
-        raise UserError(f"--worlds {spec}: the range is empty or has no end")
+        raise UserError(
+            f"--worlds {spec}: expected a range [FIRST:END] with 1 to {_MAX_SEEDS} worlds"
+        )
     return range(first, end)
 
 

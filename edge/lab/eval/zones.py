@@ -53,7 +53,7 @@ def with_zones(config: Config, episodes: Sequence[Episode], seed: int) -> list[E
 def _with_zone(episode: Episode, setup: WorldSetup, rng: np.random.Generator) -> list[Episode]:
     """Return the episode with a zone, or nothing if no zone fits; a list."""
     if episode.target is None:
-        raise UserError("--zones: only for episodes of one target")
+        raise UserError("--zones: possible only for episodes with one target; omit --zones")
     plan, radius_m = setup.world.plan, setup.radius_m
     things = objects_of(setup.world, episode.target)
     field = geodesic.distance_field(plan, things, radius_m, REACHED_M)

@@ -127,8 +127,8 @@ class Controller:
         """
         if not MIN_CELL_M <= grid.resolution_m <= MAX_CELL_M:
             raise ValueError(
-                f"map resolution must be {MIN_CELL_M:g} to {MAX_CELL_M:g} m, "
-                f"got {grid.resolution_m:g}"
+                f"resolution of the map: expected {MIN_CELL_M:g} to {MAX_CELL_M:g} m, got "
+                f"{grid.resolution_m:g} m"
             )
         clearance_m = self._motion.clearance_m
         self._map = costmap.from_occupancy(grid, clearance_m=clearance_m, near_m=NEAR_M)
@@ -357,7 +357,7 @@ class Controller:
         if last is not None and pose.distance_to(last.x_m, last.y_m) < again_m:
             self._finish("failed", "stuck")
             return STOP
-        log.info("stuck at (%.2f, %.2f): backing up", pose.x_m, pose.y_m)
+        log.info("robot stuck at (%.2f, %.2f) m: backing up or turning", pose.x_m, pose.y_m)
         self._recovered_at = pose
         self._recovery = Recovery(pose, self._map, self._trail, self._limits, now_ns)
         return STOP

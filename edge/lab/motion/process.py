@@ -43,7 +43,9 @@ _MAX_JSON = 4096
 def main(config: Config, stop: threading.Event) -> int:
     """Run until `stop` is set; return the exit status."""
     run_unless_stopped(partial(warm_up, config), stop)
-    with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
+    with zenoh_session(
+        config.zenoh, "connect", stop, keep_zenoh_timeout=config.sim.lockstep
+    ) as session:
         bus = Bus(session, config)
         controller = Controller(config)
         try:
@@ -95,7 +97,9 @@ class Bus:
         for sample in self._rings[topic].take():
             try:
                 if len(sample.payload) > self._max_bytes:
-                    raise ValueError(f"{len(sample.payload)} bytes, over source.max_message_mb")
+                    raise ValueError(
+                        f"{len(sample.payload)} bytes are more than source.max_message_mb allows"
+                    )
                 read.append(decode(sample.payload.to_bytes()))
             except ValueError as error:
                 self._count(topic, error)
@@ -104,7 +108,11 @@ class Bus:
     def _count(self, topic: Topic, error: Exception) -> None:
         self.malformed[topic.key] = self.malformed.get(topic.key, 0) + 1
         if self.malformed[topic.key] == 1:
-            log.warning("%s: unreadable message: %s; more are only counted", topic.key, error)
+            log.warning(
+                "topic %s: ignored an unreadable message: %s; more are counted, not logged",
+                topic.key,
+                error,
+            )
 
     def command(self, command: VelocityCommand, stamp_ns: int) -> None:
         self._commands.put(messages.encode_twist_stamped(stamp_ns, command.v_mps, command.w_radps))
@@ -147,7 +155,9 @@ def parse_tick(payload: bytes) -> int:
     """
     stamp = read_json_object(payload, _MAX_JSON).get("stamp")
     if type(stamp) is not int:
-        raise ValueError(f"stamp: expected nanoseconds, got {bounded_repr(stamp, 40)}")
+        raise ValueError(
+            f"stamp: expected a whole number of nanoseconds, got {bounded_repr(stamp, 40)}"
+        )
     return stamp
 
 
@@ -167,7 +177,10 @@ def run(bus: Bus, controller: Controller, stop: threading.Event, config: Config)
         bus.feed(controller)
         was_held, is_held = is_held, _is_lost(bus.map_heard_s, map_lost_s)
         if is_held and not was_held:
-            log.warning("no map for %.1f s: robot stopped until a map comes", map_lost_s)
+            log.warning(
+                "controller: no map from the service for %.1f s; the robot stands until one comes",
+                map_lost_s,
+            )
             controller.pause()
         if odometry and odometry[-1].stamp_ns != stamp_ns:
             newest = odometry[-1]

@@ -173,8 +173,8 @@ def free_poses(
     rows, cols = np.nonzero(reachable & (plan.clearance_m > radius_m + margin_m))
     if len(rows) == 0:
         raise WorldError(
-            f"{world.name}: no free space of radius {radius_m} m around the start "
-            f"({world.start.x_m:.2f}, {world.start.y_m:.2f}): set another start in sim.start"
+            f"world {world.name}: the robot (radius {radius_m} m) does not fit at the start "
+            f"({world.start.x_m:.2f}, {world.start.y_m:.2f}) m; set another in sim.start"
         )
     picks = rng.integers(0, len(rows), count)
     yaws = rng.uniform(-math.pi, math.pi, count)

@@ -67,7 +67,7 @@ class BoxWorld:
         owned = [(0, part) for part in structure]
         owned += [(item.id, part) for item, parts in furniture for part in parts]
         if not owned:
-            raise WorldError(f"{name}: the world is empty: add walls or objects")
+            raise WorldError(f"world {name}: has no walls and no objects; add some")
         parts = [part for _, part in owned]
         self.owner = np.array([owner for owner, _ in owned], np.uint16)
         self.shape = np.array([part.shape for part in parts], np.uint8)
@@ -106,7 +106,7 @@ class BoxWorld:
         """Move an object's centre to another place on the floor."""
         k = next((k for k, item in enumerate(self.objects) if item.id == object_id), None)
         if k is None:
-            raise KeyError(f"no object {object_id} in {self.name}")
+            raise KeyError(f"world {self.name}: no object has the id {object_id}")
         item = self.objects[k]
         mine = self.owner == object_id
         self.pose[mine, 0] += x_m - item.center_m[0]

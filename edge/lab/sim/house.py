@@ -102,16 +102,16 @@ def read_house(path: Path) -> House:
     try:
         data = json.loads(read_regular(path))
     except OSError as error:
-        raise WorldError(f"{path}: {error.strerror}") from None
+        raise WorldError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:
-        raise WorldError(f"{path}: not JSON: {error}") from None
+        raise WorldError(f"{path}: not a JSON file: {error}") from None
     try:
         return House.model_validate(data)
     except ValidationError as error:
         fault, more = error.errors()[0], error.error_count() - 1
         place = ".".join(str(part) for part in fault["loc"]) or "top"
         message = fault["msg"].removeprefix("Value error, ")
-        rest = f" (and {more} more faults)" if more else ""
+        rest = f" ({more} more faults)" if more else ""
         raise WorldError(
             f"{path}: {place}: {message}, got {bounded_repr(fault.get('input'), 60)}{rest}"
         ) from None
@@ -128,7 +128,8 @@ def load_house(section: WorldHouse, config: Config) -> BoxWorld:
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in HOUSES.glob("*.json")))
         raise WorldError(
-            f"{config.locate('sim.world.house')}: no file {path} (built-in: {choices})"
+            f"{config.locate('sim.world.house')}: no file {path}; give a house file, or a "
+            f"built-in house ({choices})"
         )
     return build_house(read_house(path), config)
 

@@ -55,12 +55,13 @@ def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
         from embreex import rtcore_scene  # noqa: F401
     except ImportError as error:
         raise WorldError(
-            f"{config.locate('sim.world.kind')}: mesh needs {error.name}: "
-            "pip install 'edge-vln[worlds]' (x86_64), or choose house or procthor"
+            f"{config.locate('sim.world.kind')}: mesh needs {error.name}, which is not "
+            "installed; run: "
+            "pip install 'edge-vln[worlds]' (x86_64 only), or choose another kind, such as house"
         ) from None
     path = resources.expand(section.mesh)
     if not path.is_file():
-        raise WorldError(f"{config.locate('sim.world.mesh')}: no such file: {path}")
+        raise WorldError(f"{config.locate('sim.world.mesh')}: no file {path}; correct the path")
     try:
         scene = trimesh.load_scene(path)
         faces = read_faces(scene)
@@ -82,16 +83,20 @@ def read_objects(path: Path) -> list[dict[str, Any]]:
             for key in ("name", "category", "yaw", "aabb_min", "aabb_max"):
                 if key not in item:
                     raise WorldError(
-                        f"{path}: [{k}] (counted from 0): the field {key!r} is missing: add it"
+                        f"{path}: object {k} (counted from 0): the field {key!r} is missing"
                     )
             try:
                 names.normalise(item["category"])
             except names.NotANameError as error:
-                raise WorldError(f"{path}: [{k}] (counted from 0): category: {error}") from None
+                raise WorldError(
+                    f"{path}: object {k} (counted from 0): category: {error}"
+                ) from None
     except OSError as error:
-        raise WorldError(f"{path}: {error.strerror}") from None
+        raise WorldError(
+            f"{path}: cannot be read: {error.strerror}; correct sim.world.objects"
+        ) from None
     except (ValueError, TypeError) as error:
-        raise WorldError(f"{path}: not a list of objects: {error}") from None
+        raise WorldError(f"{path}: not a JSON list of objects: {error}") from None
     return items
 
 
@@ -141,7 +146,7 @@ def read_faces(scene: Any) -> Faces:
         columns.append(_faces_of(scene.geometry[geometry_name], T, atlas, len(node_names)))
         node_names.append(node_name)
     if not columns:
-        raise ValueError("no triangles in it")
+        raise ValueError("the file has no triangles")
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
     return Faces(
         *joined,

@@ -45,13 +45,15 @@ def main(config: Config, stop: threading.Event) -> int:
     world = load_world(config)
     first_ns = FIRST_STAMP_NS if config.sim.lockstep else time.time_ns()
     drive = DriveTrain(config.robot, config.sim, world, world.start, first_ns)
-    with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
+    with zenoh_session(
+        config.zenoh, "connect", stop, keep_zenoh_timeout=config.sim.lockstep
+    ) as session:
         bus = SimBus(session, config)
-        log.info("simulating %s in %s", config.robot_name, world.name)
+        log.info("simulating the robot %s in the world %s", config.robot_name, world.name)
         run = run_lockstep if config.sim.lockstep else run_real_time
         run(config, world, drive, bus, stop)
     now = drive.motion
-    log.info("drove %.1f m, %d collisions", now.path_m, now.collisions)
+    log.info("simulation ended: drove %.1f m, %d collisions", now.path_m, now.collisions)
     return 0
 
 
@@ -80,7 +82,10 @@ class SimBus:
             except messages.DecodeError as error:
                 self._malformed += 1
                 if self._malformed == 1:
-                    log.warning("cmd_vel: ignored a malformed command: %s", error)
+                    log.warning(
+                        "cmd_vel: ignored a malformed command: %s; more are counted, not logged",
+                        error,
+                    )
 
 
 def run_real_time(
@@ -185,6 +190,9 @@ def _ask(
                 return v, w
         if now_s - begun_s > WARN_AFTER_S and not warned:
             warned = True
-            log.warning("no command for t = %.2f s: is the controller running?", stamp_ns * 1e-9)
+            log.warning(
+                "simulator: no velocity command for t = %.2f s; check that the controller runs",
+                stamp_ns * 1e-9,
+            )
         stop.wait(_POLL_S)
     return None

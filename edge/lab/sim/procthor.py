@@ -44,9 +44,11 @@ def read_houses(path: Path) -> Iterator[dict[str, Any]]:
                 number += 1
                 yield json.loads(line)
     except OSError as error:
-        raise WorldError(f"{path}: {error.strerror or error}") from None
+        raise WorldError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, EOFError) as error:
-        raise WorldError(f"{path}: line {number}: not JSON: {error}") from None
+        raise WorldError(
+            f"{path}: line {number}: not JSON: {error}; fetch the file again"
+        ) from None
 
 
 def load_procthor(section: WorldProcthor, config: Config) -> BoxWorld:
@@ -61,9 +63,13 @@ def load_procthor(section: WorldProcthor, config: Config) -> BoxWorld:
             try:
                 return build_procthor(house, config)
             except (KeyError, TypeError, ValueError) as error:
-                raise WorldError(f"{path}: {section.name}: bad house: {error!r}") from None
+                raise WorldError(
+                    f"{path}: house {section.name}: a field is missing or wrong: {error!r}"
+                ) from None
         first, count = first or str(house.get("name")), count + 1
-    raise WorldError(f"{path}: no house {section.name!r} among its {count} (the first: {first})")
+    raise WorldError(
+        f"{path}: sim.world.name: none of the {count} houses is {section.name!r} (such as {first})"
+    )
 
 
 def build_procthor(house: dict[str, Any], config: Config) -> BoxWorld:

@@ -57,8 +57,9 @@ class DriveTrain:
         clearance = world.plan.clearance_at(start.x_m, start.y_m)
         if clearance < robot.radius_m:
             raise WorldError(
-                f"sim.start: ({start.x_m:.2f}, {start.y_m:.2f}) in {world.name} is {clearance:.2f} "
-                f"m from an obstacle, the robot needs {robot.radius_m} m: choose another start"
+                f"sim.start: ({start.x_m:.2f}, {start.y_m:.2f}) m in {world.name} is "
+                f"{clearance:.2f} m from an obstacle, but the robot needs {robot.radius_m} m; "
+                "choose another start"
             )
         rng = np.random.default_rng(sim.seed)
         self._robot, self._world = robot, world

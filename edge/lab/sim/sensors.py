@@ -25,8 +25,8 @@ def _over_the_floor(config: Config, key: str, z_m: float) -> None:
     """Raise WorldError for a sensor in the floor: the simulated robot's base is on the floor."""
     if z_m <= 0.0:
         raise WorldError(
-            f"{config.locate(key)}: {z_m:g}: the sensor must be above the floor, which the "
-            "simulated robot's base stands on: set a value above 0"
+            f"{config.locate(key)}: got {z_m:g} m, but the simulated robot's base is on the "
+            "floor, and a sensor must be above it; set a value above 0"
         )
 
 

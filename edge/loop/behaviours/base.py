@@ -25,10 +25,10 @@ class Behaviour(Protocol):
         """True while the behaviour searches for the active target. The time counts as search."""
 
     def gather(self) -> Sequence[Instance]:
-        """Stage 5: return the objects that are candidates in this tick, like the frontiers."""
+        """Stage `candidates`: return the objects to add to the candidates of this tick."""
 
     def plan(self, context: PolicyInput, images: int) -> None:
-        """Stage 7: handle the detections and the goal's progress; advance the mission.
+        """Stage `plan`: handle the detections and the goal's progress; advance the mission.
 
         Args:
             context: Observation, candidates and time of the tick.
@@ -36,7 +36,7 @@ class Behaviour(Protocol):
         """
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
-        """Stage 8: return the goal of this tick, or None to stand still. The mission is active.
+        """Stage `select`: return the goal of this tick; None to stand still. The mission is active.
 
         Args:
             context: Observation, candidates and time of the tick.

@@ -3,8 +3,8 @@
 The robot drives as many steps as a trajectory can be written for. The objects of later steps may be
 seen during the drive. If no further step can be driven, the robot searches for them.
 
-Writing and refining take from 0.1 s to minutes. They run in the background (`draft.py`), and the
-robot stands still until they end. A trajectory is valid only in its frame and from the robot's
+Writing and refining take from 0.1 s to minutes. They run in the background (`plan_worker.py`), and
+the robot stands still until they end. A trajectory is valid only in its frame and from the robot's
 place. After a pose jump or a restart, a new one is written for the remaining steps.
 
 A trajectory may refer to objects that were seen only from afar. At each stop the robot therefore
@@ -25,7 +25,7 @@ from edge.config import Config, WriterModel
 from edge.geometry import SE2
 from edge.host.worker import Worker
 from edge.loop.behaviours.plan_worker import (
-    AGAIN_M,
+    SAME_OBJECT_M,
     ObjectMapUpdate,
     PlanRequest,
     PlanResult,
@@ -248,7 +248,7 @@ class FollowBehaviour:
             missing=self.missing,
             understood=draft.understood,
             prompt=draft.prompt,
-            rounds=draft.rounds if self._request is None else tuple(self._request.rounds),
+            rounds=draft.rounds if self._request is None else tuple(self._request.attempts),
             coarse_m=draft.coarse_m,
             refined=draft.refined,
             index=self._index,
@@ -459,7 +459,7 @@ class FollowBehaviour:
         here = [
             one
             for one in self._map.tracker.of(label)
-            if one.distance_m(pose.x_m, pose.y_m) <= min(AGAIN_M, perception.confirm_range_m)
+            if one.distance_m(pose.x_m, pose.y_m) <= min(SAME_OBJECT_M, perception.confirm_range_m)
             and one.id not in self._verified
         ]
         here.sort(key=lambda one: (one.id != number, one.distance_m(pose.x_m, pose.y_m)))

@@ -1,4 +1,4 @@
-"""Background planner of a task's trajectory: it writes and refines it (see `follow.py`)."""
+"""Background worker that writes and refines the trajectory of a task (see `follow.py`)."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ log = logging.getLogger("edge.loop.behaviours.plan_worker")
 
 NEARER_M = 0.15
 """Smallest approach to an object that is worth another trajectory."""
-AGAIN_M = 3.0
-"""An object of the same label this near to the robot is taken as the object that it stopped at, if
-the old id is gone."""
+SAME_OBJECT_M = 3.0
+"""If the id of the object at which the robot stopped is gone, the nearest object of the same label
+replaces it, if that object is within this distance of the robot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,11 +44,12 @@ class PlanResult:
         ambiguous: Ids of the objects that a name may mean, if it is ambiguous.
         coarse_m: (n, 2) float64 in `map`, the trajectory as written; None if none was written.
         speed_mps: Speed that the instruction asks for; None if it asks for none.
-        stops_at: Id and label of the object at its end; see
-        `edge.tasks.write.WrittenTrajectory`.
-        stops: Ids and labels of the objects at the stop of each step; the last is that of step
-            `n_done`. Empty if a model wrote the trajectory.
-        n_done: Number of steps of the task that are done at its end.
+        stops_at: Id and label of the object at which the trajectory ends; None if it ends at no
+            object; see `edge.tasks.write.WrittenTrajectory`.
+        stops: One item for each step of this trajectory: the (id, label) pairs of the objects at
+            which the step ends. The last item belongs to step `n_done`. Empty if a model wrote
+            the trajectory.
+        n_done: Number of steps of the task that are done at the end of the trajectory.
         understood: See `edge.tasks.facts.TaskStatus`.
         prompt: See `edge.tasks.facts.TaskStatus`.
         rounds: See `edge.tasks.facts.TaskStatus`.
@@ -70,7 +71,13 @@ class PlanResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectMapUpdate:
-    """A request to add the boxes of an image, whose frame is held, to an object map."""
+    """A request to add the boxes of an image to an object map.
+
+    Attributes:
+        found: Boxes of the image. Its frame is held until `release_frame`.
+        objects: Object map of the task.
+        range_m: Largest distance of an object from the camera.
+    """
 
     found: Detections
     objects: ObjectMap
@@ -84,8 +91,9 @@ class PlanRequest:
     Attributes:
         config: The configuration.
         instruction: Instruction of the task.
-        first: Number of steps of the instruction that were driven.
-        ends: Numbers of steps that a trajectory may cover now, the largest first.
+        n_driven: Number of steps already driven. The trajectory begins with the next step.
+        ends: Candidates for the step at which the trajectory ends, counted from the start of the
+            instruction. The worker tries them in this order, the largest first.
         n_steps: Total number of steps.
         view: The map.
         observation: Observation with the robot's pose.
@@ -96,14 +104,14 @@ class PlanRequest:
             new trajectory.
         index: Index of the pose to refine from.
         reason: Reason for a new trajectory; "" for the first.
-        nearer_to: Id and label of the object that the robot stopped at, to drive nearer to it on
-            the current map; None for other requests.
-        rounds: Answers of a model, added as they end.
+        nearer_to: Id and label of the object at which the robot stopped. The new trajectory leads
+            nearer to this object on the current map. None for other requests.
+        attempts: Attempts of the model. The worker appends them while it runs.
     """
 
     config: Config
     instruction: str
-    first: int
+    n_driven: int
     ends: tuple[int, ...]
     n_steps: int
     view: MapView
@@ -115,35 +123,35 @@ class PlanRequest:
     index: int = 0
     reason: str = ""
     nearer_to: tuple[int, str] | None = None
-    rounds: list[PlanAttempt] = field(default_factory=list)
+    attempts: list[PlanAttempt] = field(default_factory=list)
 
 
-def log_line(draft: PlanResult, refined: RefinedTrajectory, order: PlanRequest) -> str:
+def log_line(draft: PlanResult, refined: RefinedTrajectory, request: PlanRequest) -> str:
     """Return a line about a trajectory for the mission log."""
     length_m = float(np.hypot(*np.diff(refined.poses[:, :2], axis=0).T).sum())
-    what = draft.understood or "written by the model"
-    if order.before is not None:
-        what = "refined again"
-    elif order.nearer_to is not None:
-        what = "to get nearer to the object at its end"
+    origin = draft.understood or "written by the model"
+    if request.before is not None:
+        origin = "refined again"
+    elif request.nearer_to is not None:
+        origin = "to get nearer to the object at its end"
     notes = "".join(f"; {note}" for note in refined.notes)
-    return f"trajectory of {length_m:.1f} m: {what}{notes}"
+    return f"trajectory of {length_m:.1f} m: {origin}{notes}"
 
 
-def run_request(order: ObjectMapUpdate | PlanRequest) -> PlanResult | None:
+def run_request(request: ObjectMapUpdate | PlanRequest) -> PlanResult | None:
     """Carry out a request. Never raise, because the task waits for a result."""
-    if isinstance(order, ObjectMapUpdate):
+    if isinstance(request, ObjectMapUpdate):
         try:
-            add_detections(order.objects, order.found, order.range_m)
+            add_detections(request.objects, request.found, request.range_m)
         finally:
-            release_frame(order)
+            release_frame(request)
         return None
     try:
-        if order.nearer_to is not None:
-            return _nearer(order, order.nearer_to)
-        if order.before is not None and order.before.refined is not None:
-            return _refined(order, order.before, order.before.refined)
-        return _written(order)
+        if request.nearer_to is not None:
+            return _approach(request, request.nearer_to)
+        if request.before is not None and request.before.refined is not None:
+            return _refine(request, request.before, request.before.refined)
+        return _write(request)
     except UserError as error:
         return PlanResult(error=str(error), hopeless=isinstance(error, TranslationError))
     except Exception as error:
@@ -151,99 +159,107 @@ def run_request(order: ObjectMapUpdate | PlanRequest) -> PlanResult | None:
         return PlanResult(error=f"a bug in edge: {type(error).__name__}: {error}")
 
 
-def release_frame(item: ObjectMapUpdate | PlanRequest) -> None:
+def release_frame(request: ObjectMapUpdate | PlanRequest) -> None:
     """Release the frame of a request."""
-    if isinstance(item, ObjectMapUpdate):
-        item.found.observation.release()
+    if isinstance(request, ObjectMapUpdate):
+        request.found.observation.release()
 
 
-def _written(order: PlanRequest) -> PlanResult:
+def _write(request: PlanRequest) -> PlanResult:
     """Write a trajectory for as many steps as possible."""
-    scene, draft = _scene(order), PlanResult()
-    for upto in order.ends:
-        draft = _written_up_to(upto, order, scene)
+    scene, draft = _scene(request), PlanResult()
+    for n_steps in request.ends:
+        draft = _write_up_to(n_steps, request, scene)
         if draft.refined is not None or draft.hopeless:
             break
     return draft
 
 
-def _written_up_to(upto: int, order: PlanRequest, scene: Scene) -> PlanResult:
-    config, which = order.config, slice(order.first, upto if upto < order.n_steps else None)
-    limits, instruction = _tasks(config).trajectory, order.instruction
-    asked = ""
+def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult:
+    """Write a trajectory that ends with step `n_steps`, counted from the start."""
+    config = request.config
+    # An open slice tells `write_trajectory` that the robot stops at its end.
+    steps = slice(request.n_driven, n_steps if n_steps < request.n_steps else None)
+    limits, instruction = _tasks(config).trajectory, request.instruction
+    prompt = ""
     if isinstance(config.tasks.planner, WriterModel):
-        asked = f"{system_prompt()}\n\n{task_text(instruction, scene, limits, order.reason)}"
-    draft = PlanResult(prompt=asked, n_done=upto)
+        prompt = f"{system_prompt()}\n\n{task_text(instruction, scene, limits, request.reason)}"
+    draft = PlanResult(prompt=prompt, n_done=n_steps)
     try:
         written = write_trajectory(
-            instruction, scene, _tasks(config), order.rounds.append, order.reason, which=which
+            instruction, scene, _tasks(config), request.attempts.append, request.reason, which=steps
         )
-        coarse, thing = written.coarse, written.stops_at
-        labels = {k: one.label for k, one in scene.objects.items()}
-        stops_at = None if thing is None else (thing, labels[thing])
+        coarse, end_id = written.coarse, written.stops_at
+        labels = {k: obj.label for k, obj in scene.objects.items()}
+        stops_at = None if end_id is None else (end_id, labels[end_id])
         stops = tuple(tuple((k, labels[k]) for k in step) for step in written.stops)
         draft = replace(
             draft, coarse_m=coarse.points_m, speed_mps=coarse.speed_mps,
             understood=written.understood, stops_at=stops_at, stops=stops,
         )  # fmt: skip
         refined = refine(
-            scene, coarse.segments, coarse.regions, _body(config), _limits(config, draft),
+            scene, coarse.segments, coarse.regions, _margins(config), _limits(config, draft),
             heading_rad=coarse.heading_rad,
         )  # fmt: skip
     except UserError as error:
-        mistakable = error.things if isinstance(error, AmbiguousObjectError) else ()
+        ambiguous = error.things if isinstance(error, AmbiguousObjectError) else ()
         return replace(
             draft, error=str(error), hopeless=isinstance(error, TranslationError),
-            ambiguous=mistakable, rounds=tuple(order.rounds),
+            ambiguous=ambiguous, rounds=tuple(request.attempts),
         )  # fmt: skip
-    return replace(draft, refined=refined, rounds=tuple(order.rounds))
+    return replace(draft, refined=refined, rounds=tuple(request.attempts))
 
 
-def _refined(order: PlanRequest, before: PlanResult, refined: RefinedTrajectory) -> PlanResult:
+def _refine(request: PlanRequest, before: PlanResult, refined: RefinedTrajectory) -> PlanResult:
     """Refine the rest of an earlier trajectory on the current map."""
-    config = order.config
+    config = request.config
     limits = _limits(config, before)
-    refined = refine_again(_scene(order), refined, order.index, _body(config), limits)
+    refined = refine_again(_scene(request), refined, request.index, _margins(config), limits)
     return replace(before, refined=refined)
 
 
-def _nearer(order: PlanRequest, thing: tuple[int, str]) -> PlanResult:
+def _approach(request: PlanRequest, thing: tuple[int, str]) -> PlanResult:
     """Write a trajectory nearer to an object that was far away, or hidden, before.
 
     The result has no trajectory if the approach is below `NEARER_M`.
     """
-    scene = _scene(order)
+    scene = _scene(request)
     found = _found_again(thing, scene)
     if found is None:
         return PlanResult()
-    there = f"go to object {found.id}"
-    draft = _written(replace(order, instruction=there, first=0, ends=(1,), n_steps=1))
+    instruction = f"go to object {found.id}"
+    draft = _write(replace(request, instruction=instruction, n_driven=0, ends=(1,), n_steps=1))
     if draft.refined is None:
         return draft
     x_m, y_m, _, yaw_rad = draft.refined.poses[-1].tolist()
-    if _away_m(found, scene.pose) - _away_m(found, SE2(x_m, y_m, yaw_rad)) < NEARER_M:
+    if _distance_m(found, scene.pose) - _distance_m(found, SE2(x_m, y_m, yaw_rad)) < NEARER_M:
         return PlanResult()
     return draft
 
 
 def _found_again(thing: tuple[int, str], scene: Scene) -> SceneObject | None:
     """Return the object with this id. If it is gone, return the nearest object of its label."""
-    number, label = thing
-    if number in scene.objects:
-        return scene.objects[number]
-    alike = [one for one in scene.objects.values() if one.label == label]
-    nearest = min(alike, key=lambda one: _away_m(one, scene.pose), default=None)
-    return None if nearest is None or _away_m(nearest, scene.pose) > AGAIN_M else nearest
+    object_id, label = thing
+    if object_id in scene.objects:
+        return scene.objects[object_id]
+    same_label = [obj for obj in scene.objects.values() if obj.label == label]
+    nearest = min(same_label, key=lambda obj: _distance_m(obj, scene.pose), default=None)
+    return None if nearest is None or _distance_m(nearest, scene.pose) > SAME_OBJECT_M else nearest
 
 
-def _away_m(thing: SceneObject, at: SE2) -> float:
+def _distance_m(thing: SceneObject, at: SE2) -> float:
     return float(np.hypot(*(thing.points_m[:, :2] - (at.x_m, at.y_m)).T).min())
 
 
-def _scene(order: PlanRequest) -> Scene:
-    radius_m = _body(order.config).clearance_m
+def _scene(request: PlanRequest) -> Scene:
+    radius_m = _margins(request.config).clearance_m
     return scene_of_map(
-        order.view, order.observation, order.instances, radius_m, order.found, seen=order.objects
+        request.view,
+        request.observation,
+        request.instances,
+        radius_m,
+        request.found,
+        seen=request.objects,
     )
 
 
@@ -258,11 +274,12 @@ def _tasks(config: Config) -> TasksConfig:
     return tasks.model_copy(update={"trajectory": trajectory})
 
 
-def _body(config: Config) -> PathMargins:
+def _margins(config: Config) -> PathMargins:
     return PathMargins(_tasks(config).trajectory.clearance_m)
 
 
 def _limits(config: Config, draft: PlanResult) -> MotionLimits:
+    """Return the robot's limits, with the speed of the instruction if that is lower."""
     limits = MotionLimits.of(config.robot)
     asked_mps = limits.speed_mps if draft.speed_mps is None else draft.speed_mps
     return replace(limits, speed_mps=min(asked_mps, limits.speed_mps))

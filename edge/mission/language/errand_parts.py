@@ -19,7 +19,8 @@ PARTS = {
         double check|peek|inspect|have a peek|take a peek|tell me)
         """,
     "still": "[still|really|actually|also|now|already|always]*",
-    "at": "{still} [standing|lying|sitting|hanging|parked|placed] {still} [<relation> <anchor>]",
+    "at": "{still} [standing|lying|sitting|hanging|parked|placed] {still} "
+          "[<relation> <anchor> [(in|inside) <within>]]",
     "whole": """
         (everything|everywhere|everything here|[in] [all] [of]
             [the|this|our|my|your|of|whole|entire|
@@ -36,17 +37,18 @@ PARTS = {
         do a (tour|scan)|make a map) [all] (around|round|about) [in|inside|of|at]|
         check [out|around|through]|
         (do|make|take) a [full|complete|quick|thorough|proper|good]*
-        (round|tour|lap|loop|sweep|scan|search) (of|through|around)|
+        (round|tour|turn|lap|loop|sweep|scan|search) (of|through|around|in)|
         (look|search|(take|have|make) a look) [around] (in|inside))
         """,
     "time": "[, [only|for|during] <span> [long]] [again|once more|one more time|"
             "before (we|i|they) (start|begin|leave|open|close)]*",
     "where": "(at|in|by|near|near to|close to|inside|next to|in front of)",
     "patrol": """
-        [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|
+        [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|going
+        (round|around)|driving (round|around|between)|
         [go|be] on patrol|[do|doing|make|making] [your|the|some] rounds|go round|
         [go|drive|run|keep going|move|walk] back and forth|
-        (do|run|drive|make) (laps|loops|circles)|
+        (do|run|drive|make) (laps|loops|circles|a (lap|loop|circle|circuit))|
         circle|loop|cycle|shuttle|alternate|
         (drive|go|run|move|walk) (around|round|up and down)|(go|drive|walk) between)
         [between|of|in|through|around|from|at|to|on]
@@ -57,7 +59,7 @@ PARTS = {
         (come|go|get|drive|head|return|run|be|move|roll|bring yourself) [straight|right|directly]
             back|return|back) [to] [here|me|me here|us|this spot|this place|where (you|i|we)
             (are|am) now|
-        where i am|your place here|again]* [here]
+        where i am|your place here|again]* [here] [after|afterwards|after that|again]
         """,
     "home": """
         [the|your|to|from]* [(place|spot|point|position|location)] [, (where|from where|from which)]

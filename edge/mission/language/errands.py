@@ -15,7 +15,10 @@ from edge.mission.language.errand_parts import PARTS
 from edge.mission.language.everyday_words import (
     AFTER_A_NAME,
     ARTICLE,
+    MARK,
     NAME,
+    NOWHERE,
+    PLAIN_NAME,
     any_of,
     bare,
     is_room,
@@ -71,6 +74,7 @@ _EXPLORES = compiled(
     {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
             [everything] {time}
     {goes} {look} <stops> {time}
+    {goes} (see|look|check|find out) what is (in|inside) <room>
     {goes} {look} <room> [, (only|just) (this|that) (room|one)] {time}
     give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
             (once-over|once over|look|scan|sweep|look over|check|going over|look-over|inspection)
@@ -95,9 +99,9 @@ _PATROLS = compiled(
     {patrol} <stops> , <often>
     {patrol} <stops> , [for|during] <span> [long]
     {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|
-            all (day|night|the time))
+            all (day|night|the time)|over and over [again]|again and again)
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
-    (do|make|drive|go|run|walk) <count> {rounds} (of|between|around|through|from|in) <stops>
+    (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
     """,
     PARTS,
 )
@@ -111,7 +115,7 @@ _ERRAND_AND_BACK = compiled(
 )
 _STARTS = compiled(
     """
-    {then} (come|go|get|drive|head|run|return|move) [back|home]* to {home}
+    {then} ((come|go|get|drive|head|run|return|move) [back|home]*|back) to {home}
     {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
             (start|starting) (point|place|position|pose|spot))
     """,
@@ -121,7 +125,12 @@ _BACK_TO = compiled(
     "{then} (return|[come|go|get|drive|head|run|move|be] [straight|right] back) to <thing>",
     PARTS,
 )
-_CALLS = compiled("(come|drive|get|move|roll) [over|right|up]* (here|to me|to us|over here)", PARTS)
+_CALLS = compiled(
+    "[over here [mate|robot|to me|to us] ,] (come|drive|get|move|roll) [over|right|up|here]* "
+    "(here|to me|to us|to (where|wherever) (i am|we are)) "
+    "[[for] (a|one) (minute|moment|second|sec|bit)]",
+    PARTS,
+)
 _BACKS = compiled("{then} {back}", PARTS)
 _WAITS = compiled(
     """
@@ -136,7 +145,7 @@ _WAITS = compiled(
 )
 _RELATED = re.compile(
     rf" (?P<thing>{NAME})(?: {any_of('standing')})? (?P<relation>{any_of('relation')})"
-    rf" (?P<anchor>{NAME})(?: and (?P<other>(?:the|a) {NAME})"
+    rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?: and (?P<other>(?:the|a) {NAME})"
     rf"| or (?:(?P<again>{any_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
     re.I,
 )
@@ -144,8 +153,28 @@ _INTRODUCED = re.compile(
     r"^ (?:there (?:is|are)|(?:we|i) (?:need|want|am looking for|can not find|"
     r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten))) "
     rf"(?P<thing>{NAME})(?: {any_of('standing')})?(?: (?P<relation>{any_of('relation')}) "
-    rf"(?P<anchor>{NAME}))?(?: somewhere)?(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
-    r"(?:so |please |and )*(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
+    rf"(?P<anchor>{NAME}))?(?: (?:somewhere|anywhere|again))?"
+    r"(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
+    r"(?:so |please |and |(?:can|could|would|will) you )*"
+    r"(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
+    re.I,
+)
+_FIND = rf"(?:{any_of('find')}|find|get to|go to|locate)"
+_HINTED = re.compile(
+    rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
+    rf" (?:is|are|(?:should|must|will) be)|i (?:have )?(?:left|put) (?:it|them))"
+    rf"(?: {any_of('standing')})? (?P<relation>"
+    rf"{any_of('relation')}) (?P<anchor>{NAME})(?: i think)?{END}",
+    re.I,
+)
+_WANTED_FOUND = re.compile(
+    rf"^ (?:i|we) (?:need|want|would like) (?P<thing>{NAME}(?: {any_of('relation')} {NAME})?)"
+    r" (?:to be )?found(?=[.!]*$)",
+    re.I,
+)
+_NEAREST = re.compile(
+    rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME})"
+    rf" (?:to|from|of) (?P<anchor>{NAME}){END}",
     re.I,
 )
 _ROOM_WITH = re.compile(
@@ -156,11 +185,6 @@ _PERMITS = re.compile(
     rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
     re.I,
 )
-_NOWHERE = nouns.listed(
-    """way foot own order point least most floor floors last path road route place places spot area
-    position location side one ones bit moment while"""
-)
-"""Words that name no object in "at some point", "on the way", "a place near the door"."""
 _RELATIONS = {
     "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
     "beside of": "beside", "behind of": "behind",
@@ -178,7 +202,16 @@ _NUMBERED = re.compile(
 )
 _PLAINER = (
     (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
-    (re.compile(r", after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
+    (re.compile(r",? (?:and )?(?:(?:after|afterwards|then) (?:in|into)|at the end (?:in|into|to))"
+                rf" (?={ARTICLE} |{any_of('room')}\b|{MARK})", re.I), ", then to "),
+    (re.compile(r",?(?: and)? (?:keep (?:going|on|at it|driving|doing (?:it|that))|carry on|"
+                r"go on|repeat (?:it|that|this)|over and over(?: again)?|again and again)"
+                r"(?=,? (?:until|forever)\b)", re.I), ""),
+    (re.compile(r"\b(rounds|laps|loops|circles|tours|times):(?= )", re.I), r"\1,"),
+    (re.compile(r"\bsomewhere (?=(?:in|on|at|under|near) )", re.I), ""),
+    (re.compile(r" (?:super |very |really )(?:fast|quick)(?=,? and\b)", re.I), ""),
+    (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
+    (re.compile(r"(?:,|,? and) after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
@@ -256,6 +289,9 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         text = pattern.sub(plain, text)
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
         ([_INTRODUCED], _introduced),
+        ([_HINTED], _hinted),
+        ([_WANTED_FOUND], lambda found: f" find {found['thing']}"),
+        ([_NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
         (_SEARCHES, _searched),
         (_PATROLS, _rounds),
         (_ROUNDS_FIRST, lambda found: None if found.start() else _rounds(found)),
@@ -317,6 +353,14 @@ def _introduced(found: re.Match[str]) -> str | None:
     return None if where is None else f" {found['order']} the {bare(found['thing'])}{where}"
 
 
+def _hinted(found: re.Match[str]) -> str | None:
+    """Return "find the mug, it should be on the desk" as the order to find the mug on the desk."""
+    thing, where = bare(found["thing"]), _where(found["relation"], found["anchor"])
+    if where is None or is_room(thing) or is_marked(thing) or is_vague(thing):
+        return None
+    return f"{found['order']} the {thing}{where}"
+
+
 def _searched(found: re.Match[str]) -> str | None:
     room = found.groupdict().get("room") or ""
     if (room and not is_room(bare(room))) or is_vague(found["thing"]):
@@ -333,7 +377,7 @@ def _checked(found: re.Match[str]) -> str | None:
     if not slots.get("relation") and found[0].rstrip().endswith(found["thing"]):
         known = is_marked(thing) or nouns.unknown_in(thing.split()) is None
         named = known or re.match(r"(?!any|some)\w+ ", found["thing"][: -len(thing)])
-        nowhere = thing.startswith("rooms ") or thing.split()[-1] in _NOWHERE
+        nowhere = thing.startswith("rooms ") or thing.split()[-1] in NOWHERE
         if is_room(thing) or nowhere or not named:
             return None  # "check the kitchen" is no check of a thing, nor "check for any messages"
     if slots.get("into") and not is_room(bare(slots["into"])):
@@ -342,6 +386,10 @@ def _checked(found: re.Match[str]) -> str | None:
         where = _where("in", slots.get("room") or slots["into"])
     else:
         where = _where(slots.get("relation"), slots.get("anchor"))
+    if slots.get("within"):
+        if where is None or not is_room(bare(slots["within"])):
+            return None
+        where += _where("in", slots["within"]) or ""
     if re.match(r" (?!and |then |but |when |while |in order )\w", found.string[found.end() :]):
         return None  # "check if the heater is on"
     return None if where is None else _go_to(f"{CHECK} {thing}{where}", found)
@@ -359,7 +407,7 @@ def _where(relation: str | None, anchor: str | None, other: str | None = None) -
     )
     verb = name == anchor.lower() and TABLE.get((words[0],)) == "verb" and len(words) > 1
     bare_by = relation == "by" and name == anchor.lower() and not is_marked(name)  # "by bus"
-    if idiom or verb or bare_by or is_vague(anchor) or words[-1] in _NOWHERE:
+    if idiom or verb or bare_by or is_vague(anchor) or words[-1] in NOWHERE:
         return None  # "at some point", "by passing the desk"
     if names.number(words) is not None:
         return None  # "between the two"
@@ -459,7 +507,7 @@ def _related(found: re.Match[str]) -> str | None:
     if not articled and (nouns.unknown_in(words) is not None or not led):
         return None  # "park at the dock": a verb, no thing
     if (
-        words[-1] in _NOWHERE
+        words[-1] in NOWHERE
         or (is_vague(" ".join(words)) and relation != "with")
         or (is_room(bare(thing)) and relation in ("by", "near", "at"))
     ):
@@ -468,8 +516,10 @@ def _related(found: re.Match[str]) -> str | None:
         return None
     other = slots.get("other") if relation == "between" else None
     where = _where(relation, found["anchor"], other)
-    if where is None:
+    within = slots.get("within")
+    if where is None or (within and not is_room(bare(within.split(" ", 2)[2]))):
         return None
+    where += _where("in", within.split(" ", 2)[2]) or "" if within else ""
     rest = f" and {slots['other']}" if slots.get("other") and not other else ""
     name = bare(" ".join(words))
     if slots.get("else"):

@@ -21,7 +21,8 @@ _ROWS: dict[str, str] = {
         listen; dear; ah; and; then; carefully; good morning; good evening; attention; quick;
         quickly; yes;
         yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you go;
-        buddy; sorry; just; kindly; from now; from now on; for now; first; today;
+        buddy; sorry; just; kindly; from now; from now on; from today (on|); (make|pay) attention;
+        watch out; for now; first; today;
         (my|) (dear|love|darling|friend|sweetheart|sweetie);
         (could|can|would|will) you (just|maybe|perhaps|kindly|quickly|);
         (could|can|would|will) you (be so kind|be so good) (as|) to; (would|do) you mind;
@@ -34,7 +35,7 @@ _ROWS: dict[str, str] = {
         (could|would); be (a|an) (dear|pal|darling|sweetheart|love|angel|star|good
         (robot|boy|girl)) and; do me a favour and;
         do me a (favor|kindness) and; oi; go ahead and; make sure (to|you|that you); be sure to;
-        try to; let us;
+        try to; you (had|would) better; let us; (is it|it is|would it be) possible (for you|) to;
         mind (that|) you;
         i wonder if you could; why do not you; why do n't you; time to; in your memory;
         hurry up and; hurry and;
@@ -42,7 +43,9 @@ _ROWS: dict[str, str] = {
         follow the plan and; please to
     """,
     "closing": """
-        please; thanks; thank you; thank you very much; dear; love; buddy; robot; okay; ok; mate;
+        please; thanks; thank you; thank you (very|so) much; thanks (ever|) so much; many thanks;
+        cheers; dear; love; buddy;
+        robot; okay; ok; mate; keep (that|it) in mind;
         pal; (would|will|could|can) you; for me; now; right now; right away; at once; immediately;
         honey; darling; sweetie; my dear; my friend; my love; sweetheart;
         as (fast|quickly|soon) as you can; (really|very|super|) (quickly|quick|fast); sharpish;
@@ -52,7 +55,7 @@ _ROWS: dict[str, str] = {
         in case you did not know; for now; today; do not forget (that|it|); got it; did you get
         that; you hear;
         will you please; all right; alright; for us; sir; friend; be careful; and be careful;
-        carefully; come on; good robot; from now on; there is a good
+        carefully; come on; good robot; pronto; asap; from now on; there is a good
         (boy|robot|lad|girl|chap|fellow); to charge;
         for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
         (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
@@ -112,7 +115,8 @@ _ROWS: dict[str, str] = {
         back (in|into|to); make your way (over|back|) (to|into); get yourself (over|back|)
         (to|into);
         bring yourself (over|back|) to; report (to|at); head (back|over|) (for|towards); make for;
-        set off (for|to); show up (at|in); be off to; drop (in|) (at|by|into);
+        set off (for|to); show up (at|in); (go|drive|come) (as far as|until); be off to; drop (in|
+        ) (at|by|into);
         i need you (over|) (in|at|to); you are needed (in|at); (park|sleep|rest|charge|recharge)
         (yourself|) (at|in|on|by|near|next to); present yourself at; position yourself (at|in|by);
         place yourself (at|in|by); put yourself (at|in|by); get (over|back|) to; go and stand
@@ -133,7 +137,8 @@ _ROWS: dict[str, str] = {
     # What a robot with wheels, a camera and text cannot do: the beginning of a clause.
     # Verbs of carrying and handing, which are no order to drive to the thing.
     "carry": """
-        bring; fetch; carry; grab; lift; hold; hand; give; pass (me|us|him|her|it|them); pick; take;
+        bring; fetch; carry; grab; lift; hold; hand; open; close; shut; lock; unlock; give; pass
+        (me|us|him|her|it|them); pick; take;
         deliver; collect; load; unload; throw; put; place; drop; move; push; pull; drag; pour;
         plug; unplug; make (me|us); get (me|us|the|my|a|an|some|that|it|them); serve; tow; stack;
         fold; build; shake; cut; charge my; hug; help me; cook;
@@ -141,7 +146,7 @@ _ROWS: dict[str, str] = {
     """,
     # Verbs of work at a thing: the robot drives there.
     "work": """
-        sweep; open; close; shut; lock; unlock; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
+        sweep; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
         feed; iron; water; empty; fill; (switch|turn) (on|off|up|down); knock; fix; repair; sort
     """,
     "talk": """
@@ -185,9 +190,11 @@ _ENDS_A_NAME = """
     between close nearest closest across top front look be me us him this how why standing
     sitting lying hanging it's already same order everywhere somewhere thing right yet like
     the a an my our your his her their those these some last lately recently earlier kept located
-    gone exactly been
+    gone exactly been ever always forever
     """
-AFTER_A_NAME = f"(?:{'|'.join(_ENDS_A_NAME.split())})"
+AFTER_A_NAME = (
+    f"(?:{'|'.join(_ENDS_A_NAME.split())}|left(?= (?:on|in|under|at|by|near|next|behind|inside) ))"
+)
 """Regular expression for a word that no name has."""
 
 
@@ -242,6 +249,11 @@ _STATES = nouns.listed(
     dangerous far near close alone warm cold hot dry wet missing awake asleep charged running
     working okay ok"""
 )
+NOWHERE = nouns.listed(
+    """way foot own order point least most floor floors last path road route place places spot area
+    position location side one ones bit moment while"""
+)
+"""Words that name no object in "at some point", "on the way", "a place near the door"."""
 _UNNAMED = {
     "no", "other", "another", "same", "every", "each", "all", "both", "anything", "something",
     "very", "really", "quite",

@@ -264,17 +264,29 @@ _ROWS: dict[str, str] = {
         can be first; either can be first; either one may come first; either may come first;
         either one can come first; either can come first;
         (in whatever|in whichever) order (is|seems) (quickest|easiest|fastest|shortest|best);
-        (it does not matter|it makes no difference|i do not care|i do not mind) (in which order|in
-        what order|which order|what order|which one you visit first|which you visit first|which
-        one is first|which is first|which one comes first|which comes first|which one you do
-        first|which you do first|which one you go to first|which you go to first)
+        (any|whatever|whichever|either) order (is|will be) (fine|okay|ok|good|all right|alright);
+        (any|whatever|whichever) order (works|will do|goes|suits you|you want|you prefer);
+        (it does not matter|does not matter|it makes no difference|i do not care|i do not mind|
+        no matter|you can choose|you can pick|you can decide|you choose|you pick|you decide)
+        (in which order|in what order|which order|what order|the order|which first|
+        which one first|where you start|which to visit first|
+        (which one|which) (you visit|is|comes|goes|you do|you go to|you take|you start with)
+        first|which one you start with);
+        start with (whichever|whichever one) you (like|want|prefer)
     """,
     "whichever": """
         any one; either one; or both; your pick; your choice; the choice is yours; you choose; you
         decide; either is fine; either one is fine; either will do; either one will do;
         (whichever|whichever one) (you like|you prefer|you want|you choose|suits you|is closer|is
         closest|is nearer|is nearest|is easier|is quicker|is faster|is first|comes first|you find
-        first|you see first);
+        first|you see first|you (get to|come to|reach|spot|meet|come across|notice) first|
+        you can find|you find|you see|works|will do);
+        (the first|first) (you see|you find|you spot|you get to|one you see|one you find|
+        one you spot|one you get to|one you come across);
+        (one of them|one of these|one of the two|just one of them|only one of them|one|just one)
+        (is|will be|would be) (enough|fine|okay|ok|good); one of them will do; one will do;
+        (any|any one|either) of (them|the two|these) (is fine|is okay|will do|works);
+        either (works|is okay|is ok|is good); (both|both of them) are (fine|okay|ok)
         (the one|any one|either one) (you like|you prefer|you want|that you prefer|you choose);
         (it does not matter|i do not care|i do not mind) (which|which one)
     """,

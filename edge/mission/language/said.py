@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, Union
 
-from edge.mission.language.everyday_words import bare, is_room, is_vague
+from edge.mission.language.everyday_words import NAME, NOWHERE, any_of, bare, is_room, is_vague
+from edge.mission.language.remarks import is_remark
 from edge.mission.language.spans import seconds_of
 from edge.mission.language.templates import compiled, first_match
-from edge.mission.language.tidy import TidySpeech, is_reason, stripped, tidied
+from edge.mission.language.tidy import TidySpeech, stripped, tidied
 from edge.mission.language.tokens import UnclearError
 from edge.mission.language.utterances import CONTROL, ORDERS, PARTS, QUESTIONS
 
@@ -97,6 +98,22 @@ class NoMissionError(UnclearError):
 _IN_A_MISSION = ("keep_out", "stay_inside", "pause")
 _NAMES = ("thing", "name", "anchor", "room")
 _ZONES = ("keep_out", "stay_inside", "open")
+_AS_QUESTIONS = (
+    (re.compile(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", re.I), r"\1 there"),
+    (re.compile(r"^it (is|was) there (?=[^.;:!]*\?$)", re.I), r"\1 there "),
+    (re.compile(rf"^({NAME}),? (is|are|was|were) (?:it|they)(?= )", re.I), r"\2 \1"),
+    (re.compile(rf"^((?:in|on|under|at) {NAME}),? (?:there (is|are)|(is|are) there)"
+                rf" ({NAME})(?=\?$)", re.I), r"\2\3 there \4 \1"),
+    (re.compile(rf"^({NAME}) (is|are|was|were)(?=(?: still| really)* {any_of('relation')} "
+                r"[^.;:!]*\?$)", re.I), r"\2 \1"),
+)  # fmt: skip
+"""Questions in the order of words of statements, as questions."""
+_LOOK = re.compile(
+    r"(?:go |drive |run )?(?:over |there )*(?:and )?(?:check|see|look|find out|have a look|"
+    r"take a look)(?: there| for me)*",
+    re.I,
+)
+"""The order after a question to go and look for the answer."""
 _ONE_BY_ONE = "instruction: say one thing at a time: an errand, a question, or what to remember"
 
 
@@ -127,8 +144,15 @@ def understand(said: str, sites: Collection[str] = ()) -> Said:
     whole = _plain(speech.text)
     if (found := _classified(whole, sites)) is not None:
         return found
+    question, _, order = speech.text.partition("?")
+    if _LOOK.fullmatch(stripped(order)):
+        asked_for = _classified(_plain(f"{question}?"), sites)
+        if isinstance(asked_for, MemoryQuestion) and asked_for.topic == "exists":
+            thing, room = asked_for.about, asked_for.room
+            check = f"check if there is a {thing}{f' in the {room}' * bool(room)}"
+            return MissionOrder(replace(speech, text=check))
     pieces = [stripped(piece) for piece in re.split(r"[.!?;,]+(?: |$)", speech.text)]
-    pieces = [piece for piece in pieces if piece and not is_reason(piece, states=True)]
+    pieces = [piece for piece in pieces if piece and not is_remark(piece, states=True)]
     kinds = [_classified(_plain(piece), sites) for piece in pieces]
     orders = [kind for kind in kinds if kind is not None]
     if not orders or (None in kinds and all(_may_be_in_a_mission(one) for one in orders)):
@@ -148,9 +172,11 @@ def _may_be_in_a_mission(one: Said) -> bool:
 def _plain(text: str) -> str:
     """Return the text without commas; a stop within it is a word of its own, which no slot has.
 
-    "There is a mug?" becomes "is there a mug": without its question mark, it is no question.
+    "There is a mug?" becomes "is there a mug": without its question mark, it is no question. "My
+    keys, are they on the desk?" becomes "are My keys on the desk".
     """
-    text = re.sub(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", r"\1 there", text, flags=re.I)
+    for stated, asked in _AS_QUESTIONS:
+        text = stated.sub(asked, text)
     text = re.sub(r"[.;:!?]+(?= )", " .", re.sub(r"[.,;:!?]+$|,(?= )", "", text))
     return " ".join(text.split())
 
@@ -170,6 +196,10 @@ def _fits(slots: Mapping[str, str], sites: Collection[str]) -> bool:
     room = bare(slots.get("room", ""))
     if room and not is_room(room) and room not in sites:
         return False
+    if "within" in slots and not is_room(bare(slots["within"])):
+        return False
+    if bare(slots.get("anchor", "x")).split()[-1] in NOWHERE:
+        return False
     return not any(is_vague(name) for slot, name in slots.items() if slot in _NAMES)
 
 
@@ -178,6 +208,7 @@ def _made(kind: str, slots: Mapping[str, str]) -> Said:
     if kind in QUESTIONS:
         about, relation = bare(slots.get("thing", "")), slots.get("relation", "").lower()
         anchor = bare(slots.get("anchor", ""))
+        about, room = about.removesuffix(" left"), bare(slots.get("within", "")) or room
         if relation in ("in", "inside", "at", "on") and is_room(anchor):
             room = anchor
         elif anchor:

@@ -5,7 +5,8 @@
 - `(a|b)` is a choice, `[a|b]` may be left out, and `*` after either repeats it any number of times.
 - `<thing>` is a name of up to five words, with or without an article.
 - `<stops>` is a list of names, `<count>` a number, `<often>` once or twice, `<relation>` a word
-  such as "behind", and `<span>` a length of time, such as "ten minutes".
+  such as "behind", `<done>` a form such as "mopped", and `<span>` a length of time, such as "ten
+  minutes".
 - `{seen}` is another template, by its name in a table of parts.
 - `,` is a comma that may be left out, and `...` is any rest that begins no new order.
 """
@@ -27,6 +28,7 @@ _SLOTS = {
     "count": COUNT,
     "often": r"(?:once|twice|thrice)",
     "relation": any_of("relation"),
+    "done": r"\w+(?:ed|ing)",
     "stops": rf"{NAME}(?:{STOP}{NAME})+",
 }
 _MARKS = {"(": "(?:", ")": ")", "[": "(?:", "]": ")?", "|": "|", "*": "*", ",": ",?"}

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import lru_cache
 
 from edge import names
 from edge.mission.language.everyday_words import ARTICLE, NAME, any_of
 from edge.mission.language.lexicon import TABLE, WORD, expanded
+from edge.mission.language.remarks import SUBORDINATE, is_remark
 from edge.mission.language.spans import number_of
-from edge.mission.language.templates import compiled, first_match
 from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
-from edge.mission.language.utterances import ASSENTS, REASONS, STATES
 
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
@@ -20,6 +18,8 @@ _SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whi
 _IS = re.compile(
     r"(?<=\d)'s (?=\w+ed\b)|"
     r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|"
+    r"fine|enough|good|"
+    r"asleep|here|wet|dirty|sick|hot|cold|dark|\w+ing|"
     r"finished|done|coming|going|backing|blocked|busy)\b|"
     rf"{any_of('relation')} )",
     re.I,
@@ -27,38 +27,38 @@ _IS = re.compile(
 _HESITATION = re.compile(
     rf"(?:(?P<comma>, )|(?<![\w'])){any_of('hesitation')}(?![\w'-]),?(?= |$)", re.I
 )
-_TWICE = re.compile(
-    r"\b((?:the|an?|to|and|in|into|of|i|you|go|please|for|then|with|on|my|it|is|stop|no|where|what|"
-    r"can|could|look|wait)(?: the| to| a| for)?)(?: \1\b)+",
+_SMALL = (
+    "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|are|was|were|there|this|"
+    "that|here|for|then|with|where|what|can|could|would|do|did|have|please|go|come|find|look|stop|"
+    "wait|no|not|never|me|from|ever)"
+)
+_BEGINS = "(?:where|what|go|come|is|are|was|did|do|have|can|could|find|look|stop|wait)"
+_REPEATED = re.compile(
+    rf"(?<![\w'-])(?:({_SMALL}(?: {_SMALL}){{0,3}}|the [\w']+)(?: \1(?![\w'-]))+"
+    rf"|({_BEGINS}(?: (?!(?:and|or|then)\b)[\w']+){{0,3}})(?: the| an?| my)?(?:,? \2(?![\w'-]))+)",
     re.I,
 )
-_RESTART = re.compile(
-    r"\b((?:where|what|go|is|did|can|could|find|look)(?: [\w']+){1,3}),?(?: \1\b)+", re.I
-)
+"""One to four words that a speaker says again: "where is the where is the"."""
 _LIKE = re.compile(
-    r"\b(?:(?<!would )like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )you know),? "
+    r"\b(?:(?<!would )like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )(?<!so )(?<!that )you know),? "
     rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})",
     re.I,
 )
 _MARK = rf"[ ,.]*\b{any_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 _CORRECTS = re.compile(_MARK, re.I)
 _OPENING = re.compile(
-    rf"(?:(?:{any_of('opening')}\b(?!(?<=you) see\b)|"
+    rf"(?:(?!let us play\b)(?:{any_of('opening')}\b(?!(?<=you) see\b)|"
     r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
     r"you (?!got|may|can|are|will|must|should|have|could|were)|"
     r"do (?=(?:go|come|find|check|look|have|please|you mind|stop|wait)\b))[ ,.!]*)+",
     re.I,
 )
 _CLOSING = re.compile(rf"(?:[ ,.!?]*\b{any_of('closing')})+[ .!?]*$", re.I)
+_ADDRESS = re.compile(r", (?:my )?(?:dear|love|darling|mate|buddy|friend|robot),", re.I)
+_PLEASE = re.compile(r" ?\b(?:pretty )?please(?: to(?! the\b))?\b(?P<comma>,?) ?", re.I)
 _NO_END = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
 _ENDS = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
-_DIRECTS = re.compile(
-    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only|except|unless|if|until|"
-    r"before|after|instead|but|first|then|avoid|never|allowed|forbidden|prefer|mean|meant|hope|it|"
-    r"them|find|limits|bounds|closed|taboo|private|go|stay|keep)\b",
-    re.I,
-)
-"""Words that may change an order, so a clause with one of them is no mere reason."""
+_REFERS = re.compile(r"\b(?:it|they|them|he|she|him|her|ones?|there|in again|enter again)\b", re.I)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class TidySpeech:
     Attributes:
         text: what is left, in one line.
         reasons: clauses that were left out because they only say why.
-        corrected: True if it corrected itself.
+        corrected: True if it corrected itself or said words again.
         quoted: the quotations, which the text shows as private characters; see `restored`.
     """
 
@@ -106,16 +106,18 @@ def tidied(said: str) -> TidySpeech:
     text = " ".join(_QUOTED.sub(hide, said.translate(STRAIGHT)).split())
     text = _IS.sub(" is ", WORD.sub(_expanded, text))
     text = " ".join(_HESITATION.sub(_unless_it_corrects, text).split())
-    text = re.sub(r"\bplease(?: to(?! the\b))?\b,? ?", "", text, flags=re.I).strip() or text
+    text = _ADDRESS.sub(",", text)
+    text = _PLEASE.sub(_comma_if_within, text).strip() or text
     text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
-    text = _LIKE.sub("", _RESTART.sub(r"\1", _TWICE.sub(r"\1", text)))
-    said_first = stripped(text)
-    text = _corrected(said_first)
-    kept, reasons = without_reasons(text)
+    once = _REPEATED.sub(r"\1\2", text)
+    said_first = stripped(_LIKE.sub("", once))
+    corrected = _corrected(said_first)
+    kept, reasons = without_reasons(corrected)
     kept = re.sub(r"[ ,;:]+([.!?])", r"\1", stripped(kept))
-    return TidySpeech(kept, reasons, text != said_first, tuple(quoted))
+    repaired = once != text or corrected != said_first
+    return TidySpeech(kept, reasons, repaired, tuple(quoted))
 
 
 def _expanded(found: re.Match[str]) -> str:
@@ -124,6 +126,11 @@ def _expanded(found: re.Match[str]) -> str:
         return plain
     parts = expanded(word.lower())
     return " ".join(parts) if len(parts) > 1 else word
+
+
+def _comma_if_within(found: re.Match[str]) -> str:
+    """Return the comma of "stop please, that is enough", which ends a clause."""
+    return ", " if found["comma"] and re.search(r"\w$", found.string[: found.start()]) else " "
 
 
 def _base_form(found: re.Match[str]) -> str:
@@ -187,43 +194,22 @@ def _replaced_from(before: str, after: str) -> int | None:
     return None
 
 
-def is_reason(clause: str, states: bool = False, first: bool = False) -> bool:
-    """Return True for a clause that only says why: "I heard a noise".
-
-    Args:
-        clause: no other text.
-        states: True if "the isolation is over" is one, too.
-        first: True if the clause begins the text, where "all clear" is one, too.
-    """
-    fixed = clause.lower().startswith(("it ", "that ", "this ", "you "))
-    if not fixed and _DIRECTS.search(clause):
-        return False
-    return first_match(_templates(REASONS + STATES * states + ASSENTS * first), clause) is not None
-
-
-@lru_cache(maxsize=4)
-def _templates(rows: str) -> list[re.Pattern[str]]:
-    return compiled(rows, {})
-
-
 def without_reasons(text: str) -> tuple[str, tuple[str, ...]]:
-    """Split off clauses that only say why: "I heard a noise", "the isolation is over".
+    """Split off the clauses that give no order: "I heard a noise", "so you know your way".
 
-    Only a clause of its own counts, next to a comma or a stop, and at least one other must be left.
+    At least one other clause must be left, and none that refers to what a remark names.
     """
-    pieces = re.split(r"([.!?;,]+ )", text)
-    kept, reasons = [], []
+    pieces = re.split(rf"([.!?;,]+ |{SUBORDINATE})", text, flags=re.I)
+    kept, reasons, refers = [], [], False
     for at in range(0, len(pieces), 2):
         said = pieces[at].strip(" .!?;")
-        piece = said if is_reason(said, first=not at) else stripped(said)
-        if is_reason(piece, first=not at) and len(pieces) > 1:
+        piece = said if is_remark(said, first=not at) else stripped(said)
+        if is_remark(piece, first=not at) and len(pieces) > 1:
             reasons.append(piece)
         else:
             kept.append(at)
-    used = any(
-        re.search(r"\b(?:it|them|there|in again|enter again)\b", pieces[at], re.I) for at in kept
-    )
-    if not reasons or not kept or used:
+            refers = refers or bool(reasons and _REFERS.search(pieces[at]))
+    if not reasons or not kept or refers:
         return text, ()
     joined = "".join(pieces[at] + (pieces[at + 1] if at + 1 < len(pieces) else "") for at in kept)
     return joined.strip(" ,;"), tuple(reasons)

@@ -7,8 +7,9 @@ PARTS = {
     "last": """
         [last|before|lately|recently|anywhere|somewhere|around|about|here|earlier|today|right now|
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
-        yet|by now|by any chance|again|on your (map|way|tour|rounds|trip)|in your memory|
-        this (morning|afternoon|evening)|(when|while|as) you (were|was|drove|went|looked) ...|
+        yet|by now|by any chance|at all|again|on your (map|way|tour|rounds|trip)|in your memory|
+        this (morning|afternoon|evening)|(when|while|as) you [last] (were|was|drove|went|looked|
+            came|passed|checked) ...|
         [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
         (got|gone|run off) to|ended up|[do] you (know|remember)|have you]*
         [(did|have) you [seen|see] (it|them|her|him|one)]
@@ -21,14 +22,21 @@ PARTS = {
     "you": "[did|have|had|has|do] (you|the robot|anyone|anybody) "
            "[have|had|did|ever|already|just|last|recently|by [any] chance|maybe|happen to]*",
     "tell": """
-        [can you|could you] [please] (tell me|say [me]|know|show me|do you (know|remember)|you know|
-        [i wonder|any idea|i want to know|remind me|you remember|do you happen to know|
+        [(when|while|as) you (came|went|were|drove|passed|looked|got|walked) [past|by|through|
+            around|about|there|in there|out|last|earlier|this way|over there]*]
+        [can you|could you] [please] (explain [me|to me]|i [do] wish i knew|tell me|say [me]|know|
+            show me|do you [still] (know|remember)|you know|
+        [i wonder|any idea|i want to know|remind me|you remember|do you happen to (know|remember)|
         have you any idea])
         """,
-    "in": "[anywhere|somewhere|still|left]* [on your map|in your memory|<relation> <anchor>]",
+    "in": "[anywhere|somewhere|still|left|at all]* [on your (map|way|tour|rounds|trip)|"
+          "in your memory|"
+          "<relation> <anchor> [in <within>]]",
     # Orders to learn.
     "here": """
-        ((the|this) (spot|place|position|location|point|corner)|this|here|it|where (you|we) are|
+        ((the|this|this here) (spot|place|position|location|point|corner|area|aisle|bay)|this|
+            here|it|where (you|
+            we) are|
         your (position|location|place|spot))
         [here|now|right here|where you are|you are at|you are in]*
         """,
@@ -54,15 +62,16 @@ PARTS = {
         (must|may|can|should|shall|will) not|not [may|can|should]|
         (are|have) not (allowed|supposed|permitted|welcome)|are (forbidden|banned)
             [from]|no [more]|
-        it is (forbidden|prohibited|not allowed|not permitted) [for you]|forbidden|
+        it is (forbidden|prohibited|not allowed|not permitted) [for you|that you]|forbidden|
         (i|we) (do not want|will not have) you|
         (i|we) would (rather|prefer) [that] you (did not|do not|not))
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
         """,
     "while": """
-        [, [and|so] (for (now|today|me|us|good|ever)|from now on|anymore|any more|again|ever|at all|
+        [, [and|so] (not ever|for (now|today|me|us|good|ever)|from now on|anymore|any more|again|
+            ever|at all|
         now|always|today|at the moment|no matter what|any longer|okay|alone|under any circumstances|
-        until (further notice|tomorrow|tonight|later)|
+        until (further notice|tomorrow|tonight|later)|forever [and ever]|
         [until|while|because|since|as|as long as] (i|we|he|she|they|it|there|people|someone|
         somebody|my (mother|father|husband|wife|baby|son|daughter|friend)|(the|a) (baby|patient|kid|
         kids|children|cleaner|doctor|floor|dog|cat)) [am|is|are|was|were|have|has|will|do|did|can|
@@ -70,20 +79,21 @@ PARTS = {
         """,
     # Control.
     "there": "[please|right|there|here|now|just|it|still|a bit|for me|for now|at once|immediately|"
-             "moving|driving|everything|where you are|what you are doing|the robot|robot|okay]*",
+             "moving|driving|hold on|hold it|wait|stop|"
+             "everything|where you are|what you are doing|the robot|robot|okay]*",
     "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
             "[again|anymore|any more|a muscle])",
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
             "your rounds|your round|your errand|your job|your work|your way|mission|"
             "what i [just] said|(that|the|my) [last] (order|command|instruction|task|job|errand)]",
-    "quit": "((cancel|abort|never mind|nevermind|quit|scrap|drop|give up|call off) [on] {task} "
-            "[about (it|that)]|(leave|bin|forget) (it|that))",
+    "quit": "((cancel|abort|kill|never mind|nevermind|quit|scrap|drop|give up|call off) [on] "
+            "{task} [about (it|that)]|(leave|bin|forget) (it|that))",
     "reason": """
         [, [and] ((until|while|because|so) (i|we|he|she|they|it|someone|somebody|you hear) ...|
         for (me|us|him|her|them)|until (further notice|then)|then (go on|continue)|
         (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would|come|go) ...|
-        there (is|are) ...)]
+        there (is|are) ...|let <thing> (through|past|by|pass|in|out))]
         """,
 }  # fmt: skip
 
@@ -117,20 +127,22 @@ QUESTIONS = {
     """,
     "where": """
         {tell} (where|whereabouts) [exactly|on earth|in the world] (is|are|was|were|have|has|did|do|
-            stands|lies|sits)
-            [the (nearest|closest)] <thing> [is|are|was|were] {last}
+            stands|lies|sits|it is|it was|they are)
+            [it|they] [the (nearest|closest)] <thing> [is|are|was|were] {last}
         {tell} where <thing> (is|are|was|were|has|have) {last}
         {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
-        {tell} where [on earth|in the world|ever] [did|have|had] (i|we) [have|had|did]
-            (put|leave|left|lost|forget|drop|dropped)
+        {tell} where [on earth|in the world|ever] [did|do|have|had] (i|we) [have|had|did]
+            (put|leave|left|lost|forget|drop|dropped|keep|kept|store)
             <thing> {last}
-        {tell} where (can|could|do|should|would|will|might) (i|we) (find|see|get|look for|go for)
+        {tell} where ((can|could|do|should|would|will|might) (i|we)|(i|we) (can|could)) (find|see|
+            get|look for|go for)
             <thing>
         {tell} [in] (which|what) room [there] (is|are|was|were) <thing> [in] {last}
         {tell} (which|what) room (has|have) <thing> [in it] {last}
         {tell} where did <thing> (go|end up|get to|go to)
         {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
-        (i|we) [seem to] [have] (can not find|do not find|lost|mislaid|misplaced|am looking for|
+        (i|we) [seem to] [have] (can not find|do not find|look for|search [for]|lost|mislaid|
+            misplaced|am looking for|
             are looking for|miss) <thing> , (where (is|are) (it|they)|
             (have|did) you (seen|see|noticed|notice|spotted|found) (it|them)) {last}
         {tell} the (place|location|position) of <thing>
@@ -141,14 +153,16 @@ QUESTIONS = {
         {tell} {you} {seen} [any|of|already]* <thing>
             {in} {last}
         (seen|spotted|noticed) [any|of|already]* <thing> {in} {last}
-        {tell} [is|was|are|were] there <thing> {in} {last}
+        {tell} [is|was|are|were] there [still|really|already] <thing> {in} {last}
+        any <thing> [left|still]* <relation> <anchor> {last}
         (do you know if|do you know whether) there (is|are) <thing> {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
             <thing> {in} {last}
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
         [it] (exists|exist) [there] <thing> {in} {last}
         (have (we|you)|you) got <thing> {in} {last}
-        {tell} (is|are) <thing> [still|already|really] <relation> <anchor> {last}
+        {tell} (is|are|was|were) <thing> [still|already|really] <relation> <anchor>
+            [(in|inside) <within>] {last}
         {tell} (is|are) <thing> [still|already|really|there|here|around]* {last}
         do you (know|remember) if there (is|are) <thing> {in} {last}
         how many <thing> {you} {seen} {in} {last}
@@ -171,8 +185,9 @@ ORDERS = {
         [you|must|should|have to|need to|to|always|better]* {away} [of|from] <room> {while}
         [you|must|should|have to]* avoid [going|to go] [to|into|in|through] <room> {while}
         {not} {go} <room> {while}
+        no (robots|robot|entry|access|going) [in|into|to|inside|for robots]* <room> {while}
         (in|into|to|inside) <room> {not} (go|enter|drive|be|come) {while}
-        <room> (is|are|has|have|was|were) ... ({away} [out] [of it|from it|there]|
+        <room> (is|are|has|have|was|were) ... ({away} [out] [of it|from it|of there|there]|
             {not} {go} [there|it|in there|in it|down there|inside]) {while}
         <room> (is|are) [now] (off limits|forbidden|out of bounds|closed|taboo|prohibited|
             not allowed|closed off|private|a no go zone|a no go area) [for you|to you|for robots]
@@ -233,7 +248,7 @@ CONTROL = {
             [now|to|please]*
             (go on|carry on|crack on|press on|continue|resume|keep going|keep on|keep moving|
             keep driving|get moving|get going|go ahead|
-            off you go|as you were|proceed|move on|drive on|start again|
+            off you go|on you go|as you were|proceed|move on|drive on|start again|back to work|
             move again|go again|drive again|unpause)
             [now|then|again|please|with|as before|what you (were|was) doing [before]|
             where you left off|where you stopped|from where you stopped|doing that|driving|
@@ -264,24 +279,29 @@ CONTROL = {
             tight|stand
             by|
             hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
-            [right here|right there|here|there|in here|in place|on the spot|where you are|for me|
-            still|please|just|in this (spot|place)|at this (spot|place)|exactly|a (bit|moment|
+            [right here|right there|here|there|in here|in place|on the spot|where you are|for me|me|
+            still|please|just|in this (spot|place)|at this (spot|place)|exactly|for a (bit|moment|
+            second|while)|a (bit|moment|
             second|sec|while)]*
             [for] [<span>] [here|there|please|now|more|longer|then]* {reason}
     """,
 }
 """`do` of `Control` → its templates."""
 
-REASONS = """
-    [because|cause|since|as|so|and] (i|we|he|she|somebody|someone|people)
-            (am|is|are|was|were|have|has|had|will|got|just|heard|lost|saw|left|tore|think|feel|know|
-            do not|did not|can not|finished|moved|do|did|hear|see) ...
+IDIOMS = """
     [it|that] [is|makes] (all|no)* [the] (same|one|difference) [for me|for us|to me|to us]
     (no worries|no problem|no hurry|no rush|as you like|as you wish)
     do not (mind|worry about|bother about) (me|us|him|her|it|them)
     (i|we) [have] changed (my|our) mind
-    <thing> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
     you are doing (well|great|fine|good) ...
+    you are [going to be] (a|an|the|my|our) <thing> [now|today]
+    <thing> (are|is) (expecting|waiting for|looking for) (you|us|me) [there|now|already]
+    (they|he|she) (are|is) (expecting|waiting for|looking for) (you|us|me) [there|now|already]
+    (i|we) want to play [a game|<thing>]
+    let us play [a game|hide and seek|<thing>]
+    (i|we) need (one|it|them) [now|here|badly|urgently|today|soon]*
+    [and|then|after that]* you are (done|finished|free)
+    (that|this) is (quite|more than)* (enough|all|it) [for (now|today)]
     [it] does not matter [to me|to us] [which|which one]
     you (pick|choose|decide)
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
@@ -289,8 +309,30 @@ REASONS = """
             emergency|hot|wet|dangerous|there anymore|busy|there any more|loud|nap time|bedtime|fun)
     (you|it) (are|will|is|would) [going to|not] (run into|bump into|hit|crash|squash|break|hurt|
             scare|fall|knock|crush|wake|in the way|in my way|too (fast|loud|close)) ...
+    [so|so that] you (know|learn|remember|will know|get to know) (what|who|where|your|the place|
+            the house|this place) ...
+    [for|in order] to (know|learn|get to know) (it|them|everything|the place|the house)
 """
-"""Clauses that only say why; see `tidy.is_reason` for words that none of them has."""
+"""Whole clauses that give no order."""
+REMARKS = """
+    [because|cause|since|as|so|and|while] (i|we|he|she|they|somebody|someone|people|
+            (my|our) <thing>) [have|has|had|am|are|is|was|were|will|can|could|just|only|
+            always|really|still|already|do not|did not|can not|could not|have not|has not|think]*
+            (am|is|are|was|were|have|has|had|got|just|heard|hear|lost|saw|see|left|tore|think|feel|
+            know|finished|moved|do|did|mopped|cleaned|washed|forgot|get|thought|found|will|<done>)
+            ...
+    [because|cause|since|as|so|and] there (is|are|was|were) ...
+    (because|cause|since|while) (i|we|he|she|they|somebody|someone|people) ...
+    (because|cause|since) <thing> (is|are|was|were|has|have|got) ...
+    (because|cause|since) (it|that) (is|was|has|smells|looks) ...
+    <thing> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
+    [because|cause|since|as|so|and] <thing> (is|are|was|were) [still|so|very|all|just|too|now|being|
+            really|a bit|already]* (wet|dirty|asleep|sick|ill|tired|noisy|hot|cold|dark|busy|late|
+            upset|scared|slippery|hungry|sad|happy|sleeping|working|eating|cooking|resting|
+            waiting|here)
+            ...
+"""
+"""Statements that give no order if no word of theirs directs the robot; see `remarks.is_remark`."""
 ASSENTS = """
     (it|that|this) is (all right|alright|okay|ok|fine|safe) [now|again]*
     (all|everything) [is] (clear|good|fine|safe|quiet|over) [now|again]*

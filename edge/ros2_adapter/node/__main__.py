@@ -23,7 +23,7 @@ log = logging.getLogger("edge.ros2_adapter")
 
 GRAPH_S = 0.2  # period of checks for receivers and servers
 SETTLE_S = 0.5  # time for cancelling the goal at the end
-_OPEN_AGAIN_S = 0.5
+_OPEN_AGAIN_S = 0.5  # time between two attempts to connect to the service
 
 
 def main() -> int:
@@ -45,7 +45,8 @@ def main() -> int:
 def _watch_input(stop: threading.Event) -> None:
     """Set `stop` when the input closes, because its other end is the process that started this one.
 
-    Read without Python's buffer: a thread must not hold its lock when the interpreter ends.
+    Read without Python's buffer, because a thread must not hold the buffer's lock when the
+    interpreter ends.
     """
     while os.read(0, 4096):
         pass
@@ -58,7 +59,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
     Raises:
         SetupError: a package, a message type or a Zenoh setting is missing.
     """
-    rclpy, zenoh = _imported("rclpy", plan), _imported("zenoh", plan)
+    rclpy, zenoh = _import_or_explain("rclpy", plan), _import_or_explain("zenoh", plan)
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 
@@ -71,22 +72,23 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         ends = AdapterEnds(node, session, zenoh, node.create_guard_condition(lambda: None).trigger)
-        heard = [FromRos(ends, one, find_type(one["type"])) for one in plan["heard"]]
-        often = [ToRos(ends, one, plan["max_bytes"]).update for one in plan["said"]]
-        seldom, action, due_s = [one.update for one in heard], None, 0.0
+        received = [FromRos(ends, topic, find_type(topic["type"])) for topic in plan["heard"]]
+        # Called in every turn, and called every `GRAPH_S`.
+        often = [ToRos(ends, topic, plan["max_bytes"]).update for topic in plan["said"]]
+        seldom, action, due_s = [topic.update for topic in received], None, 0.0
         if plan["action"] is not None:
-            action = NavigateProxy(ends, plan["action"], lambda: any(one.wanted for one in heard))
+            action = NavigateProxy(ends, plan["action"], lambda: any(t.wanted for t in received))
             often.append(action.pass_requests)
             seldom.append(action.update)
-        log.info("passing up to %d topics in and %d out", len(heard), len(plan["said"]))
+        log.info("passing up to %d topics in and %d out", len(received), len(plan["said"]))
         while not stop.is_set():
             executor.spin_once(timeout_sec=GRAPH_S)
-            for look in often:
-                look()
+            for update in often:
+                update()
             if time.monotonic() >= due_s:
                 due_s = time.monotonic() + GRAPH_S
-                for look in seldom:
-                    look()
+                for update in seldom:
+                    update()
         if action is not None and action.cancel():
             until_s = time.monotonic() + SETTLE_S
             while time.monotonic() < until_s:
@@ -97,7 +99,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
         session.close()
 
 
-def _imported(name: str, plan: dict[str, Any]) -> Any:
+def _import_or_explain(name: str, plan: dict[str, Any]) -> Any:
     try:
         return import_module(name)
     except ImportError as error:

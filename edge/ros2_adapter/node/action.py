@@ -14,7 +14,7 @@ log = logging.getLogger("edge.ros2_adapter")
 
 GONE_S = 3.0  # without any receiver for this time, nobody supervises the robot
 _REQUEST_BYTES = 4096
-_KEPT = 16
+_KEPT = 16  # requests that wait for the node's thread
 
 
 class ServiceProxy:
@@ -22,9 +22,9 @@ class ServiceProxy:
 
     Args:
         ends: node and session.
-        place: its ROS name and its key.
+        place: the service's ROS name and its Zenoh key.
         kind: the service type.
-        answered: called with each request and its answer.
+        on_answer: called with each request and its answer.
     """
 
     def __init__(
@@ -32,9 +32,9 @@ class ServiceProxy:
         ends: AdapterEnds,
         place: dict[str, str],
         kind: Any,
-        answered: Callable[[Any, Any], None],
+        on_answer: Callable[[Any, Any], None],
     ) -> None:
-        self._ends, self._key, self._kind, self._answered = ends, place["key"], kind, answered
+        self._ends, self._key, self._kind, self._on_answer = ends, place["key"], kind, on_answer
         self._client = ends.node.create_client(kind, place["ros"])
         self._inbox, self._queryable = Inbox(_KEPT, ends.wake), None
         self._waiting: dict[Any, Any] = {}  # future: query
@@ -87,7 +87,7 @@ class ServiceProxy:
         if query is not None and not done.cancelled():
             query.reply(query.key_expr, serialize_message(done.result()))
             query.drop()
-            self._answered(request, done.result())
+            self._on_answer(request, done.result())
 
 
 class NavigateProxy:
@@ -109,8 +109,8 @@ class NavigateProxy:
         def place(name: str) -> dict[str, Any]:
             return {key: f"{plan[key]}/_action/{name}" for key in ("ros", "key")}
 
-        def service(name: str, kind: Any, answered: Callable[[Any, Any], None]) -> ServiceProxy:
-            return ServiceProxy(ends, place(name), kind, answered)
+        def service(name: str, kind: Any, on_answer: Callable[[Any, Any], None]) -> ServiceProxy:
+            return ServiceProxy(ends, place(name), kind, on_answer)
 
         def topic(name: str, kind: Any) -> FromRos:
             quality = {"reliable": True, "latched": False, "depth": 10}
@@ -129,13 +129,13 @@ class NavigateProxy:
         self._followed_s = time.monotonic()
 
     def pass_requests(self) -> None:
-        for one in self._services:
-            one.pass_requests()
+        for service in self._services:
+            service.pass_requests()
 
     def update(self) -> None:
         """Check for servers and receivers; cancel the goal if the service is gone."""
-        for one in (*self._services, *self._topics):
-            one.update()
+        for proxy in (*self._services, *self._topics):
+            proxy.update()
         if self._is_followed():
             self._followed_s = time.monotonic()
         elif time.monotonic() - self._followed_s > GONE_S and self.cancel():

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 log = logging.getLogger("edge.ros2_adapter")
 
 PATIENCE_S = 5.0  # before a warning that a topic has no messages
-_CDR = b"\x00\x01"
+_CDR = b"\x00\x01"  # first bytes of a little-endian payload
 _HISTORY = 100  # latched messages kept, from all publishers of a topic
 
 
@@ -93,7 +93,7 @@ def make_qos(passed: dict[str, Any]) -> Any:
 
 
 class FromRos:
-    """A ROS topic, passed to Zenoh while it has a subscriber there.
+    """A ROS topic, passed to Zenoh while there is a subscriber on Zenoh.
 
     A latched topic is always subscribed, and kept for late subscribers.
 
@@ -130,7 +130,10 @@ class FromRos:
         self.wanted = not self._keeps and self._publisher.matching_status.matching
         is_subscribed, now_s = self._subscription is not None, time.monotonic()
         if is_subscribed != (self.wanted or self._keeps):
-            self._unsubscribe() if is_subscribed else self._subscribe(now_s)
+            if is_subscribed:
+                self._unsubscribe()
+            else:
+                self._subscribe(now_s)
         elif self._received == 0 and now_s > self._due_s:
             self._due_s = math.inf
             log.warning("%s: no message yet: %s", self._passed["ros"], self._reason())
@@ -151,13 +154,13 @@ class FromRos:
 
     def _reason(self) -> str:
         """Return the likely reason of silence: mostly a wrong name or type."""
-        there = self._node.get_publishers_info_by_topic(self._passed["ros"])
-        types = sorted({info.topic_type for info in there})
-        if not there:
+        publishers = self._node.get_publishers_info_by_topic(self._passed["ros"])
+        types = sorted({info.topic_type for info in publishers})
+        if not publishers:
             return "it has no publisher"
         if types != [self._passed["type"]]:
             return f"it is {one_line(', '.join(types))}, not {self._passed['type']}"
-        return f"{len(there)} publishers (is their quality of service another?)"
+        return f"{len(publishers)} publishers (is their quality of service another?)"
 
 
 class ToRos:
@@ -181,12 +184,12 @@ class ToRos:
                     log.warning("%s: dropped: %s (further ones are not logged)", self._key, error)
 
 
-def cdr_of(brought: Any, max_bytes: int) -> bytes:
+def cdr_of(payload: Any, max_bytes: int) -> bytes:
     """Return a payload for ROS, which does not check it; raise ValueError if it is no CDR."""
-    if brought is None or len(brought) > max_bytes:
-        size = 0 if brought is None else len(brought)
+    if payload is None or len(payload) > max_bytes:
+        size = 0 if payload is None else len(payload)
         raise ValueError(f"{size} bytes, at most {max_bytes} are allowed")
-    data = brought.to_bytes()
+    data = payload.to_bytes()
     if data[:2] != _CDR:
         raise ValueError(f"not little-endian CDR: begins {data[:4].hex() or 'empty'}")
     return data

@@ -32,7 +32,9 @@ def seeds(option: str, text: str) -> list[int]:
     except ValueError:
         ranges = []
     if not ranges or not all(ranges) or min(r.start for r in ranges) < 0:
-        raise ExportError(f"{option} {text}: give ranges such as 0:60 or 0:10,50:60")
+        raise ExportError(
+            f"{option}: got {text!r}; give ranges such as 0:60 (0 to 59) or 0:10,50:60"
+        )
     return [seed for one in ranges for seed in one]
 
 
@@ -40,21 +42,33 @@ def seeds(option: str, text: str) -> list[int]:
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters.training.choice",
-        description="train the small choice scorer on images of generated houses",
+        description="train the small model that chooses between frontiers, on generated houses",
     )
-    parser.add_argument("--out", type=Path, required=True, help="folder of views and weights")
-    parser.add_argument("--models", type=Path, default=Path("models"), help="for file and card")
-    parser.add_argument("--seed", type=int, default=SEED, help="seed of the training; default: 0")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for images and weights (required)"
+    )
+    parser.add_argument("--models", type=Path, default=Path("models"), help="folder for the model "
+                        "file and its card (default: %(default)s)")  # fmt: skip
+    parser.add_argument(
+        "--seed", type=int, default=SEED, help="seed of the training (default: %(default)s)"
+    )
     parser.add_argument(
         "--houses", default=HOUSES,
-        help="seeds of houses to train on, as half-open ranges (default: %(default)s)",
+        help="seeds of the houses to train on, such as 0:60 for 0 to 59 (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--held-out", default=HELD_OUT_HOUSES,
-        help="seeds of houses to measure on (default: %(default)s)",
+        help="seeds of the houses to measure on, in the same form (default: %(default)s)",
     )  # fmt: skip
-    parser.add_argument("--steps", type=int, default=STEPS, help="default: %(default)s")
-    parser.add_argument("--cores", type=int, default=CORES, help="processes that explore")
+    parser.add_argument(
+        "--steps", type=int, default=STEPS, help="training steps (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--cores",
+        type=int,
+        default=CORES,
+        help="number of processes that explore houses (default: %(default)s)",
+    )
     args = parser.parse_args(argv)
     at_least_one(args, "steps", "cores")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
@@ -73,8 +87,8 @@ def _train(args: argparse.Namespace) -> None:
     houses, measured = seeds("--houses", args.houses), seeds("--held-out", args.held_out)
     if max(houses) >= HELD_OUT or min(measured) < HELD_OUT:
         raise ExportError(
-            f"--houses, --held-out: seeds below {HELD_OUT} are for training, the others are held "
-            "out: change the ranges"
+            f"--houses, --held-out: got seeds up to {max(houses)} and from {min(measured)}; "
+            f"--houses takes seeds below {HELD_OUT}, --held-out the others"
         )
     paths = make_views(houses, args.out / "views", args.cores)
     make_views(measured, args.out / "held-out", args.cores)

@@ -177,7 +177,9 @@ def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
         ExportError: there is nothing to learn from, or `checkpoint` is of another run, or none.
     """
     if not len(data.rows):
-        raise ExportError("no view has a frontier in it; use more --houses")
+        raise ExportError(
+            "no image shows a frontier, so there is nothing to learn from; give more --houses"
+        )
     run = checkpoints.run_identity(plan, len(data.rows), 1, "cpu")
     torch.manual_seed(plan.seed)
     net = ChoiceNet(kinds)
@@ -190,7 +192,7 @@ def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
         sums += torch.stack(parts).detach()
         if step % plan.keep_every == 0 or step == plan.steps:
             shown = (step, plan.steps, *(sums / plan.keep_every).tolist())
-            log.info("step %d/%d: direction %.3f marks %.3f scene %.3f", *shown)
+            log.info("step %d/%d: losses: direction %.3f, marks %.3f, scene %.3f", *shown)
             sums.zero_()
             learner.keep()
     return learner.averaged

@@ -29,21 +29,28 @@ def main(argv: list[str] | None) -> None:
     )
     parser.add_argument(
         "--out", type=Path, required=True,
-        help="folder of data and weights; the default number of houses takes 8.1 GB",
+        help="folder for images and weights (required); 8.1 GB with the default number of houses",
     )  # fmt: skip
-    parser.add_argument("--models", type=Path, default=Path("models"), help="for files and cards")
-    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--models", type=Path, default=Path("models"), help="folder for the model "
+                        "files and their cards (default: %(default)s)")  # fmt: skip
+    parser.add_argument(
+        "--seed", type=int, default=SEED, help="seed of houses and training (default: %(default)s)"
+    )
     parser.add_argument(
         "--houses", type=int, default=HOUSES,
-        help="number of houses to train on; 2.7 MB of images each (default: %(default)s)",
+        help="number of houses to train on, with 2.7 MB of images each (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--cores", type=int, default=CORES,
-        help="processes that render, and that train without a GPU (default: %(default)s)",
+        help="number of processes that render, and train without a GPU (default: %(default)s)",
     )  # fmt: skip
-    parser.add_argument("--device", help="cpu, cuda, … (default: cuda when there is one)")
     parser.add_argument(
-        "--no-gate", action="store_true", help="publish a model that is below the required figures"
+        "--device", help="device to train on, such as cpu or cuda (default: cuda if there is a GPU)"
+    )
+    parser.add_argument(
+        "--no-gate",
+        action="store_true",
+        help="publish the model even if its scores are below the required ones",
     )
     args = parser.parse_args(argv)
     at_least_one(args, "houses", "cores")

@@ -245,23 +245,35 @@ def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
         step: training steps done.
         steps: training steps of the plan.
     """
-    faults = [] if step >= steps else [f"step {step} of {steps}"]
+    faults = [] if step >= steps else [f"trained only {step} of {steps} steps"]
     faults += [f"{key} {held_out[key]} < {floor}" for key, floor in FLOORS.items()
                if not held_out[key] >= floor]  # fmt: skip
     if held_out["bytes"] > MAX_BYTES:
         faults.append(f"{held_out['bytes']} bytes > {MAX_BYTES}")
     if faults:
         raise ExportError(
-            f"{'; '.join(faults)}: not published; run the command again, or give --no-gate"
+            f"model not published: {'; '.join(faults)}; train on with the same command, or give "
+            "--no-gate"
         )
 
 
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m exporters.training.mini.evaluate")
-    parser.add_argument("model", type=Path)
-    parser.add_argument("--text", type=Path, help="default: mini-house-text.onnx next to the model")
-    parser.add_argument("--data", type=Path, help="folder to store the rendered test set in")
+    parser = argparse.ArgumentParser(
+        prog="python -m exporters.training.mini.evaluate",
+        description="measure the small detector on images of houses that it was not trained on",
+    )
+    parser.add_argument("model", type=Path, help="the detector's ONNX file")
+    parser.add_argument(
+        "--text",
+        type=Path,
+        help="the text encoder's ONNX file (default: mini-house-text.onnx next to the model)",
+    )
+    parser.add_argument(
+        "--data",
+        type=Path,
+        help="folder to keep the rendered images in (default: they are deleted)",
+    )
     args = parser.parse_args(argv)
     text = args.text or args.model.with_name("mini-house-text.onnx")
     with tempfile.TemporaryDirectory() as scratch:

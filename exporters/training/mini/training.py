@@ -89,7 +89,9 @@ def train_on_cores(frames: Callable[[], Frames], plan: Plan, checkpoint: Path, c
 def check_cores(plan: Plan, cores: int) -> None:
     """Raise ExportError unless `cores` processes can share a batch evenly."""
     if cores < 1 or plan.batch % cores:
-        raise ExportError(f"--cores {cores}: give a number that divides the batch of {plan.batch}")
+        raise ExportError(
+            f"--cores: got {cores}; give a number that divides the batch size {plan.batch}"
+        )
 
 
 def _train_rank(
@@ -142,7 +144,7 @@ def train(
         if step % 50 == 0 or step == len(steps):
             pace = (time.monotonic() - since) / (step - began)
             shown = " ".join(f"{name} {float(value):.3f}" for name, value in parts.items())
-            log.info("step %d/%d %.3f s: %s", step, len(steps), pace, shown)
+            log.info("step %d/%d, %.3f s each: losses: %s", step, len(steps), pace, shown)
             since, began = time.monotonic(), step
         if rank == 0 and (step % plan.keep_every == 0 or step == len(steps)):
             learner.keep()

@@ -141,7 +141,7 @@ def _reserve(path: Path, size: int) -> None:
     except OSError as error:
         raise ExportError(
             f"{path.parent}: no room for {size / 1e9:.1f} GB of images ({error.strerror}); "
-            "free some space, or name a folder on another disk"
+            "free some space, or give --out on another disk"
         ) from None
 
 

@@ -37,7 +37,7 @@ def read(path: Path) -> tuple[list[dict[str, Any]], list[Plan]]:
         houses = list(read_houses(path))
         return houses, [read_plan(house) for house in houses]
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise ExportError(f"{path}: not houses with rooms and objects: {error!r}") from None
+        raise ExportError(f"{path}: not a file of ProcTHOR houses: {error!r}") from None
 
 
 def counted(houses: list[dict[str, Any]], plans: list[Plan]) -> dict[str, Any]:
@@ -82,8 +82,10 @@ def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters.training.prior", description=main.__doc__
     )
-    parser.add_argument("file", type=Path, help="houses, .jsonl or .jsonl.gz")
-    parser.add_argument("--out", type=Path, required=True, help="table to write, .json")
+    parser.add_argument(
+        "file", type=Path, help="ProcTHOR houses to learn from (.jsonl or .jsonl.gz)"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="table to write (.json; required)")
     args = parser.parse_args(argv)
     houses, plans = read(args.file)
     data = counted(houses, plans)

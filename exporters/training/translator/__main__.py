@@ -30,16 +30,38 @@ def main(argv: list[str] | None) -> None:
     from exporters.training.translator.training import COMPOSED, PEOPLE
 
     parser = argparse.ArgumentParser(
-        prog="python -m exporters.training.translator", description="train the small translator"
+        prog="python -m exporters.training.translator",
+        description="train the small model that translates instructions to formulas",
     )
-    parser.add_argument("--out", type=Path, required=True, help="folder of checkpoints")
-    parser.add_argument("--lang2ltl", type=Path, help="table of Lang2LTL's symbolic utterances")
-    parser.add_argument("--clean-up", type=Path, help="table of commands for a robot in rooms")
-    parser.add_argument("--models", type=Path, default=MODELS, help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--steps", type=int, default=COMPOSED.steps, help="on composed sentences")
+    parser.add_argument("--out", type=Path, required=True, help="folder for checkpoints (required)")
     parser.add_argument(
-        "--people-steps", type=int, default=PEOPLE.steps, help="then, with human sentences"
+        "--lang2ltl",
+        type=Path,
+        help="also learn from Lang2LTL's set, its file symbolic_batch12_noperm.csv (default: not)",
+    )
+    parser.add_argument(
+        "--clean-up",
+        type=Path,
+        help="also learn from Clean-up World's set of instructions (default: not)",
+    )
+    parser.add_argument(
+        "--models", type=Path, default=MODELS,
+        help="folder for the model file and its card (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of sentences and training (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--steps",
+        type=int,
+        default=COMPOSED.steps,
+        help="training steps on composed sentences (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--people-steps",
+        type=int,
+        default=PEOPLE.steps,
+        help="training steps after that, with sentences of people, too (default: %(default)s)",
     )
     args = parser.parse_args(argv)
     at_least_one(args, "steps", "people_steps")

@@ -76,7 +76,10 @@ def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
         check_format(part)
         off = parity(net, part)
         if off > MAX_LOGIT_ERROR:
-            raise ExportError(f"{out}: logits differ by {off:.3f} from the network's; not written")
+            raise ExportError(
+                f"{out}: not written: logits of the ONNX file differ by {off:.3f} from the "
+                f"network's, allowed {MAX_LOGIT_ERROR:g}"
+            )
     return off
 
 

@@ -87,7 +87,7 @@ def train(
         sums[: len(parts)] += torch.stack(parts).detach()
         if learner.done % plan.keep_every == 0 or learner.done == plan.steps:
             shown = (learner.done, plan.steps, *(sums / plan.keep_every).tolist())
-            log.info("step %d/%d: to formulas %.3f to words %.3f", *shown)
+            log.info("step %d/%d: losses: to formulas %.3f, to words %.3f", *shown)
             sums.zero_()
             learner.keep()
     return learner.averaged

@@ -140,7 +140,7 @@ def test_without_tokens_routing_tells_who_is_there(port, session, dialect):
 
 
 def test_a_flood_of_tokens_is_bounded_and_told(session, port, monkeypatch, caplog):
-    monkeypatch.setattr(graph, "_MOST", 4)
+    monkeypatch.setattr(graph, "_MAX_TOKENS", 4)
     seen = graph.Graph(session, 0)
     with ours(port) as other:
         said = [Endpoint("MP", "z", "/n", f"/t{i}", POSE, "RIHS01_0") for i in range(9)]

@@ -307,9 +307,9 @@ def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path)
     assert "'other' (choices: tiny)" in capsys.readouterr().err
     words = ["bench", str(simulated), "--models"]
     assert cli.main(words) == os.EX_DATAERR  # its detector is no model
-    assert "name a family (choices: tiny)" in capsys.readouterr().err
+    assert "give --models a family (choices: tiny)" in capsys.readouterr().err
     assert bench("tiny", "--providers", "cpu,tpu") == os.EX_DATAERR
-    assert "no 'tpu' here (choices: cpu" in capsys.readouterr().err
+    assert "'tpu' is not available on this machine (choices: cpu" in capsys.readouterr().err
 
 
 def test_where_nothing_can_run_every_row_says_why_and_the_exit_code_is_1(place, capsys):

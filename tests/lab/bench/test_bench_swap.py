@@ -50,7 +50,9 @@ def bench(monkeypatch):
 def test_nothing_is_asked_before_anything_is_seen(bench):
     bench.beat()
     assert bench.swapper.asked == []
-    with pytest.raises(UserError, match="the swap to new is still idle at the end: use more"):
+    with pytest.raises(
+        UserError, match=r"the swap to new was not complete at the end .state: idle.; give more"
+    ):
         bench.figures()
 
 

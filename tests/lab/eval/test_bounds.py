@@ -38,7 +38,7 @@ def context(target: str, *candidates: tuple[int, float, float, float, float]) ->
 
 
 def test_where_rooms_are_unknown_none_is_known():
-    with pytest.raises(ValueError, match="garage: the world has no room data"):
+    with pytest.raises(ValueError, match="garage: the world knows no rooms"):
         KnownRoom(SimpleNamespace(name="garage", rooms=()), RADIUS_M)
 
 

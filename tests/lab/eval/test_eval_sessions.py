@@ -44,7 +44,7 @@ def outcomes(session, arms):
 
 
 def test_no_world_has_no_session(config):
-    with pytest.raises(UserError, match="no world has 3 of the targets at 2 m or more"):
+    with pytest.raises(UserError, match="no world has 3 of the targets, each 2 m or more"):
         plan_sessions(config, [], ["bed", "sofa"], 3, 0, 2.0)
 
 

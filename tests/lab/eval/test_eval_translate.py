@@ -107,7 +107,7 @@ def test_prefix(text: str, infix: str) -> None:
 
 @pytest.mark.parametrize("text", ["", "& a", "a b", "F a F"])
 def test_what_is_no_prefix(text: str) -> None:
-    with pytest.raises(ValueError, match=r"lacks an operand|expected one formula"):
+    with pytest.raises(ValueError, match=r"too few operands|expected one formula"):
         translation_cases.from_prefix(text)
 
 

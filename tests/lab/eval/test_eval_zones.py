@@ -88,7 +88,7 @@ def test_a_zone_needs_a_target(config):
         config.sim.world.model_dump(mode="json"), "small", (1.0, 2.0, 0.0), 3.0,
         sensing_settings(config), instruction="go to the bed, then to the sofa",
     )  # fmt: skip
-    with pytest.raises(UserError, match="--zones: only for episodes of one target"):
+    with pytest.raises(UserError, match="--zones: possible only for episodes with one target"):
         with_zones(config, [episode], 0)
 
 
@@ -113,4 +113,4 @@ def test_zones_need_the_simulator_in_this_process(config):
     (column,) = make_arms(config, {})
     outcome = run_episode(column, episode, over_zenoh)
     assert outcome.reason.startswith("crashed: --processes: episodes with zones or questions ")
-    assert outcome.reason.endswith("; leave out --processes")
+    assert outcome.reason.endswith("; omit --processes")

@@ -226,17 +226,17 @@ def test_a_plan_is_written_and_run_in_columns(yaml_path, tmp_path, capsys):
     capsys.readouterr()
     assert main([*run, "--arm", "hvl", "policy.w_dist=1.5"]) == 0
     printed = capsys.readouterr().out
-    assert "hvl: settings changed; 1 earlier outcomes are ignored" in printed
+    assert "arm hvl: its settings have changed, so 1 earlier outcomes are not used" in printed
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--targets", " , "], "--targets: name at least one"),
-        (["--arm", "a", "--arm", "a"], "--arm a: this name is used twice"),
+        (["--targets", " , "], "--targets: got no name; give at least one"),
+        (["--arm", "a", "--arm", "a"], "--arm a: two arms have this name"),
         (["--arm", "a", "policy.kind=b"], "unknown 'b'"),
         (["--episodes", "nowhere.jsonl"], "nowhere.jsonl"),
-        (["--worlds", "demo"], "--worlds demo: not understood"),
+        (["--worlds", "demo"], "--worlds demo: no such world"),
         (["--goals", "2", "--targets", "bed"], "no world has 2 of the targets"),
     ],
 )
@@ -254,7 +254,7 @@ def test_the_tasks_of_episodes_exclude_each_other(yaml_path, capsys):
 def test_a_session_needs_the_simulator_in_this_process(yaml_path, capsys):
     asked = ["--goals", "2", "--targets", "bed,sofa", "--min-distance", "1", "--processes"]
     assert main([*COMMAND, yaml_path, *asked]) != 0
-    assert "leave out --processes and --report" in capsys.readouterr().err
+    assert "--processes, --report: not possible with sessions" in capsys.readouterr().err
 
 
 def test_a_report_of_every_episode(yaml_path, tmp_path, config):

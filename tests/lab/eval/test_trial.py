@@ -132,7 +132,7 @@ def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, mon
         ({"kind": "own_chain:made_of_nothing"}, "own_chain:made_of_nothing is no pipeline"),
         (
             {"kind": "own_chain:make", "options": {"box": [0, 0, 9, 9], "fails": "no\nmemory"}},
-            "tasks.pipeline: own_chain:make: boxes: RuntimeError: no memory",
+            "tasks.pipeline: own_chain:make: boxes() raised RuntimeError: no memory",
         ),
     ],
 )
@@ -149,13 +149,13 @@ def test_a_chain_that_is_none_is_one_line(tmp_path, capsys, monkeypatch, chain, 
 WRONG = {
     "no such place": (["nowhere", "go to the car"], os.EX_DATAERR, "nowhere: no frame with"),
     "no number of a street": (["street:-1", "go to the car"], os.EX_DATAERR,
-                              "street:-1: not a street; give a number, such as street:3"),
+                              "PLACE: street:-1: expected street:N"),
     "frames of a street": (["street:3", "go to the car", "--frames", "1"], os.EX_DATAERR,
-                           "street:3: a street has no frames"),
+                           "--frames: street:3 has no frames"),
     "no such configuration": (["street:3", "go to the car", "--config", "x.yaml"], os.EX_CONFIG,
                               "x.yaml"),
     "a robot without a LiDAR": (["street:3", "go to the car", "--config", "demo"], os.EX_DATAERR,
-                                "sensors.lidar: a street needs a LiDAR"),
+                                "sensors.lidar: missing, but street:N needs a LiDAR"),
     "no URL": (["street:3", "go to the car", "--url", "ftp://x"], os.EX_UNAVAILABLE,
                "not the URL of a chat server: 'ftp://x'"),
 }  # fmt: skip
@@ -173,7 +173,7 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys, case):
 def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys):
     (tmp_path / "out").write_text("a file")
     assert trajectory(tmp_path, "nowhere", "go to the car")[0] == os.EX_IOERR
-    assert "out: cannot be written: File exists: choose another --out" in capsys.readouterr().err
+    assert "out: cannot be written: File exists; choose another folder" in capsys.readouterr().err
 
 
 def test_a_model_leaves_what_it_was_told_and_what_it_said(tmp_path, capsys):
@@ -204,7 +204,9 @@ def test_a_recorded_street_with_its_frames(tmp_path, capsys, shared_dir):
     folder = str(shared_dir / "logs" / "semantic_kitti_05")
     code, _ = trajectory(tmp_path, folder, "go to the truck", "--frames", "3")
     assert code == os.EX_DATAERR
-    assert "no frame 3 with image, scan and labels (0, 2, 4, 6, 8)" in capsys.readouterr().err
+    assert (
+        "no frame 3 with image, scan and labels (choices: 0, 2, 4, 6, 8)" in capsys.readouterr().err
+    )
     code, out = trajectory(tmp_path, folder, "go to the truck", "--frames", "0", "2", "4")
     assert code == os.EX_OK
     told = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))
@@ -212,4 +214,4 @@ def test_a_recorded_street_with_its_frames(tmp_path, capsys, shared_dir):
     assert np.hypot(*(np.array(told["poses"][-1][:2]) - (36.9, 6.2))) < 3.0
     code, _ = trajectory(tmp_path, folder, "go to the truck", "--objects", "detector")
     assert code == os.EX_DATAERR
-    assert "sim sees nothing in a real picture" in capsys.readouterr().err
+    assert "(sim) sees nothing in a real picture" in capsys.readouterr().err

@@ -187,7 +187,7 @@ def test_rasterise_triangles_covers_a_dense_sampling(seed: int):
 @pytest.mark.parametrize(
     ("mesh", "objects", "message"),
     [
-        (None, "[]", "sim.world.mesh: no such file"),
+        (None, "[]", "sim.world.mesh: no file "),
         (b"not a mesh", "[]", "not a readable mesh"),
     ],
 )

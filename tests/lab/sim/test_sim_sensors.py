@@ -127,5 +127,7 @@ def test_late_pictures_are_left_out(now_s: float, expected_s: float):
 def test_a_simulated_sensor_is_over_the_floor(world, sensor):
     """A real base frame may be above its sensor; the simulated one is on the floor."""
     sensors = {"lidar": {}, sensor: {"z_m": -0.05}}
-    with pytest.raises(WorldError, match=f"^f.yaml: sensors.{sensor}.z_m: -0.05: .* above 0$"):
+    with pytest.raises(
+        WorldError, match=f"^f.yaml: sensors.{sensor}.z_m: got -0.05 m, .* above 0$"
+    ):
         make_rigs(simulated({"sensors": sensors}, "f.yaml"), world)

@@ -149,7 +149,7 @@ def test_free_poses_are_free_reachable_and_repeatable(demo: BoxWorld):
 
 def test_free_poses_refuse_a_start_that_is_not_free():
     world = build_house(House.model_validate({**EMPTY_ROOM, "start": [3, 0, 0]}), simulated())
-    with pytest.raises(WorldError, match="no free space"):
+    with pytest.raises(WorldError, match="does not fit at the start"):
         free_poses(world, 1, 0, 0.2)
 
 
@@ -171,7 +171,7 @@ def test_there_are_enough_categories():
 
 
 BAD_HOUSES = {
-    "not json": ("{", "not JSON"),
+    "not json": ("{", "not a JSON file"),
     "unknown category": (
         json.dumps({**EMPTY_ROOM, "objects": [{"category": "chiar", "at": [0, 0]}]}),
         r"objects\.0\.category: unknown category \(choices: chair",
@@ -183,7 +183,7 @@ BAD_HOUSES = {
             {"category": "box", "at": [0, 0], "size": [1, -1, 1]}]}),
         r"objects\.0\.size\.1",
     ),
-    "nothing in it": (json.dumps({"name": "x", "start": [0, 0, 0]}), "the world is empty"),
+    "nothing in it": (json.dumps({"name": "x", "start": [0, 0, 0]}), "has no walls and no objects"),
     "a list": ("[]", "top"),
 }  # fmt: skip
 
@@ -245,7 +245,7 @@ def test_procthor_errors_name_the_file_and_house(shared_dir: Path, tmp_path: Pat
 
     path = shared_dir / "worlds" / "procthor_val.jsonl.gz"
     assert load(path, "procthor-val-1").name == "procthor-val-1"
-    with pytest.raises(WorldError, match=r"no house 'nope' among its 75 .*procthor-val-0"):
+    with pytest.raises(WorldError, match=r"none of the 75 houses is 'nope' .*procthor-val-0"):
         load(path, "nope")
     with pytest.raises(WorldError, match="No such file"):
         load(tmp_path / "missing.jsonl.gz", "x")
@@ -253,7 +253,7 @@ def test_procthor_errors_name_the_file_and_house(shared_dir: Path, tmp_path: Pat
     broken.write_text('{"name": "a"}\n{"name": \n')
     with pytest.raises(WorldError, match="line 2: not JSON"):
         load(broken, "b")
-    with pytest.raises(WorldError, match="a: bad house"):
+    with pytest.raises(WorldError, match="house a: a field is missing or wrong"):
         load(broken, "a")
 
 

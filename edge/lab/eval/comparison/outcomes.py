@@ -14,7 +14,7 @@ import numpy as np
 from edge.errors import FileError, UserError
 from edge.host.files import read_regular
 from edge.lab.eval.outcome import FAILURES, MAX_BYTES, present_names
-from edge.text import one_line, read_json_object
+from edge.text import bounded_repr, one_line, read_json_object
 
 OTHER = "other"
 RIGHT = "right"
@@ -111,7 +111,8 @@ def read(path: Path) -> list[Record]:
         content = read_regular(path, MAX_BYTES)
     except OSError as error:
         raise FileError(
-            f"{path}: {error.strerror or error}; `edge eval episodes` writes it"
+            f"{path}: cannot be read: {error.strerror or error}; `edge eval episodes --out DIR` "
+            "writes this file"
         ) from None
     records = []
     for number, line in enumerate(content.split(b"\n")[:-1], start=1):
@@ -119,8 +120,14 @@ def read(path: Path) -> list[Record]:
             try:
                 records.append(_checked(present_names(read_json_object(line))))
             except (KeyError, TypeError, ValueError) as error:
-                what = f"no {error}" if isinstance(error, KeyError) else one_line(error)
-                raise UserError(f"{path}: line {number}: not an outcome: {what}") from None
+                what = (
+                    f"the field {error} is missing"
+                    if isinstance(error, KeyError)
+                    else one_line(error)
+                )
+                raise UserError(
+                    f"{path}: line {number}: not an outcome: {what}; remove the line"
+                ) from None
     return records
 
 
@@ -132,13 +139,15 @@ def _checked(record: Record) -> Record:
     """
     for key in ("episode", "arm", "world", "kind"):
         if not isinstance(record[key], str):
-            raise ValueError(f"{key}: expected a text")
+            raise ValueError(f"{key}: expected a text, got {bounded_repr(record[key], 40)}")
     if not (math.isfinite(float(record["shortest_m"])) and record["shortest_m"] >= 0):
-        raise ValueError("shortest_m: expected a length")
+        raise ValueError(
+            f"shortest_m: expected a length in m, got {bounded_repr(record['shortest_m'], 40)}"
+        )
     for name, of in NUMERIC_FIELDS.items():
         value = of(record)
         if value is not None and not isinstance(value, (bool, int, float)):
-            raise ValueError(f"{name}: expected a number")
+            raise ValueError(f"{name}: expected a number, got {bounded_repr(value, 40)}")
     return record
 
 
@@ -190,9 +199,9 @@ def _agree(one: Record, other: Record) -> None:
     for key in ("target",) if other.get("goal") else ("target", "shortest_m"):
         if one and one.get(key) != other.get(key):
             raise UserError(
-                f"episode {one_line(other['episode'])}: its {key} is {one_line(one.get(key))} in "
-                f"arm {one_line(one['arm'])} and {one_line(other.get(key))} in "
-                f"{one_line(other['arm'])}: these are different episodes; run both on one file"
+                f"episode {one_line(other['episode'])}: {key} is {one_line(one.get(key))} for arm "
+                f"{one_line(one['arm'])} and {one_line(other.get(key))} for arm "
+                f"{one_line(other['arm'])}; run both arms on the same file of episodes (--plan)"
             )
 
 
@@ -238,5 +247,5 @@ def baseline_of(outcomes: Outcomes, name: str | None) -> int:
     if name is None:
         return 0
     if name not in columns:
-        raise UserError(f"--baseline: no arm {name!r}; there are: {', '.join(columns)}")
+        raise UserError(f"--baseline: no arm {name!r} (choices: {', '.join(columns)})")
     return columns.index(name)

@@ -45,7 +45,9 @@ def run(args: argparse.Namespace) -> int:
             write_atomically(args.compare / name, data)
         paths = plots.write(comparison, args.compare, ("svg", "png"))
     except OSError as error:
-        raise FileError(f"{args.compare}: {error.strerror or error}") from None
+        raise FileError(
+            f"--compare {args.compare}: cannot be written: {error.strerror or error}"
+        ) from None
     print("\n".join(map(str, ["", *(args.compare / name for name in content), *paths])))
     return 0
 
@@ -61,7 +63,7 @@ def compare_folder(
     path = folder / OUTCOMES_NAME
     found = records.read(path)
     if not found:
-        raise UserError(f"{path}: empty; `edge eval episodes` fills it")
+        raise UserError(f"{path}: has no outcomes; `edge eval episodes --out {folder}` writes them")
     outcomes = records.gather(found)
     records.baseline_of(outcomes, baseline)  # check the name before the worlds are loaded
     outcomes, left_m, drawings = add_world_data(

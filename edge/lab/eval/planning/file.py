@@ -65,12 +65,16 @@ def read_tasks(path: Path) -> list[BenchmarkTask]:
         try:
             task = _task(line)
             if task.id in tasks:
-                raise ValueError(f"duplicate id {task.id}; ids must differ")
+                raise ValueError(
+                    f"id: {task.id} is also the id of an earlier line; ids must differ"
+                )
         except (ValueError, UserError) as error:
-            raise TaskFileError(f"{path}, line {number}: {error}") from None
+            raise TaskFileError(f"{path}: line {number}: {error}") from None
         tasks[task.id] = task
     if not tasks:
-        raise TaskFileError(f"{path}: no tasks; `--export {path}` writes the benchmark's tasks")
+        raise TaskFileError(
+            f"{path}: the file has no tasks; `edge eval planning --export {path}` writes some"
+        )
     return list(tasks.values())
 
 
@@ -83,20 +87,25 @@ def _task(line: str) -> BenchmarkTask:
     try:
         data = read_json_object(line)
     except ValueError as error:
-        raise ValueError(f"{error}; each line must be one task, with {', '.join(FIELDS)}") from None
+        raise ValueError(
+            f"{error}; each line must be one task with the fields {', '.join(FIELDS)}"
+        ) from None
     for field, kind in FIELDS.items():
         if not isinstance(data.get(field), kind) or isinstance(data[field], bool):
             raise ValueError(
                 f"{field}: expected {kind.__name__}, got {bounded_repr(data.get(field), 60)}"
             )
     if not 0 <= data["id"] < 1 << 63:
-        raise ValueError(f"id: must be between 0 and 2**63 - 1, got {data['id']}")
+        raise ValueError(f"id: expected 0 to 2**63 - 1, got {data['id']}")
     formula = with_canonical_names(parse(data["formula"]))
     objects = propositions(formula)
     if {names.canonical(str(name)) for name in data["objects"]} != set(objects):
-        raise ValueError(f"objects: the formula's are {', '.join(objects)}")
+        raise ValueError(f"objects: expected those of the formula: {', '.join(objects)}")
     if len(world_of(objects)) > MAX_OBJECTS:
-        raise ValueError(f"more than {MAX_OBJECTS} objects, HM3D's six included")
+        raise ValueError(
+            f"objects: with the six of HM3D {len(world_of(objects))}, at most {MAX_OBJECTS} are "
+            "allowed"
+        )
     if delexicalise(formula).automaton.steps_left[0] < 0:
-        raise ValueError("formula: contradicts itself, nothing can fulfil it")
+        raise ValueError("formula: contradicts itself, so no mission can fulfil it")
     return BenchmarkTask(data["id"], data["template"], objects, data["sentence"], formula)

@@ -70,8 +70,8 @@ def _report(
         paths = [out / JSON_NAME, *write_plots(rows, out)]
     except OSError as error:
         raise FileError(
-            f"--out {out}: {error.strerror}; the table above is complete, but the files are not: "
-            "run again with another directory"
+            f"--out {out}: files cannot be written: {error.strerror}; the table above is "
+            "complete; for the files, run again with another folder"
         ) from None
     print("\n".join(map(str, paths)))
     print(f"{seconds:.0f} s")
@@ -89,7 +89,9 @@ def _writable(directory: Path) -> Path:
         make_writable(directory)
     except OSError as error:
         reason = error.strerror
-        raise FileError(f"--out {directory}: {reason}; choose another directory") from None
+        raise FileError(
+            f"--out {directory}: cannot be written: {reason}; choose another folder"
+        ) from None
     return directory
 
 
@@ -145,6 +147,6 @@ def _planners(text: str | None) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     unknown = [name for name in names if name not in PLANNERS]
     if unknown or not names:
-        what = f"no planner {unknown[0]!r}" if unknown else "no planner named"
-        raise UserError(f"--planners: {what}; there are: {', '.join(PLANNERS)}")
+        what = f"no planner {unknown[0]!r}" if unknown else "got no name"
+        raise UserError(f"--planners: {what} (choices: {', '.join(PLANNERS)})")
     return names

@@ -181,7 +181,7 @@ def _run_all(
             yield futures[future], future.result()
     except BrokenProcessPool:
         raise UserError(
-            "a process of the benchmark was killed, perhaps for lack of memory; try fewer --jobs"
+            "a process of the evaluation was killed, perhaps for lack of memory; give fewer --jobs"
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)

@@ -163,7 +163,7 @@ def chosen(config: Config, names: Sequence[str] | None) -> list[Fault]:
         return list(there.values())
     if unknown := [name for name in names if name not in there]:
         raise UserError(
-            f"--faults: {unknown[0]!r:.40}: not a fault for this configuration "
-            f"(choices: {', '.join(there)})"
+            f"--faults: no fault {unknown[0]!r:.40} with this configuration (choices: "
+            f"{', '.join(there)})"
         )
     return [there[name] for name in dict.fromkeys(names)]

@@ -58,7 +58,9 @@ def soak_config(config: Config, out: Path) -> Config:
     """
     if config.loop.lockstep or config.sim.lockstep:
         where = config.locate("loop.lockstep", "sim.lockstep")
-        raise UserError(f"{where}, sim.lockstep: a soak runs in real time; set both to false")
+        raise UserError(
+            f"{where}, sim.lockstep: edge soak runs in real time; set both keys to false"
+        )
     zenoh = {"endpoint": _endpoint(), "file": None, "client_file": None}
     http = {"host": "127.0.0.1", "port": free_port(), "token_file": None}
     checkpoint = {"checkpoint": str(out / "checkpoint.json")}
@@ -117,7 +119,8 @@ class SoakHarness:
         with os.fdopen(self.log.writer(), "wb") as output:
             self.service = self._start("service", "run", str(self.config_file), out=output)
         self._until(
-            lambda: self.page("/readyz")[1].get("state") == "running", "edge run did not start"
+            lambda: self.page("/readyz")[1].get("state") == "running",
+            "edge run: the service did not start",
         )
         self._session = zenoh_session(self.config.zenoh, "connect", self._stop)
         self.session = self._session.__enter__()
@@ -126,7 +129,7 @@ class SoakHarness:
         self.start_controller()
         self._until(
             lambda: self.page("/readyz")[0] == HTTPStatus.OK,
-            "/readyz is not 200 with the robot running",
+            "the service is not ready, although simulator and controller run",
         )
 
     def _until(self, what: Callable[[], bool], otherwise: str) -> None:
@@ -136,7 +139,8 @@ class SoakHarness:
             self.log.poll()
             if self.gone() or time.monotonic() > deadline_s:
                 last_line = self.log.lines[-1][1] if self.log.lines else "no output"
-                raise UserError(f"{otherwise}: {'; '.join([*self.gone(), last_line])}")
+                ended = [f"{name} has ended" for name in self.gone()]
+                raise UserError(f"{otherwise}: {'; '.join([*ended, last_line])}")
             time.sleep(_LOOK_S)
 
     def close(self) -> None:

@@ -102,7 +102,10 @@ def model_signalled(number: int) -> Injector:
     def fault(stage: SoakHarness, rng: np.random.Generator) -> Injection:
         process = stage.model_process()
         if process is None:
-            raise UserError("the service's model has no process")
+            raise UserError(
+                "the model of the service has no process of its own; set perception.isolation to "
+                "process"
+            )
         os.kill(process.pid, number)
         yield from hold_until_end()
 

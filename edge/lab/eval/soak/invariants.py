@@ -31,10 +31,10 @@ _OF_USUAL = 0.5  # share of the usual tick rate, as the machine may have other w
 def recovered(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
     """Check that `/readyz` is 200 and that ticks come at least half as often as before."""
     if watch.seen_s <= when.ended_s or not watch.is_ready:
-        return f"not ready: {'; '.join(watch.ready) or 'not asked yet'}"
+        return f"the service is not ready: {'; '.join(watch.ready) or '/readyz was not asked yet'}"
     ticks_hz, usual_hz = watch.ticks_hz(when.ended_s), watch.usual_hz
     if ticks_hz < _OF_USUAL * usual_hz:
-        return f"{ticks_hz:.1f} ticks per second, {usual_hz:.1f} before"
+        return f"only {ticks_hz:.1f} ticks per second, {usual_hz:.1f} before the fault"
     return ""
 
 
@@ -42,9 +42,7 @@ def reports_no_view(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -
     """Check that `/readyz` reports that the service sees nothing."""
     if watch.seen_s > when.began_s and any("no usable observations" in why for why in watch.ready):
         return ""
-    return (
-        f"/readyz does not report a lack of sensor data, but: {'; '.join(watch.ready) or 'ready'}"
-    )
+    return f"/readyz reports no lack of sensor data, only: {'; '.join(watch.ready) or 'ready'}"
 
 
 def log_has(pattern: str) -> Invariant:
@@ -85,7 +83,7 @@ def recording_fails(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -
 def recording_goes_on(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
     """Check that the recording continues."""
     if watch.status_s <= when.ended_s:
-        return "no status message since"
+        return "no status message since the end of the fault"
     stopped = [sink for sink in _recorders(watch) if sink["problem"] or not sink["file"]]
     return f"nothing is recorded: {stopped[0]['problem']}" if stopped else ""
 

@@ -49,10 +49,13 @@ def verdict(rows: Sequence[Row]) -> str:
     broken, minutes = of(rows, "broken"), rows[-1]["t_s"] / 60.0
     if broken:
         more = f" ({len(broken) - 1} more)" if len(broken) > 1 else ""
-        return f"broken at {broken[0]['t_s']:.0f} s: {broken[0]['rule']}: {broken[0]['why']}{more}"
+        return (
+            f"check failed after {broken[0]['t_s']:.0f} s: {broken[0]['rule']}: "
+            f"{broken[0]['why']}{more}"
+        )
     faults, missions = len(of(rows, "fault")), of(rows, "mission")
     reached = sum(row["phase"] == "reached" for row in missions)
     return (
-        f"all rules held for {minutes:.0f} min: {faults} faults, {len(missions)} missions, "
+        f"all checks passed for {minutes:.0f} min: {faults} faults, {len(missions)} missions, "
         f"{reached} of them reached"
     )

@@ -72,7 +72,9 @@ class RecordingCheck:
                 os.link(files[0], self.first)  # stays valid if the file is renamed
         self.size_mb = sum(map(_size, files)) / _MB
         if self.size_mb > self._most_mb + _SPARE_MB:
-            self._report(f"{self.size_mb:.1f} MB, keep_mb is {self._most_mb:g}")
+            self._report(
+                f"recordings have {self.size_mb:.1f} MB, keep_mb allows {self._most_mb:g} MB"
+            )
         new = (path for path in files if not path.name.endswith(PARTIAL))
         if (path := next((path for path in new if path not in self._read), None)) is not None:
             self._read.add(path)

@@ -44,17 +44,25 @@ class Rule:
 
 def _dead(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     code = stage.service.poll()
-    return "" if code is None else f"it ended with {code}"
+    return "" if code is None else f"the process of the service ended with exit code {code}"
 
 
 def _hung(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     silent_s = time.monotonic() - watch.alive_s
-    return f"not 200 for {silent_s:.0f} s" if silent_s > SILENT_S else ""
+    return (
+        f"/healthz is not 200 for {silent_s:.0f} s, allowed {SILENT_S:g} s"
+        if silent_s > SILENT_S
+        else ""
+    )
 
 
 def _silent(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     silent_s = time.monotonic() - max(watch.beat_s, watch.muted_s)
-    return f"no message of the loop for {silent_s:.0f} s" if silent_s > SILENT_S else ""
+    return (
+        f"no message of the loop for {silent_s:.0f} s, allowed {SILENT_S:g} s"
+        if silent_s > SILENT_S
+        else ""
+    )
 
 
 def _unreadable(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
@@ -64,7 +72,7 @@ def _unreadable(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
 def _map_lost(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     age_s = sample["places_age_s"]
     if watch.calm and age_s is not None and age_s > OLD_S:
-        return f"written {age_s:.0f} s ago"
+        return f"the map file is {age_s:.0f} s old, allowed {OLD_S:g} s"
     return watch.places
 
 
@@ -74,13 +82,17 @@ def _recorded_badly(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> s
 
 def _floods(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     lines = sample["log_a_minute"]
-    return f"{lines} lines in a minute" if lines > LOG_A_MINUTE else ""
+    return f"{lines} log lines in a minute, allowed {LOG_A_MINUTE}" if lines > LOG_A_MINUTE else ""
 
 
 def _overdue(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     elapsed_s = watch.status.get("elapsed_s", 0.0)
     limit_s = stage.config.mission.time_limit_s + _SPARE_S
-    return f"a mission runs for {elapsed_s:.0f} s" if elapsed_s > limit_s else ""
+    return (
+        f"a mission runs for {elapsed_s:.0f} s, allowed {limit_s:.0f} s"
+        if elapsed_s > limit_s
+        else ""
+    )
 
 
 def _without_reason(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:

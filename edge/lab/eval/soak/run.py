@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
             stage.start()
             soak.run(stop)
         except Stopped:
-            log.info("stopped before all had started")
+            log.info("soak stopped by request before simulator, controller and service had started")
             return os.EX_OK
         soak.conclude()
     print(summary(record.rows))
@@ -70,9 +70,11 @@ def make_empty(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
-            raise FileError(f"--out {folder}: not empty; choose another folder")
+            raise FileError(f"--out {folder}: the folder is not empty; choose another")
     except OSError as error:
-        raise FileError(f"--out {folder}: {error.strerror}") from None
+        raise FileError(
+            f"--out {folder}: cannot be used: {error.strerror}; choose another folder"
+        ) from None
 
 
 class SoakRun:
@@ -133,7 +135,7 @@ class SoakRun:
         """Report a broken rule, once a rule."""
         if rule not in self._reported:
             self._reported.add(rule)
-            log.error("broken: %s: %s", rule, why)
+            log.error("check failed: %s: %s", rule, why)
             self._record.add("broken", rule=rule, why=why)
 
     # -- faults ---------------------------------------------------------------------------------
@@ -208,7 +210,10 @@ class SoakRun:
         self._stage.update_descendants()
         code = self._stage.stop_service()
         if code != os.EX_OK:
-            self._break("service ends", "not in time" if code is None else f"with exit code {code}")
+            self._break(
+                "service ends",
+                "it did not end in time" if code is None else f"exit code {code}, expected 0",
+            )
         recorded = self._watch.recordings.judge()
         self._record.add("recordings", **recorded)
         if why := self._watch.recordings.problem:

@@ -64,7 +64,7 @@ def make(
     if not drawn:
         return ""
     (fault, lasts_s), *rest = drawn
-    log.info("fault: %s: %s, for %.0f s", fault.name, fault.what, lasts_s)
+    log.info("injecting fault %s for %.0f s: %s", fault.name, lasts_s, fault.what)
     watch.mutes |= fault.mutes
     began_s = time.monotonic()
     when, unshown, ended = FaultWindow(began_s, began_s), list(fault.during), False

@@ -111,18 +111,22 @@ def episodes(
 def _of(spec: str, chain: PerceptionPipeline | None) -> Iterator[TrajectoryEpisode]:
     kind, colon, name = spec.partition(":")
     if chain is not None and kind != "kitti":
-        raise UserError(f"{one_line(spec)}: --detector works with kitti:FOLDER only")
+        raise UserError(
+            f"{one_line(spec)}: --detector works only with kitti:FOLDER; omit --detector"
+        )
     if matched := _SPEC.match(spec):
         first, end = map(int, matched.groups())
         if not first < end <= first + _MOST_STREETS:
-            raise UserError(f"{spec}: the range is empty or has more than {_MOST_STREETS} streets")
+            raise UserError(
+                f"{spec}: got {end - first} streets; give a range of 1 to {_MOST_STREETS}"
+            )
         return _streets(range(first, end))
     if colon and name and kind == "kitti":
         folder = Path(name)
         return _kitti(folder, kitti.frames_in(folder), chain)
     if colon and name and kind == "house":
         return _house(load(name))
-    raise UserError(f"{one_line(spec)}: not understood (forms: {KNOWN})")
+    raise UserError(f"{one_line(spec)}: no such place; give one of these forms: {KNOWN}")
 
 
 def _episode(

@@ -118,7 +118,7 @@ def _to_its_end(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.nd
     pose, end = episode.scene.pose, written.coarse.points_m[-1]
     found = written.ground.plan((pose.x_m, pose.y_m), (float(end[0]), float(end[1])))
     if not found.ok:
-        raise NoWayError(f"no path: {found.reason}")
+        raise NoWayError(f"no path to the end of the trajectory: {found.reason}")
     return found.path_m
 
 

@@ -25,6 +25,7 @@ from edge.lab.eval.trajectory_metrics import (
     resample_evenly,
     trajectory_scores,
 )
+from edge.text import bounded_repr, one_line
 
 EPISODES_NAME = "episodes.jsonl"
 _DRAWN_M = 0.25  # distance between the points of a saved path
@@ -211,7 +212,10 @@ def gather(
     at: dict[tuple[int, int], TrajectoryOutcome] = {}
     for outcome in outcomes:
         if outcome.episode not in by_id:
-            raise UserError(f"{EPISODES_NAME}: the episode {outcome.episode} is missing")
+            raise UserError(
+                f"{EPISODES_NAME}: the episode {outcome.episode} is missing, but has an outcome; "
+                "choose another --out"
+            )
         at[row[_name(outcome, several)], column[outcome.episode]] = outcome
     shape = len(names), len(ids)
     numbers = {key: np.full(shape, math.nan) for key in _NUMBERS}
@@ -264,7 +268,9 @@ def _line(item: EpisodeFacts | TrajectoryOutcome) -> bytes:
 def _facts(data: dict[str, Any]) -> EpisodeFacts:
     facts = EpisodeFacts(**data)
     if facts.category not in CATEGORIES:
-        raise ValueError("category: unknown")
+        raise ValueError(
+            f"category: unknown {one_line(facts.category)!r} (choices: {', '.join(CATEGORIES)})"
+        )
     return facts
 
 
@@ -274,5 +280,7 @@ def _outcome(data: dict[str, Any]) -> TrajectoryOutcome:
         key(outcome)
     for name in ("error_m", "frechet_m", "ndtw", "seconds"):
         if not isinstance(getattr(outcome, name), (int, float)):
-            raise ValueError(f"{name}: expected a number")
+            raise ValueError(
+                f"{name}: expected a number, got {bounded_repr(getattr(outcome, name), 40)}"
+            )
     return outcome

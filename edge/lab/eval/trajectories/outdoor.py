@@ -81,7 +81,7 @@ def outdoor_episode(number: int) -> OutdoorEpisode:
         task = next(tasks(place, kind, PortableRng(_KEY, number, attempt)), None)
         if task is not None:
             return OutdoorEpisode(drawn.name, scene, cloud_m, place, task)
-    raise AssertionError(f"no street of {_TRIES} has a task for episode {number}")
+    raise AssertionError(f"episode {number}: none of {_TRIES} drawn streets has a task")
 
 
 def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:

@@ -114,7 +114,9 @@ def run(args: argparse.Namespace) -> int:
             write_atomically(path, content)
             print(path)
     except OSError as error:
-        raise FileError(f"{args.out}: {error.strerror or error}") from None
+        raise FileError(
+            f"--out {args.out}: pictures cannot be written: {error.strerror or error}"
+        ) from None
     return 0
 
 
@@ -137,7 +139,7 @@ def _config(args: argparse.Namespace) -> TasksConfig:
     """
     if args.url is None:
         if args.model is not None:
-            raise UserError("--model: give its server with --url, too")
+            raise UserError("--model: give the URL of the model's server, too, with --url")
         return TasksConfig()
     planner = {"kind": "model", "url": args.url, "time_limit_s": args.time_limit,
                "max_attempts": args.rounds}  # fmt: skip
@@ -157,10 +159,12 @@ def _methods(wanted: str | None, config: TasksConfig) -> tuple[str, ...]:
     for name in names:
         if name in METHODS and name not in there:
             raise UserError(
-                f"--methods: {name}: same as ours, as the rules use no picture; omit it"
+                f"--methods: {name}: without --url the same as ours; omit {name}, or give --url"
             )
         if name not in there:
-            raise UserError(f"--methods: no {one_line(name)!r} (there are: {'; '.join(there)})")
+            raise UserError(
+                f"--methods: no method {one_line(name)!r} (choices: {'; '.join(there)})"
+            )
     return names
 
 

@@ -68,13 +68,13 @@ def _view(args: argparse.Namespace, config: Config, words: tuple[str, ...] | Non
     seed = _STREET.fullmatch(args.place)
     if seed is None and args.place.startswith("street:"):
         raise SceneCaptureError(
-            f"{one_line(args.place)}: not a street; give a number, such as street:3"
+            f"PLACE: {one_line(args.place)}: expected street:N with a number N, such as street:3"
         )
     if seed is None:
         return capture_kitti(resources.expand(args.place), args.frames, config, words)
     if args.frames:
         raise SceneCaptureError(
-            f"{args.place}: a street has no frames; omit --frames, or give a folder"
+            f"--frames: {args.place} has no frames; omit --frames, or give a folder as PLACE"
         )
     return capture_street(int(seed[1]), config, words)
 

@@ -51,7 +51,7 @@ class RunFolder:
                 one.unlink(missing_ok=True)
         except OSError as error:
             raise FileError(
-                f"{path}: cannot be written: {error.strerror}: choose another --out"
+                f"--out {path}: cannot be written: {error.strerror}; choose another folder"
             ) from None
 
     def save(self, outcome: TaskRun) -> None:

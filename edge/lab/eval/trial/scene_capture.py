@@ -75,7 +75,9 @@ def capture_kitti(
         if number not in there:
             listed = ", ".join(map(str, there))
             what = "image, scan and labels" if labelled else "image and scan"
-            raise SceneCaptureError(f"{folder}: no frame {number} with {what} ({listed})")
+            raise SceneCaptureError(
+                f"--frames: {folder}: no frame {number} with {what} (choices: {listed})"
+            )
     frames = kitti.read_frames(folder, numbers, labelled)
     clearance_m = config.tasks.trajectory.clearance_m
     if words is None:
@@ -106,7 +108,8 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
     config = config.model_copy(update={"sim": sim})
     if config.sensors.lidar is None:
         raise SceneCaptureError(
-            f"{config.locate('sensors.lidar')}: a street needs a LiDAR: add one"
+            f"{config.locate('sensors.lidar')}: missing, but street:N needs a LiDAR; add this "
+            "section"
         )
     world = load_world(config)
     camera, lidar = CameraRig(config, world), LidarRig(config, world)
@@ -162,15 +165,15 @@ def detector_pipeline(
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
         raise SceneCaptureError(
-            f"{config.locate('perception.detector.kind')}: sim sees nothing in a real picture: "
-            "choose a model (onnx), or use --objects labels"
+            f"{config.locate('perception.detector.kind')}: the simulated detector (sim) sees "
+            "nothing in a real picture; choose a model (onnx), or give --objects labels"
         )
     # The detector always looks for its background, but it needs at least one word.
     words = tuple(words) or tuple(detector.background or ())[:1]
     if not words:
         raise SceneCaptureError(
-            f"{config.locate('perception.detector.background')}: empty; "
-            "give names of objects to find"
+            f"{config.locate('perception.detector.background')}: empty; give names of objects to "
+            "detect"
         )
     with open_pipeline(config.perception, words, truth) as pipeline:
         yield pipeline, detector.model if detector.kind == "onnx" else "the simulated detector"
@@ -198,7 +201,7 @@ def _plugin_pipeline(
                 raise
             except Exception as error:  # a plugin may raise anything
                 reason = one_line(f"{type(error).__name__}: {error}")
-                raise SceneCaptureError(f"{where}: {own.kind}: {name}: {reason}") from None
+                raise SceneCaptureError(f"{where}: {own.kind}: {name}() raised {reason}") from None
 
         return None if part is None else called
 

@@ -48,7 +48,7 @@ def test_a_line_that_a_broken_off_run_left_is_not_there_yet(tmp_path):
     [
         ("[]\n", "not a JSON object"),
         ('{"x": \x1b}\n', "not JSON"),
-        ({k: v for k, v in record().items() if k != "path_m"}, "no 'path_m'"),
+        ({k: v for k, v in record().items() if k != "path_m"}, "the field 'path_m' is missing"),
         (record(path_m="far"), "path_m: expected a number"),
         (record(shortest_m=math.inf), "shortest_m: expected a length"),
         (record(shortest_m=-1.0), "shortest_m: expected a length"),
@@ -98,7 +98,7 @@ def test_the_newest_of_a_column_counts():
 
 @pytest.mark.parametrize("changes", [{"shortest_m": 6.0}, {"target": "sofa"}])
 def test_columns_on_different_episodes_of_one_name_are_not_compared(changes):
-    with pytest.raises(UserError, match="these are different episodes"):
+    with pytest.raises(UserError, match="run both arms on the same file of episodes"):
         gather([record(arm="a"), record(arm="b", **changes)])
 
 

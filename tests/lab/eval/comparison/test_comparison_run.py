@@ -60,9 +60,14 @@ def test_a_folder_is_compared(folder, capsys):
 @pytest.mark.parametrize(
     ("spoil", "options", "code", "words"),
     [
-        (lambda f: (f / "outcomes.jsonl").unlink(), [], os.EX_IOERR, "`edge eval episodes`"),
-        (lambda f: write(f, []), [], os.EX_DATAERR, "outcomes.jsonl: empty"),
-        (lambda f: None, ["--baseline", "none"], os.EX_DATAERR, "there are: slow, fast"),
+        (
+            lambda f: (f / "outcomes.jsonl").unlink(),
+            [],
+            os.EX_IOERR,
+            "`edge eval episodes --out DIR`",
+        ),
+        (lambda f: write(f, []), [], os.EX_DATAERR, "outcomes.jsonl: has no outcomes"),
+        (lambda f: None, ["--baseline", "none"], os.EX_DATAERR, "(choices: slow, fast)"),
         (lambda f: (f / "episodes.jsonl").unlink(), [], os.EX_IOERR, "episodes.jsonl"),
         (lambda f: (f / "episodes.jsonl").write_text("{}\n"), [], os.EX_DATAERR, "line 1"),
         (lambda f: (f / "results.csv").mkdir(), [], os.EX_IOERR, "Is a directory"),

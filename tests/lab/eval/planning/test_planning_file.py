@@ -29,23 +29,26 @@ def test_round_trip(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("\n \n", ": no tasks"),
+        ("\n \n", ": the file has no tasks"),
         (b"\xff\xfe", "not UTF-8"),
         ("{", "line 1: not JSON"),
-        ("3", "line 1: not a JSON object; each line must be one task, with id, template"),
+        ("3", "line 1: not a JSON object; each line must be one task with the fields id, template"),
         (json.dumps(GOOD) + "\n{}", "line 2: id: expected int, got None"),
-        (json.dumps(GOOD) + "\n" + json.dumps(GOOD), "line 2: duplicate id 0"),
-        ({**GOOD, "id": -1}, "id: must be between 0"),
+        (
+            json.dumps(GOOD) + "\n" + json.dumps(GOOD),
+            "line 2: id: 0 is also the id of an earlier line",
+        ),
+        ({**GOOD, "id": -1}, "id: expected 0 to 2**63 - 1, got -1"),
         ({**GOOD, "formula": "F (bed"}, "formula, column"),
         ({**GOOD, "formula": "F bed & G !bed"}, "contradicts itself"),
-        ({**GOOD, "objects": [3]}, "objects: the formula's are bed"),
+        ({**GOOD, "objects": [3]}, "objects: expected those of the formula: bed"),
         (
             {
                 **GOOD,
                 "formula": " & ".join(f"F thing{c}" for c in "abcdefg"),
                 "objects": [f"thing{c}" for c in "abcdefg"],
             },
-            "more than 12 objects",
+            "at most 12 are allowed",
         ),
         ({**GOOD, "formula": "F " + "x" * 10, "objects": ["", "x"]}, "line 1: '' is no name"),
     ],

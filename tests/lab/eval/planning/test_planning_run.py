@@ -55,11 +55,11 @@ def test_exported_tasks_can_be_run(tmp_path, capsys):
         (("--p-obs", "0"), "above 0 and at most 1, got 0"),
         (("--p-obs", "0.5,1.5"), "above 0 and at most 1, got 1.5"),
         (("--p-obs", "nan"), "above 0"),
-        (("--p-obs", "half"), "expected numbers such as 0.5,1, got 'half'"),
-        (("--p-obs", ""), "expected numbers"),
-        (("--n", "0"), "must be at least 1"),
-        (("--episodes", "-1"), "must be at least 1"),
-        (("--seed", "-1"), "between 0"),
+        (("--p-obs", "half"), "expected probabilities such as 0.5,1, got 'half'"),
+        (("--p-obs", ""), "expected probabilities"),
+        (("--n", "0"), "expected a whole number from 1, got"),
+        (("--episodes", "-1"), "expected a whole number from 1, got"),
+        (("--seed", "-1"), "expected a whole number from 0 to 2**63 - 1, got -1"),
         (("--jobs", "two"), "invalid"),
     ],
 )
@@ -72,8 +72,8 @@ def test_bad_options(argv, words, capsys):
 def test_bad_input_is_one_line(tmp_path):
     (tmp_path / "file").write_text("{}")
     for argv, words in (
-        (("--planners", "vitl,best"), "no planner 'best'; there are: vitl"),
-        (("--planners", ","), "no planner named"),
+        (("--planners", "vitl,best"), "no planner 'best' (choices: vitl"),
+        (("--planners", ","), "got no name"),
         (("--tasks", str(tmp_path / "file")), "line 1: id"),
         (("--n", "1", "--out", str(tmp_path / "file" / "x")), "file"),
         (("--n", "1", "--llm", "not a url"), "not a url"),

@@ -29,7 +29,12 @@ def test_the_page_has_every_rule(rule):
 
 @pytest.mark.parametrize(
     ("calm", "age_s", "why"),
-    [(True, None, ""), (True, 3.0, ""), (False, 12.0, ""), (True, 12.0, "written 12 s ago")],
+    [
+        (True, None, ""),
+        (True, 3.0, ""),
+        (False, 12.0, ""),
+        (True, 12.0, "the map file is 12 s old, allowed 10 s"),
+    ],
     ids=["none yet", "fresh", "in a fault", "old"],
 )
 def test_a_map_is_held_to_be_fresh_without_a_fault(calm, age_s, why):

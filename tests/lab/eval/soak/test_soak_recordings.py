@@ -108,4 +108,4 @@ def test_a_folder_that_is_too_large_is_told(tmp_path):
     assert recordings.problem == ""
     os.truncate(path, 515_000_000)
     recordings.look()
-    assert recordings.problem == "515.0 MB, keep_mb is 512"
+    assert recordings.problem == "recordings have 515.0 MB, keep_mb allows 512 MB"

@@ -35,10 +35,10 @@ def small(folder: Path, **sections: dict) -> Path:
 def test_a_folder_is_made_and_one_with_something_in_it_is_not_written_into(tmp_path):
     make_empty(tmp_path / "a/b")
     make_empty(tmp_path / "a/b")
-    with pytest.raises(FileError, match=r"--out .*a: not empty"):
+    with pytest.raises(FileError, match=r"--out .*a: the folder is not empty"):
         make_empty(tmp_path / "a")
     (tmp_path / "file").touch()
-    with pytest.raises(FileError, match=r"--out .*file: File exists"):
+    with pytest.raises(FileError, match=r"--out .*file: cannot be used: File exists"):
         make_empty(tmp_path / "file")
 
 
@@ -47,7 +47,7 @@ def test_seconds_with_two_faults(edge, tmp_path):
     out = tmp_path / "out"
     soak = edge("soak", small(tmp_path), "--minutes", "0.3", "--faults", TWO, "--out", out)
     assert soak.wait() == 0, soak.output
-    assert soak.lines[-1].startswith("all rules held for ")
+    assert soak.lines[-1].startswith("all checks passed for ")
     record = rows(out)
     faults, samples = of("fault", record), of("sample", record)
     assert {fault["name"] for fault in faults} <= set(TWO.split(","))

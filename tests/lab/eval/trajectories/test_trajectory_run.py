@@ -106,10 +106,10 @@ def test_an_answer_that_comes_too_late_is_a_failure(tmp_path):
 @pytest.mark.parametrize(
     ("spec", "words"),
     [
-        ("", "not understood"),
+        ("", "no such place"),
         ("streets", "forms: streets"),
-        ("streets[5:5]", "range is empty"),
-        ("kitti:", "not understood"),
+        ("streets[5:5]", "got 0 streets"),
+        ("kitti:", "no such place"),
         ("kitti:/nowhere", "no frame with image_2/"),
         ("house:/nowhere.yaml", "nowhere.yaml"),
     ],
@@ -123,11 +123,11 @@ def test_places_that_are_none_are_told_in_a_line(spec, words):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--methods", "our"], "no 'our' (there are: ours; "),
-        (["--methods", "llm_tg"], "the rules use no picture"),
-        (["--model", "x"], "give its server with --url"),
+        (["--methods", "our"], "no method 'our' (choices: ours; "),
+        (["--methods", "llm_tg"], "without --url the same as ours"),
+        (["--model", "x"], "give the URL of the model's server"),
         (["--url", "nonsense"], "not the URL of a chat server"),
-        (["--detector", "street"], "sim sees nothing in a real picture"),
+        (["--detector", "street"], "(sim) sees nothing in a real picture"),
     ],
 )
 def test_options_that_are_wrong_are_told_in_a_line(tmp_path, capsys, options, words):
@@ -139,7 +139,7 @@ def test_options_that_are_wrong_are_told_in_a_line(tmp_path, capsys, options, wo
 
 
 def test_a_place_that_is_known_is_seen_by_no_detector():
-    with pytest.raises(UserError, match=r"--detector works with kitti:FOLDER only"):
+    with pytest.raises(UserError, match="--detector works only with kitti:FOLDER"):
         next(episodes(["streets[0:1]"], chain=object()))
 
 

@@ -1,0 +1,72 @@
+"""Recognition of remarks: clauses that give no order, such as "I heard a noise"."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+
+from edge.mission.language.everyday_words import ARTICLE, any_of
+from edge.mission.language.lexicon import PAST, TABLE
+from edge.mission.language.templates import compiled, first_match
+from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
+
+_DIRECTS = re.compile(
+    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! just)|"
+    r"except|unless|if|until|"
+    r"before|after|instead|but|first|second|third|next|last|then|avoid|never|allow|allowed|"
+    r"prefer|mean|meant|hop(?:e|ed|ing)|expect|"
+    r"(?:leav|skip|keep|clos|block|lock|shut|bann|forbid|exclud|omit)\w*|bans?|sa(?:y|ys|ying|id)|"
+    r"talking|thinking|wrong|mistaken?|done with|"
+    r"insist|order|ask|tell|call|called|name|"
+    r"named|remember|find|which|whichever|whatever|either|order|ones?|both|twice|times|rounds?|"
+    r"else|others?|rest|also|well|(?:minute|hour|second)s?(?! ago)|"
+    r"limits|bounds|closed|taboo|private|go|stay|keep|you|"
+    r"no|none|nobody|nothing|without)\b|"
+    r"(?<!do )(?<!did )(?<!can )(?<!could )(?<!have )(?<!has )\bnot\b|"
+    rf"\b(?:it|them)\b(?=.* {any_of('relation')} )|"
+    rf"^(?:he|she|they) (?:is|are|was|were|will be)(?: \w+ly)? {any_of('relation')} ",
+    re.I,
+)
+"""Words that may change an order, so a clause with one of them is no mere remark."""
+_NO_VERB_AFTER = re.compile(
+    rf"(?:{ARTICLE}|is|are|was|were|am|been|being|still|so|very|too|all|quite|really)$", re.I
+)
+SUBORDINATE = (
+    r"(?<!soon)(?<!far)(?<!long) (?=(?:because|cause|since|while|as|so|so that) "
+    r"(?:i|we|he|she|they|somebody|someone|people|there|my|our)\b|"
+    r"(?:because|cause|since) (?:it|that|the)\b|"
+    r"(?:so|so that) you (?:know|learn|remember|will know|get to know)\b|"
+    r"(?:for|in order) to (?:know|learn|get to know) )"
+)
+"""Regular expression for the space before a clause of reason without a comma."""
+
+
+def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:
+    """Return True for a clause that gives no order: "I heard a noise".
+
+    Args:
+        clause: no other text.
+        states: True if "the isolation is over" is one, too.
+        first: True if the clause begins the text, where "all clear" is one, too.
+    """
+    if first_match(_templates(IDIOMS + ASSENTS * first), clause) is not None:
+        return True
+    if _DIRECTS.search(clause) or _has_order(clause.lower().split()):
+        return False
+    return first_match(_templates(REMARKS + STATES * states), clause) is not None
+
+
+def _has_order(words: list[str]) -> bool:
+    """Return True if a verb comes in its base form: "go", but not "a walk" or "is clean"."""
+    return any(
+        TABLE.get((word,)) in ("verb", "avoid")
+        and word not in PAST
+        and not word.endswith(("ed", "ing"))
+        and not _NO_VERB_AFTER.match(before)
+        for before, word in zip(["", *words], words, strict=False)
+    )
+
+
+@lru_cache(maxsize=8)
+def _templates(rows: str) -> list[re.Pattern[str]]:
+    return compiled(rows, {})
