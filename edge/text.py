@@ -140,7 +140,7 @@ def read_json(text: bytes | str, max_values: int | None = None) -> Any:
     if max_values is not None:
         marks = (b",", b"[", b"{") if isinstance(text, bytes) else (",", "[", "{")
         if sum(map(text.count, marks)) > max_values:
-            raise ValueError(f"more than {max_values} values")
+            raise ValueError(f"more than {max_values} values, which is not allowed")
     try:
         return json.loads(text)
     except (ValueError, RecursionError):

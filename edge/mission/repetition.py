@@ -87,8 +87,8 @@ def split_repetition(instruction: str) -> tuple[str, Repetition | None]:
     rounds = names.number([found["rounds"].lower()])
     if rounds is None or not 1 <= rounds <= MAX_ROUNDS:
         raise UserError(
-            f"repeat: {bounded_repr(found['rounds'], 40)} times: expected a number from 1 to "
-            f"{MAX_ROUNDS}"
+            f"instruction: to repeat {bounded_repr(found['rounds'], 40)} times: expected a number "
+            f"from 1 to {MAX_ROUNDS}"
         )
     return rest, Repetition(rounds)
 

@@ -312,13 +312,14 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     if diagnosis.contradiction:
         shown = ((one_line(part), one_line(describe(part))) for part in diagnosis.contradiction)
         parts = one_line("; ".join(f"{part} ({english})" for part, english in shown), _MOST_SHOWN)
-        what = "these conflict" if len(diagnosis.contradiction) > 1 else "this cannot be done"
+        several = len(diagnosis.contradiction) > 1
+        what = "these parts conflict" if several else "this part cannot be done"
         raise MissionError(f"mission: a contradiction, {what}: {parts}; remove or change a part")
     if automaton.steps_left[0] == 0:
         always = ", whatever is reached" if diagnosis.tautology else ""
         raise MissionError(
-            f"mission: fulfilled by doing nothing{always}; name something to reach: "
-            f"{one_line(formula)} ({one_line(translation.english)})"
+            f"mission: {one_line(formula)} ({one_line(translation.english)}) is fulfilled by doing "
+            f"nothing{always}; name something to reach"
         )
     targets = tuple(letter for letter in letters if letter not in diagnosis.unused)
     automaton = _narrowed(automaton, targets)
@@ -327,8 +328,8 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     alone = automaton.steps_left[0] < 2 or len(automaton.possible) < 2
     if translation.repeat is not None and alone:
         raise MissionError(
-            "mission: to repeat it, name at least two things or places to reach in each round: "
-            f"{one_line(formula)}"
+            f"mission: {one_line(formula)} cannot be repeated: name at least two things or places "
+            "to reach in each round"
         )
     _refuse_bans(automaton, translation.destinations)
     prompts = _prompts(targets, translation.destinations)
@@ -412,8 +413,8 @@ def restore_spec(
 def _check_number(config: MissionConfig, targets: int) -> None:
     if targets > config.max_targets:
         raise MissionError(
-            f"mission: {targets} targets, at most {config.max_targets} are allowed "
-            "(mission.max_targets)"
+            f"mission: {targets} targets, at most {config.max_targets} are allowed; name fewer, or "
+            "raise mission.max_targets"
         )
 
 

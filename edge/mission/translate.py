@@ -134,8 +134,8 @@ class Translator:
         if reading is not None and not 1 <= reading <= len(readings):
             ways = "way" if len(readings) == 1 else "ways"
             raise TranslationError(
-                f"instruction: it can be read in {len(readings)} {ways}: there is no reading "
-                f"{reading}"
+                f"reading: there is no reading {reading}: the instruction can be read in "
+                f"{len(readings)} {ways}"
             )
         unclear = len(readings) > 1 and (ask or safer is None)
         if reading is None and (unclear or not read.confident):
@@ -166,7 +166,10 @@ def validated(formula: Formula) -> Formula:
     except ltl.FormulaError as error:
         raise TranslationError(f"the formula cannot be written as text: {error}") from error
     if again != formula:
-        raise TranslationError(f"the formula's text means another formula: {one_line(formula)}")
+        raise TranslationError(
+            f"a bug in edge: written as text, the formula {one_line(formula)} changes its meaning; "
+            "report it"
+        )
     return formula
 
 
@@ -252,7 +255,10 @@ def with_bans(instruction: str, read: ParsedInstruction) -> ParsedInstruction:
     strict = [formula for formula in strict if is_possible(formula)]
     if not strict:
         found = " ".join(describe(ban) for ban in bans)
-        raise TranslationError(f"instruction: understood only this: {one_line(found, 300)}")
+        raise TranslationError(
+            f"instruction: understood only this: {one_line(found, 300)}; say the rest in "
+            "other words"
+        )
     return replace(read, formulas=(*strict, *read.formulas), confident=False)
 
 

@@ -83,7 +83,8 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
             try:
                 watch(model, item, outcome)
             except Exception:
-                log.exception("watching %s failed", model.name)
+                log.exception("model %s: a bug in its watch during probation; please report this "
+                              "traceback", model.name)  # fmt: skip
 
 
 class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
@@ -154,8 +155,8 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
             previous.set_prompts(prompts)
         except UserError as error:
             raise type(error)(
-                f"{previous.name}, kept until {self.detector.name} passes its probation: {error}; "
-                "try again after that"
+                f"{previous.name}, which is kept until {self.detector.name} passes its probation: "
+                f"{error}; try again after the probation"
             ) from None
         try:
             self.detector.set_prompts(prompts)

@@ -16,7 +16,7 @@ from edge.config import Config
 from edge.jit import jit
 from edge.lab.sim.base import FloorPlan, World
 
-PLACE_M = 0.1
+PLACE_M = 0.1  # side of a cell
 SAME_M = 0.5  # an instance within this distance of an object is that object
 NEW, BEFORE, NOW = 0, 1, 2
 """Bits of a cell: never seen; seen before this leg; seen in this leg."""
@@ -31,7 +31,7 @@ class RevisitCounter:
         range_m: range of the detector.
 
     Attributes:
-        again_m2: area seen in searches that earlier legs had already seen [m²].
+        revisited_m2: area seen in searches that earlier legs had already seen [m²].
     """
 
     def __init__(self, config: Config, world: World, range_m: float) -> None:

@@ -155,7 +155,7 @@ def take_passed(
     """
     if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
         reader.refuse_finally(
-            "unclear: none of them, or not all? say it for each one", reader.peek()
+            "unclear: none of them, or not all? say for each if to avoid it", reader.peek()
         )
     if clause.negated and verb and verb.text == "from":
         reader.refuse_finally("unclear which one to avoid; say 'avoid …'", verb)

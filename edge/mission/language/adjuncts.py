@@ -289,7 +289,7 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
         refuse_missing_name(reader)
     if token.kind == "without" and reader.peek().text in ("both", "both of"):
         reader.refuse_finally(
-            "unclear: none of them, or not both? say it for each one", reader.peek()
+            "unclear: none of them, or not both? say for each if to avoid it", reader.peek()
         )
     if token.text == "with no" and not says.verb:
         reader.refuse_finally("say 'without …'", token)  # "the room with no window"

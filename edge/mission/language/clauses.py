@@ -125,7 +125,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         clause.verb = "be"
         reader.at += 2 if reader.peek().text == "over" else 1
         if clause.negated and reader.is_at("all of"):
-            reader.refuse_finally("unclear: none of them, or not all? say it for each one")
+            reader.refuse_finally("unclear: none of them, or not all? say for each if to avoid it")
         clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
     elif reader.is_at("quota"):
         take_quota(reader, memory, clause)
@@ -275,7 +275,9 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
     start = reader.peek()
     begin = reader.at
     if clause.negated and start.kind == "all of":
-        reader.refuse_finally("unclear: none of them, or not all? say it for each one", start)
+        reader.refuse_finally(
+            "unclear: none of them, or not all? say for each if to avoid it", start
+        )
     things = take_noun_phrase(reader, memory, subject=True, banned=clause.negated)
     if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
         return

@@ -428,7 +428,7 @@ class Discourse:
         then = meaning.follows
         if then and meaning.bans and not meaning.goals and not clause.things.every:
             if self.last is None:
-                self.reader.refuse_finally("say first what comes before it", clause.token)
+                self.reader.refuse_finally("say first what comes before this", clause.token)
             meaning.ban_after(self.last)  # "…. After that, avoid b and go to c"
         if then and clause.negated and clause.conditions:
             self.reader.refuse_finally("use a separate sentence, without 'then'", clause.token)
@@ -444,7 +444,7 @@ class Discourse:
             and not (then or self.first)
             and self.times.keys() & set(meaning.things.names)
         ):
-            hint = "it was already asked for; give the order in one sentence"
+            hint = "this was already asked for; give the order in one sentence"
             self.reader.refuse(hint, clause.token)
         anchored(meaning, sequence, self.times, then or self.first)
         plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
@@ -504,7 +504,7 @@ class Discourse:
             clause.conditions.append(Condition("after", clause.token, self.flow.permitted))
             clause.trails = False
         elif not self.clauses:
-            self.reader.refuse("nothing comes before it", clause.token)
+            self.reader.refuse("no step comes before this one", clause.token)
 
     def _joint(self) -> Token | None:
         """Skip the words that join this clause to the next; return None if the sequence ends."""

@@ -150,7 +150,7 @@ class Flow:
                 "unclear what 'not' applies to; use a separate sentence", clause.token
             )
         if not started and joint is not None and joint.text in ("later", "afterwards"):
-            reader.refuse_finally("nothing comes before it", joint)
+            reader.refuse_finally("no step comes before this one", joint)
         if kind == "but" and bare and not (clause.negated or clause.first):
             reader.refuse_finally(
                 "unclear: all except this, or this too? say 'visit …'", clause.token
@@ -158,7 +158,7 @@ class Flow:
         if kind == "or" and clause.through and clause.verb == "":
             reader.refuse_finally("say 'through a or b'", clause.token)  # "to a via b or via c"
         if clause.bound_by and kind == "or":
-            reader.refuse("unclear which one is on the way; say it for each one", clause.bound_by)
+            reader.refuse("unclear which one is on the way; say so for each", clause.bound_by)
 
     def note(self, clause: Clause, meaning: ClauseMeaning) -> None:
         """Store facts about a clause for the next one."""

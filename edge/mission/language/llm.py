@@ -206,7 +206,9 @@ class LlmTranslator:
         begin_s, url = time.monotonic(), self._client.url
         objects = objects_in(instruction)
         if not objects:
-            raise TranslationError(f"no object to reach is named in {one_line(instruction, 100)!r}")
+            raise TranslationError(
+                f"instruction: {one_line(instruction, 100)!r} names no object to reach; name one"
+            )
         messages = conversation(instruction)
         options = {"temperature": 0, **constraint(self._config.constrain, objects)}
         for _ in range(2):
@@ -224,7 +226,7 @@ class LlmTranslator:
             messages += repair(answer, fault)
         shown = one_line(bare(answer), SHOWN_TO_USER)
         raise TranslationError(
-            f"no translation: {url} answered {shown!r}: {one_line(fault)}; "
+            f"instruction: no translation: {url} answered {shown!r}: {one_line(fault)}; "
             "say it in other words, or use a larger model"
         )
 
@@ -283,7 +285,10 @@ def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
     """
     text = bare(answer)
     if len(text) > MAX_FORMULA_CHARACTERS:
-        raise _UnusableError(f"the answer has {len(text)} characters; it must be one short formula")
+        raise _UnusableError(
+            f"the answer has {len(text)} characters; it must be one formula of at most "
+            f"{MAX_FORMULA_CHARACTERS}"
+        )
     formula = renamed(parse(text), _canonical)
     allowed = {names.canonical(phrase) for phrase in objects}
     strange = [name for name in propositions(formula) if name not in allowed]
@@ -292,7 +297,7 @@ def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
             f"the instruction names no {strange[0]!r}; it names {', '.join(objects[:20])}"
         )
     if not propositions(formula):
-        raise _UnusableError("the formula speaks of no object")
+        raise _UnusableError("the formula names no object")
     return formula
 
 
@@ -321,4 +326,5 @@ def _report_left_out(formula: Formula, objects: tuple[str, ...]) -> None:
     known = dict.fromkeys(names.canonical(phrase) for phrase in objects if names.is_known(phrase))
     left_out = [name for name in known if name not in propositions(formula)]
     if left_out:
-        log.warning("the formula does not contain %s; check its meaning", ", ".join(left_out))
+        log.warning("mission: the formula leaves out %s of the instruction; check the mission's "
+                    "meaning", ", ".join(left_out))  # fmt: skip

@@ -119,7 +119,7 @@ def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) ->
     again = clause.again and not (clause.negated or clause.count or clause.conditions)
     if again and not clause.returns and not times.keys() & set(clause.things.names):
         reader.refuse(
-            "it was not asked for before, so 'again' is unclear; say how often", clause.token
+            "this was not asked for before, so 'again' is unclear; say how often", clause.token
         )
     if clause.things.every and (meaning := _of_every(clause, clause.things, reader)):
         return meaning
@@ -180,7 +180,7 @@ def _forbidden(
     elif _is_again(clause, things, times) and not (
         clause.conditions or set(things.names) <= set(times)
     ):
-        reader.refuse_finally("it was not asked for before; say 'never …'", clause.token)
+        reader.refuse_finally("this was not asked for before; say 'never …'", clause.token)
     elif _is_again(clause, things, times) and all(
         c.things.names == things.names for c in clause.conditions
     ):

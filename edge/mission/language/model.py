@@ -122,7 +122,7 @@ class NeuralTranslator:
         said, words, doubts = self._known(instruction)
         if not said.names:
             raise TranslationError(
-                "instruction: it has no known object; write the object's name in double quotes"
+                "instruction: no known object in it; write the object's name in double quotes"
             )
         if unclear := _unclear(words):
             raise TranslationError(f"instruction: {unclear}")

@@ -178,8 +178,8 @@ def _vocabulary(path: Path, listed: str) -> tuple[str, ...]:
     needed = {*SPECIAL, *NAMES, REFUSED, *OPERATORS}
     if not isinstance(tokens, list) or not needed <= set(map(str, tokens)):
         raise ModelError(
-            f"{path}: its metadata has no {VOCABULARY!r} with the tokens of formulas; export the "
-            "model again"
+            f"{path}: the model's metadata has no {VOCABULARY!r} with the tokens of formulas; "
+            "export the model again"
         )
     return tuple(map(str, tokens))
 

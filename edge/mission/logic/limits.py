@@ -39,7 +39,7 @@ class CompileBudget:
         self.steps += steps
         if self.steps > self.max_steps:
             raise CompileError(
-                f"formula: no automaton within {self.max_steps} steps; use fewer targets or "
+                f"formula: not compiled within {self.max_steps} steps; use fewer targets or "
                 "constraints, or raise mission.compile_limit_steps"
             )
 
@@ -51,6 +51,6 @@ class CompileBudget:
         """Raise CompileError if the number of states is above the limit."""
         if n > self.max_states:
             raise CompileError(
-                f"formula: its automaton needs more than {self.max_states} states; use fewer "
+                f"formula: needs an automaton of more than {self.max_states} states; use fewer "
                 "targets or constraints, or raise mission.max_states"
             )

@@ -60,7 +60,7 @@ def distances(
         [[0.0], [2.0]]
     """
     if not 1.0 <= unknown_cost <= _MAX_UNKNOWN_COST:
-        raise ValueError(f"unknown_cost: {unknown_cost} is not in 1 ... {_MAX_UNKNOWN_COST:g}")
+        raise ValueError(f"unknown_cost: expected 1 to {_MAX_UNKNOWN_COST:g}, got {unknown_cost}")
     factor = max(1, int(cell_m / snapshot.resolution_m + 1e-6))
     side_m = factor * snapshot.resolution_m
     height, width = (-(-side // factor) for side in snapshot.cells.shape)

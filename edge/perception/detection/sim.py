@@ -125,8 +125,8 @@ class SimDetector:
         depth = observation.depth_m
         if truth is None or depth is None or truth.ids.shape != depth.shape or depth.size == 0:
             raise ValueError(
-                f"observation {observation.seq}: no segmentation with depth: lost on the way, or "
-                "no simulator sends it (for a real camera use perception.detector.kind: onnx)"
+                f"observation {observation.seq}: no segmentation and depth of one size: lost on "
+                "the way, or not sent (for a real camera use perception.detector.kind: onnx)"
             )
         ids = truth.ids
         if truth.labels != self._labels:

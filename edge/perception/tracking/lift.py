@@ -134,8 +134,8 @@ class BackProjector:
         if missing := self._missing_input(seen):
             self.skipped += 1
             if self.skipped == 1:
-                log.warning("observation %d: %s; its boxes get no position (more of these are "
-                            "only counted)", seen.seq, missing)  # fmt: skip
+                log.warning("observation %d: %s; its boxes get no position in the map (further "
+                            "ones are only counted)", seen.seq, missing)  # fmt: skip
         return not missing
 
     def _missing_input(self, seen: Observation) -> str:

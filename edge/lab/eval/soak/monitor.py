@@ -31,8 +31,8 @@ log = logging.getLogger("edge.lab.eval.soak")
 
 _KEPT_BEATS = 4096
 _MINUTE_S = 60.0
-_DROPPED = "edge_source_dropped_total"
-_LOGGED = re.compile(r"\d\d:\d\d:\d\d")
+_DROPPED = "edge_source_dropped_total"  # metric of `/metrics`
+_LOGGED = re.compile(r"\d\d:\d\d:\d\d")  # time at the start of a line of the log
 
 
 class SoakMonitor:
@@ -43,6 +43,7 @@ class SoakMonitor:
     Attributes:
         status: the newest status message.
         status_s: its time.
+        latency: the newest latency message.
         beats: the newest messages of `edge.lab.eval.soak.jitter` with their times, oldest first.
         ready: problems that `/readyz` reports.
         is_ready: `/readyz` was 200.
@@ -50,11 +51,11 @@ class SoakMonitor:
         alive_s: time at which `/healthz` was last 200.
         counts: number of goals, and of goals reached and failed.
         checkpoint: why the mission's checkpoint cannot be read; "" if it can.
-        places: the same for the map's checkpoint.
+        places: why the map's checkpoint cannot be read; "" if it can.
         recordings: check of the recordings.
-        calm: there is no fault; can be set.
-        mutes: a fault stops all published messages; can be set.
-        muted_s: last time of that.
+        calm: True without a fault. The caller sets it.
+        mutes: True while a fault stops all published messages. The caller sets it.
+        muted_s: time of the last sample with `mutes`.
     """
 
     def __init__(self, stage: SoakHarness) -> None:
@@ -73,28 +74,28 @@ class SoakMonitor:
         self.mutes = False
         self.muted_s = self.began_s
         self._calm_hz: deque[float] = deque(maxlen=600)
-        heard: dict[str, Callable[[dict[str, Any]], None]] = {
+        handlers: dict[str, Callable[[dict[str, Any]], None]] = {
             topics.STATUS.key: self._on_status,
             topics.LATENCY.key: self._on_latency,
             topics.GOAL_STATUS.key: self._on_answer,
             jitter.KEY: self._on_beat,
         }
-        for key, take in heard.items():
-            full = stage.config.zenoh.key(key)
-            stage.session.declare_subscriber(full, partial(self._on_json, take))
+        for key, handle in handlers.items():
+            full_key = stage.config.zenoh.key(key)
+            stage.session.declare_subscriber(full_key, partial(self._on_json, handle))
         goal = stage.config.zenoh.key(topics.GOAL.key)
         self._goals: set[bytes] = set()
         stage.session.declare_subscriber(goal, self._on_goal)
 
     # -- on Zenoh's threads -----------------------------------------------------------------------
 
-    def _on_json(self, take: Callable[[dict[str, Any]], None], sample: zenoh.Sample) -> None:
+    def _on_json(self, handle: Callable[[dict[str, Any]], None], sample: zenoh.Sample) -> None:
         try:
             message = read_json_object(sample.payload.to_bytes())
         except ValueError:  # the soak itself sends garbage
             return
         with self._lock:
-            take(message)
+            handle(message)
 
     def _on_status(self, message: dict[str, Any]) -> None:
         self.status, self.status_s = message, time.monotonic()
