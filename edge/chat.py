@@ -159,9 +159,13 @@ class ChatClient:
         reply = self._exchange(json.dumps(request).encode(), left_s)
         if 300 <= reply.status < 400:
             where = self._quote(reply.headers.get("Location", "nowhere"))
-            raise self._error(f"answered HTTP {reply.status}, see {where}; configure another URL")
+            raise self._error(
+                f"the server redirects to {where} (HTTP {reply.status}); configure the right URL"
+            )
         if reply.status != 200:
-            raise self._error(f"answered HTTP {reply.status}{self._explanation(reply.body)}")
+            raise self._error(
+                f"the server answered HTTP {reply.status}{self._explanation(reply.body)}"
+            )
         if len(reply.body) > self.max_answer_bytes:
             limit_kb = self.max_answer_bytes / 1024
             raise self._error(f"the answer has more than {limit_kb:g} KB; is it a chat server?")
@@ -231,7 +235,10 @@ class ChatClient:
             number = isinstance(logprob, (int, float)) and not isinstance(logprob, bool)
             if not (isinstance(token, str) and number and logprob <= ROUNDING):  # false for NaN
                 shown = self._quote(f"{bounded_repr(token, 40)}: {bounded_repr(logprob, 40)}")
-                raise self._error(f"the answer has an invalid logprob, {shown}; check the server")
+                raise self._error(
+                    f"the answer has an invalid logprob, {shown}; expected a number of 0 or less; "
+                    "check the server"
+                )
         return [(token, float(max(logprob, LEAST))) for token, logprob in pairs]
 
     def _json(self, reply: HttpReply) -> Any:

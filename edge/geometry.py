@@ -184,7 +184,7 @@ def se3_from_quaternion(
     x, y, z, w = (float(component) for component in quaternion_xyzw)
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     if not math.isfinite(norm) or norm < 1e-6:
-        raise ValueError(f"not a rotation: quaternion {(x, y, z, w)}")
+        raise ValueError(f"not a rotation: quaternion {(x, y, z, w)} is zero or not finite")
     x, y, z, w = x / norm, y / norm, z / norm, w / norm
     x_m, y_m, z_m = position_m
     return np.array(
@@ -267,7 +267,9 @@ class CameraModel:
         aside = (self.cx_px - 0.5 * width, self.cy_px - 0.5 * height)
         # The comparisons are written so that NaN fails.
         if not 0 < min(width, height) <= side <= MAX_SIDE_PX:
-            raise ValueError(f"not a camera: {width}x{height} px")
+            raise ValueError(
+                f"not a camera: {width}x{height} px, expected 1 to {MAX_SIDE_PX} a side"
+            )
         if not all(MIN_FOCAL * side <= f <= MAX_FOCAL * side for f in (fx, fy)):
             raise ValueError(
                 f"not a camera: focal lengths {fx:g}, {fy:g} px at {width}x{height}, "
@@ -275,8 +277,8 @@ class CameraModel:
             )
         if not all(abs(off) <= MAX_ASIDE * side for off in aside):
             raise ValueError(
-                f"not a camera: principal point ({self.cx_px:g}, {self.cy_px:g}) px is far from "
-                f"the image of {width}x{height}"
+                f"not a camera: principal point ({self.cx_px:g}, {self.cy_px:g}) px is over "
+                f"{MAX_ASIDE * side:g} px from the centre of the image of {width}x{height}"
             )
 
     @classmethod

@@ -27,10 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--log-level",
         choices=LEVELS,
         default="info",
-        help="least severe messages to log (default: info)",
+        help="log messages of this level and of more severe levels (default: info)",
     )
     parser.add_argument(
-        "--log-json", action="store_true", help="write the log as JSON, one object a line"
+        "--log-json",
+        action="store_true",
+        help="write the log as JSON, one object a line (default: as text)",
     )
 
 

@@ -137,7 +137,7 @@ def read_json(text: bytes | str, most: int | None = None) -> Any:
     if most is not None:
         marks = (b",", b"[", b"{") if isinstance(text, bytes) else (",", "[", "{")
         if sum(map(text.count, marks)) > most:
-            raise ValueError(f"more than {most} values")
+            raise ValueError(f"more than {most} values, which is not allowed")
     try:
         return json.loads(text)
     except (ValueError, RecursionError):

@@ -129,33 +129,33 @@ FAULTS = [
     ({"sim": {"start": [1, 2]}}, "f.yaml: sim.start.2: missing"),
     (
         {"perception": {"isolation": "process", "detector": {"kind": "sim"}}},
-        "f.yaml: perception: isolation: process: only for perception.detector.kind: onnx; sim runs",
+        "f.yaml: perception: isolation: process needs perception.detector.kind: onnx; the ",
     ),
     (
         {"perception": {**SIM["perception"], "load_shedding": {"levels": [{}]}}},
-        "f.yaml: perception.load_shedding.levels.0: set either model, or pause to a scorer",
+        "f.yaml: perception.load_shedding.levels.0: set exactly one: model (a",
     ),
     (
         {"perception": {**SIM["perception"], "load_shedding": {"levels": [{"model": "small"}]}}},
-        "f.yaml: perception: load_shedding: levels: 0: model: only for perception.detector.kind: "
-        "onnx;",
+        "f.yaml: perception: load_shedding: levels: 0: model: needs perception.detector.kind: "
+        "onnx; the detector sim has no model to replace",
     ),
     (
         {"perception": {**SIM["perception"], "load_shedding": {"levels": [{"pause": "choice"}]}}},
-        "f.yaml: perception: load_shedding: levels: 0: pause: choice: no such scorer is configured",
+        "f.yaml: perception: load_shedding: levels: 0: pause: choice: this scorer is not ",
     ),
     ({"robot": {"radius_m": "0.5"}, "mapping": None}, "f.yaml: mapping: expected a section"),
     ({"robot": {"radius_m": 0.5}, "mapping": []}, "f.yaml: mapping: expected a section"),
     (
         {"robot": {"radius_m": "0.5"}, "mapping": {"extent_m": 12}},
-        "f.yaml: mapping: extent_m: must be at least 2 * (range_m + 2 * inflation_m) + 1",
+        "f.yaml: mapping: extent_m 12: must be at least 2 * (range_m + 2 * inflation_m) + 1",
     ),
     (
         {"robot": {"height_m": 0.06}},
         "f.yaml: mapping: obstacle_max_m 0.075 (by default from robot.height_m): must be above "
         "obstacle_min_m 0.1",
     ),
-    ({"mapping": {"extent_m": 3}}, "f.yaml: mapping: extent_m: must be at least 2 * (range_m"),
+    ({"mapping": {"extent_m": 3}}, "f.yaml: mapping: extent_m 3: must be at least 2 * (range_m"),
     (
         {"mapping": {"extent_m": 500, "resolution_m": 0.05}},
         "f.yaml: mapping: extent_m 500 at resolution_m 0.05: more than 4096 cells a side; "
@@ -186,15 +186,15 @@ FAULTS = [
     ),
     (
         {"perception": {**SIM["perception"], "prior": "none", "choice": {"kind": "cooccurrence"}}},
-        "f.yaml: perception.choice.kind: cooccurrence: there is no prior: set perception.prior to "
-        "cooccurrence, rooms or both",
+        "f.yaml: perception.choice.kind: cooccurrence needs a prior, and none is configured: set "
+        "perception.prior to cooccurrence, rooms or both",
     ),
     (
         {
             "policy": {"kind": "adaptive", "by": "prior"},
             "perception": {**SIM["perception"], "prior": "none"},
         },
-        "f.yaml: policy.by: prior: there is no prior: set perception.prior to cooccurrence,",
+        "f.yaml: policy.by: prior needs a prior, and none is configured: set perception.prior",
     ),
     (
         {"http": {"host": "0.0.0.0", "port": 7480}},
@@ -408,7 +408,7 @@ def nested(first: str, more: str) -> str:
     [
         (nested("a: &a [x, x]\n", "{name}: &{name} [{nine}]\n"), "more than 20000 keys and values"),
         (nested("a: &a {x: 1}\n", "{name}: &{name} {{<<: [{nine}]}}\n"), "more than 20000"),
-        ("robot: &a\n  name: [*a]", "line 2: an alias inside its own anchor"),
+        ("robot: &a\n  name: [*a]", "line 2: an alias (*name) inside the value it"),
         ("".join(f"- &a{i + 1} [*a{i}]\n" for i in range(1, 99)), "undefined alias 'a1'"),
         ("- &a0 x\n" + "".join(f"- &a{i + 1} [*a{i}]\n" for i in range(99)), "nested too deeply"),
         ("{a: " * 100, "nested too deeply"),
@@ -575,7 +575,7 @@ BY = "environment EDGE__"
         ({"POLICY__KIND": "vlfm"}, f"{BY}POLICY__KIND, FILE: policy.kind: vlfm needs"),
         (
             {"POLICY": "{kind: adaptive, by: prior}", "PERCEPTION__PRIOR": "none"},
-            f"{BY}POLICY, {BY}PERCEPTION__PRIOR: policy.by: prior: there is no prior",
+            f"{BY}POLICY, {BY}PERCEPTION__PRIOR: policy.by: prior needs a prior, and none",
         ),
         ({"ROBOT__NAME": "a"}, "FILE: robot.radius_m: "),
     ],
@@ -597,10 +597,10 @@ def test_variables_that_nothing_reads_are_told_of_once(write, caplog):
     for _ in range(2):
         load(write(yaml.safe_dump(SIM)), environ)
     assert [record.getMessage() for record in caplog.records] == [
-        "environment EDGE_FOO: nothing reads it (a key is set by EDGE__SECTION__KEY)",
-        "environment EDGE_POLICY__KIND: nothing reads it (did you mean EDGE__POLICY__KIND?)",
-        "environment EDGE_VOCABULARIES: nothing reads it (did you mean EDGE_VOCABULARY?)",
-        "environment edge__loop__hz: nothing reads it (did you mean EDGE__LOOP__HZ?)",
+        "environment variable EDGE_FOO is not used: EDGE__SECTION__KEY sets a key",
+        "environment variable EDGE_POLICY__KIND is not used: did you mean EDGE__POLICY__KIND?",
+        "environment variable EDGE_VOCABULARIES is not used: did you mean EDGE_VOCABULARY?",
+        "environment variable edge__loop__hz is not used: did you mean EDGE__LOOP__HZ?",
     ]
 
 

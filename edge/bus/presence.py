@@ -103,8 +103,8 @@ class Presence:
         """Inform the other service by a token, which vanishes with this session, and raise."""
         self._token = self._session.liveliness().declare_token(f"{self._key}/{_REFUSED}")
         raise BusError(
-            f"zenoh.prefix: another service is {self._settings.prefix} at "
-            f"{self._settings.address}: stop it, or set another zenoh.prefix for this one"
+            f"zenoh.prefix: another service at {self._settings.address} has the prefix "
+            f"{self._settings.prefix}: stop that service, or set another zenoh.prefix for this one"
         )
 
     def _on_token(self, sample: zenoh.Sample) -> None:
@@ -114,5 +114,6 @@ class Presence:
         if time.monotonic() - self._warned_s >= _WARN_PERIOD_S:
             self._warned_s = time.monotonic()
             refused = str(sample.key_expr).endswith(f"/{_REFUSED}")
-            log.warning("zenoh.prefix: another service wants to be %s: %s", self._settings.prefix,
-                        "it was refused" if refused else "stop one of the two")  # fmt: skip
+            log.warning("zenoh.prefix: another service was started with the prefix %s: %s",
+                        self._settings.prefix,
+                        "that service ended" if refused else "stop one of the two")  # fmt: skip

@@ -25,15 +25,16 @@ _INLINE = "_base64"  # suffix of keys whose value is the certificate itself
 # TLS alerts of the peer (RFC 8446, section 6.2) and our text for each. OpenSSL puts the protocol
 # before the name.
 _ALERTS = {
-    "CERTIFICATE_REQUIRED": "it requires a client certificate, and {file} names none "
+    "CERTIFICATE_REQUIRED": "the server requires a client certificate, and {file} names none "
     "(transport/link/tls: enable_mtls, connect_certificate, connect_private_key)",
-    "UNKNOWN_CA": "it does not trust the issuer of our certificate",
-    "DECRYPT_ERROR": "it does not trust the issuer of our certificate",
-    "BAD_CERTIFICATE": "it rejects our certificate",
-    "CERTIFICATE_EXPIRED": "our certificate is out of date, or the clock there is wrong ({file})",
+    "UNKNOWN_CA": "the server does not trust the issuer of our certificate",
+    "DECRYPT_ERROR": "the server does not trust the issuer of our certificate",
+    "BAD_CERTIFICATE": "the server rejects our certificate",
+    "CERTIFICATE_EXPIRED": "our certificate is out of date, or the clock of the server is wrong "
+    "({file})",
     "CERTIFICATE_REVOKED": "our certificate was revoked",
-    "CERTIFICATE_UNKNOWN": "it rejects our certificate",
-    "ACCESS_DENIED": "it rejects our certificate",
+    "CERTIFICATE_UNKNOWN": "the server rejects our certificate",
+    "ACCESS_DENIED": "the server rejects our certificate",
 }
 _OUT_OF_DATE = (9, 10)  # X509_V_ERR_CERT_NOT_YET_VALID, …_HAS_EXPIRED
 _NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
@@ -115,7 +116,7 @@ def _tls_refusal(
     try:
         context = _context(endpoint, found)
     except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
-        return f"its certificates cannot be used: {one_line(error)}"
+        return f"the certificates of {file} cannot be used: {one_line(error)}"
     try:
         with context.wrap_socket(plain, server_hostname=host) as secure:
             # With TLS 1.3 the server checks our certificate after our side of the handshake.
@@ -123,9 +124,9 @@ def _tls_refusal(
     except ssl.SSLCertVerificationError as error:
         if error.verify_code in _OUT_OF_DATE:
             reason = one_line(error.verify_message)
-            return f"its certificate is out of date, or the clock here is wrong ({reason})"
+            return f"the server's certificate is out of date, or the clock here is wrong ({reason})"
         return (
-            f"its certificate is not trusted ({one_line(error.verify_message)}); "
+            f"the server's certificate is not trusted ({one_line(error.verify_message)}); "
             f"see transport/link/tls/root_ca_certificate in {file}"
         )
     except ssl.SSLError as error:
@@ -134,8 +135,8 @@ def _tls_refusal(
             if reason.endswith(alert):
                 return text.format(file=file)
         if reason in _NO_TLS:
-            return "it does not speak TLS: give its endpoint as tcp/…"
-        return f"TLS is not agreed on ({one_line(reason or error)})"
+            return "the server does not speak TLS: give its endpoint as tcp/…"
+        return f"client and server agree on no kind of TLS ({one_line(reason or error)})"
     except OSError:  # no answer yet, as from a Zenoh that waits for us, or connection closed
         pass
     return _REFUSED_AFTER_TLS.format(file=file)

@@ -246,7 +246,9 @@ class RequestQueue:
         except UserError as error:
             self._drop_failed(request, error)
         except Exception as error:
-            log.exception("request %s failed; please report it with this traceback", request.do)
+            log.exception(
+                "request %s failed: a bug in edge; please report this traceback", request.do
+            )
             self._drop_failed(
                 request, UserError(f"internal error: {type(error).__name__}: {error}")
             )

@@ -94,7 +94,7 @@ class RequestServer:
             self._ring.close()
         except zenoh.ZError as error:
             log.warning(
-                "requests are no longer accepted, the session is closed: %s", _reason(error)
+                "requests are no longer accepted, the Zenoh session is closed: %s", _reason(error)
             )
         finally:
             self._closing.set()
@@ -144,9 +144,9 @@ def _payload(query: zenoh.Query) -> bytes:
     """Return a query's payload; raise ValueError if it is empty or too long."""
     payload = query.payload
     if payload is None or not len(payload):
-        raise ValueError("no payload: expected a JSON object")
+        raise ValueError("the request has no payload: expected a JSON object")
     if len(payload) > MAX_BYTES:
-        raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are allowed")
+        raise ValueError(f"the request has {len(payload)} bytes, at most {MAX_BYTES} are allowed")
     return payload.to_bytes()
 
 

@@ -190,8 +190,8 @@ def zenoh_session(
             closing = start_detached_thread("zenoh-close", _close, opened)
             closing.join(CLOSE_S)
             if closing.is_alive():
-                log.warning("zenoh: a peer at %s accepts no data: closing without it",
-                            settings.address)  # fmt: skip
+                log.warning("zenoh: a peer at %s accepts no data: the session is given up; its "
+                            "last messages may be lost", settings.address)  # fmt: skip
 
 
 def _close(opened: zenoh.Session) -> None:
@@ -251,12 +251,15 @@ def open_session(
             resolved_s = time.monotonic()
         except UnknownHostError as error:
             unknown = str(error)
-        level, what = logging.WARNING, f"refused at {settings.address}: {refused}; trying again"
+        level, what = (
+            logging.WARNING,
+            f"zenoh: refused at {settings.address}: {refused}; trying again",
+        )
         if unknown is not None:
             what = f"zenoh.endpoint: {settings.address}: {unknown}"
             if time.monotonic() - resolved_s >= HOST_S:
                 raise BusError(f"{what}; correct the name, or give an address")
-            what += f"; trying for {HOST_S:g} s"
+            what += f"; trying again for up to {HOST_S:g} s"
         elif refused is None:
             level, what = logging.INFO, f"waiting for a server at {settings.address}"
         tell(what)
@@ -328,8 +331,8 @@ class Ring:
     def _overrun(self) -> None:
         self.overruns += 1
         if self.overruns == 1:
-            log.warning("%s: messages arrive faster than they are read: %d a poll, others are lost "
-                        "(further such polls are only counted)",
+            log.warning("%s: messages arrive faster than they are read: only the newest %d of each "
+                        "poll are kept (further such polls are only counted)",
                         self._key, self._capacity)  # fmt: skip
 
 

@@ -57,7 +57,10 @@ def read_request(payload: bytes, verbs: Mapping[str, Verb]) -> tuple[str, dict]:
     if not isinstance(do, str) or do not in verbs:
         raise ValueError(f"do: unknown {shown(do)} (choices: {', '.join(verbs)})")
     if unknown := sorted(data.keys() - set(verbs[do].fields)):
-        raise ValueError(f"{bounded_repr(unknown[0], 40)}: not allowed with do: {do}")
+        fields = ", ".join(verbs[do].fields) or "none"
+        raise ValueError(
+            f"{bounded_repr(unknown[0], 40)}: not a field of do: {do} (its fields: {fields})"
+        )
     fields = verbs[do].read(data)
     return verbs[do].instead(fields) or (do, fields)
 
@@ -73,7 +76,7 @@ def check_text(name: str, text: object, limit: int = MAX_CHARS) -> str:
     if len(text) > limit:
         raise ValueError(f"{name}: {len(text)} characters, at most {limit} are allowed")
     if any("\ud800" <= c <= "\udfff" for c in text):
-        raise ValueError(f"{name}: not Unicode text")
+        raise ValueError(f"{name}: not Unicode text: it holds half of a surrogate pair")
     return text
 
 
@@ -85,7 +88,7 @@ def check_flag(name: str, fields: Mapping[str, object]) -> bool:
     """
     flag = fields.get(name, False)
     if not isinstance(flag, bool):
-        raise ValueError(f"{name}: expected true or false")
+        raise ValueError(f"{name}: expected true or false, got {shown(flag)}")
     return flag
 
 
@@ -98,7 +101,9 @@ def check_pose(name: str, value: object) -> SE2:
     numbers = value if isinstance(value, list) else []
     valid = len(numbers) == 3 and all(type(n) in (int, float) for n in numbers)
     if not valid or not all(abs(n) <= FARTHEST_M for n in numbers):
-        raise ValueError(f"{name}: expected [x_m, y_m, yaw_rad], got {shown(value)}")
+        raise ValueError(
+            f"{name}: expected [x_m, y_m, yaw_rad], none beyond {FARTHEST_M:g}, got {shown(value)}"
+        )
     return SE2(*map(float, numbers))
 
 
@@ -143,7 +148,7 @@ class Request:
         try:
             reply = json.dumps(data, allow_nan=False).encode()
         except (TypeError, ValueError) as error:
-            log.error("the answer to a request is not JSON: %s", error)
+            log.error("a bug in edge: an answer cannot be written as JSON: %s; report it", error)
             self.refuse("internal error: the answer is not JSON")
         else:
             self.finish(self.queries, reply, False)

@@ -130,11 +130,16 @@ def apply_settings(
     """
     own = get(found, "mode")
     if own not in (None, mode):
-        raise ConfigError(f"mode: {own!r}, but here it is {mode!r}: leave it out (see zenoh.mode)")
+        raise ConfigError(
+            f"mode is {own!r}, but edge sets {mode!r} here: remove mode from this file "
+            "(zenoh.mode in edge's configuration chooses)"
+        )
     listening = _all_of(found, "listen/endpoints", mode)
     connecting = _all_of(found, "connect/endpoints", mode)
     if any(KEY_IN_ENDPOINT in further for further in (*listening, *connecting)):
-        raise ConfigError(f"endpoints: {KEY_IN_ENDPOINT} belongs under {TLS}")
+        raise ConfigError(
+            f"an endpoint has a private key ({KEY_IN_ENDPOINT}): move the key to {TLS} of this file"
+        )
     first = [_with_handshake_timeout(endpoint)] if listens else [endpoint]
     values = {
         "mode": mode,

@@ -104,7 +104,8 @@ def _find_class(kind: str, registry: Mapping[str, str], where: str) -> Any:
         return getattr(import_module(module), name)
     except Exception as error:  # the import of a plugin may raise anything
         raise ConfigError(
-            f"{where}: {bounded_repr(kind)}: {_said(error)}; its folder must be on PYTHONPATH"
+            f"{where}: {bounded_repr(kind)} cannot be imported: {_said(error)}; the folder of the "
+            "module must be on PYTHONPATH"
         ) from None
 
 

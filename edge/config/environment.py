@@ -130,8 +130,8 @@ def warn_of_unknown_variables(environ: Mapping[str, str], root: type[BaseModel])
         ):
             known = [*KNOWN_VARIABLES, *_variables(root, PREFIX)]
             close = difflib.get_close_matches(name.upper(), known, n=1, cutoff=0.8)
-            hint = f"did you mean {close[0]}?" if close else f"a key is set by {PREFIX}SECTION__KEY"
-            log.warning("environment %s: nothing reads it (%s)", one_line(name), hint)
+            hint = f"did you mean {close[0]}?" if close else f"{PREFIX}SECTION__KEY sets a key"
+            log.warning("environment variable %s is not used: %s", one_line(name), hint)
 
 
 def _variables(model: type[BaseModel], prefix: str) -> Iterator[str]:

@@ -55,7 +55,10 @@ class ZenohConfig(Section):
     @classmethod
     def _holds_no_key(cls, endpoint: str) -> str:
         if KEY_IN_ENDPOINT in endpoint:
-            raise ValueError(f"{KEY_IN_ENDPOINT} is not allowed here: put it into zenoh.file")
+            raise ValueError(
+                f"holds a private key ({KEY_IN_ENDPOINT}), which is not allowed here: put the key "
+                "into Zenoh's own configuration file, and the path of that file into zenoh.file"
+            )
         return endpoint
 
     @field_validator("topics")
@@ -65,7 +68,9 @@ class ZenohConfig(Section):
         for name in get_args(TopicName):
             key = topics.get(name, name)
             if key in taken:
-                raise ValueError(f"{key!r} is the key of both {taken[key]} and {name}")
+                raise ValueError(
+                    f"{key!r} is the key of both {taken[key]} and {name}: give each topic its own"
+                )
             taken[key] = name
         return topics
 

@@ -45,8 +45,12 @@ class MappingConfig(Section):
 
     @model_validator(mode="after")
     def _fits(self) -> MappingConfig:
-        if self.extent_m < 2 * (self.range_m + 2 * self.inflation_m) + 1.0:
-            raise ValueError("extent_m: must be at least 2 * (range_m + 2 * inflation_m) + 1")
+        least_m = 2 * (self.range_m + 2 * self.inflation_m) + 1.0
+        if self.extent_m < least_m:
+            raise ValueError(
+                f"extent_m {self.extent_m:g}: must be at least 2 * (range_m + 2 * inflation_m) + 1 "
+                f"= {least_m:g}"
+            )
         if self.extent_m / self.resolution_m > MAX_CELLS:
             finest_m = math.ceil(1000 * self.extent_m / MAX_CELLS) / 1000
             raise ValueError(

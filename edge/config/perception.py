@@ -145,7 +145,7 @@ class DegradationLevel(Section):
     @model_validator(mode="after")
     def _one_thing(self) -> DegradationLevel:
         if (self.model is None) == (self.pause is None):
-            raise ValueError("set either model, or pause to a scorer")
+            raise ValueError("set exactly one: model (a cheaper detector), or pause (a scorer)")
         return self
 
 
@@ -317,7 +317,7 @@ class PerceptionConfig(Section):
     def _isolable(self) -> PerceptionConfig:
         if self.isolation == "process" and self.detector.kind != "onnx":
             raise ValueError(
-                f"isolation: process: only for perception.detector.kind: onnx; "
+                f"isolation: process needs perception.detector.kind: onnx; the detector "
                 f"{self.detector.kind} runs in the service"
             )
         return self
@@ -328,7 +328,7 @@ class PerceptionConfig(Section):
             key = f"load_shedding: levels: {i}"
             if level.model is not None and self.detector.kind != "onnx":
                 raise ValueError(
-                    f"{key}: model: only for perception.detector.kind: onnx; "
+                    f"{key}: model: needs perception.detector.kind: onnx; the detector "
                     f"{self.detector.kind} has no model to replace"
                 )
             runs = {
@@ -336,5 +336,8 @@ class PerceptionConfig(Section):
                 "choice": self.choice.kind not in ("none", "cooccurrence"),
             }
             if level.pause is not None and not runs[level.pause]:
-                raise ValueError(f"{key}: pause: {level.pause}: no such scorer is configured")
+                raise ValueError(
+                    f"{key}: pause: {level.pause}: this scorer is not configured: set "
+                    f"perception.{level.pause}, or remove this level"
+                )
         return self

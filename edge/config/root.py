@@ -214,8 +214,8 @@ class Config(Section):
         for key, value in by_prior.items():
             if value in ("prior", "cooccurrence") and self.perception.prior == "none":
                 raise ConfigError(
-                    f"{self.locate(key, 'perception.prior')}: {value}: there is no prior: set "
-                    "perception.prior to cooccurrence, rooms or both"
+                    f"{self.locate(key, 'perception.prior')}: {value} needs a prior, and none is "
+                    "configured: set perception.prior to cooccurrence, rooms or both"
                 )
 
 

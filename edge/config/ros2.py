@@ -100,7 +100,9 @@ class Ros2Config(Section):
     @model_validator(mode="after")
     def _docks_need_actions(self) -> Ros2Config:
         if self.docks and (self.via == "adapter" or self.goals == "topic"):
-            raise ValueError("docks: needs goals: navigate_to_pose, and via: rmw_zenoh or bridge")
+            raise ValueError(
+                "docks: needs ros2.goals: navigate_to_pose, and ros2.via: rmw_zenoh or bridge"
+            )
         return self
 
     def topic(self, name: RosTopic) -> str:

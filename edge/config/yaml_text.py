@@ -59,7 +59,7 @@ def parse_yaml(text: str | bytes) -> Any:
     except RecursionError:
         raise YamlTooLargeError(_TOO_DEEP) from None
     except (AttributeError, IndexError, KeyError):  # PyYAML raises them at `!!timestamp x`
-        raise ValueError("not YAML: a value does not fit its tag") from None
+        raise ValueError("not YAML: a value does not fit its tag, such as !!timestamp") from None
 
 
 class _RefusedError(ValueError):
@@ -96,7 +96,7 @@ class _Loader(yaml.SafeLoader):
         node = super().compose_node(parent, index)
         if is_alias:
             if id(node) not in self._known:  # the alias is inside its own anchor
-                raise _RefusedError(f"line {line}: an alias inside its own anchor")
+                raise _RefusedError(f"line {line}: an alias (*name) inside the value it stands for")
             nodes, height = self._known[id(node)]
         else:
             nodes, height = 1, self._height

@@ -113,7 +113,7 @@ class CheckpointFormat(Generic[State]):
         state = self._adapter.dump_json(checkpoint.state)
         self._state(state)
         if any(array.dtype.hasobject for array in checkpoint.arrays.values()):
-            raise ValueError("an array holds Python objects")
+            raise ValueError("an array holds Python objects; only numbers and text can be saved")
         archive = io.BytesIO()
         np.savez(archive, **checkpoint.arrays)  # type: ignore[arg-type]
         about = b'"config":"%s","written_ns":%d,"state":%s}\n' % (
@@ -122,7 +122,9 @@ class CheckpointFormat(Generic[State]):
         body = about + archive.getvalue()
         content = self.begins + b'"version":%d,"sha256":"%s",' % (VERSION, _sha256(body)) + body
         if len(content) > self.max_bytes:
-            raise ValueError(f"{len(content)} bytes, at most {self.max_bytes} are allowed")
+            raise ValueError(
+                f"the {self.title} has {len(content)} bytes, at most {self.max_bytes} are allowed"
+            )
         return content
 
     def decode(self, content: bytes) -> Checkpoint[State]:
@@ -132,16 +134,17 @@ class CheckpointFormat(Generic[State]):
             ValueError: the content is not valid; one line.
         """
         if len(content) > self.max_bytes:
-            raise ValueError(f"more than {self.max_bytes} bytes")
+            raise ValueError(f"a {self.title} of more than {self.max_bytes} bytes")
         head = re.match(re.escape(self.begins) + _HEAD_PATTERN, content)
         if head is None:
             raise ValueError(f"not a complete {self.title}")
         if not OLDEST_VERSION <= (version := int(head[1])) <= VERSION:
             raise ValueError(
-                f"version {version}, this program reads versions {OLDEST_VERSION} to {VERSION}"
+                f"written in version {version} of the format; this edge reads versions "
+                f"{OLDEST_VERSION} to {VERSION}"
             )
         if _sha256(memoryview(content)[head.end() :]) != head[2]:
-            raise ValueError("damaged: its checksum does not match")
+            raise ValueError("damaged: the checksum does not match")
         about = re.compile(_REST_PATTERN).match(content, head.end(), head.end() + MAX_STATE_BYTES)
         if about is None:
             raise ValueError(f"not a complete {self.title}")
@@ -171,16 +174,16 @@ def _read_archive(content: bytes) -> Arrays:
     end = content[-_ZIP_END_BYTES:]
     plain = end[:4] == b"PK\x05\x06" and end[-2:] == b"\0\0" and _ZIP64 not in content[-42:]
     if not plain or int.from_bytes(end[12:16], "little") > _MAX_DIRECTORY_BYTES:
-        raise ValueError("its directory of arrays is missing or too long")
+        raise ValueError("damaged: the list of arrays is missing or too long")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
             stored = all(m.compress_type == zipfile.ZIP_STORED for m in members)
             if not stored or sum(m.file_size for m in members) > len(content):
-                raise ValueError("more bytes than the file has")
+                raise ValueError("they are compressed, or have more bytes than the file")
             return {m.filename.removesuffix(".npy"): _read_array(archive.read(m)) for m in members}
     except Exception as error:  # the parsers may raise anything on hostile input
-        raise ValueError(f"its arrays cannot be read: {one_line(error)}") from None
+        raise ValueError(f"damaged: the arrays cannot be read: {one_line(error)}") from None
 
 
 def _read_array(content: bytes) -> np.ndarray:
@@ -190,7 +193,7 @@ def _read_array(content: bytes) -> np.ndarray:
     shape, _, dtype = np.lib.format.read_array_header_1_0(file)
     n_bytes = math.prod(shape) * dtype.itemsize
     if dtype.kind not in "biufU" or not dtype.itemsize or n_bytes != len(content) - file.tell():
-        raise ValueError(f"an array {dtype} {shape} in {len(content)} bytes")
+        raise ValueError(f"an array {dtype} {shape} does not fit its {len(content)} bytes")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
 
@@ -220,7 +223,7 @@ def check_arrays(
     """
     if state.keys() != like.keys():
         name = min(state.keys() ^ like.keys())
-        raise ValueError(f"{name!r:.60} is {'missing' if name in like else 'unknown'}")
+        raise ValueError(f"the array {name!r:.60} is {'missing' if name in like else 'unknown'}")
     group_of = {name: group for group in rows for name in group}
     for name, array in state.items():
         group, model = group_of.get(name), like[name]
@@ -229,7 +232,9 @@ def check_arrays(
             shape = (min((*state[group[0]].shape[:1], rows[group])), *shape[1:])
         is_text = array.dtype.kind == model.dtype.kind == "U"
         if array.shape != shape or not (is_text or array.dtype == model.dtype):
-            raise ValueError(f"{name}: {array.dtype} {array.shape}, expected {model.dtype} {shape}")
+            raise ValueError(
+                f"{name} is {array.dtype} {array.shape}, expected {model.dtype} {shape}"
+            )
         if is_text:
             _check_names(name, array)
         elif array.size and array.dtype.kind in "if":
@@ -237,10 +242,10 @@ def check_arrays(
             far = _FAR_NS if name.endswith(("_ns", "id")) else far
             low, high = (0, most[name]) if name in most else (-far, far)
             if not (array.min() >= low and array.max() <= high):  # also False for NaN
-                raise ValueError(f"{name} is not from {low:g} to {high:g}")
+                raise ValueError(f"{name} has a value that is not from {low:g} to {high:g}")
     for name in unique:
         if len(np.unique(state[name])) < len(state[name]):
-            raise ValueError(f"{name} holds a value twice")
+            raise ValueError(f"{name} has the same value twice")
 
 
 def _check_names(name: str, words: np.ndarray) -> None:
@@ -366,7 +371,7 @@ class CheckpointWriter(Generic[State]):
             self.failed += 1
         else:
             if self.problem:
-                log.info("mission.checkpoint: %s: written again", self.path)
+                log.info("mission.checkpoint: %s: can be written again", self.path)
             self.problem = ""
             self.written += 1
 

@@ -69,7 +69,7 @@ def read_token(key: str, name: str) -> BearerToken:
     try:
         secret = read_regular(credential_path(key, name), _MAX_BYTES).strip()
     except OSError as error:
-        raise ConfigError(f"{key}: {name}: {error.strerror}") from None
+        raise ConfigError(f"{key}: {name}: cannot be read: {error.strerror}") from None
     if len(secret) < SHORTEST or not all(33 <= byte < 127 for byte in secret):
         raise ConfigError(
             f"{key}: {name}: expected one word of {SHORTEST} characters or more; "

@@ -42,7 +42,7 @@ def any_detached_thread() -> bool:
 def raise_if_stopped(stop: threading.Event) -> None:
     """Raise Stopped if `stop` is set."""
     if stop.is_set():
-        log.info("stopped before it was ready")
+        log.info("stopped during the start, before the service was ready")
         raise Stopped
 
 

@@ -40,8 +40,8 @@ def _schedule(policy: int, priority: int) -> bool:
         os.sched_setscheduler(0, policy, os.sched_param(priority))
     except OSError as error:
         log.warning(
-            "loop.priority: %d not permitted (%s); run as root, grant CAP_SYS_NICE or set "
-            "LimitRTPRIO, or set loop.priority to 0",
+            "loop.priority: %d is not permitted (%s): run as root, grant CAP_SYS_NICE, set "
+            "LimitRTPRIO in the systemd unit, or set loop.priority to 0",
             priority,
             error.strerror,
         )

@@ -233,7 +233,7 @@ class _Server(ThreadingMixIn, HTTPServer):
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log an error of a connection at debug level: the client has usually gone away."""
-        log.debug("a request failed", exc_info=True)
+        log.debug("http: a connection failed", exc_info=True)
 
     def log_once(self, path: str, fault: str) -> None:
         """Log why a page cannot be made; a warning the first time, then at debug level."""

@@ -98,7 +98,7 @@ class ServiceCheckpoint:
                 saved.trace, saved.reached, saved.failed, saved.elapsed_s, saved.path_m,
                 saved.paused, (saved.exempt_s, saved.exempt_m), saved.pursued_s,
             )  # fmt: skip
-            log.info("continuing the saved mission: %s (state %d, reached: %s)",
+            log.info("continuing the saved mission: %s (in state %d of its automaton; reached: %s)",
                      one_line(saved.instruction), mission.state,
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 

@@ -107,7 +107,7 @@ class ErrorBoundary:
             log.debug("%s", kind, exc_info=error)
             self._event(f"failed: {self.last_error}", now_ns)
         if self._consecutive[step] == DEGRADED_AFTER:
-            log.error("degraded: %s", self.last_error)
+            log.error("degraded: %s keeps failing: %s", step, self.last_error)
             self._event(f"degraded: {step} keeps failing: {self.last_error}", now_ns)
 
     def on_success(self, step: str, now_ns: int) -> None:

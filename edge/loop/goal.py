@@ -507,7 +507,7 @@ class GoalTracker:
         driven_to = self.goal if self.client.is_driven(pose) else None
         stuck = self._standstill.update(grid, pose, driven_to, now_ns)
         if stuck:
-            self._event("stuck: goal discarded", now_ns)
+            self._event("stuck: the robot does not move; its goal is discarded", now_ns)
             self._discard(now_ns)
         return stuck
 
@@ -613,7 +613,7 @@ class GoalTracker:
             self.abandon()
             mission.on_reached(f"{away_m:.1f} m from the place", now_ns)
         elif status is not None and state in ("reached", "failed"):
-            reason = status.reason or f"the controller stopped {away_m:.1f} m from it"
+            reason = status.reason or f"the controller stopped {away_m:.1f} m from {goal.target}"
             self._event(f"goal failed: {reason}", now_ns)
             self._discard(now_ns)
             if self._place_failures >= _PLACE_TRIES:

@@ -158,7 +158,9 @@ class LoadShedder:
         if before is not None and board.power_mode != before.power_mode:
             self._state.reset_times()
             self._log(
-                f"load shedding: power mode {board.power_mode}, was {before.power_mode}", now_ns
+                f"load shedding: the board's power mode changed from {before.power_mode} to "
+                f"{board.power_mode}; which level fits is measured again",
+                now_ns,
             )
 
     def _load_of_last_second(self) -> LoadSample:

@@ -148,7 +148,7 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     for scale in _SCALES:
         was, now = getattr(state, scale), getattr(mapping, scale)
         if was != now:
-            raise ValueError(f"made with mapping.{scale} {was:g}, but it is now {now:g}")
+            raise ValueError(f"made with mapping.{scale} {was:g}, which is now {now:g}")
     part, grid = checkpoint.part, RollingMap(mapping, config.robot)
     values = grid.values
     same = (state.value_source, state.value_side) == (
@@ -373,5 +373,5 @@ class MapCheckpoint:
         for name, array in arrays.items():  # do not replace a good file by bad data
             own = not name.startswith("policy/") and array.dtype.kind == "f"
             if own and not np.isfinite(array).all():
-                raise ValueError(f"{name} is not finite")
+                raise ValueError(f"the array {name} has values that are not finite")
         return replace(checkpoint, arrays=arrays, config=self._fingerprint)

@@ -27,7 +27,7 @@ def _list(fields: dict) -> dict:
     if "since_s" in fields:
         since_s = fields["since_s"]
         if type(since_s) not in (int, float) or not 0 <= since_s < float("inf"):
-            raise ValueError(f"since_s: expected seconds from 0 on, got {shown(since_s)}")
+            raise ValueError(f"since_s: expected seconds, 0 or more, got {shown(since_s)}")
         found["since_s"] = since_s
     return found
 
@@ -39,7 +39,7 @@ def _find(fields: dict) -> dict:
 
 def _crop(fields: dict) -> dict:
     if type(fields.get("id")) is not int:
-        raise ValueError(f"id: expected the number of an object, got {shown(fields.get('id'))}")
+        raise ValueError(f"id: expected the id of an object, got {shown(fields.get('id'))}")
     return {"id": fields["id"]}
 
 
@@ -70,7 +70,7 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
         return _picture(service, request.fields["id"])
     name, room = request.fields.get("name", ""), request.fields.get("room", "")
     if room and not rooms.matching(room):
-        raise UserError(f"room: no room is known as {one_line(room)}")
+        raise UserError(f"room: no room called {one_line(room)} is known; `do: rooms` lists them")
     sightings, pose = service.map.objects.read_only, service.pose
     known = partial(
         known_objects, sightings, service.stamp_ns, service.config.perception.min_hits,
@@ -106,7 +106,9 @@ def similar_words(name: str, words: Sequence[str], prior: LocationPrior | None) 
 def _picture(service: Service, object_id: int) -> dict:
     jpeg = service.map.crops.get(object_id)
     if jpeg is None:
-        raise UserError(f"there is no picture of object {object_id}; `list` has the numbers")
+        raise UserError(
+            f"id: there is no picture of an object {object_id}; `do: list` gives the ids of objects"
+        )
     return {
         "text": f"object {object_id}: {len(jpeg)} bytes of JPEG",
         "jpeg_base64": base64.b64encode(jpeg).decode(),

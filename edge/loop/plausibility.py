@@ -140,7 +140,7 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "cannot be in metres", unit, "stand", highest=1.0, leaves=leaves["depth"]),
         DataCheck("depth_motion", lambda f: f.depth_misfit,
                   "camera/depth: {value:.0%} of the points do not move as the pose does",
-                  "check delay and stamps of the images, the odometry and the camera's mount",
+                  "check delay and stamps of the images, the odometry, and the camera's mount",
                   "stand", highest=MISFIT, leaves=leaves["depth"]),
         DataCheck("cloud_empty", lambda f: f.cloud_points, "lidar: no point has a value",
                   "uncover the LiDAR, or restart the LiDAR driver",

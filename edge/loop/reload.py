@@ -169,7 +169,9 @@ class Reloader:
             return
         self._swapping = None
         if swap["state"] != "kept":
-            raise ReloadError(f"perception.detector: {swap['state']}: {swap['detail']}")
+            raise ReloadError(
+                f"perception.detector: the new model was {swap['state']}: {swap['detail']}"
+            )
         self._switch(ready, now_ns)
 
     def _switch(self, ready: _Ready, now_ns: int) -> None:
@@ -214,7 +216,7 @@ def _check_at_rest(swapper: DetectorSwap, running: str) -> None:
     if swap["state"] not in ("idle", *FINAL_STATES):
         raise ReloadError(
             f"perception.detector: {swap['model']} is still {swap['state']}; "
-            "reload again when that is over"
+            "reload again after this swap"
         )
     if swapper.running != running:
         raise ReloadError(
@@ -232,8 +234,8 @@ def _model(present: PerceptionConfig, new: PerceptionConfig, running: str) -> st
     card = similarity_card(new)
     if card is not None and is_running_detector(card, present) != is_running_detector(card, new):
         raise ReloadError(
-            f"perception.detector.model: perception.similarity: {card.name} would run in another "
-            f"way: {_advice('perception.detector.model')}"
+            f"perception.detector.model: perception.similarity: {card.name} uses the detector's "
+            f"image features, now or with the new model: {_advice('perception.detector.model')}"
         )
     only_the_name = changed == ["perception.detector.model"]
     return None if only_the_name and new.detector.model == running else new.detector.model

@@ -192,7 +192,7 @@ def _repeat(fields: dict) -> dict:
 
 def _seconds(for_s: object) -> float:
     if not isinstance(for_s, (int, float)) or type(for_s) is bool or not 0 < for_s <= LONGEST_S:
-        raise ValueError(f"for_s: expected seconds up to {LONGEST_S:g}, got {shown(for_s)}")
+        raise ValueError(f"for_s: expected over 0 to {LONGEST_S:g} s, got {shown(for_s)}")
     return for_s
 
 
@@ -238,7 +238,8 @@ def handle_mission(
         _begin(service, request, now_ns)
     elif request.do != "status" and (mission.done or name not in ("", mission.id)):
         if not request.cancelled:
-            raise UserError(f"no {'such ' * bool(name)}mission is running: {_last(service)}")
+            which = f"{one_line(name)} " * bool(name)
+            raise UserError(f"no mission {which}is running: {_last(service)}")
     elif request.do == "cancel":
         service.cancel(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
@@ -263,7 +264,7 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
     if name and any(name == outcome["id"] for outcome in service.past_missions):
         raise UserError(f"mission {name} is already over on this robot: give it another id")
     if request.fields.get("if_free") and not mission.done:
-        raise UserError(f"not free: {_last(service)}; wait for its end, or cancel it")
+        raise UserError(f"not free: {_last(service)}; wait for its end, or cancel this mission")
     refuse_closed(request.prepared, service.site.known, service.map)
     service.begin(request.prepared, now_ns, name)
 

@@ -129,5 +129,6 @@ def _zone_to_open(service: Service, name: str) -> str:
         found = [zone.name for zone in zones if zone.kind == "stay_inside"]
     if len(found) != 1:
         listed = one_line(", ".join(zone.name for zone in zones) or "none")
-        raise UserError(f"{one_line(name) or 'this room'}: no zone of this name (zones: {listed})")
+        number = "no zone" if not found else f"{len(found)} zones"
+        raise UserError(f"{one_line(name) or 'this room'}: {number} of this name (zones: {listed})")
     return found[0]

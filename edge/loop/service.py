@@ -563,9 +563,11 @@ class Service:
         the next tick finds a goal in the new frame.
         """
         self._input_log.note("jump", now_ns=now_ns)
-        self.event("pose jumped: map and instances dropped", now_ns)
+        self.event("pose jumped: the map and the objects were cleared", now_ns)
         if not self.config.source.localised and self.site.known.items:
-            self.event("pose jumped: places and zones dropped, they were in the old frame", now_ns)
+            self.event(
+                "pose jumped: places and zones were removed: they were in the old map frame", now_ns
+            )
             self.site.start = None
             self.site.change(Site())
             self.map.set_site(self.site.site)

@@ -95,7 +95,9 @@ def _zone_of(service: Service, fields: dict) -> Zone:
     if len(found) != 1:
         known = one_line(", ".join(room.title for room in service.map.rooms.rooms) or "none")
         number = "no room" if not found else f"{len(found)} rooms"
-        raise UserError(f"{number} called {bounded_repr(fields['room'])} (known: {known})")
+        raise UserError(
+            f"room: {number} called {bounded_repr(fields['room'])}, expected one (known: {known})"
+        )
     corners = tuple((round(x, 3), round(y, 3)) for x, y in found[0].polygon_m.tolist())
     return Zone(fields["name"], fields["kind"], corners)
 
@@ -104,7 +106,7 @@ def describe_item(item: Item) -> str:
     """Return one line about a place, zone or room name."""
     name = one_line(item.name)
     if isinstance(item, RoomName):
-        return f"room: {name} is the one around ({item.xy_m[0]:.2f}, {item.xy_m[1]:.2f})"
+        return f"room: {name} is the room around ({item.xy_m[0]:.2f}, {item.xy_m[1]:.2f})"
     if isinstance(item, Zone):
         words = "keep out of" if item.kind == "keep_out" else "stay inside"
         return f"zone: {words} {name} ({len(item.corners_m)} corners)"

@@ -79,7 +79,9 @@ class StandstillMonitor:
             return
         closed = grid.bumps.close(pose, place, self._radius_m, now_ns)
         outcome = (
-            "place closed in the map" if closed else "not closed, the robot drove there before"
+            "this place is now closed in the map"
+            if closed
+            else "this place stays open in the map, because the robot drove there before"
         )
         self._event(f"{blocked}: {outcome}", now_ns)
 

@@ -42,12 +42,12 @@ class AmbiguousInstructionError(TranslationError):
             f"({i}) {one_line(reading.english, _SHOWN)}" for i, reading in enumerate(readings, 1)
         )
         several = f"it can be read in {len(readings)} ways, choose a reading"
-        single = "not sure that this is meant; if it is, choose reading 1"
+        single = "not sure that this is the meaning; if so, choose reading 1"
         what = "; ".join((*doubts, several if len(readings) > 1 else single))
         super().__init__(f"instruction: {what}: {listed}")
         self.readings = readings
         self.details = {
-            "readings": [one_line(one.english, _SHOWN) for one in readings],
+            "readings": [one_line(reading.english, _SHOWN) for reading in readings],
             "doubts": list(doubts),
         }
         self.implied = implied

@@ -124,8 +124,8 @@ class Translator:
 
         Raises:
             UserError: the instruction cannot be translated; a TranslationError names the part.
-            AmbiguousError: there are several readings, or one that is not sure, and none was
-                chosen.
+            AmbiguousInstructionError: there are several readings, or one that is not sure, and
+                none was chosen.
         """
         began_s = time.monotonic()
         read = self.read(instruction)
@@ -134,8 +134,8 @@ class Translator:
         if reading is not None and not 1 <= reading <= len(readings):
             ways = "way" if len(readings) == 1 else "ways"
             raise TranslationError(
-                f"instruction: it can be read in {len(readings)} {ways}: there is no reading "
-                f"{reading}"
+                f"reading: there is no reading {reading}: the instruction can be read in "
+                f"{len(readings)} {ways}"
             )
         unclear = len(readings) > 1 and (ask or safer is None)
         if reading is None and (unclear or not read.confident):
@@ -150,7 +150,7 @@ class Translator:
         return replace(
             translation,
             reading=1 + readings.index(taken),
-            readings=tuple(one.english for one in readings),
+            readings=tuple(each.english for each in readings),
             implied=reading is None,
         )
 
@@ -166,7 +166,10 @@ def validated(formula: Formula) -> Formula:
     except ltl.FormulaError as error:
         raise TranslationError(f"the formula cannot be written as text: {error}") from error
     if again != formula:
-        raise TranslationError(f"the formula's text means another formula: {one_line(formula)}")
+        raise TranslationError(
+            f"a bug in edge: written as text, the formula {one_line(formula)} changes its meaning; "
+            "report it"
+        )
     return formula
 
 
@@ -179,26 +182,26 @@ def make_translator(config: TranslatorConfig) -> Translator:
             later, at the first instruction that the grammar refuses.
     """
     readers: dict[str, Callable[[], Backend]] = {
-        "grammar": lambda: _by_grammar,
+        "grammar": lambda: _read_by_grammar,
         "ltl": lambda: lambda text: ParsedInstruction((ltl.parse(text),), "ltl"),
-        "llm": lambda: _by_llm(config),
-        "model": lambda: small_model_backend(_small_model(config.card)),
+        "llm": lambda: _llm_backend(config),
+        "model": lambda: small_model_backend(_load_small_model(config.card)),
         # The model is loaded at the first refusal by the grammar: most instructions need none.
         "auto": lambda: combined_backend(
-            lambda text: small_model_backend(_small_model(config.card))(text),
-            config.llm and _by_llm(config.llm),
+            lambda text: small_model_backend(_load_small_model(config.card))(text),
+            config.llm and _llm_backend(config.llm),
         ),
     }
     return Translator(config.kind, readers[config.kind]())
 
 
-def _by_grammar(instruction: str) -> ParsedInstruction:
+def _read_by_grammar(instruction: str) -> ParsedInstruction:
     formulas = grammar.readings(instruction)
     refuse_contradiction(formulas)
     return ParsedInstruction(formulas, "grammar")
 
 
-def _by_llm(config: TranslatorLlm) -> Backend:
+def _llm_backend(config: TranslatorLlm) -> Backend:
     from edge.mission.language.llm import LlmTranslator  # needs the chat client; the others do not
 
     model = LlmTranslator(config)
@@ -206,7 +209,7 @@ def _by_llm(config: TranslatorLlm) -> Backend:
 
 
 @lru_cache(maxsize=1)
-def _small_model(card: str) -> NeuralTranslator:
+def _load_small_model(card: str) -> NeuralTranslator:
     from edge.mission.language.model import (
         NeuralTranslator,  # needs onnxruntime; the grammar does not
     )
@@ -252,7 +255,10 @@ def with_bans(instruction: str, read: ParsedInstruction) -> ParsedInstruction:
     strict = [formula for formula in strict if is_possible(formula)]
     if not strict:
         found = " ".join(describe(ban) for ban in bans)
-        raise TranslationError(f"instruction: understood only this: {one_line(found, 300)}")
+        raise TranslationError(
+            f"instruction: understood only this: {one_line(found, 300)}; say the rest in "
+            "other words"
+        )
     return replace(read, formulas=(*strict, *read.formulas), confident=False)
 
 
@@ -264,16 +270,16 @@ def combined_backend(small: Backend, large: Backend | None) -> Backend:
 
     def read(instruction: str) -> ParsedInstruction:
         try:
-            return _by_grammar(instruction)
+            return _read_by_grammar(instruction)
         except UnclearError:
             raise
         except TranslationError as refusal:
-            return _unread(instruction, refusal, small, large)
+            return _ask_models(instruction, refusal, small, large)
 
     return read
 
 
-def _unread(
+def _ask_models(
     instruction: str, refusal: TranslationError, small: Backend, large: Backend | None
 ) -> ParsedInstruction:
     """Ask the models about an instruction that the grammar refused.

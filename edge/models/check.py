@@ -169,8 +169,8 @@ def _check_detector(path: Path | str, session: Any, card: DetectCard) -> str:
     kernels.best_per_class(scores[0], np.arange(_TEXTS, dtype=np.int32), folded)
     if n := kernels.count_unsound(boxes[0], folded, far_px(card)):  # as in the running service
         raise ModelError(
-            f"{path}: {n} of {a} boxes are {UNSOUND}: scores must lie in 0..1 (after the sigmoid), "
-            "boxes in pixels of the input: export it again"
+            f"{path}: {n} of {a} boxes are {UNSOUND}: scores must be from 0 to 1 (after the "
+            "sigmoid), boxes in pixels of the input: export the model again"
         )
     return f"{a} boxes, finite"
 
@@ -216,7 +216,7 @@ def _check_encoder(path: Path | str, session: Any, card: FileCard) -> str:
     (found,) = _infer(path, session, feed)
     _hold_shape(path, "embeddings", found, (rows, card.dim))
     if not np.linalg.norm(found, axis=1).all():
-        raise ModelError(f"{path}: an embedding is all zeros: export it again")
+        raise ModelError(f"{path}: an embedding is all zeros: export the model again")
     return f"embeddings of {card.dim}, finite"
 
 
@@ -245,7 +245,8 @@ def _check_mask_decoder(path: Path, session: Any, card: MaskDecoderCard) -> str:
     (masks,) = _infer(path, session, feed, [output])
     if masks.ndim != 4 or len(masks) != 1:
         raise ModelError(
-            f"{path}: {output} {masks.shape}, must be (1, k, rows, columns): export it again"
+            f"{path}: {output} of shape {masks.shape}, must be (1, k, rows, columns): export "
+            "the model again"
         )
     _hold_shape(path, output, masks, masks.shape)
     return f"masks {masks.shape}, finite"
@@ -283,14 +284,16 @@ def _infer(
         raise
     except Exception as error:  # onnxruntime raises many types of its own
         reason = one_line(error)
-        raise ModelError(f"{path}: does not run: {reason}: export it again") from None
+        raise ModelError(f"{path}: does not run: {reason}: export the model again") from None
 
 
 def _hold_shape(path: Path | str, name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
     if array.shape != shape:
-        raise ModelError(f"{path}: {name} {array.shape}, must be {shape}: export it again")
+        raise ModelError(
+            f"{path}: {name} of shape {array.shape}, must be {shape}: export the model again"
+        )
     if not np.isfinite(array).all():
-        raise ModelError(f"{path}: returns {name} that are not finite: export it again")
+        raise ModelError(f"{path}: returns {name} that are not finite: export the model again")
 
 
 if __name__ == "__main__":

@@ -99,7 +99,7 @@ def read_small(url: str, limits: DownloadLimits = LIMITS) -> bytes:
             for block in response.iter_raw():
                 content += block
                 if len(content) > limits.small_bytes:
-                    raise FetchError(f"is longer than {limits.small_bytes} bytes")
+                    raise FetchError(f"the file is longer than {limits.small_bytes} bytes")
     except FetchError as error:
         raise FetchError(f"{printable_url(url)}: {error}") from None
     return bytes(content)
@@ -128,7 +128,7 @@ def _fetch(url: str, part: PartialFile, limits: DownloadLimits) -> None:
                 raise FetchError(f"the file there has {total} bytes, over the limit of {MAX_BYTES}")
             if None not in (total, part.size) and total != part.size:
                 raise FetchError(
-                    f"the file there has {total} bytes, but the model card says {part.size}: it is "
+                    f"the file there has {total} bytes, but the model card says {part.size}: "
                     "another file or version; choose another place with --from"
                 )
             size = part.size if total is None else total
@@ -149,7 +149,7 @@ def _agree_on_start(response: httpx.Response, part: PartialFile) -> int | None:
         sent = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers.get("Content-Range", ""))
         if sent is None or int(sent[1]) != part.have:
             part.restart()
-            raise InterruptedFetchError("the server sent another range than requested")
+            raise InterruptedFetchError("the server sent another part of the file than requested")
         return int(sent[2]) if sent[2] != "*" else None
     if part.have:
         part.restart()  # the server does not resume, and sends the whole file
@@ -225,7 +225,7 @@ def _answer(
                 _check_status(response)
                 yield response
     except (httpx.InvalidURL, httpx.UnsupportedProtocol) as error:
-        raise FetchError(f"is not a valid address ({one_line(error)})") from None
+        raise FetchError(f"not a valid address ({one_line(error)})") from None
     except (httpx.ConnectError, UnicodeError) as error:
         raise FetchError(failure_reason(error)) from None
     except httpx.HTTPError as error:
@@ -239,7 +239,7 @@ def _client(connect_s: float) -> httpx.Client:
         return httpx.Client(timeout=timeout, verify=ssl.create_default_context())
     except (ImportError, ValueError) as error:
         raise FetchError(
-            f"the proxy of the environment cannot be used ({one_line(error)})"
+            f"the proxy in the environment variables cannot be used ({one_line(error)})"
         ) from None
 
 
@@ -264,6 +264,6 @@ def _check_status(response: httpx.Response) -> None:
     if response.is_success:
         return
     if response.status_code == 416:
-        raise _NoRangeError("the file on the server is shorter than the part on the disk")
+        raise _NoRangeError("the file on the server is shorter than the part already downloaded")
     kind = InterruptedFetchError if response.status_code in _PASSING else FetchError
     raise kind(f"HTTP {response.status_code} {one_line(response.reason_phrase)}")

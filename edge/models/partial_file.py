@@ -78,8 +78,8 @@ class PartialFile:
         except OSError as error:
             self._close()
             raise ModelError(
-                f"{self.path}: cannot be written ({error.strerror}); correct that, or set "
-                "$EDGE_CACHE_DIR to another folder"
+                f"{self.path}: cannot be written ({error.strerror}); make the file writable, or "
+                "set $EDGE_CACHE_DIR to another folder"
             ) from None
         self._file.seek(0)
         while block := self._file.read(1 << 20):
@@ -104,7 +104,7 @@ class PartialFile:
         limit = MAX_BYTES if self.size is None else self.size
         if self.have + len(block) > limit:
             self.restart()
-            raise FetchError(f"is longer than the {limit} bytes it should have")
+            raise FetchError(f"the file is longer than the expected {limit} bytes")
         left = memoryview(block)
         try:
             while left:  # a nearly full disk may take only a part
@@ -145,12 +145,14 @@ class PartialFile:
         if self.size is not None and self.have != self.size:
             have = self.have
             self.restart()
-            raise FetchError(f"has {have} bytes, not the {self.size} it should have")
+            raise FetchError(f"the file has {have} bytes, expected {self.size}")
         if self.sha256 is not None and not self.is_complete():
             found, resumed = self._digest.hexdigest(), self._resumed
             self.restart()
             kind = InterruptedFetchError if resumed else FetchError
-            raise kind(f"sha256 is {found[:12]}…, not {self.sha256[:12]}…: removed")
+            raise kind(
+                f"the file's sha256 is {found[:12]}…, expected {self.sha256[:12]}…: file removed"
+            )
         try:
             os.fchmod(self._file.fileno(), 0o644)
             os.fsync(self._file.fileno())

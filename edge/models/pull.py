@@ -269,7 +269,7 @@ def _pull_part(card: ChoiceCard, file: FolderFile, where: PullOptions) -> str:
     known, size = expected_of_part(card, file)
     if known is not None and os.path.isfile(target) and fresh_sha256(target) == known:
         return f"already here: {target}"
-    reason: FetchError | str = "its card names no address"
+    reason: FetchError | str = "the model card names no address"
     for place in (*where.places, *([] if card.url is None else [card.url])):
         exported = {} if known else _export_data(place, f"{file.file}.json", where)
         published = exported.get("sha256") if isinstance(exported.get("sha256"), str) else None

@@ -69,7 +69,7 @@ def follow_swap(
     while True:
         if swap["number"] != number:
             raise RequestError(
-                f"{_WHAT}: another swap has begun meanwhile; see the log of the service"
+                f"{_WHAT}: another swap began before this one ended; see the log of the service"
             )
         if (now := (swap["state"], swap["detail"])) != last:
             last = now
@@ -80,8 +80,8 @@ def follow_swap(
             progress = f", {swap['progress']}" if swap["progress"] else ""
             raise RequestError(
                 f"{_WHAT}: the change to {name} is not finished within --timeout (state: "
-                f"{swap['state']}{progress}); the service goes on with it: see its log for the "
-                "result"
+                f"{swap['state']}{progress}); the service goes on with the change: see its log for "
+                "the result"
             )
         time.sleep(pause_s)
         swap = ask({"do": "status"})

@@ -51,7 +51,7 @@ def main(make: Make = make_detector) -> int:
     try:
         answer_images(images, detector, frames)
     except BaseException:
-        log.exception("model %s: its process ends", detector.name)
+        log.exception("model %s: its process ends after an error", detector.name)
         os._exit(1)  # `check_prompts` blocks in recv for ever
     return 0
 
@@ -84,7 +84,7 @@ def answer_images(images: socket.socket, detector: Detector, frames: FrameView) 
             rgb = frames.read(seq, request["hw"])
             found = detector.detect(Observation(seq, 0, np.eye(4), rgb=rgb))
             if not frames.is_whole(seq):
-                raise ValueError(f"frame {seq}: torn, overwritten by a newer frame")
+                raise ValueError(f"frame {seq}: overwritten by a newer frame")
         except Exception as error:
             images.send(wire.encode_error(as_memory_error(error), seq=seq))
         else:

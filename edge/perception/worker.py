@@ -82,7 +82,8 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
             try:
                 watch(model, item, outcome)
             except Exception:
-                log.exception("watching %s failed", model.name)
+                log.exception("model %s: a bug in its watch during probation; please report this "
+                              "traceback", model.name)  # fmt: skip
 
 
 class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
@@ -152,8 +153,8 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
             spare.set_prompts(prompts)
         except UserError as error:
             raise type(error)(
-                f"{spare.name}, kept until {self.detector.name} passes its probation: {error}; "
-                "try again after that"
+                f"{spare.name}, which is kept until {self.detector.name} passes its probation: "
+                f"{error}; try again after the probation"
             ) from None
         try:
             self.detector.set_prompts(prompts)

@@ -108,7 +108,7 @@ class HvlPolicy:
         """Restore the first VL scores; see `edge.policies.base.StatefulPolicy`."""
         ids, vl = state["id"], state["vl"]
         if ids.ndim != 1 or vl.ndim != 2 or vl.shape[1] != len(ids) or np.isinf(vl).any():
-            raise ValueError("the saved scores of frontiers do not fit together")
+            raise ValueError("policy hvl: the saved scores do not fit the saved ids of frontiers")
         self._allocate(len(vl), len(ids))
         self._id[:], self._vl[:], self._n = ids, vl, len(ids)
 

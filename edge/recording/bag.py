@@ -124,7 +124,7 @@ def _check_tables(db: sqlite3.Connection) -> None:
         root = db.execute(plain, (table,)).fetchone()
         computed = [row for row in db.execute(f"PRAGMA table_xinfo({table})") if row[6]]
         if root is None or not root[0] or computed:
-            raise sqlite3.DatabaseError(f"no table of {table}")
+            raise sqlite3.DatabaseError(f"no usable table {table}")
 
 
 class Bag:
@@ -260,7 +260,7 @@ def _first_bytes(path: Path, n: int) -> bytes:
         with open_regular(path) as file:
             return file.read(n)
     except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror}") from None
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _unpack(path: Path, stack: ExitStack) -> Path:

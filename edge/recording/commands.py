@@ -155,7 +155,7 @@ def spans_of(path: Path) -> list[Span]:
             return spans[:MAX_SPANS]
     if not spans:
         raise RecordingError(
-            f"{session.truncation or path}: no tick in it: name a recording of a service that ran"
+            f"{session.truncation or path}: no tick in it: name the recording of a service that ran"
         )
     return spans
 
@@ -166,7 +166,7 @@ def _parse_spans(path: Path, payload: bytes) -> list[Span]:
         trace_bytes(spans)
     except Exception as error:  # damaged data can raise anything
         why = f"{type(error).__name__}: {one_line(error, 120)}"
-        raise RecordingError(f"{path}: damaged spans: {why}") from None
+        raise RecordingError(f"{path}: damaged: the durations cannot be read: {why}") from None
     return spans
 
 
@@ -174,7 +174,7 @@ def _ask_service(name: str) -> bytes:
     """Return the trace page of the running service of a configuration."""
     http = load(name).http
     if http.port is None:
-        raise ConfigError(f"{name}: http.port: not set, so the service has no page: set it")
+        raise ConfigError(f"{name}: http.port: not set, so the service has no page: set a port")
     headers = {}
     if http.token_file is not None:
         headers = read_token("http.token_file", http.token_file).header()

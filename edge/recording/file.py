@@ -267,7 +267,7 @@ def _open_to_read(path: Path):  # type: ignore[no-untyped-def]
     try:
         file = open_regular(path)
     except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror}") from None
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     with file:
         yield file
 

@@ -185,7 +185,7 @@ def observation_of(
     camera = rig["camera"]
     for name in ("seq", "stamp_ns"):
         if type(said[name]) is not int or not 0 <= said[name] < 1 << 63:
-            raise ValueError(f"{name}: {bounded_repr(said[name], 40)}")
+            raise ValueError(f"{name}: expected 0 or more, got {bounded_repr(said[name], 40)}")
     return Observation(
         said["seq"], said["stamp_ns"], _array_of(said["T_map_base"]), rgb, depth_m,
         None if camera is None else CameraModel(**camera), _array_of(rig["T_base_camera"]),

@@ -74,18 +74,18 @@ def records(file: BinaryIO) -> Iterator[Record]:
         DamagedError: the file violates the format. Records yielded before are valid.
     """
     if _read(file, len(MAGIC)) != MAGIC:
-        raise DamagedError("no MCAP magic at the start of the file")
+        raise DamagedError("the first bytes are not those of MCAP")
     crc, kept, begun = zlib.crc32(MAGIC), _KeptRecords(), False
     while True:
         head = _read(file, _HEAD.size)
         opcode, size = _HEAD.unpack(head)
         if not begun and opcode != Opcode.HEADER:
-            raise DamagedError("it does not begin with a header")
+            raise DamagedError("the file does not begin with a header")
         begun = True
         if opcode == Opcode.DATA_END:
             end = _parse(DataEnd, _read(file, _check_size(size)))
             if end.data_section_crc not in (0, crc):
-                raise DamagedError("the checksum of its data does not match")
+                raise DamagedError("the checksum of the file's data does not match")
             yield end
             return
         crc = zlib.crc32(head, crc)
@@ -120,7 +120,8 @@ class _KeptRecords:
             self._left -= size - known
         if self._left < 0 or len(self._sizes) > MAX_KEPT:
             raise DamagedError(
-                f"more than {MAX_KEPT} schemas, channels and metadata, or {MAX_KEPT_BYTES} bytes"
+                f"more than {MAX_KEPT} schemas, channels and metadata records, or more than "
+                f"{MAX_KEPT_BYTES} bytes of them"
             )
 
 
@@ -172,7 +173,7 @@ def _record(opcode: int, body: bytes, kept: _KeptRecords) -> Record:
         kept.add(opcode, record, len(body))
         return record
     if len(body) < _MESSAGE.size:
-        raise DamagedError("a message without its times")
+        raise DamagedError("a message is too short to have its times")
     return Message(*_MESSAGE.unpack_from(body), body[_MESSAGE.size :])
 
 
@@ -209,5 +210,5 @@ def _max_size(opcode: int) -> int:
 
 def _check_size(size: int, most: int = MAX_RECORD_BYTES) -> int:
     if size > most:
-        raise DamagedError(f"a record or chunk of {size} bytes, at most {most} are allowed")
+        raise DamagedError(f"a record or chunk has {size} bytes, at most {most} are allowed")
     return size

@@ -149,7 +149,7 @@ class _Run:
             return config
         if self._detect and detector.vocabulary is not None:
             raise ReplayError(
-                "--detect: perception.detector.vocabulary: a recording may name any file. Give "
+                "--detect: perception.detector.vocabulary: a recording may name any file: give "
                 "your own configuration with --config, or --trust if you know who made it"
             )
         detector = detector.model_copy(update={"engine_cache": None, "vocabulary": None})
@@ -171,7 +171,7 @@ class _Run:
             if action.kind == "start":
                 self._start(**action.fields)
             elif self.service is None:
-                raise RecordingError("the journal does not begin with a start")
+                raise RecordingError("damaged: the journal does not begin with the service's start")
             else:
                 _HANDLERS[action.kind](self, step.observation, **action.fields)
 
@@ -343,8 +343,8 @@ def replay(
     """
     if session.head.part:
         raise RecordingError(
-            f"{session.head.path}: begins in the middle of a run (it is file "
-            f"{session.head.part + 1}): replay its first file; the others of its folder follow"
+            f"{session.head.path}: file {session.head.part + 1} of a run: replay the first file; "
+            "the others in the folder follow"
         )
     outcome, first_ns = ReplayResult(), None
     with ExitStack() as stack:
@@ -356,8 +356,8 @@ def replay(
                 raise
             except Exception as error:  # an error that the loop survived, or damaged data
                 raise RecordingError(
-                    f"{session.head.path}: the replay failed after {outcome.ticks} "
-                    f"ticks: {type(error).__name__}: {one_line(error, 120)}"
+                    f"{session.head.path}: the replay failed after {outcome.ticks} ticks, by an "
+                    f"error in the run or damage: {type(error).__name__}: {one_line(error, 120)}"
                 ) from error
             _compare(outcome, step, run.sink.decisions)
             run.sink.decisions.clear()

@@ -83,7 +83,7 @@ class ReplayTick:
         for old in [old for old in self.frames if old < seq]:
             self._forget(old)
         if seq not in self.frames:
-            raise RecordingError(f"detections of frame {seq}, but the recording has no such frame")
+            raise RecordingError(f"damaged: there are detections of frame {seq}, but no such frame")
         return self.frames[seq]
 
     def _forget(self, seq: int) -> None:

@@ -139,8 +139,8 @@ class RollingRecorder:
             self._report(error)
             return
         if self.problem:
-            log.warning("%s: recording again, in %s; %d messages are lost", self._folder, path.name,
-                        self.lost)  # fmt: skip
+            log.warning("%s: recording again, in the file %s; %d messages were lost", self._folder,
+                        path.name, self.lost)  # fmt: skip
             self.problem = ""
         self._file, self._n_files = file, self._n_files + 1
         self._began_s = self._synced_s = now_s

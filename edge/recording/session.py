@@ -68,13 +68,13 @@ def read_header(path: Path) -> RecordingHeader:
     metadata = reading.metadata.get(FORMAT)
     if metadata is None:
         raise RecordingError(
-            f"{path}: an MCAP file, but not of the sink `mcap`: it has no journal to replay; "
+            f"{path}: an MCAP file, but not of the sink `mcap`, so there is no journal to replay; "
             "`edge play FILE CONFIG` plays the recording of any robot"
         )
     if metadata.get("version") not in VERSIONS:
         raise RecordingError(
             f"{path}: recorded by edge {one_line(metadata.get('edge', '?'), 40)} in version "
-            f"{one_line(metadata.get('version', '?'), 20)} of the format; this one reads "
+            f"{one_line(metadata.get('version', '?'), 20)} of the format; this edge reads versions "
             f"{' and '.join(VERSIONS)}"
         )
     try:
@@ -82,7 +82,7 @@ def read_header(path: Path) -> RecordingHeader:
         edge = one_line(metadata["edge"], 40)
         return RecordingHeader(path, metadata["session"], int(metadata["part"]), edge, config)
     except (KeyError, ValueError, AttributeError):
-        raise RecordingError(f"{path}: damaged: its metadata cannot be read") from None
+        raise RecordingError(f"{path}: damaged: the metadata cannot be read") from None
 
 
 class RecordedRun:
@@ -122,8 +122,8 @@ class RecordedRun:
         except ConfigError as error:
             first = one_line(str(error).splitlines()[0], 400)
             raise RecordingError(
-                f"{self.head.path}: its configuration is of edge {self.head.edge} "
-                f"and cannot be used: {first}; give one with --config"
+                f"{self.head.path}: the configuration in it, of edge {self.head.edge}, cannot be "
+                f"used: {first}; give your own with --config"
             ) from None
         self.check(config)
         return config
@@ -227,7 +227,7 @@ def _make_step(
 
 def _check_pixels(height: int, width: int) -> None:
     if not 0 <= height * width <= _MAX_PIXELS:
-        raise ValueError(f"a picture of {height}x{width} pixels")
+        raise ValueError(f"an image of {height}x{width} pixels, at most {_MAX_PIXELS} are allowed")
 
 
 def _parse_latency(payload: bytes) -> dict[str, Any]:

@@ -12,8 +12,10 @@ def generate_launch_description():
     """Return the launch description; called by `ros2 launch`."""
     return LaunchDescription(
         [
-            DeclareLaunchArgument("config", description="configuration of edge, a YAML file"),
-            DeclareLaunchArgument("edge", default_value="edge", description="the command"),
+            DeclareLaunchArgument("config", description="path of edge's configuration (YAML)"),
+            DeclareLaunchArgument(
+                "edge", default_value="edge", description="path or name of the command edge"
+            ),
             ExecuteProcess(
                 cmd=[LaunchConfiguration("edge"), "ros2-adapter", LaunchConfiguration("config")],
                 name="edge_adapter",

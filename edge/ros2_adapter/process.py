@@ -59,11 +59,13 @@ def make_plan(config: Config) -> dict[str, Any]:
     settings = config.ros2
     if config.source.kind != "ros2":
         raise ConfigError(
-            f"{config.locate('source.kind')}: {config.source.kind} does not use ROS 2: set ros2"
+            f"{config.locate('source.kind')}: {config.source.kind} does not use ROS 2: set it "
+            "to ros2"
         )
     if settings.via != "adapter":
         raise ConfigError(
-            f"{config.locate('ros2.via')}: {settings.via} needs no adapter: set adapter"
+            f"{config.locate('ros2.via')}: {settings.via} needs no adapter: set it to "
+            "adapter, or do not start one"
         )
     dialect = dialect_of(settings.via, config.zenoh.prefix)
 
@@ -131,11 +133,11 @@ def supervise(config: Config, stop: threading.Event) -> int:
         if stop.is_set():
             break
         if code == os.EX_UNAVAILABLE:
-            message = "ros2-adapter: the node cannot run here: see its error above"
+            message = "ros2-adapter: the adapter's node cannot run here: see the error above"
             raise UnavailableError(message)
         pause_s = _PAUSE_S if time.monotonic() - begun_s > _STABLE_S else pause_s
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        log.warning("the node ended (%s): starting it again in %g s", how, pause_s)
+        log.warning("the adapter's node ended (%s): starting it again in %g s", how, pause_s)
         stop.wait(pause_s)
         pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
     return os.EX_OK

@@ -66,12 +66,12 @@ class FoxgloveSink:
         except Exception as error:  # a private class of the SDK
             raise UnavailableError(
                 f"sinks: foxglove: cannot listen on {one_line(host)} port {port}: "
-                f"{one_line(error)}; set another port in its options"
+                f"{one_line(error)}; set another port in the options of this sink"
             ) from None
         self.port = self._server.port
         if not is_loopback(host):
-            log.warning("foxglove: anyone who reaches %s port %d sees what the robot sees", host,
-                        self.port)  # fmt: skip
+            log.warning("sinks: foxglove: everyone who can connect to %s port %d sees what the "
+                        "robot sees", host, self.port)  # fmt: skip
         self._encoder = ResultEncoder(config, rgb_hz, self._wanted)
         self._worker: Worker[ResultSnapshot, None] = Worker("foxglove-sink", self._send)
 

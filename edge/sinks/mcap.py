@@ -83,7 +83,7 @@ class McapSink:
             make_writable(where)
         except OSError as error:
             if error.errno not in (errno.ENOSPC, errno.EDQUOT):  # there may be space later
-                why = f"{one_line(folder)}: {error.strerror}"
+                why = f"{one_line(folder)}: cannot be written: {error.strerror}"
                 raise ConfigError(f"sinks: mcap: folder: {why}") from None
         self._config = config
         self._session = uuid.uuid4().hex
@@ -240,9 +240,9 @@ def _check_values(
         raise ConfigError(f"sinks: mcap: rgb_hz: must be 0 or more, got {rgb_hz}")
     if not keep_mb >= 2 * max_mb:
         raise ConfigError(
-            f"sinks: mcap: keep_mb: {keep_mb:g} is less than two files of {max_mb:g} MB: "
-            "raise it, or lower max_mb"
+            f"sinks: mcap: keep_mb: {keep_mb:g} is less than two files of max_mb, {max_mb:g} MB "
+            "each: raise keep_mb, or lower max_mb"
         )
     if compression not in COMPRESSIONS:
         choices = ", ".join(COMPRESSIONS)
-        raise ConfigError(f"sinks: mcap: compression: unknown {compression!r} ({choices})")
+        raise ConfigError(f"sinks: mcap: compression: unknown {compression!r} (choices: {choices})")

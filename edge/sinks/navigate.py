@@ -141,7 +141,8 @@ class NavigateToPoseClient:
         except DecodeError as error:
             self._malformed += 1
             if self._malformed == 1:
-                log.warning("ros2: %s: %s; further ones are only counted", self._name, error)
+                log.warning("ros2: %s: message ignored: %s; further ones are only counted",
+                            self._name, error)  # fmt: skip
 
     # -- one step a stage -------------------------------------------------------------------------
 
@@ -150,7 +151,9 @@ class NavigateToPoseClient:
         if not self._send.has_server():
             if now_s - driven.since_s > PATIENCE_S and not self._waiting_logged:
                 self._waiting_logged = True
-                log.warning("ros2: waiting for %s: is Nav2 running?", self._action)
+                log.warning(
+                    "ros2: waiting for the action server %s: is Nav2 running?", self._action
+                )
             return
         if now_s < driven.due_s:
             return

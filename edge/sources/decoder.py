@@ -38,7 +38,7 @@ def _check_size(header: messages.ImageHeader | compressed.CompressedHeader, out:
     if (header.height, header.width) != out.shape[:2]:
         height, width = out.shape[:2]
         says = f"camera info says {width}x{height}"
-        raise WrongSizeError(f"{header.width}x{header.height}, {says}")
+        raise WrongSizeError(f"image is {header.width}x{header.height}, {says}")
     return header.height
 
 

@@ -33,7 +33,7 @@ def parse_goal_status(payload: bytes) -> GoalStatus:
     if type(stamp) is float and stamp.is_integer():  # some encoders write 1.8e18
         stamp = int(stamp)
     if type(stamp) is not int:
-        raise ValueError(f"stamp: expected nanoseconds, got {bounded_repr(stamp, 40)}")
+        raise ValueError(f"stamp: expected an integer (ns), got {bounded_repr(stamp, 40)}")
     if state not in STATES:
         raise ValueError(f"state: unknown {bounded_repr(state, 40)} (choices: {', '.join(STATES)})")
     if not isinstance(reason, str):
@@ -76,7 +76,8 @@ class GoalStatusInbox:
             except ValueError as error:
                 self.malformed += 1
                 if self.malformed == 1:
-                    log.warning("goal_status: %s; further ones are only counted", error)
+                    log.warning("goal_status: message ignored: %s; further ones are only counted",
+                                error)  # fmt: skip
         return answers
 
     def close(self) -> None:

@@ -186,7 +186,8 @@ class _Ros2Tap:
                 elif name not in self._warned:
                     self._warned.add(name)
                     log.warning(
-                        "%s: not recorded: its type is %s, expected %s", subscription.topic,
+                        "%s: messages are not recorded: their type is %s, expected %s",
+                    subscription.topic,
                         type_name or "unknown", " or ".join(subscription.types),
                     )  # fmt: skip
 
@@ -234,7 +235,7 @@ def read(path: str | os.PathLike[str]) -> Iterator[BusMessage]:
                 yield BusMessage(topic, message.log_ns, message.payload)
         if not reading.truncation:
             return
-    why = reading.truncation or "cut off"
+    why = reading.truncation or "the end is missing"
     raise RecordingError(
         f"{path}: not a complete MCAP file: {why}; repair it with `edge replay --recover`"
     )
@@ -298,7 +299,7 @@ def play(
         if not loop:
             break
         if first_ns is None:
-            raise RecordingError(f"{path}: no message of a sensor in it")
+            raise RecordingError(f"{path}: holds no message of a sensor")
     for publisher in publishers.values():
         publisher.undeclare()
     return PlaybackStats(sent, max_late_s)
@@ -401,7 +402,9 @@ def _play_command(args: argparse.Namespace) -> int:
     stop = stop_on_signals()
     with open_session(settings, "connect", stop) as session:
         if not wait_for_service(session, settings, args.wait, stop):
-            raise UnavailableError(f"{settings.address}: no service after {args.wait:g} s")
+            raise UnavailableError(
+                f"{settings.address}: no service within {args.wait:g} s; start one with `edge run`"
+            )
         played = play(session, settings, args.file, args.rate, args.loop, True, stop)
     print(f"{args.file}: {played.messages} messages, at most {played.max_late_s * 1e3:.1f} ms late")
     return 0
@@ -419,7 +422,10 @@ def main(argv: list[str] | None = None) -> int:
     play_parser.add_argument("--rate", type=float, default=1.0)
     play_parser.add_argument("--loop", action="store_true")
     play_parser.add_argument(
-        "--wait", type=float, default=60.0, help="seconds to wait for the service"
+        "--wait",
+        type=float,
+        default=60.0,
+        help="longest time to wait for the service, in s (default: 60)",
     )
     play_parser.set_defaults(handler=_play_command)
     args = parser.parse_args(argv)

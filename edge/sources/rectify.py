@@ -50,7 +50,8 @@ class Rectifier:
         shape = camera.height_px, camera.width_px
         if max(shape) > _MAX_SIDE_PX:
             raise ValueError(
-                f"{lens}: an image of {shape[1]}x{shape[0]}, at most {_MAX_SIDE_PX} a side"
+                f"{lens}: an image of {shape[1]}x{shape[0]}, at most {_MAX_SIDE_PX} px a side "
+                "can be rectified"
             )
         self._maps: dict[str, tuple[np.ndarray, np.ndarray]] | None = None
         self._raw = {
@@ -107,7 +108,7 @@ class Rectifier:
 def _coefficients(lens: Lens) -> np.ndarray:
     """Return the coefficients padded for OpenCV; raise ValueError if OpenCV cannot use them."""
     if lens.model not in MODELS:
-        raise ValueError(f"{lens}: the model is not known (known: {', '.join(MODELS)})")
+        raise ValueError(f"{lens}: unknown distortion model (known: {', '.join(MODELS)})")
     most = 4 if lens.model == FISHEYE else _COEFFICIENTS[-1]
     d = np.trim_zeros(np.array(lens.coefficients), "b")
     if len(d) > most:
@@ -176,7 +177,9 @@ def plan_for(
         )
         return LensPlan("ignored", log_line=f"{lens}: images are used as rectified: {why}")
     if setting == "refuse":
-        raise ValueError(f"{lens}: source.distortion is refuse: send rectified images")
+        raise ValueError(
+            f"{lens}: source.distortion is refuse: send rectified images, or set it to rectify"
+        )
     try:
         rectifier = Rectifier(lens, camera)
     except ValueError as error:

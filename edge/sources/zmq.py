@@ -79,7 +79,7 @@ def parse_header(data: bytes, n_bytes: int) -> ZmqHeader:
     fields = read_json_object(data, MAX_HEADER)
     if unknown := fields.keys() - set(_FIELDS):
         names = ", ".join(_FIELDS)
-        raise ValueError(f"unknown {one_line(min(unknown), 40)!r} (choices: {names})")
+        raise ValueError(f"unknown field {one_line(min(unknown), 40)!r} (choices: {names})")
     topic, encoding = fields.get("topic"), fields.get("encoding")
     if not isinstance(topic, str) or topic not in _FRAMES:
         raise ValueError(
@@ -124,7 +124,7 @@ def _decode_checked(
     if (header.height, header.width) != out.shape[:2]:
         height, width = out.shape[:2]
         says = f"the intrinsics are of {width}x{height}"
-        raise WrongSizeError(f"{header.width}x{header.height}, {says}")
+        raise WrongSizeError(f"image is {header.width}x{header.height}, {says}")
     images.decode_image_into(buffer, header, out, unit_m)
     return header.height
 
@@ -201,9 +201,11 @@ class ZmqSource(ZenohSource):
         topic = one_line(self._address)
         try:
             if len(parts) != 2:
-                raise ValueError(f"expected two parts, header and pixels, got {len(parts)}")
+                raise ValueError(f"expected two message parts, header and pixels, got {len(parts)}")
             if len(parts[0]) > MAX_HEADER:
-                raise ValueError(f"the header has {len(parts[0])} bytes, more than {MAX_HEADER}")
+                raise ValueError(
+                    f"header has {len(parts[0])} bytes, at most {MAX_HEADER} are allowed"
+                )
             header = parse_header(parts[0].bytes, len(parts[1]))
         except ValueError as error:
             self._synchronizer.received(topic)
@@ -238,8 +240,8 @@ class ZmqSource(ZenohSource):
         if not self._disconnect_warned:
             self._disconnect_warned = True
             log.warning(
-                "%s: the camera disconnected, or sent more than %g MB (source.max_message_mb); "
-                "connecting again (further times are not logged)",
+                "%s: the camera disconnected, or sent more than %g MB "
+                "(source.max_message_mb); connecting again (further times are not logged)",
                 one_line(self._address), self._max_bytes / 1e6,
             )  # fmt: skip
 

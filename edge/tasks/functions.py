@@ -29,7 +29,7 @@ from edge.tasks.trajectory import (
     point,
     shown,
 )
-from edge.text import one_line
+from edge.text import bounded_repr, one_line
 from edge.trajectory.smoothing import resample
 
 MOST_CAPTION_CHARS = 200
@@ -77,7 +77,9 @@ class ScriptFunctions:
         found = list(self._scene.objects.values())
         if name is not None:
             if not isinstance(name, str) or not names.is_name(name):
-                raise CallError(f"det_object: expected the name of a thing, got {shown(name)}")
+                raise CallError(
+                    f"det_object: name: expected the name of a thing, got {shown(name)}"
+                )
             found = [thing for thing in found if names.is_kind_of(thing.label, name)]
         found.sort(key=lambda thing: self._scene.pose.distance_to(*thing.position_m[:2]))
         return [describe_object(thing) for thing in found]
@@ -94,13 +96,15 @@ class ScriptFunctions:
             raise CallError(f"a_star_plan: no path from {_text(start_m)} to {_text(end_m)}: "
                             f"{found.reason}")  # fmt: skip
         if len(found.path_m) > MOST_PATH_POINTS:
-            raise CallError(f"a_star_plan: the path has more than {MOST_PATH_POINTS} points")
+            raise CallError(
+                f"a_star_plan: the path has over {MOST_PATH_POINTS} points: choose a nearer end"
+            )
         return _points(found.path_m)
 
     def visual_3d(self, points: Any) -> None:
         """Show a trajectory in the scene, without driving it."""
         if len(self.shown_trajectories) == MOST_SHOWN:
-            raise CallError(f"visual_3d: {MOST_SHOWN} trajectories are shown already")
+            raise CallError(f"visual_3d: {MOST_SHOWN} trajectories are shown, more cannot be shown")
         self.shown_trajectories += coarse_of(points, (), None, self.limits).segments
 
     def give_trajectory(
@@ -108,7 +112,7 @@ class ScriptFunctions:
     ) -> None:
         """Hand over the trajectory; it is checked at once."""
         if self.trajectory is not None:
-            raise CallError("give_trajectory: a trajectory was given already; give one")
+            raise CallError("give_trajectory: a trajectory was given already; call it only once")
         coarse = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
         check(coarse, self.ground, self.limits)
         self.trajectory = coarse
@@ -128,7 +132,10 @@ class ScriptFunctions:
         wanted = None if region is None else next(iter(self._regions([region])))
         found = self.ground.nearest(*at_m, region=wanted)
         if found is None:
-            raise CallError("nearest_reachable: the robot cannot get anywhere there")
+            raise CallError(
+                f"nearest_reachable: the robot can reach no point near {_text(at_m)}"
+                f"{'' if wanted is None else f' in region {wanted}'}"
+            )
         return found
 
     def region_at(self, at: Any) -> int:
@@ -149,7 +156,8 @@ class ScriptFunctions:
         ends = np.array([self._point(a, "a"), self._point(b, "b")])
         steps = math.ceil(2.0 * float(np.hypot(*(ends[1] - ends[0]))) / self.limits.max_jump_m)
         if steps > MOST_PATH_POINTS:
-            raise CallError(f"line: it needs more than {MOST_PATH_POINTS} points")
+            longest_m = 0.5 * MOST_PATH_POINTS * self.limits.max_jump_m
+            raise CallError(f"line: a and b are over {longest_m:g} m apart; choose nearer ends")
         fractions = np.linspace(0.0, 1.0, max(steps, 1) + 1)[:, None]
         return _points(ends[0] + fractions * (ends[1] - ends[0]))
 
@@ -211,7 +219,10 @@ class ScriptFunctions:
 
     def _object(self, id: Any) -> SceneObject:
         if type(id) is not int or id not in self._scene.objects:
-            raise CallError(f"there is no such object; there are {_choices(self._scene.objects)}")
+            raise CallError(
+                f"id: expected the id of an object ({_choices(self._scene.objects)}), "
+                f"got {bounded_repr(id, 40)}"
+            )
         return self._scene.objects[id]
 
     def _regions(self, regions: Any) -> frozenset[int]:
@@ -220,7 +231,10 @@ class ScriptFunctions:
             raise CallError(f"regions: expected a list of ids, got {shown(regions)}")
         for region in regions:
             if type(region) is not int or region not in known:
-                raise CallError(f"there is no such region; there are {_choices(known)}")
+                raise CallError(
+                    f"regions: expected ids of regions ({_choices(known)}), "
+                    f"got {bounded_repr(region, 40)}"
+                )
         return frozenset(regions)
 
     def _point(self, value: Any, name: str) -> Point:
@@ -236,7 +250,7 @@ class ScriptFunctions:
     def _side_distance_m(self, distance_m: Any) -> float:
         distance_m = number(distance_m, "distance_m", _FARTHEST_BESIDE_M)
         if distance_m < 0:
-            raise CallError("distance_m: it is below 0")
+            raise CallError(f"distance_m: expected 0 or more, got {distance_m:g}")
         return distance_m
 
 

@@ -56,8 +56,8 @@ def cut(
         points = np.asarray(segment, np.float64)
         if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
             raise RefineError(
-                f"segment {number} of the trajectory: expected points (n, 2 or 3), got "
-                f"{points.shape}; ask for the trajectory again"
+                f"segment {number} of the trajectory: expected n points as an array (n, 2) or "
+                f"(n, 3), got {points.shape}; ask for the trajectory again"
             )
         if not np.isfinite(points).all():
             raise RefineError(

@@ -70,7 +70,7 @@ def run_pipeline(chain: PerceptionPipeline, observation: Observation) -> Caption
     embedding = None if chain.embeddings is None else chain.embeddings(found)
     for what, answers in (("captions", caption), ("embeddings", embedding)):
         if answers is not None and len(answers) != len(found):
-            raise ValueError(f"{len(found)} boxes, but {len(answers)} {what}")
+            raise ValueError(f"{len(found)} boxes, but {len(answers)} {what}; expected as many")
     return CaptionedDetections(found, caption, embedding)
 
 

@@ -707,7 +707,7 @@ def _chosen(
 
 def _none_there(found: list[SceneObject], reader: TokenReader, token: Token | None) -> NoReturn:
     there = ", ".join(map(object_name, found[:4])) or "no others"
-    reader.refuse(f"there is none; there are {there}", token)
+    reader.refuse(f"there is no such object; there are {there}", token)
 
 
 def centre_m(thing: SceneObject) -> tuple[float, float]:

@@ -185,8 +185,8 @@ def _begin(costmap: CostMap, scene: Scene, body: PathMargins) -> tuple[float, fl
     if nearest is None or not smoothing.line_is_free(bare, here, _centre(costmap, nearest)):
         raise RefineError(
             f"the robot at {_place(here)} is shut in: no place within {ESCAPE_M} m is "
-            f"{body.clearance_m:g} m clear of obstacles; drive it away from them, or set a smaller "
-            "clearance"
+            f"{body.clearance_m:g} m clear of obstacles; drive the robot away from them, or set a "
+            "smaller tasks.trajectory.clearance_m"
         )
     return _centre(costmap, nearest)
 

@@ -102,7 +102,9 @@ def _segment(
         case "straight":
             most_m = 0.5 * MOST_PATH_POINTS * functions.limits.max_jump_m
             if step.distance_m > most_m:
-                raise CallError(f"a path straight on has at most {most_m:g} m")
+                raise CallError(
+                    f"a path straight on of {step.distance_m:g} m is too long: at most {most_m:g} m"
+                )
             end = here.ahead(step.distance_m)
             way = functions.line(at, end)
             blocked = next((p for p in way[1:] if not functions.is_free(p)), None)

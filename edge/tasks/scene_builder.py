@@ -96,7 +96,9 @@ class SceneBuilder:
         """
         cloud_m, T_base_cloud = cloud_of(observation)
         if ground_kind is not None and len(ground_kind) != len(cloud_m):
-            raise ValueError(f"{len(cloud_m)} points, but {len(ground_kind)} kinds of ground")
+            raise ValueError(
+                f"ground_kind: expected {len(cloud_m)} values, one a point, got {len(ground_kind)}"
+            )
         fine = plausible_points(cloud_m)
         if not fine.all():
             cloud_m = cloud_m[fine]
@@ -304,7 +306,7 @@ def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
     depth, camera = observation.depth_m, observation.camera
     if depth is None or camera is None or depth.shape != (camera.height_px, camera.width_px):
         raise ValueError(
-            f"observation {observation.seq}: neither a cloud nor depth that fits a camera"
+            f"observation {observation.seq}: neither a cloud nor depth of the camera's size"
         )
     stride = max(1, int(np.ceil(np.sqrt(depth.size / MOST_DEPTH_POINTS))))
     z = depth[::stride, ::stride]

@@ -128,18 +128,20 @@ def _guarded(name: str, function: Callable[..., Any], deadline_s: float) -> Call
 
     def call(*args: Any, **kwargs: Any) -> Any:
         if time.monotonic() > deadline_s:
-            raise TimeoutError(f"{name}: the script ran out of time")
+            raise TimeoutError(f"{name}: the time limit of the script has passed")
         try:
             bound = parameters.bind(*args, **kwargs)
         except TypeError as error:
-            raise TypeError(f"{name}: {error}; it is {name}{parameters}") from None
+            raise TypeError(f"{name}: {error}; call it as {name}{parameters}") from None
         try:
             return function(*bound.args, **bound.kwargs)
         except TrajectoryError as error:
             raise CallError(str(error)) from None
         except Exception:
-            log.exception("tasks: %s failed", name)
-            raise RuntimeError(f"{name} failed; do without it") from None
+            log.exception(
+                "tasks: the function %s failed; please report it with this traceback", name
+            )
+            raise RuntimeError(f"{name}: internal error; do not use it") from None
 
     return call
 

@@ -84,7 +84,7 @@ def coarse_of(
     chosen = _items(() if regions is None else regions, "regions", 255)
     for region in chosen:
         if type(region) is not int or not 0 < region <= 255:
-            raise TrajectoryError(f"regions: expected ids of regions, got {shown(region)}")
+            raise TrajectoryError(f"regions: expected ids from 1 to 255, got {shown(region)}")
     if speed_mps is not None:
         speed_mps = number(speed_mps, "speed_mps")
     if heading_rad is not None:
@@ -106,18 +106,17 @@ def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryL
     """
     scene = ground.scene
     if not coarse.segments or not all(map(len, coarse.segments)):
-        raise TrajectoryError("the trajectory has no points")
+        raise TrajectoryError("the trajectory, or one of its segments, has no points")
     for k, points in _counted(coarse.segments):
         _check_points(points, k, ground)
     if unknown := [region for region in coarse.regions if region not in scene.regions]:
         there = ", ".join(map(str, scene.regions)) or "none"
-        raise TrajectoryError(f"there is no region {unknown[0]} (there: {there})")
+        raise TrajectoryError(f"regions: there is no region {unknown[0]} (known: {there})")
     speed_mps = coarse.speed_mps
     # NaN fails this comparison too.
     if speed_mps is not None and not CREEP_MPS <= speed_mps <= limits.max_speed_mps:
         raise TrajectoryError(
-            f"a speed of {speed_mps:g} m/s is not within {CREEP_MPS:g} to "
-            f"{limits.max_speed_mps:g} m/s"
+            f"speed_mps: {speed_mps:g} is not within {CREEP_MPS:g} to {limits.max_speed_mps:g} m/s"
         )
     way = np.vstack([(scene.pose.x_m, scene.pose.y_m), coarse.points_m])
     steps_m = np.hypot(*np.diff(way, axis=0).T)
@@ -126,12 +125,12 @@ def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryL
         if step_m > limits.max_jump_m:
             raise TrajectoryError(
                 f"{_place(coarse.segments, k)} is {step_m:.1f} m from {before}, at most "
-                f"{limits.max_jump_m:g} m are allowed; join them with a_star_plan or line"
+                f"{limits.max_jump_m:g} m are allowed; join the two with a_star_plan or line"
             )
         if not ground.has_line_of_sight(tuple(a), tuple(b)) and math.dist(b, way[0]) > ESCAPE_M:
             raise TrajectoryError(
-                f"something is in between {_place(coarse.segments, k)} and {before}; join them "
-                "with a_star_plan"
+                f"an obstacle is between {_place(coarse.segments, k)} and "
+                f"{before}; join the two with a_star_plan"
             )
     if (length_m := float(steps_m.sum())) > limits.max_length_m:
         raise TrajectoryError(
@@ -150,7 +149,7 @@ def number(value: Any, name: str, largest: float = FARTHEST_M) -> float:
         raise TrajectoryError(f"{name}: expected a number, got {shown(value)}")
     if not abs(value) <= largest:  # also rejects NaN, and integers that no float can hold
         what = f"{value:g}" if isinstance(value, float) else "a whole number"
-        raise TrajectoryError(f"{name}: {what} is not within {largest:g}")
+        raise TrajectoryError(f"{name}: {what} is not within -{largest:g} to {largest:g}")
     return float(value)
 
 

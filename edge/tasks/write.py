@@ -128,7 +128,7 @@ def write_trajectory(
     check_instruction(instruction)
     ground = ground_of(scene, config.trajectory.clearance_m)
     if not ground.reachable.any():
-        raise WriteError("no free ground is known around the robot; drive it to open ground")
+        raise WriteError("no free ground is known around the robot; drive the robot to open ground")
     functions = make(ground, config.trajectory)
     if isinstance(config.planner, WriterModel):
         rounds = _ask(instruction, functions, config.planner, on_answer, why)

@@ -86,7 +86,7 @@ def test_a_stop_is_obeyed_while_kernels_are_compiled(edge, config, temporary, co
     # A kernel is compiled and written: others follow.
     service.until(lambda: list(temporary.rglob("*.nbc")), "it never compiled")
     assert service.stop(signal.SIGTERM) == 0, service.output
-    assert "stopped before it was ready" in service.output
+    assert "stopped during the start, before the service was ready" in service.output
     assert "preparing kernels 6/6" not in service.output
     assert "ready:" not in service.output
 

@@ -227,7 +227,7 @@ except ValueError as error:
 """
     outcome = run_script(code, functions, QUICK)
     assert (outcome.error, outcome.printed.strip()) == (
-        "", "give_trajectory: a trajectory was given already; give one",
+        "", "give_trajectory: a trajectory was given already; call it only once",
     )  # fmt: skip
     assert functions.trajectory.points_m.tolist() == [[0, 0], [1, 0]]
     check(functions.trajectory, GROUND, LIMITS)

@@ -135,10 +135,10 @@ PASSWORD = '{transport: {auth: {usrpwd: {user: "me", password: "SENTINEL"%s}}}}'
         (PASSWORD % ", dictionary_file: 4242", "invalid type"),
         (PASSWORD % " oops", "expected"),
         (PASSWORD % "" + '\n"SENTINEL"', "line 2, column 1: expected"),
-        ('{mode: "router"}', "mode: 'router', but here it is 'peer': leave it out"),
+        ('{mode: "router"}', "mode is 'router', but edge sets 'peer' here: remove mode from this"),
         (
             '{connect: {endpoints: ["tls/h:1#connect_private_key_base64=SENTINEL"]}}',
-            "endpoints: private_key_base64 belongs under transport/link/tls",
+            "an endpoint has a private key (private_key_base64): move the key to transport/link",
         ),
     ],
 )
@@ -163,7 +163,7 @@ def test_a_file_that_is_not_there_is_named(key, tmp_path):
 
 def test_a_private_key_in_the_endpoint_is_refused_and_not_shown():
     endpoint = "tls/h:1#listen_private_key_base64=SENTINEL"
-    with pytest.raises(ConfigError, match=r"put it into zenoh\.file") as caught:
+    with pytest.raises(ConfigError, match=r"put the key into Zenoh") as caught:
         parse({"zenoh": {"endpoint": endpoint}, "perception": {"detector": {"kind": "sim"}}})
     assert "SENTINEL" not in str(caught.value)
 

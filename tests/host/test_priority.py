@@ -28,4 +28,4 @@ def test_a_missing_right_is_said_and_survived(monkeypatch, caplog):
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     with caplog.at_level(logging.WARNING, "edge.host.priority"), real_time(5) as given:
         assert not given
-    assert "loop.priority: 5 not permitted" in caplog.text
+    assert "loop.priority: 5 is not permitted" in caplog.text

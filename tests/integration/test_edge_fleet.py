@@ -28,8 +28,8 @@ def test_three_robots_share_a_mission_and_one_is_killed_in_the_middle(edge, endp
         service.says("ready: waiting for a mission")
     twin = edge("run", config, **FAST, EDGE__ZENOH__PREFIX="robots/anna")
     assert twin.wait() == os.EX_UNAVAILABLE, twin.output
-    assert "zenoh.prefix: another service is robots/anna" in twin.lines[-1]
-    services["anna"].says("another service wants to be robots/anna: it was refused")
+    assert "has the prefix robots/anna: stop that service" in twin.lines[-1]
+    services["anna"].says("was started with the prefix robots/anna: that service ended")
 
     sharing = edge(
         "mission", "new", "--fleet", endpoint, WORDS, "--share", "--json", "--patience", "3"

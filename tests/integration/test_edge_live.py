@@ -36,7 +36,7 @@ def test_the_demo_is_watched_and_commanded_from_its_page(edge, tmp_path):
         tab.says("#instruction", "find the toilet")
         tab.says("#phase", "SEARCHING")
         tab.click("#cancel")
-        tab.says("#cancel", "Really?")
+        tab.says("#cancel", "Really cancel?")
         tab.click("#cancel")
         demo.says(f"mission failed; the live view stays open until Ctrl-C: {url}")
         tab.says("#phase", "FAILED")

@@ -182,7 +182,7 @@ def test_a_stop_is_obeyed_while_the_model_loads(live, caplog):
     stopper.join()
     eventually(lambda: not fakes(), "a process is left")
     assert [r.getMessage() for r in caplog.records if r.name == "edge"] == [
-        "stopped before it was ready"
+        "stopped during the start, before the service was ready"
     ]
 
 

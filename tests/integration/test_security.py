@@ -198,11 +198,13 @@ def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
     known = of("operator")
     strangers = {
         "our certificate is out of date": known.model_copy(update={"client_file": str(old)}),
-        "it requires a client certificate": known.model_copy(update={"client_file": str(bare)}),
-        "it does not trust the issuer of our certificate": known.model_copy(
+        "the server requires a client certificate": known.model_copy(
+            update={"client_file": str(bare)}
+        ),
+        "the server does not trust the issuer of our certificate": known.model_copy(
             update={"client_file": str(mixed)}
         ),
-        "its certificate is not trusted": ZenohConfig(
+        "the server's certificate is not trusted": ZenohConfig(
             endpoint=at, client_file=str(elsewhere / "operator.json5")
         ),
         "a server is there but refuses the session": ZenohConfig(endpoint=f"tcp/127.0.0.1:{port}"),
@@ -231,14 +233,14 @@ def test_the_certificate_of_a_client_makes_no_service(etc, tmp_path):
         text = text.replace(f"service.{kind}", f"recorder.{kind}")
     posing.write_text(text)
     with service(known.model_copy(update={"file": str(posing)})):
-        assert refusal(known, "its certificate is not trusted")
+        assert refusal(known, "the server's certificate is not trusted")
 
 
 def test_a_service_whose_certificate_is_out_of_date_is_told_apart(etc):
     known = settings_of(etc, "certificates", free_port())("operator")
     old = out_of_date(etc, "service.json5", "service", "serverAuth")
     with service(known.model_copy(update={"file": str(old)})):
-        assert refusal(known, "its certificate is out of date, or the clock here is wrong")
+        assert refusal(known, "the server's certificate is out of date, or the clock here is wrong")
 
 
 def test_a_wrong_password_is_told_and_not_shown(etc, tmp_path):

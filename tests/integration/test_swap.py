@@ -176,7 +176,7 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
         job, blind = None, len(REFUSED) + 3  # the third swap after those
         code, _ = use_one("nothing")
         assert code.startswith("models: refused: model 'nothing': no such card (choices: ")
-        assert use_one("first")[0] == "models: refused: first runs already"
+        assert use_one("first")[0] == "models: refused: model first runs already"
 
         for name, reason in REFUSED.items():
             code, lines = use_one(name)

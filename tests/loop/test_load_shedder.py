@@ -214,7 +214,8 @@ def test_it_stands_aside_for_a_model_that_somebody_asked_for(bench):
 
 def test_another_power_mode_is_told(bench):
     b = bench().sees(COOL).sees(COOL.__class__({}, {}, {}, {}, {}, {}, "15W"))
-    assert b.said == ["load shedding: power mode 15W, was MAXN"]
+    (said,) = b.said
+    assert said.startswith("load shedding: the board's power mode changed from MAXN to 15W; ")
     assert b.shedder.status()["power_mode"] == "15W"
 
 

@@ -49,8 +49,8 @@ def test_a_request(verbs, data, more):
         (b"[]", "not a JSON object"),
         (b"{}", "do: unknown None (choices: new, pause, resume, cancel, status)"),
         (b'{"do": "stop"}', "do: unknown 'stop' (choices: new, "),
-        (b'{"do": "pause", "why": 1}', "'why': not allowed with do: pause"),
-        (b'{"do": "new", "formula": "F a", "x": 1}', "'x': not allowed with do: new"),
+        (b'{"do": "pause", "why": 1}', "'why': not a field of do: pause (its fields: for_s)"),
+        (b'{"do": "new", "formula": "F a", "x": 1}', "'x': not a field of do: new (its fields: "),
         (b'{"do": "new"}', "exactly one of instruction, formula and task"),
         (b'{"do": "new", "formula": "a", "id": 3}', "id: expected text, got 3"),
         (b'{"do": "new", "formula": "a", "reading": 1}', "only valid with an instruction"),
@@ -85,8 +85,8 @@ def refused(verbs, payload, text):
         (b'{"do": "use", "model": 3}', "model: expected text, got 3"),
         (b'{"do": "use", "model": "' + b"a" * 201 + b'"}', "model: 201 characters, at most 200"),
         (b'{"do": "use", "model": "a", "force": 1}', "force: expected true or false"),
-        (b'{"do": "use", "model": "a", "why": 1}', "'why': not allowed with do: use"),
-        (b'{"do": "status", "model": "a"}', "'model': not allowed with do: status"),
+        (b'{"do": "use", "model": "a", "why": 1}', "'why': not a field of do: use (its fields: "),
+        (b'{"do": "status", "model": "a"}', "'model': not a field of do: status (its"),
     ],
 )
 def test_no_request_about_the_model(payload, text):

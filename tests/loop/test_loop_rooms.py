@@ -51,7 +51,7 @@ def test_no_room_is_known_before_the_first_tick():
     assert ask(loop, MEMORY_VERBS, handle_memory, do="rooms") == {"text": "0 rooms", "rooms": []}
     with pytest.raises(UserError, match="pose is not known yet"):
         ask(loop, do="set", kind="room", name="office")
-    with pytest.raises(UserError, match=r"no room called 'kitchen' \(known: none\)"):
+    with pytest.raises(UserError, match=r"no room called 'kitchen', expected one \(known: none\)"):
         ask(loop, do="set", kind="keep_out", room="kitchen")
 
 
@@ -72,7 +72,7 @@ def test_rooms_are_listed_named_and_closed(in_kitchen):
     found = ask(loop, MEMORY_VERBS, handle_memory, do="find", name="refrigerator")
     assert found["text"].startswith("refrigerator: in the kitchen, at (")
     named = ask(loop, do="set", kind="room", name="The Canteen")
-    assert named["text"].startswith("room: canteen is the one around (")
+    assert named["text"].startswith("room: canteen is the room around (")
     loop.step()
     assert loop.service.map.rooms.room(2).title == "canteen"
     assert ask(loop, do="set", kind="keep_out", room="canteen")["text"].startswith(

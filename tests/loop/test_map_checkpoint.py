@@ -313,8 +313,8 @@ def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
         ({"extent_m": 40.0}, False, "mapping.extent_m has changed"),
         ({"extent_m": 14.0}, False, "mapping.extent_m has changed"),
         ({"inflation_m": 0.3}, False, "restored map"),
-        ({"resolution_m": 0.1}, True, "made with mapping.resolution_m 0.05, but it is now 0.1"),
-        ({"obstacle_max_m": 1.5}, True, "made with mapping.obstacle_max_m 1, but it is now 1.5"),
+        ({"resolution_m": 0.1}, True, "made with mapping.resolution_m 0.05, which is now 0.1"),
+        ({"obstacle_max_m": 1.5}, True, "made with mapping.obstacle_max_m 1, which is now 1.5"),
     ],
 )
 def test_another_map_is_adapted_or_set_aside(tmp_path, caplog, mapping, aside, part):

@@ -155,7 +155,8 @@ def test_a_detector_that_is_not_to_be_had_refuses_all_of_it(bench, cards):
     before = bench.service.config
     detector = {"kind": "onnx", "model": "nobody-has-it"}
     outcome = bench.reload(config(perception={"detector": detector, "tau_det": 0.4}))
-    assert outcome.startswith("refused, nothing has changed: perception.detector: refused: ")
+    begins = "refused, nothing has changed: perception.detector: the new model was refused: "
+    assert outcome.startswith(begins)
     assert "nobody-has-it" in outcome
     assert bench.service.config is before
 

@@ -151,4 +151,4 @@ def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeyp
         raise AssertionError
     assert made == STEPS[: STEPS.index(last) + 1]
     told = [r.getMessage() for r in caplog.records if r.name == "edge"]
-    assert told == ["stopped before it was ready"]
+    assert told == ["stopped during the start, before the service was ready"]

@@ -86,7 +86,7 @@ def test_a_mission_with_a_name_is_known_by_it_now_and_later():
     begun = loop.service.mission
     assert ask(loop, "new", bed, id="1", if_free=True)["id"] == "1"
     assert loop.service.mission is begun, "given twice, begun once"
-    assert refusal(loop, "cancel", id="2").startswith("no such mission is running: ")
+    assert refusal(loop, "cancel", id="2").startswith("no mission 2 is running: ")
     assert ask(loop, "cancel", id="1", why="another is\nat it")["reason"] == "another is at it"
     ask(loop, "new", sofa, id="2")
     answer = ask(loop, "new", bed)

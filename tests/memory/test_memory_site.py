@@ -103,8 +103,8 @@ def test_an_item_replaces_the_one_of_its_name():
         (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0]]])),
          AT + ".coordinates.0:"),
         (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0], [0, 0]]])),
-         "zone dock: give three different corners at least"),
-        (collection(feature(), feature(name="The dock")), "here: the name 'dock' is there twice"),
+         "zone dock: give at least three different corners"),
+        (collection(feature(), feature(name="The dock")), "two features have the name 'dock'"),
     ],
 )  # fmt: skip
 def test_what_is_no_site_is_refused_in_one_line(data, message):

@@ -139,7 +139,7 @@ def test_limit_of_states():
 def test_limit_of_steps(text):
     """Counted on every way through the compiler: none of these could end by itself so soon."""
     formula = parse(text)
-    with pytest.raises(CompileError, match=r"no automaton within 20000 steps; use fewer targets"):
+    with pytest.raises(CompileError, match=r"not compiled within 20000 steps; use fewer targets"):
         compile_formula(formula, max_steps=20_000)
     with pytest.raises(CompileError, match="within 0 steps"):
         steps_left(np.zeros((1, 1), np.int32), np.ones(1, bool), CompileBudget(1, 0))

@@ -63,8 +63,8 @@ def test_answers_that_are_understood(answer):
         ("F (couch & F lamp)", "the instruction names no 'table lamp'; it names couch, tv, bed"),
         ('F "the"', "'the'"),
         ('F "..."', "formula, column 3: '...' is no name"),
-        ("true", "the formula speaks of no object"),
-        ("X " * 3000 + "tv", "it must be one short formula"),
+        ("true", "the formula names no object"),
+        ("X " * 3000 + "tv", "it must be one formula"),
     ],
 )
 def test_a_wrong_answer_is_sent_back_once(first, fault):
@@ -100,14 +100,14 @@ def test_an_answer_that_was_cut_off_is_no_formula():
 @pytest.mark.parametrize("instruction", ["Do not do that!", "...", "go there, then stop", "😀"])
 def test_an_instruction_without_objects_asks_nobody(instruction):
     with serving(saying("F chair")) as server:
-        with pytest.raises(TranslationError, match="no object to reach is named"):
+        with pytest.raises(TranslationError, match="names no object to reach"):
             translate(server.url, instruction)
         assert server.requests == []
 
 
 def test_a_server_that_fails_is_not_asked_again():
     with serving(lambda handler: send(handler, b"", 500)) as server:
-        with pytest.raises(ChatError, match=f"^{server.url}: answered HTTP 500"):
+        with pytest.raises(ChatError, match=f"^{server.url}: the server answered HTTP 500"):
             translate(server.url)
         assert len(server.requests) == 1
 

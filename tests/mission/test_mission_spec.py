@@ -20,7 +20,7 @@ def test_a_bare_target_is_the_mission_to_reach_it():
     [
         ("F a & G !a", ["contradiction", "F a", "G !a"]),
         ("F a & F b & (!a W b) & (!b W a)", ["contradiction", "!a W b", "!b W a"]),
-        ("a & b", ["contradiction", "these conflict"]),
+        ("a & b", ["contradiction", "these parts conflict"]),
         ("F (a & b)", ["contradiction", "cannot be done"]),
         ("G !bed", ["doing nothing", "G !bed"]),
         ("a | !a", ["doing nothing"]),

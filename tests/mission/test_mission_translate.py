@@ -60,7 +60,7 @@ def test_a_formula_without_a_text_is_refused() -> None:
     assert validated(eventually(ap("trash can"))) == eventually(ap("trash can"))
     broken = parse("F a & F b")
     object.__setattr__(broken, "args", (broken.args[0],))  # & of one: its text is "F a"
-    with pytest.raises(TranslationError, match="another formula"):
+    with pytest.raises(TranslationError, match="changes its meaning"):
         validated(broken)
 
 

@@ -92,10 +92,10 @@ def test_nothing_to_check(put_card, capsys):
     [
         ("detect", ("Sigmoid (raw)", "Log (raw)"), "returns scores that are not finite"),
         ("detect", ("9.0, 9.0", "9.0, 1e9"), "far outside the image"),
-        ("detect", ("{1, 2, 8}", "{1, 3, 8}"), "scores (1, 3, 2), must be (1, 2, 2)"),
+        ("detect", ("{1, 2, 8}", "{1, 3, 8}"), "scores of shape (1, 3, 2), must be (1, 2, 2)"),
         ("text", ("{5, 8}", "{0, 8}"), "does not run"),
         ("text", ("{0.5}", "{0.0}"), "an embedding is all zeros"),
-        ("image", ("{1, 8}", "{1, 9}"), "embeddings (1, 9), must be (1, 8)"),
+        ("image", ("{1, 8}", "{1, 9}"), "embeddings of shape (1, 9), must be (1, 8)"),
     ],
 )
 def test_an_unsound_model_is_one_line(put, capsys, task, change, message):
@@ -116,7 +116,7 @@ def test_what_onnxruntime_says_in_no_known_letters_is_one_line(put, capfd):
     )
     out, err = capfd.readouterr()
     assert (out, err.count("\n")) == ("", 1)
-    assert "onnxruntime cannot load it" in err
+    assert "onnxruntime cannot load the model" in err
 
 
 def test_the_others_are_still_checked(put, capsys):

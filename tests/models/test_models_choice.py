@@ -117,7 +117,7 @@ def test_a_page_in_the_place_of_a_file_is_refused(published, capsys):
         ({"folder": "../x"}, "folder"),
         ({"url": "http://example.org/"}, "url"),
         ({"url": "https://example.org/no-slash"}, "url"),
-        ({"embed_tokens": None}, "vision_encoder: needs embed_tokens"),
+        ({"embed_tokens": None}, "vision_encoder: set embed_tokens too"),
     ],
 )
 def test_a_card_that_cannot_be(published, capsys, change, says_so):

@@ -58,7 +58,7 @@ def test_no_weights_here(started, put_card, capsys, sources):
     put_card({**DERIVED, "sources": sources})
     assert main(["models", "export", "small"]) == os.EX_UNAVAILABLE
     error = capsys.readouterr().err
-    assert "give them with --weights" in error
+    assert "name their file with --weights" in error
     assert ("run `edge models pull small`" in error) == bool(sources)
     assert started == []
 
@@ -140,7 +140,7 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
         ("big", "is not derived from another model; `edge models export big` makes it"),
         ("own", "is not derived from another model; `python -m exporters.training.mini --out RUN`"),
         ("small", "big.onnx: model big is not there"),
-        ("s", "has no file of its own, it uses big"),
+        ("s", "has no file of its own; name one that it uses: big"),
         ("rows", "is not a detector; export it from its model folder: `edge models export NAME "),
         ("none", "no such card"),
         ("vlm-fp32", "decoder.onnx: model vlm-fp32 is not there; run `edge models pull vlm-fp32"),

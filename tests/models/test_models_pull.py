@@ -276,7 +276,7 @@ def test_no_message_has_a_password(put_card, server, capsys, sources, place, net
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("", b"", "contains neither w.pt nor a file with its hash"),
+        ("", b"", "contains neither w.pt nor a file with the sha256"),
         ("w.pt", b"other", "contains neither w.pt"),
         ("w.pt/", b"", "contains neither w.pt"),
     ],
@@ -355,5 +355,5 @@ def test_a_model_that_is_not_what_its_export_said_stays_there(put_card, tmp_path
     (folder / "tiny.onnx.json").write_bytes(said)
     put_card(card(url("https://example.org/w.pt")))
     assert main(["models", "pull", "tiny", "--offline", "--from", str(folder)]) == os.EX_UNAVAILABLE
-    assert ("tiny.onnx: sha256 is" in capsys.readouterr().err) == (b"000" in said)
+    assert ("tiny.onnx: the file's sha256 is" in capsys.readouterr().err) == (b"000" in said)
     assert pulled() == {}

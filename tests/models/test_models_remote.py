@@ -49,9 +49,9 @@ def test_check_asks_the_server(far, capsys, binary, how):
         (lambda feed: {**model(feed), "boxes": np.full((1, 9, 4), np.nan, np.float32)},
          "returns boxes that are not finite"),
         (lambda feed: {**model(feed), "scores": np.full((1, 9, 2), 1.5, np.float32)},
-         "scores must lie in 0..1"),
+         "scores must be from 0 to 1"),
         (lambda feed: {"boxes": np.zeros((1, 9, 4), np.float32)},
-         "invalid answer: it lacks the output 'scores'; check what runs there"),
+         "invalid answer: the answer lacks the output 'scores'; check what runs there"),
     ],
 )  # fmt: skip
 def test_check_tells_of_a_model_that_is_none(far, capsys, run, why):

@@ -55,7 +55,7 @@ def test_a_swap_that_is_over_at_once():
 
 
 def test_the_end_of_another_swap_is_not_told_as_the_end_of_this_one():
-    with pytest.raises(RequestError, match="another swap has begun meanwhile"):
+    with pytest.raises(RequestError, match="another swap began before this one ended"):
         followed(Service(swap("loading"), swap("kept", number=2)))
 
 
@@ -63,7 +63,7 @@ def test_patience_has_an_end():
     service = Service(swap("checking", progress="0 of 4 images collected"))
     line = (
         r"^models: the change to new is not finished within --timeout \(state: checking, 0 of 4 "
-        r"images collected\); the service goes on with it: "
+        r"images collected\); the service goes on with the change: "
     )
     with pytest.raises(RequestError, match=line):
         followed(service, patience=3)

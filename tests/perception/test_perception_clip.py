@@ -76,7 +76,7 @@ def test_a_phrase_of_more_tokens_than_the_model_reads_is_an_error(text_card):
     encoder = ClipTextEncoder(text_card())
     most = "red " * (CONTEXT - 3) + "chair"
     assert encoder.embed([most]).shape == (1, 1, DIM)
-    with pytest.raises(PromptError, match="13 tokens, the text model reads 12"):
+    with pytest.raises(PromptError, match="13 tokens, the text model reads at most 12"):
         encoder.embed([f"red {most}"])
 
 
@@ -106,7 +106,7 @@ def test_a_tokenizer_that_is_missing_or_none_is_an_error(text_card, monkeypatch)
     with pytest.raises(ModelError, match=r"pip install 'edge-vln\[clip\]'"):
         ClipTextEncoder(card)
     card.tokenizer_path.unlink()
-    with pytest.raises(ModelError, match=r"tiny-tokenizer\.json: the tokenizer of tiny-clip-text"):
+    with pytest.raises(ModelError, match=r"tiny-tokenizer\.json: no such file; put the token"):
         ClipTextEncoder(card)
 
 

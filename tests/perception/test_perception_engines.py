@@ -86,7 +86,7 @@ def test_a_damaged_engine_is_built_again_with_one_line(tmp_path, caplog, harm):
         assert get_or_build(KEY, tmp_path, build, quiet) == folder
     assert build.count == 2
     assert len(caplog.records) == 1
-    assert "it is built again" in caplog.text
+    assert "the engine is built again" in caplog.text
     assert (folder / "model.engine").read_bytes() == b"engine"
 
 
@@ -98,7 +98,7 @@ def test_a_damaged_engine_that_cannot_be_removed_is_an_error_before_the_build(
     folder = get_or_build(KEY, tmp_path, build, quiet)
     (folder / "model.engine").write_bytes(b"engin")
     monkeypatch.setattr(engines.shutil, "rmtree", lambda path, ignore_errors: None)
-    says = r"unusable \(model.engine is damaged\) and cannot be removed; .*engine_cache$"
+    says = r"unusable \(model.engine is damaged\), and this user cannot .*engine_cache$"
     with pytest.raises(ModelError, match=says):
         get_or_build(KEY, tmp_path, build, quiet)
     assert build.count == 1
@@ -298,16 +298,18 @@ def test_an_engine_that_does_not_load_is_kept_for_when_there_is_memory(gpu, open
 
 def test_what_tensorrt_refuses_is_one_line_with_its_reason(gpu, open_tiny):
     gpu.refuses = True
-    with pytest.raises(ModelError, match="cannot build an engine of it: no kernel for that"):
+    with pytest.raises(ModelError, match="cannot build an engine: no kernel for that"):
         open_tiny()
     gpu.faults = ["no importer registered\nfor op: Strange"]
-    with pytest.raises(ModelError, match="cannot read it: no importer registered for op") as error:
+    with pytest.raises(
+        ModelError, match="cannot read the model: no importer registered for op"
+    ) as error:
         open_tiny()
     assert "\n" not in str(error.value)
 
 
 def test_no_gpu_is_one_line(gpu, open_tiny):
-    with pytest.raises(ModelError, match="device_id: 1, there are 1 GPUs"):
+    with pytest.raises(ModelError, match="device_id: 1, but there are 1 GPUs"):
         open_tiny(device_id=1)
     gpu.cuda.failing = {"cudaGetDeviceCount"}
     with pytest.raises(ModelError, match=r"no CUDA device: .*no CUDA-capable device"):

@@ -166,7 +166,7 @@ def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tin
     detector.set_prompts(["desk"])
     assert detector._prompt_set.columns.n_classes == 3
     assert [r.message for r in caplog.records] == [
-        "model tiny: perception.detector.background: ignored words that it does not know: "
+        "model tiny: perception.detector.background: words unknown to it are ignored: "
         "'zebra', 'heron'"
     ]
     with pytest.raises(PromptError, match="zebra"):
@@ -205,7 +205,7 @@ def test_boxes_that_cannot_be_are_dropped_counted_and_told_once(
     assert list(found.class_id) == [0]
     assert detector.invalid_boxes == 3
     assert [r.message for r in caplog.records] == [
-        f"model tiny: 1 of 3 boxes are {UNSOUND}; dropped and counted"
+        f"model tiny: 1 of 3 boxes are {UNSOUND}: dropped (further ones are only counted)"
     ]
     with pytest.raises(ModelError, match=f"model tiny: 1 boxes are {UNSOUND}"):
         detector.best_scores(image())
@@ -222,12 +222,14 @@ def test_a_provider_that_is_not_there_is_an_error_that_lists_those_that_are(tiny
     "model", [{"dim": 256}, {"names": ("image", "txt_feats")}], ids=["length", "name"]
 )
 def test_a_model_with_another_interface_is_refused(tiny, model):
-    with pytest.raises(ModelError, match=r"tiny\.onnx: inputs .*export it again"):
+    with pytest.raises(ModelError, match=r"tiny\.onnx: inputs .*export the model again"):
         tiny(model=model)
 
 
 def test_boxes_of_another_rank_are_refused(tiny):
-    with pytest.raises(ModelError, match=r"tiny\.onnx: boxes \(4,\) .*export it again"):
+    with pytest.raises(
+        ModelError, match=r"tiny\.onnx: boxes have the shape \(4,\) .*export the model again"
+    ):
         tiny(model={"boxes": np.zeros(4, np.float32)})
 
 

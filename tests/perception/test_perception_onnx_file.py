@@ -84,15 +84,21 @@ OUTSIDE = tensor("w", "../../etc/passwd")
     ("content", "message"),
     [
         (b"not onnx", "not an ONNX model"),
-        (b"\x80" * 30, "not an ONNX model: it ends within a number"),
-        (field(1, 9), "it has no graph"),
-        (field(7, graph()), "its header is not ONNX's"),
+        (b"\x80" * 30, "not an ONNX model: ends within a number"),
+        (field(1, 9), "there is no graph"),
+        (field(7, graph()), "the header is not that of ONNX"),
         (detector()[:-1], "not an ONNX model"),
-        (detector(ir=11), "ONNX IR 11, at most 10"),
-        (detector(opset=21), "ONNX opset 21, must be 1 … 20"),
+        (detector(ir=11), "ONNX IR version 11, at most 10"),
+        (detector(opset=21), "ONNX opset 21, must be 1 to 20"),
         (detector(opset=0), "ONNX opset 0, must be"),
-        (detector([node("Gelu", "my.lab")]), "operators of 'my.lab', which onnxruntime lacks"),
-        (detector([branch(graph(nodes=(node("X", "deep.lab"),)))]), "operators of 'deep.lab'"),
+        (
+            detector([node("Gelu", "my.lab")]),
+            "operators of the domain 'my.lab', which onnxruntime lacks",
+        ),
+        (
+            detector([branch(graph(nodes=(node("X", "deep.lab"),)))]),
+            "operators of the domain 'deep.lab'",
+        ),
         (detector(tensors=[OUTSIDE]), "'../../etc/passwd', outside its folder"),
         (detector(tensors=[tensor("w", "/etc/passwd")]), "'/etc/passwd', outside its folder"),
         (detector(tensors=[tensor("w", "C:\\..\\x")]), "outside its folder"),
@@ -101,7 +107,7 @@ OUTSIDE = tensor("w", "../../etc/passwd")
         (detector([branch(graph(tensors=(OUTSIDE,)))]), "outside its folder"),
         (detector([node("Constant", attribute=field(5, OUTSIDE))]), "outside its folder"),
         (detector(more=field(20, field(1, graph(tensors=(OUTSIDE,))))), "outside its folder"),
-        (detector(more=field(7, graph(tensors=(OUTSIDE,)))), "its header is not ONNX's"),
+        (detector(more=field(7, graph(tensors=(OUTSIDE,)))), "the header is not that of ONNX"),
     ],
 )
 def test_a_file_that_no_session_should_be_made_of(check, content, message):
@@ -167,7 +173,7 @@ def test_inputs_and_outputs_by_task(tmp_path, card, inputs, outputs, fits):
     if fits:
         check_interface(tmp_path, found, card)
     else:
-        with pytest.raises(ModelError, match=r"inputs \(.*must have inputs .*: export it again"):
+        with pytest.raises(ModelError, match=r"inputs \(.*must have inputs .*: export the model"):
             check_interface(tmp_path, found, card)
 
 

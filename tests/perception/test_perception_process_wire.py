@@ -97,19 +97,31 @@ def with_array(name, value):
 
 DAMAGES = {
     "another image's": (changed(seq=2), "seq 2, expected 3"),
-    "no number": (changed(n=None), "56 bytes for None and 0 boxes"),
-    "more boxes than bytes": (changed(n=3), "56 bytes for 3 and 0 boxes"),
-    "fewer boxes than bytes": (changed(n=1), "56 bytes for 1 and 0 boxes"),
-    "less than none": (changed(n=-2), "56 bytes for -2 and 0 boxes"),
-    "a real number": (changed(n=2.0), "56 bytes for 2.0 and 0 boxes"),
-    "cut short": ((encode(some())[0], encode(some())[1][:-1]), "55 bytes for 2 and 0 boxes"),
+    "no number": (changed(n=None), "56 bytes do not fit n None boxes and 0 context boxes"),
+    "more boxes than bytes": (changed(n=3), "56 bytes do not fit n 3 boxes and 0 context boxes"),
+    "fewer boxes than bytes": (changed(n=1), "56 bytes do not fit n 1 boxes and 0 context boxes"),
+    "less than none": (changed(n=-2), "56 bytes do not fit n -2 boxes and 0 context boxes"),
+    "a real number": (changed(n=2.0), "56 bytes do not fit n 2.0 boxes and 0 context boxes"),
+    "cut short": (
+        (encode(some())[0], encode(some())[1][:-1]),
+        "55 bytes do not fit n 2 boxes and 0 context boxes",
+    ),
     "a prompt that is none": (changed(prompts=["chair", 3]), "prompts"),
     "one prompt": (changed(prompts="ch"), "prompts 'ch'"),
     "context that is none": (changed(context=["lamp"]), "context"),
     "one word of context": (changed(context={"n": 0, "words": "lamp"}), "context 'lamp'"),
-    "more context than bytes": (changed(context={"n": 1, "words": ["lamp"]}), "for 2 and 1 boxes"),
-    "fewer than none": (changed(n=-1, context={"n": 3, "words": []}), "for -1 and 3 boxes"),
-    "less context than none": (changed(n=3, context={"n": -1, "words": []}), "for 3 and -1 boxes"),
+    "more context than bytes": (
+        changed(context={"n": 1, "words": ["lamp"]}),
+        "fit n 2 boxes and 1 context boxes",
+    ),
+    "fewer than none": (
+        changed(n=-1, context={"n": 3, "words": []}),
+        "fit n -1 boxes and 3 context boxes",
+    ),
+    "less context than none": (
+        changed(n=3, context={"n": -1, "words": []}),
+        "fit n 3 boxes and -1 context boxes",
+    ),
     "a count that is none": (changed(invalid_boxes="2"), "invalid_boxes '2'"),
     "no health": (changed(health=None), "health None"),
     "unknown health": (changed(health=["fine", ""]), "health 'fine'.*choices: ok, building"),
@@ -122,8 +134,8 @@ DAMAGES = {
         with_array("competing_score", -1),
         "scores that are not in 0 to 1",
     ),
-    "class beyond the prompts": (with_array("class_id", 2), "classes that are not among 2"),
-    "negative class": (with_array("class_id", -1), "classes that are not among 2"),
+    "class beyond the prompts": (with_array("class_id", 2), "a class_id is not from 0 to 1"),
+    "negative class": (with_array("class_id", -1), "a class_id is not from 0 to 1"),
 }
 
 
@@ -189,7 +201,7 @@ def test_a_torn_image_is_refused(pair, half):
     file.write(1, image(4, 4))
     file._seq[half] = 2
     seq = 1 if half == wire._BEFORE else 2
-    with pytest.raises(ValueError, match=f"frame {seq}: torn"):
+    with pytest.raises(ValueError, match=f"frame {seq}: overwritten"):
         view.read(seq, (4, 4))
 
 

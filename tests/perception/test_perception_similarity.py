@@ -127,7 +127,7 @@ def test_without_its_text_file_the_vocabulary_serves_a_pair(pair, tmp_path, monk
     with pytest.raises(PromptError, match="not in the vocabulary"):
         pair(prompts=("heron",))
     np.savez(path, names=np.array(["chair"]), emb=np.eye(1, 512))
-    with pytest.raises(ModelError, match=r"image embeddings have length 16, .* 512"):
+    with pytest.raises(ModelError, match=r"embeddings of the image encoder have length 16, .* 512"):
         pair()
 
 

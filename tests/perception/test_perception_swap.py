@@ -246,8 +246,9 @@ def test_force_does_not_take_what_is_not_finite(bench):
 @pytest.mark.parametrize(
     ("old", "related", "finding"),
     [
-        (Fake("old", score=0.2), True, "old found nothing there to compare with"),
-        (Fake("old", error=RuntimeError("dead")), True, "old found nothing there to compare with"),
+        (Fake("old", score=0.2), True, "old found nothing on these images to compare with"),
+        (Fake("old", error=RuntimeError("dead")), True,
+         "old found nothing on these images to compare with"),
         (Fake("old", box=(50, 0, 60, 9)), False,
          "finds 0 of the 2 boxes of old (another family: no reason to refuse it)"),
     ],
@@ -261,19 +262,19 @@ def test_what_cannot_be_compared_is_not_held_against_it(bench, monkeypatch, old,
 
 def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
     b = bench()
-    with pytest.raises(SwapError, match=r"^old runs already$"):
+    with pytest.raises(SwapError, match=r"^model old runs already$"):
         b.swapper.request("old", False, 0)
     b.swapper.request("new", False, 0)
     with pytest.raises(
-        SwapError, match=r"^new is still (loading|checking); wait until that swap e"
+        SwapError, match=r"^the swap to new is still (loading|checking); wait until it e"
     ):
         b.swapper.request("other", False, 0)
     b.until("on probation")
-    with pytest.raises(SwapError, match=r"^new is still on probation"):
+    with pytest.raises(SwapError, match=r"^the swap to new is still on probation"):
         b.swapper.request("old", False, 0)
     b.until("kept")
     b.new = Fake(ms=99)
-    with pytest.raises(SwapError, match=r"^new runs already$"):
+    with pytest.raises(SwapError, match=r"^model new runs already$"):
         b.swapper.request("new", False, 0)
 
 
@@ -359,7 +360,7 @@ def test_prompts_that_change_on_probation_reach_both(bench):
         (["sofa"], r"^prompt 'sofa': not in the vocabulary$"),
         (
             ["desk"],
-            r"^old, kept until new passes its probation: prompt 'desk': .*; try again after",
+            r"^old, which is kept until new passes .*: prompt 'desk': .*; try again after",
         ),
     ):
         with pytest.raises(PromptError, match=line):
@@ -406,7 +407,7 @@ def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(benc
     b.clock_s = 9.5
     b.swapper.step(0)
     assert b.swapper.state == "refused"
-    with pytest.raises(SwapError, match=r"^new, which was refused, is still loading; try ag"):
+    with pytest.raises(SwapError, match=r"^model new, which was refused, is still loading; try ag"):
         b.swapper.request("new", False, 0)
     b.new.go.set()
     eventually(lambda: b.new.closed)

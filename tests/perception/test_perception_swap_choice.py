@@ -137,7 +137,7 @@ def test_probation_ends_with_the_mission_that_asks(swapping):
     answer(worker)
     swap.step(idle=True)
     assert swap.status()["state"] == "kept"
-    assert swap.status()["detail"].startswith("1 answers, and no mission that needs more; loaded")
+    assert swap.status()["detail"].startswith("1 answers, and no mission runs that needs more; ")
     eventually(lambda: old.closed == 1)
 
 

@@ -114,7 +114,7 @@ def test_a_file_with_other_things_is_no_vocabulary(tmp_path, write):
 @pytest.mark.parametrize(
     ("rows", "says"),
     [
-        (np.ones((3, 4), np.float16), "2 names but embeddings"),
+        (np.ones((3, 4), np.float16), "2 names, but embeddings"),
         (np.array([[1, 0], [0, 0]]), "the embedding of 'b' is zero or not finite"),
         (np.array([[np.nan, 1], [1, 0]]), "the embedding of 'a' is zero or not finite"),
         (np.array([[1, 0], [1, np.inf]]), "the embedding of 'b' is zero or not finite"),
@@ -156,7 +156,7 @@ def test_another_models_card_that_is_not_valid_is_passed_over(cards, vocabulary,
 def test_with_neither_both_are_named(cards):
     with pytest.raises(PromptError) as raised:
         make_text_encoder(_Card, None)
-    assert str(raised.value).startswith("no CLIP text model (no text card of family clip-vit-b-32)")
+    assert str(raised.value).startswith("neither a CLIP text model (no text card of family clip")
     assert "clip_vitb32_vocab.npz: no vocabulary" in str(raised.value)
     assert "\n" not in str(raised.value)
 

@@ -387,9 +387,9 @@ WRONG = {
         template(
             "{% for m in messages %}{% for l in m.content %}{{ l.text }}{% endfor %}{% endfor %}"
         ),
-        "shows 0 images .<image>. in place of 1",
+        "shows 0 images .<image>., expected 1",
     ),
-    "a letter is missing": (other_tokenizer, "no token for 'J'"),
+    "a letter is missing": (other_tokenizer, "no token for the answer 'J'"),
     "images unknown": (
         change_json("preprocessor_config.json", image_processor_type="Other"),
         "'Other' is not supported .choices: Idefics3ImageProcessor",
@@ -398,13 +398,13 @@ WRONG = {
         change_json("preprocessor_config.json", image_mean="x"), "is incomplete or invalid: ",
     ),
     "more tokens an image than there may be": (
-        change_json("processor_config.json", image_seq_len=101), "where the card's image_tokens is",
+        change_json("processor_config.json", image_seq_len=101), "but image_tokens of the card is",
     ),
     "features of another length": (
-        network("vision_encoder", lambda: encoder(3)), "makes 3 rows of an image, its prompt has",
+        network("vision_encoder", lambda: encoder(3)), "makes 3 rows of an image, but its prompt",
     ),
     "encoder of another family": (
-        network("vision_encoder", lambda: encoder(4, depth=(F32, None))), "needs 'depth'",
+        network("vision_encoder", lambda: encoder(4, depth=(F32, None))), "needs the input 'depth'",
     ),
     "out of memory": (network("vision_encoder", greedy_encoder), "model tiny: out of memory"),
     "logits that are no numbers": (network("decoder", nan_decoder), "are not finite"),
@@ -414,18 +414,18 @@ WRONG = {
     ),
     **{
         f"a tensor of the {part} is missing": (
-            change_network(part, lose_tensor), "onnxruntime cannot load it: Invalid model",
+            change_network(part, lose_tensor), "onnxruntime cannot load the model: Invalid model",
         )
         for part in ("vision_encoder", "embed_tokens", "decoder")
     },
     **{
         f"a tensor that is said to be {dims}": (
-            change_network("decoder", lie_about(*dims)), "onnxruntime cannot load it",
+            change_network("decoder", lie_about(*dims)), "onnxruntime cannot load the model",
         )
         for dims in ((1 << 20, 1 << 20), (1 << 40, 1 << 40), (-5, 7))
     },
     "keys of heads that there are not": (
-        change_network("decoder", keep_more_heads), "onnxruntime cannot load it",
+        change_network("decoder", keep_more_heads), "onnxruntime cannot load the model",
     ),
     **{
         f"images of {told}": (
@@ -463,12 +463,12 @@ def test_what_is_wrong_is_told_in_one_line(models_dir, what):
 @pytest.mark.parametrize(
     ("told", "says"),
     [
-        ({"patch_size": 1 << 16}, r"patch_size 65536 .1 to 4096."),
-        ({"patch_size": 0}, "patch_size 0"),
+        ({"patch_size": 1 << 16}, r"patch_size is 65536, expected 1 to 4096"),
+        ({"patch_size": 0}, "patch_size is 0"),
         ({"merge_size": 4096}, "patch_size times merge_size is 16384"),
-        ({"temporal_patch_size": 1 << 40}, "temporal_patch_size 1099511627776"),
+        ({"temporal_patch_size": 1 << 40}, "temporal_patch_size is 1099511627776"),
         ({"max_pixels": 0, "size": {"longest_edge": 1}}, "max_pixels 1"),
-        ({"min_pixels": 1 << 60}, "tokens an image, where the card's image_tokens is 100"),
+        ({"min_pixels": 1 << 60}, "tokens, but image_tokens of the card is 100"),
     ],
 )
 def test_sizes_of_patches_that_lie_are_told_in_one_line(models_dir, told, says):
@@ -484,7 +484,7 @@ def test_sizes_of_patches_that_lie_are_told_in_one_line(models_dir, told, says):
 @pytest.mark.parametrize("provider", ["tensorrt", "TensorrtExecutionProvider"])
 def test_free_shapes_are_none_for_tensorrt(models_dir, family, provider):
     card = publish(models_dir, family)
-    says = r"\.onnx: its input '\w+' has no fixed shape, .* in perception\.choice\.providers"
+    says = r"\.onnx: the input '\w+' has no fixed shape, .* in perception\.choice\.providers"
     with pytest.raises(ModelError, match=says) as raised:
         LanguageModel(card, EVERY, providers=[provider])
     assert str(raised.value).isprintable()
@@ -568,14 +568,14 @@ def test_weights_next_to_a_network_must_be_among_the_cards_files(models_dir):
 
 def test_a_question_that_is_too_long_is_not_asked(models_dir):
     model = opened(publish(models_dir, "text").model_copy(update={"max_tokens": 300}))
-    with pytest.raises(ModelError, match=r"a question of \d+ tokens, its card's max_tokens is 300"):
+    with pytest.raises(ModelError, match=r"has \d+ tokens, but max_tokens of its card is 300"):
         model.ask(SYSTEM, "bed " * 400, asked_of(2, "lamp"), PATIENCE_S)
     assert len(model.ask(SYSTEM, "bed", asked_of(2, "lamp"), PATIENCE_S)) == 2
 
 
 def test_a_word_that_is_the_image_token_shows_no_second_image(models_dir):
     model = opened(publish(models_dir, "smolvlm"))
-    with pytest.raises(ModelError, match=r"shows 2 images .<image>. in place of 1"):
+    with pytest.raises(ModelError, match=r"shows 2 images .<image>., expected 1"):
         model.ask(SYSTEM, a_view(model), asked_of(2, "<image>"), PATIENCE_S)
 
 

@@ -68,14 +68,14 @@ BOMBS = {
     "lz4, cut off": (chunk(lz4.frame.compress(SMALL)[:-8], len(SMALL), "lz4"), NOT_THE_SIZE),
     "none": (chunk(SMALL, 1000), NOT_THE_SIZE),
     "another codec": (chunk(SMALL, len(SMALL), "xz"), "unknown compression xz"),
-    "a size of all": (chunk(zstd(SMALL), 1 << 62, "zstd"), f"chunk of {1 << 62} bytes, at most"),
+    "a size of all": (chunk(zstd(SMALL), 1 << 62, "zstd"), f"chunk has {1 << 62} bytes, at most"),
     "checksum": (chunk(SMALL, len(SMALL), crc=zlib.crc32(SMALL) ^ 1), "checksum of a chunk"),
     "a long record": (
         chunk(struct.pack("<BQ", Opcode.MESSAGE, 1 << 62) + b"x", 10),
         "a record is longer than its chunk",
     ),
     "a chunk within a chunk": (chunk(chunk(zstd(NOTHING), MANY, "zstd"), 9), NOT_THE_SIZE),
-    "a short message": (chunk(struct.pack("<BQ", Opcode.MESSAGE, 0), 9), "without its times"),
+    "a short message": (chunk(struct.pack("<BQ", Opcode.MESSAGE, 0), 9), "too short to have its"),
     "a length in a chunk": (
         struct.pack("<BQ", Opcode.CHUNK, 40) + bytes(28) + struct.pack("<IQ", 0, 1 << 62),
         "a record is shorter than its content",
@@ -85,7 +85,7 @@ BOMBS = {
             chunk(zstd(c), len(c), "zstd")
             for c in (packed(Channel(i, "x" * (1 << 20), "", {}, 0)) for i in range(2, 66))
         ),
-        "schemas, channels and metadata, or 8388608 bytes",
+        "or more than 8388608 bytes",
     ),
     "many channels": (
         b"".join(packed(Channel(i, "", "", {}, 0)) for i in range(2, 10_010)),
@@ -97,7 +97,7 @@ BOMBS = {
     ),
     "metadata": (
         b"".join(packed(Metadata(f"{i}", {"a": "x" * (1 << 20)})) for i in range(64)),
-        "schemas, channels and metadata, or 8388608 bytes",
+        "or more than 8388608 bytes",
     ),
 }  # fmt: skip
 
@@ -178,7 +178,7 @@ def test_frames_that_wait_for_detections_are_of_limited_size(tmp_path, monkeypat
         now.add_frame(observation, True)
     assert len(now.frames) == len(seen) == 4
     size = replay_source._bytes_of(seen[0])
-    monkeypatch.setattr(replay_source, "_MOST_FRAMES_BYTES", 2 * size)
+    monkeypatch.setattr(replay_source, "_MAX_FRAMES_BYTES", 2 * size)
     now.add_frame(seen[-1], True)
     assert list(now.frames) == [observation.seq for observation in seen[-2:]]
 

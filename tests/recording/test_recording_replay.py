@@ -295,7 +295,7 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     monkeypatch.setattr("edge.host.checkpoint.VERSION", 7)
     monkeypatch.setattr("edge.host.checkpoint.OLDEST_VERSION", 6)
     with pytest.raises(
-        ReplayError, match=r"in the recording .* version 5, this program reads versions 6 to 7"
+        ReplayError, match=r"in the recording .* version 5 of the format; this edge"
     ):
         replay(RecordedRun(recorded))
 
@@ -355,7 +355,7 @@ def test_a_run_in_several_files(tmp_path):
     Recording(tmp_path / "other").steps(1).close()
     assert RecordedRun(files[0]).files == files
     same(files[0], 4)
-    with pytest.raises(RecordingError, match=r"begins in the middle of a run \(it is file 3\)"):
+    with pytest.raises(RecordingError, match=r"file 3 of a run: replay the first file"):
         replay(RecordedRun(files[2]))
     files[2].unlink()
     assert RecordedRun(files[0]).files == files[:2]
@@ -450,15 +450,15 @@ def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, wh
     [
         ({}, b"{}", "an MCAP file, but not of the sink `mcap`"),
         ({"edge-recording": {"version": "3", "edge": "9.0"}}, b"{}",
-         "recorded by edge 9.0 in version 3 of the format; this one reads 1 and 2"),
+         "recorded by edge 9.0 in version 3 of the format; this edge reads versions 1"),
         ({"edge-recording": {"version": "1", "edge": "1"}}, b"{}", "damaged"),
         ({"edge-recording": {"version": "1", "edge": "1", "session": "a", "part": "0",
                              "config": '{"nonsense": 1}'}}, b"{}",
-         "its configuration is of edge 1 and cannot be used"),
+         "of edge 1, cannot be used"),
         ("good", b'{"entries": [{"n": 0, "kind": "spell"}]}', "damaged journal: KeyError"),
         ("good", b"[]", "damaged journal: TypeError"),
         ("good", b'{"entries": [{"n": 0, "kind": "jump", "now_ns": 1}], "observation": null, '
-                 b'"decisions": null}', "does not begin with a start"),
+                 b'"decisions": null}', "does not begin with the service"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_replayed_is_one_line(drive, tmp_path, metadata, payload, why):

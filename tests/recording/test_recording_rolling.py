@@ -113,7 +113,7 @@ def test_what_cannot_be_written_is_told_once_and_goes_on_when_it_can(tmp_path, c
     said = [record.getMessage() for record in caplog.records]
     assert len(said) == 2
     assert said[0].endswith("cannot record: File exists; trying again every few seconds")
-    assert said[1].endswith("; 6 messages are lost")
+    assert said[1].endswith("; 6 messages were lost")
     files.close()
 
 

@@ -111,8 +111,8 @@ def test_the_section_of_the_page_has_a_plan_too():
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        ({"ros2": {"via": "adapter"}}, r"source\.kind: zenoh does not use ROS 2: set ros2"),
-        ({"source": {"kind": "ros2"}}, r"ros2\.via: rmw_zenoh needs no adapter: set adapter"),
+        ({"ros2": {"via": "adapter"}}, r"source\.kind: zenoh does not use ROS 2: set it to ros2"),
+        ({"source": {"kind": "ros2"}}, r"ros2\.via: rmw_zenoh needs no adapter: set it to adapter"),
         ({"ros2": {"adapter": {"reliable": ["x"]}}}, r"ros2\.adapter\.reliable\.0: unknown 'x'"),
         ({"ros2": {"topics": {"odom": "a b"}}}, r"ros2\.topics\.odom: string should match"),
     ],
@@ -131,9 +131,9 @@ def test_a_file_that_is_not_there_is_told(key):
 def test_without_ros_it_says_what_to_do_and_does_not_try_again(monkeypatch, capfd):
     """This Python has no rclpy, or had better not use it here."""
     monkeypatch.setenv("PYTHONPATH", "")
-    with pytest.raises(UnavailableError, match="the node cannot run here"):
+    with pytest.raises(UnavailableError, match="node cannot run here"):
         process.supervise(adapted({"python": bare_python()}), threading.Event())
-    assert "no rclpy" in capfd.readouterr().err
+    assert "cannot import rclpy" in capfd.readouterr().err
 
 
 def bare_python() -> str:

@@ -35,7 +35,10 @@ HERE = Path(__file__).parent
 PEER = HERE / "ros_peer.py"
 # All that can be sent but "goal", which the action replaces, and what is off by default.
 _OFF = {"goal", "keepout_mask", "keepout_info", "answer"}
-READY = f"passing up to {len(SUBSCRIBED)} topics in and {len(PUBLISHED.keys() - _OFF)} out"
+READY = (
+    f"passing up to {len(SUBSCRIBED)} topics from ROS 2 to edge, "
+    f"and {len(PUBLISHED.keys() - _OFF)} from edge to ROS 2"
+)
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +174,7 @@ def test_results_reach_ros_and_what_is_no_message_does_not(adapter, service, rob
     cells = np.full((20, 30), -1, np.int8)
     cells[3, 4] = 100
     service.say("map", b"not a map", latched=True)
-    adapter.says("occupancy: dropped: not little-endian CDR: begins 6e6f7420")
+    adapter.says("occupancy: dropped: not little-endian CDR: the message begins with 6e6f7420")
     service.say("map", messages.encode_occupancy_grid(7, Grid(cells, (0.0, 1.0), 0.05)))
     robot.says(json.dumps({"map": [30, 20, 0.05, 100 - 599]}))
 
@@ -225,7 +228,7 @@ def test_a_goal_of_a_service_that_is_gone_is_cancelled(adapter, service, robot):
     service.drive(30, ENDLESS)
     service.answers(30, until="accepted")
     followed.close()
-    adapter.says("the service is gone: its goal is cancelled")
+    adapter.says("its navigation goal is cancelled")
     robot.says('"cancelled"', times=before + 1)
     assert service.answers(30, until="failed")[-1] == ("failed", "cancelled by Nav2")
 
@@ -236,7 +239,7 @@ def node_of(adapter: Process) -> psutil.Process:
 
 def test_a_node_that_crashes_is_started_again(adapter, service, odometry):
     node_of(adapter).send_signal(signal.SIGSEGV)
-    adapter.says("the node ended (signal 11): starting it again in 1 s")
+    adapter.says("the adapter's node ended (signal 11): starting it again in 1 s")
     adapter.says(READY, times=2)
     odometry.take()
     payload_of(odometry)

@@ -125,7 +125,7 @@ def test_others_can_reach_it_only_where_that_is_said(caplog):
     FoxgloveSink(simulated(), port=0).close()
     assert caplog.records == []
     FoxgloveSink(simulated(), port=0, host="0.0.0.0").close()
-    assert "anyone who reaches 0.0.0.0 port" in caplog.text
+    assert "everyone who can connect to 0.0.0.0 port" in caplog.text
 
 
 def test_without_the_sdk_it_says_what_to_install(monkeypatch):

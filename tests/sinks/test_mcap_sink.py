@@ -199,10 +199,10 @@ def test_moments_between_observations_are_told_together(make, tmp_path):
         ({"max_mb": 0}, "max_mb: must be more than 0, got 0"),
         ({"sync_s": -1}, "sync_s: must be more than 0"),
         ({"rgb_hz": -1}, "rgb_hz: must be 0 or more"),
-        ({"keep_mb": 100}, "keep_mb: 100 is less than two files of 256 MB"),
-        ({"compression": "gzip"}, r"compression: unknown 'gzip' \(none, lz4, zstd\)"),
+        ({"keep_mb": 100}, "keep_mb: 100 is less than two files of max_mb, 256 MB"),
+        ({"compression": "gzip"}, r"compression: unknown 'gzip' \(choices: none, lz4, zstd\)"),
         ({"color": "red"}, "options: got an unexpected keyword argument 'color'"),
-        ({"folder": "/proc/nowhere"}, "folder: /proc/nowhere: No such file"),
+        ({"folder": "/proc/nowhere"}, "folder: /proc/nowhere: cannot be written: No such file"),
     ],
 )
 def test_options_that_cannot_be_used(tmp_path, options, why):

@@ -213,14 +213,16 @@ def test_a_docked_robot_undocks_before_it_drives(make, nav2, theirs, answers, st
 
 @pytest.mark.parametrize("more", [{"via": "adapter"}, {"goals": "topic"}])
 def test_docking_needs_actions(make, more):
-    with pytest.raises(UserError, match="docks: needs goals: navigate_to_pose"):
+    with pytest.raises(UserError, match=r"docks: needs ros2\.goals: navigate_to_pose"):
         make(docks={"dock": "bay_1"}, **more)
 
 
 def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers, caplog, monkeypatch):
     monkeypatch.setattr(navigate, "PATIENCE_S", 0.0)
     make().tick(driving(5))
-    eventually(lambda: "waiting for /navigate_to_pose: is Nav2 running?" in caplog.text)
+    eventually(
+        lambda: "waiting for the action server /navigate_to_pose: is Nav2 running?" in caplog.text
+    )
     nav2 = Nav2(theirs)
     assert answers(1) == [GoalStatus(5, "accepted")]
     nav2.close()
@@ -328,7 +330,7 @@ def test_what_is_no_answer_is_counted_and_asked_for_again(
     make().tick(driving(1))
     eventually(lambda: len(nav2.goals) == 3)
     assert answers(1) == [GoalStatus(1, "accepted")]
-    assert caplog.text.count("navigate_to_pose: not little-endian") == 1
+    assert caplog.text.count("navigate_to_pose: message ignored: not little") == 1
     goal_id = first_goal(nav2)
     for topic in ("status", "feedback"):
         for _ in range(20):

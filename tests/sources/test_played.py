@@ -404,8 +404,8 @@ def _bytes(data: bytes):
         (lambda path: _folder(path, "a.txt"), "no recording in this folder"),
         (lambda path: _folder(path, "a_0.mcap"), "a_0.mcap: empty"),
         (_metadata, "no recording in this folder"),
-        (_view, "no table of messages"),
-        (_computed, "no table of messages"),
+        (_view, "no usable table messages"),
+        (_computed, "no usable table messages"),
     ],
 )
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path, write, why):

@@ -58,7 +58,7 @@ def test_a_reason_is_one_short_line_whatever_was_sent():
         (b"", "not JSON"),
         (b"\xff", "not JSON"),
         (b"[]", "not a JSON object"),
-        (b'{"state": "reached"}', "stamp: expected nanoseconds, got None"),
+        (b'{"state": "reached"}', "stamp: expected an integer .ns., got None"),
         (b'{"stamp": 1, "state": "done"}', "unknown 'done'"),
         (b'{"stamp": 1, "state": ["reached"]}', "unknown"),
         (b'{"stamp": 1, "state": "failed", "reason": 3}', "reason: expected text"),

@@ -156,7 +156,7 @@ def test_a_thing_stays_in_its_place_on_the_map(name):
 @pytest.mark.parametrize(
     ("model", "coefficients", "says"),
     [
-        ("kannala", (0.1,), "kannala distortion, k1 = 0.1: the model is not known"),
+        ("kannala", (0.1,), "kannala distortion, k1 = 0.1: unknown distortion model"),
         ("", (0.1,), "known: plumb_bob, rational_polynomial, equidistant"),
         ("equidistant", (0.1, 0, 0, 0, 0.2), "5 coefficients, at most 4"),
         ("rational_polynomial", (0.1, *[0.0] * 13, 0.2), "15 coefficients, at most 14"),

@@ -82,8 +82,12 @@ def names(*cases):
 @names(
     ("zenho", {}, r"kind: unknown 'zenho' \(choices: zenoh, ros2, zmq, or module:Class\)"),
     ("zenoh", {"rate": 3}, "options: got an unexpected keyword argument 'rate'"),
-    ("no_such_module:A", {}, "kind: 'no_such_module:A': ModuleNotFoundError: .* PYTHONPATH"),
-    ("edge.sources:Nothing", {}, "kind: 'edge.sources:Nothing': AttributeError"),
+    (
+        "no_such_module:A",
+        {},
+        "kind: 'no_such_module:A' cannot be imported: Mod.* PYTHONPATH",
+    ),
+    ("edge.sources:Nothing", {}, "kind: 'edge.sources:Nothing' cannot be imported: Attr"),
     ("math:pi", {}, "kind: math:pi is no source: 3.14.* is not a callable object"),
     ("subprocess:Popen", {"args": ["false"]}, r"kind: .* is no source: it has no close\(\)"),
     ("os:system", {"command": "false"}, "kind: os:system is no source: it is no class"),

@@ -109,7 +109,10 @@ def test_colour_and_depth_become_an_observation_as_they_were_sent():
 @pytest.mark.parametrize(
     ("parts", "said"),
     [
-        ((b"",), "every message on camera/rgb ({0}) is dropped: malformed (expected two parts"),
+        (
+            (b"",),
+            "every message on camera/rgb ({0}) is dropped: malformed (expected two message parts",
+        ),
         ((RGB, bytes(1536)), "no message yet on camera/depth ({0}), camera/info ({0})"),
     ],
 )
@@ -131,10 +134,10 @@ def test_what_a_camera_lacks_is_named_with_its_address(parts, said):
 
 
 BAD = [
-    ((b"",), "expected two parts, header and pixels, got 1"),
+    ((b"",), "expected two message parts, header and pixels, got 1"),
     ((b"", b""), "empty|JSON"),
     ((b"\xff\x00" * 9, b""), "JSON|UTF"),
-    ((b"{" * 5000, b""), "the header has 5000 bytes, more than 4096"),
+    ((b"{" * 5000, b""), "header has 5000 bytes, at most 4096"),
     ((RGB, b"\0" * 5), "32x16 bgr8 is 1536 bytes, got 5"),
     (({**RGB, "height": 10**12}, b"\0" * 1536), "bgr8 is 96000000000000 bytes, got 1536"),
     (({**RGB, "height": -1}, b""), "height: expected a whole number, got -1"),
@@ -143,7 +146,7 @@ BAD = [
     (({**RGB, "encoding": "jpeg"}, b""), r"encoding: unknown 'jpeg' \(choices: rgb8"),
     (({**RGB, "topic": []}, b""), r"topic: unknown \[\] \(choices"),
     (({**RGB, "encoding": {}}, b""), r"encoding: unknown \{\} \(choices"),
-    (({**RGB, "topc": 1}, b""), r"unknown 'topc' \(choices: topic, stamp"),
+    (({**RGB, "topc": 1}, b""), r"unknown field 'topc' \(choices: topic, stamp"),
     (({**RGB, "intrinsics": [1, 2]}, b"\0" * 1536), r"intrinsics: expected \[fx, fy, cx, cy\]"),
     (({**RGB, "intrinsics": [10**400] * 4}, b"\0" * 1536), r"intrinsics: expected"),
     (({**RGB, "intrinsics": [0, 0, 0, 0]}, b"\0" * 1536), "focal|camera|fx"),

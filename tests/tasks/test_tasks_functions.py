@@ -66,21 +66,21 @@ def test_a_way_avoids_what_is_in_between(functions):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda f: f.det_object(3), "det_object: expected the name of a thing, got int"),
-        (lambda f: f.det_object("\x00"), "det_object: expected the name"),
+        (lambda f: f.det_object(3), "det_object: name: expected the name of a thing, got int"),
+        (lambda f: f.det_object("\x00"), "det_object: name: expected the name"),
         (lambda f: f.a_star_plan((0, 0), (8, 0)), r"the end \(8.00, 0.00\) cannot be reached"),
         (lambda f: f.a_star_plan((99, 0), (0, 0)), "no path from .*: start outside the map"),
         (lambda f: f.a_star_plan((0, 0), (1, 0), 1), "regions: expected a list of ids, got int"),
         (lambda f: f.a_star_plan(None, (1, 0)), r"start: expected a point \(x, y\), got None"),
         (lambda f: f.is_free((math.nan, 0)), "at: x: nan is not within"),
         (lambda f: f.region_at("here"), "at: expected a point"),
-        (lambda f: f.nearest_reachable((0, 0), 9), "there is no such region"),
+        (lambda f: f.nearest_reachable((0, 0), 9), "expected ids of regions .1, 2., got "),
         (lambda f: f.distance((0, 0), {}), "b: expected a point"),
-        (lambda f: f.line((0, 0), (1e6, 0)), "line: it needs more than 1000 points"),
-        (lambda f: f.offset(9, "left"), "there is no such object; there are 1, 2, 3, 4, 5"),
+        (lambda f: f.line((0, 0), (1e6, 0)), "line: a and b are over "),
+        (lambda f: f.offset(9, "left"), "id: expected the id of an object .1, 2, 3, 4, 5., got 9"),
         (lambda f: f.offset(1, "top"), "offset: side: expected behind, left, right, in front of"),
-        (lambda f: f.offset(1, "left", -1), "distance_m: it is below 0"),
-        (lambda f: f.offset(1, "left", 1e9), "distance_m: .* is not within 50"),
+        (lambda f: f.offset(1, "left", -1), "distance_m: expected 0 or more, got -1"),
+        (lambda f: f.offset(1, "left", 1e9), "distance_m: .* is not within -50 to 50"),
         (lambda f: f.arc(1, (0, 0), (1, 0), "behind"), "arc: side: expected left, right, got"),
         (lambda f: f.visual_3d([[]]), "segment 1 is empty"),
         (lambda f: f.give_trajectory([(9e9, 0)]), "point 1 of segment 1: x: 9e"),
@@ -104,7 +104,7 @@ def test_one_trajectory_is_given(functions):
 def test_what_is_shown_is_not_given(functions):
     for _ in range(MOST_SHOWN):
         functions.visual_3d([(500.0, 0.0), (8.0, 0.0)])
-    with pytest.raises(CallError, match="10 trajectories are shown already"):
+    with pytest.raises(CallError, match="10 trajectories are shown, more"):
         functions.visual_3d([(0, 0)])
     assert functions.trajectory is None
     assert len(functions.shown_trajectories) == MOST_SHOWN

@@ -135,7 +135,7 @@ def test_instructions_that_are_understood(instruction, understood):
         ("go to the blue car on the right", "on the right", "no such thing is there"),
         ("go to the car behind you", "behind you", "no such thing is there"),
         ("go to the gate near the blue car", "near the blue car", "no such thing is there"),
-        ("go to the 0th car", "0th car", "there is none"),
+        ("go to the 0th car", "0th car", "there is no such object"),
         ("go to the nearest leftmost car", "leftmost car", "two ways; say only one"),
         ("go to the car nearest to the tram", "tram", "no object here has that name"),
         ("go to object 9", "9", "no object has that number"),
@@ -441,7 +441,7 @@ def test_where_it_stops_at_a_thing_the_robot_faces_it_at_last(words, x_m, y_m):
 def test_a_way_straight_on_that_is_blocked_is_refused():
     with pytest.raises(TrajectoryError, match=r"the path straight on is blocked after 6\.0 m"):
         driven("go straight for 9 metres")
-    with pytest.raises(TrajectoryError, match=r"a path straight on has at most 1000 m$"):
+    with pytest.raises(TrajectoryError, match=r"is too long: at most 1000 m$"):
         driven("go straight for 1001 metres")
 
 

@@ -58,7 +58,7 @@ def test_a_script_gives_a_trajectory(functions):
         ("x = 1 +", "line 1: Expected an expression"),
         ("\n\nfoo()", "line 3: NameError: name 'foo' is not defined"),
         ("offset(1, 'top')", "line 1: ValueError: offset: side: expected behind, left, "),
-        ("offset(1)", r"line 1: TypeError: offset: missing a required argument: 'side'; it is "
+        ("offset(1)", r"line 1: TypeError: offset: missing a required argument: 'side'; call it as "
                       r"offset\(id, side, distance_m=1.0, seen_from=None\)"),
         ("give_trajectory([(8, 0)])", "line 1: ValueError: point 1 of segment 1, .* is occupied"),
         ("import numpy", "line 1: ModuleNotFoundError: No module named 'numpy'"),
@@ -102,7 +102,7 @@ def test_a_fault_of_ours_is_logged_and_not_told(functions, monkeypatch, caplog):
     monkeypatch.setattr(ScriptFunctions, "distance", broken)
     with caplog.at_level(logging.ERROR):
         outcome = run_script("distance((0, 0), (1, 1))", functions, ScriptLimits())
-    assert outcome.error == "line 1: RuntimeError: distance failed; do without it"
+    assert outcome.error == "line 1: RuntimeError: distance: internal error; do not use it"
     assert "secret" in caplog.text
 
 

@@ -187,7 +187,7 @@ def test_regions_by_their_kind():
 
 def test_kinds_are_for_all_points():
     observation, _ = street(())
-    with pytest.raises(ValueError, match="3 kinds of ground"):
+    with pytest.raises(ValueError, match="one a point, got 3"):
         SceneBuilder(perfect(()), MAP, ground_labels=("road",)).add(
             observation, np.zeros(3, np.uint8)
         )

@@ -54,7 +54,7 @@ def test_what_is_taken_for_a_trajectory(segments, shape):
         ([None], "segment 1: expected a list, got None"),
         ([[(0, 0), (0, 0, 0, 0)]], "point 2 of segment 1: expected a point"),
         ([[(0, True)]], "point 1 of segment 1: y: expected a number, got True"),
-        ([[(0, math.nan)]], "point 1 of segment 1: y: nan is not within 1e"),
+        ([[(0, math.nan)]], "point 1 of segment 1: y: nan is not within -1e"),
         ([[(1e9, 0)]], "point 1 of segment 1: x: 1e"),
         ([[(0, 0), (0, 0, 0)]], "segment 1 mixes points"),
         ([[(0, 0)] * 4000] * 2, "the trajectory has 8000 points"),
@@ -78,8 +78,8 @@ def test_regions_that_are_none(regions):
 @pytest.mark.parametrize(
     ("segments", "message"),
     [
-        ((), "the trajectory has no points"),
-        ((np.empty((0, 2)),), "the trajectory has no points"),
+        ((), "the trajectory, or one of its segments, has no points"),
+        ((np.empty((0, 2)),), "the trajectory, or one of its segments, has no points"),
         ([(0.5, math.nan)], r"point 1 of segment 1, \(0.5, nan\), is not finite"),
         ([(0, 0, math.inf)], "point 1 of segment 1, .*, is not finite"),
         ([(0, 0, -1e4)], "point 1 of segment 1, .*, is outside the map"),
@@ -108,7 +108,9 @@ def test_a_leap_through_a_thin_wall_is_seen():
     """Both ends are reachable: the wall can be walked round."""
     ground = ground_of(street(walls=((1.0, 1.2, -3.0, 3.0),)), 0.3)
     way = [*line((0.0, 0.0), (0.4, 0.0)), (1.8, 0.0)]
-    with pytest.raises(TrajectoryError, match=r"in between point 3 of segment 1 and the point bef"):
+    with pytest.raises(
+        TrajectoryError, match=r"obstacle is between point 3 of segment 1 and the point bef"
+    ):
         check(CoarseTrajectory((np.array(way),)), ground, LIMITS)
     check(CoarseTrajectory((ground.plan((0.0, 0.0), (1.8, 0.0)).path_m,)), ground, LIMITS)
 
@@ -150,7 +152,7 @@ def test_the_length_and_the_regions_are_bounded():
     there_and_back = np.array(line(*[(0.0, 0.0), (-10.0, 0.0)] * 30))
     with pytest.raises(TrajectoryError, match="the trajectory is 590 m long, at most 500 m are"):
         check(CoarseTrajectory((there_and_back,)), GROUND, LIMITS)
-    with pytest.raises(TrajectoryError, match=r"there is no region 3 \(there: 1, 2\)"):
+    with pytest.raises(TrajectoryError, match=r"there is no region 3 \(known: 1, 2\)"):
         check(CoarseTrajectory((np.zeros((1, 2)),), (1, 3)), GROUND, LIMITS)
 
 

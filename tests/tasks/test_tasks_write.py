@@ -203,7 +203,7 @@ def fails(handler):
         (lambda h: send(h, json.dumps({"choices": [{"message": {"content": 7}}]}).encode()),
          "the answer has no choices[0].message.content"),
         (lambda h: send(h, completion("")), "the answer is empty"),
-        (lambda h: send(h, b"", 302, Location="http://evil.invalid/"), "answered HTTP 302, see"),
+        (lambda h: send(h, b"", 302, Location="http://evil.invalid/"), "the server redirects to http://evil.in"),
     ],
     ids=[
         "stalls", "100 MB", "fails", "no JSON", "no choice", "a nest", "a number", "empty",

@@ -40,7 +40,8 @@ class Graph:
             return False
         if changes == _MAX_TOKENS and not self._warned:
             self._warned = True
-            log.warning("ros2: more than %d endpoints: some are ignored", _MAX_TOKENS)
+            log.warning("ros2: the ROS 2 graph has more than %d publishers, subscribers, servers "
+                        "and clients: some are ignored", _MAX_TOKENS)  # fmt: skip
         self._index()
         return True
 

@@ -108,16 +108,19 @@ def _request_of(payload: zenoh.ZBytes) -> dict[str, Any]:
         ValueError: it is too long, no JSON object, or its `ref` is no number or short text.
     """
     if len(payload) > MAX_BYTES:
-        raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are allowed")
+        raise ValueError(f"the request has {len(payload)} bytes, at most {MAX_BYTES} are allowed")
     try:
         request = json.loads(CdrReader(payload.to_bytes()).string())
     except DecodeError:
         raise
     except (ValueError, RecursionError):
-        raise ValueError("not JSON") from None
+        raise ValueError("the request is not JSON") from None
     if not isinstance(request, dict):
-        raise ValueError("expected a JSON object")
+        raise ValueError("the request is JSON, but not an object")
     ref = request.get("ref", "")
     if not isinstance(ref, int | str) or len(str(ref)) > _MAX_REF_CHARS:
-        raise ValueError(f"ref: expected a number, or a text of {_MAX_REF_CHARS} characters")
+        raise ValueError(
+            f"ref: expected an integer, or text of at most {_MAX_REF_CHARS} characters, "
+            f"got {shown(ref)}"
+        )
     return request

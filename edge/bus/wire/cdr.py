@@ -29,7 +29,8 @@ class CdrReader:
     def __init__(self, payload: bytes | bytearray | memoryview) -> None:
         if bytes(payload[:2]) != HEADER[:2] or len(payload) < len(HEADER):
             raise DecodeError(
-                f"not little-endian CDR: begins {bytes(payload[:4]).hex() or 'empty'}"
+                "not little-endian CDR: the message begins with "
+                f"{bytes(payload[:4]).hex() or 'nothing'}, expected {HEADER.hex()}"
             )
         self.payload = payload
         self.at = len(HEADER)
@@ -42,7 +43,9 @@ class CdrReader:
         """
         begin = self.at + (-(self.at - len(HEADER))) % align
         if size > self._size - begin:
-            raise DecodeError(f"truncated: {size} bytes wanted at {begin} of {self._size}")
+            raise DecodeError(
+                f"truncated: {size} bytes expected from byte {begin}, the message has {self._size}"
+            )
         self.at = begin + size
         return begin
 
@@ -65,7 +68,7 @@ class CdrReader:
         try:
             return bytes(self.payload[begin : begin + length]).rstrip(b"\0").decode()
         except UnicodeDecodeError:
-            raise DecodeError(f"not UTF-8: the string at {begin}") from None
+            raise DecodeError(f"the string at byte {begin} is not UTF-8") from None
 
     def sequence(self, item_size: int) -> tuple[int, int]:
         """Return (count, offset of the first item) of a sequence of numbers, and skip it."""
@@ -75,7 +78,7 @@ class CdrReader:
     def stamp_ns(self) -> int:
         seconds, nanoseconds = self.read(STAMP, 4)
         if nanoseconds >= 1_000_000_000:
-            raise DecodeError(f"not a time: {nanoseconds} ns in the second")
+            raise DecodeError(f"the stamp has nanosec {nanoseconds}, expected less than 1000000000")
         return seconds * 1_000_000_000 + nanoseconds
 
     def header(self) -> tuple[int, str]:

@@ -55,7 +55,7 @@ def _xyz_offsets(reader: CdrReader) -> tuple[int, int, int]:
         if datatype == _FLOAT32:
             offsets[name] = offset
     if not offsets.keys() >= {"x", "y", "z"}:
-        raise DecodeError("cloud lacks the float32 fields x, y, z")
+        raise DecodeError("cloud lacks one of the fields x, y, z, of type float32")
     return offsets["x"], offsets["y"], offsets["z"]
 
 
@@ -153,7 +153,7 @@ def decode_laser_scan(payload: bytes) -> LaserScan:
     count, begin = reader.sequence(4)
     reader.sequence(4)
     if not np.isfinite((first, last, increment, range_min)).all() or np.isnan(range_max):
-        raise DecodeError("scan with angles or limits that are NaN or inf")
+        raise DecodeError("scan: its angles or range limits are NaN or inf")
     ranges = np.ndarray((count,), "<f4", payload, begin)
     return LaserScan(stamp_ns, frame_id, first, increment, range_min, range_max, ranges)
 

@@ -85,15 +85,20 @@ def decode_compressed_header(payload: bytes) -> CompressedHeader:
     content: Content = "16UC1" if encoding in ("16UC1", "mono16") else "colour"
     if "compressedDepth" in words:
         if size < _DEPTH_HEADER.size:
-            raise DecodeError(f"compressed depth of {size} bytes")
+            raise DecodeError(
+                f"compressed depth image of {size} bytes: too short, its header alone has "
+                f"{_DEPTH_HEADER.size}"
+            )
         _, a, b = _DEPTH_HEADER.unpack_from(payload, begin)
         begin += _DEPTH_HEADER.size
         content = "inverse" if encoding == "32FC1" else "16UC1"
         if not (np.isfinite(a) and np.isfinite(b)):
-            raise DecodeError("compressed depth whose quantization is NaN or inf")
+            raise DecodeError("compressed depth image: its quantization parameters are NaN or inf")
     height, width, bits = _read_size(payload, begin, end, words)
-    if bits != (8 if content == "colour" else 16):
-        raise DecodeError(f"compressed image {words[:40]!r} of {bits} bits a channel")
+    if bits != (expected := 8 if content == "colour" else 16):
+        raise DecodeError(
+            f"compressed image {words[:40]!r}: {bits} bits a channel, expected {expected}"
+        )
     is_rgb = "compressed rgb" in words
     return CompressedHeader(stamp_ns, frame_id, height, width, content, begin, end, a, b, is_rgb)
 
@@ -129,11 +134,11 @@ def _check_chunks(payload: bytes, at: int, end: int) -> None:
         if name == b"IEND":
             return
         if name in _ANIMATED:
-            raise DecodeError("PNG with an animation")
+            raise DecodeError("compressed image: an animated PNG cannot be read")
         if not (name.isalpha() and (name[:1].islower() or name in _CRITICAL)):
-            raise DecodeError(f"PNG with a chunk {name!r}")
+            raise DecodeError(f"compressed image: PNG with an unknown chunk {name!r}")
         at += _CHUNK.size + length + _CHECKSUM
-    raise DecodeError("PNG that is cut off")
+    raise DecodeError("compressed image: PNG is cut off")
 
 
 def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
@@ -153,10 +158,12 @@ def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
                 break
             # A scan costs as much as a whole image; a small file can hold minutes of them.
             if payload.count(_JPEG_SCAN, at, end) > _MAX_SCANS:
-                raise DecodeError(f"JPEG of more than {_MAX_SCANS} scans")
+                raise DecodeError(
+                    f"compressed image: JPEG has more than {_MAX_SCANS} scans: send baseline JPEG"
+                )
             return size
         at += 2 + length
-    raise DecodeError("JPEG without a size, or cut off")
+    raise DecodeError("compressed image: JPEG is cut off, or has no size")
 
 
 def decode_compressed_into(
@@ -178,10 +185,12 @@ def decode_compressed_into(
     """
     if out.shape[:2] != (header.height, header.width):
         height, width = out.shape[:2]
-        raise DecodeError(f"image {header.width}x{header.height}, expected {width}x{height}")
+        raise DecodeError(f"image is {header.width}x{header.height}, expected {width}x{height}")
     colour = header.content == "colour"
     if out.dtype != (np.uint8 if colour else np.float32):
-        raise DecodeError(f"compressed {header.content} where {out.dtype} pixels are expected")
+        raise DecodeError(
+            f"compressed image is {header.content}, but {out.dtype} pixels are expected"
+        )
     data = np.frombuffer(payload, np.uint8, header.end - header.begin, header.begin)
     try:
         with silenced():
@@ -189,7 +198,7 @@ def decode_compressed_into(
     except cv2.error:
         picture = None
     if picture is None or picture.shape != out.shape:
-        raise DecodeError(f"corrupt image of {len(data)} bytes")
+        raise DecodeError(f"compressed image of {len(data)} bytes is corrupt")
     if colour:
         if header.is_rgb:
             np.copyto(out, picture)

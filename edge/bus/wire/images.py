@@ -78,7 +78,10 @@ def image_parts(stamp_ns: int, frame_id: str, array: np.ndarray) -> tuple[bytes,
     """Return the parts of `encode_image`. The second is a view of the array if possible."""
     encoding = _ENCODING_OF.get((array.dtype.name, array.ndim))
     if encoding is None or (array.ndim == 3 and array.shape[2] != 3):
-        raise ValueError(f"no image encoding for {array.dtype} {array.shape}")
+        raise ValueError(
+            f"no image encoding for an array of {array.dtype} {array.shape} "
+            f"(encodings: {', '.join(_ENCODING_OF.values())})"
+        )
     height, width = array.shape[:2]
     step = width * _LAYOUTS[encoding][0]
     writer = CdrWriter().header(stamp_ns, frame_id)
@@ -99,7 +102,9 @@ def decode_image_header(payload: bytes) -> ImageHeader:
     size, offset = reader.sequence(1)
     layout = _LAYOUTS.get(encoding)
     if layout is None:
-        raise DecodeError(f"image encoding {encoding[:20]!r} (known: {', '.join(_LAYOUTS)})")
+        raise DecodeError(
+            f"image encoding {encoding[:20]!r} is unknown (known: {', '.join(_LAYOUTS)})"
+        )
     row = width * layout[0]
     if height * row == size:  # no padding: the step is redundant, ignore a wrong one
         step = row
@@ -129,7 +134,7 @@ def decode_image_into(
     encoding = header.encoding
     if out.shape[:2] != (header.height, header.width):
         height, width = out.shape[:2]
-        raise DecodeError(f"image {header.width}x{header.height}, expected {width}x{height}")
+        raise DecodeError(f"image is {header.width}x{header.height}, expected {width}x{height}")
     if out.dtype == np.uint8 and encoding in ("rgb8", *_TO_RGB):
         pixels = _pixels(payload, header, "u1")
         if encoding == "rgb8":
@@ -148,7 +153,7 @@ def decode_image_into(
     elif out.dtype == np.uint16 and encoding in ("16UC1", "mono16"):
         np.copyto(out, _pixels(payload, header, "u2"))
     else:
-        raise DecodeError(f"image encoding {encoding} where {out.dtype} pixels are expected")
+        raise DecodeError(f"image encoding is {encoding}, but {out.dtype} pixels are expected")
 
 
 def integers_into(

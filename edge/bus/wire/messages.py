@@ -236,7 +236,8 @@ def decode_camera_info(payload: bytes) -> CameraCalibration:
         x, y, roi_height, roi_width = 0, 0, height, width
     if x + roi_width > width or y + roi_height > height:
         raise DecodeError(
-            f"roi {roi_width}x{roi_height} at ({x}, {y}) lies outside the image of {width}x{height}"
+            f"region of interest (roi) {roi_width}x{roi_height} at ({x}, {y}) px lies outside the "
+            f"image of {width}x{height}"
         )
 
     def pinhole(fx: float, fy: float, cx: float, cy: float) -> CameraModel:
@@ -280,9 +281,11 @@ def decode_occupancy_grid(payload: bytes) -> tuple[int, Grid]:
     T = read_pose(reader)
     count, begin = reader.sequence(1)
     if not (math.isfinite(resolution) and resolution > 0.0):
-        raise DecodeError(f"not a grid: resolution {resolution:g} m")
+        raise DecodeError(f"not a grid: resolution {resolution:g} m, must be above 0")
     if count != width * height:
-        raise DecodeError(f"not a grid: {count} cells for {width}x{height}")
+        raise DecodeError(
+            f"not a grid: {count} cells for {width}x{height}, expected {width * height}"
+        )
     cells = np.ndarray((height, width), np.int8, payload, begin)
     origin_xy_m = float(T[0, 3]), float(T[1, 3])
     return stamp_ns, Grid(cells, origin_xy_m, float(str(np.float32(resolution))))

@@ -33,7 +33,10 @@ def decode_transforms(payload: bytes) -> list[Transform]:
     reader = CdrReader(payload)
     (count,) = reader.read(U32, 4)
     if count > min(MOST_TRANSFORMS, len(payload) // _MIN_TRANSFORM_BYTES):
-        raise DecodeError(f"{count} transforms do not fit in {len(payload)} bytes")
+        raise DecodeError(
+            f"message of {count} transforms: at most {MOST_TRANSFORMS} are allowed, and its "
+            f"{len(payload)} bytes have room for {len(payload) // _MIN_TRANSFORM_BYTES}"
+        )
     return [_read_transform(reader) for _ in range(count)]
 
 

@@ -43,7 +43,7 @@ let sure = 0;
 $("cancel").addEventListener("click", () => {
   clearTimeout(sure);
   const again = $("cancel").textContent !== "Cancel";
-  say("cancel", again ? "Cancel" : "Really?");
+  say("cancel", again ? "Cancel" : "Really cancel?");
   if (again) mission("cancel");
   else sure = setTimeout(() => say("cancel", "Cancel"), SURE_MS);
 });
@@ -56,7 +56,7 @@ $("lock").addEventListener("click", () => {
 $("swap").addEventListener("submit", (event) => {
   event.preventDefault();
   const model = $("model").value.trim();
-  ask("models/request", { do: "use", model }, `Loading ${model}; the current model runs until then.`);
+  ask("models/request", { do: "use", model }, `Loading ${model}; the current model runs until it is ready.`);
   $("model").value = "";
 });
 

@@ -43,7 +43,7 @@ export function tellState({ service, silent_s, moment }, fault) {
   if (service.state === "starting") return banner("info", `Starting: ${why.replace(/^starting:? ?/, "") || "…"}`);
   if (fault) return faulty(fault, false);
   if (service.state === "stopping") return banner("warn", "The service is stopping.");
-  if (silent_s !== null && silent_s > 3) return banner("bad", `The loop has been silent for ${silent_s.toFixed(0)} s.`);
+  if (silent_s !== null && silent_s > 3) return banner("bad", `The service hangs: its loop has not run for ${silent_s.toFixed(0)} s.`);
   if (!service.ready) return banner("warn", `Not ready: ${why}.`);
   if (moment?.paused && !isDone(moment)) return banner("info", "Paused: the robot holds its position until the mission is resumed.");
   if (moment && !moment.controlled && moment.goal) return banner("warn", "No motion controller answers: a goal counts as reached when the robot stops there.");
@@ -83,7 +83,7 @@ export const mission = once(({ mission: m, steps, done, idle, driven }) => {
   const rows = done || driven ? [] : [["plan", m.plan.join(" → ") || "nothing left to reach"], ["why", m.why]];
   if (m.reached.length && !driven) rows.push(["reached", m.reached.join(", "), "ok"]);
   if (m.failed.length) rows.push(["failed", m.failed.join(", "), "bad"]);
-  if (m.forbidden.length) rows.push(["not now", m.forbidden.join(", "), "warn"]);
+  if (m.forbidden.length) rows.push(["must not be reached now", m.forbidden.join(", "), "warn"]);
   for (const warning of m.warnings) rows.push(["note", warning, "warn"]);
   pairs("plan", rows);
   times("steps", steps.map((step) => ({ ...step, kind: step.kind })));
@@ -101,10 +101,10 @@ export const log = once(({ events, n_events }) => {
 
 export function latency({ stages, tick, deadline_ms, slowdown }) {
   const limit = slowdown === null ? "deadline" : "budget"; // budgets of stages exist once this computer is calibrated
-  const head = ["", "", "p95", limit, "drops"].map((text) => make("th", { text }));
+  const head = ["", "", "p95", limit, "dropped"].map((text) => make("th", { text }));
   const rows = [...Object.entries(stages), ["tick", tick]].map(([name, row]) => {
     const cells = [
-      make("td", { text: row.in_tick ? name : `${name} *`, title: row.in_tick ? "" : "in the background" }),
+      make("td", { text: row.in_tick ? name : `${name} *`, title: row.in_tick ? "" : "runs in the background, not in the tick" }),
       make("td", { class: "gauge" }, ...(row.budget_ms === null ? [] : [gauge(row)])),
       make("td", { text: row.n ? ms(row.p95_ms) : "–", class: row.verdict === "over" ? "bad" : "" }),
       make("td", { text: row.budget_ms === null ? "–" : ms(row.budget_ms) }),
@@ -136,11 +136,11 @@ export const health = once(({ service, health: h, controlled }) => {
   for (const [name, message] of Object.entries(plausibility?.failed ?? {})) rows.push([name, message, "warn"]);
   rows.push(["detector", `${detector.model}: ${detector.state}${detector.detail ? `, ${detector.detail}` : ""}`, level(detector.state)]);
   rows.push(["images", `${detector.done} searched, ${detector.failed} failed, ${detector.replaced} skipped`]);
-  rows.push(["loop", `${loop.state}, ${loop.failed} faults${loop.last_error ? `: ${loop.last_error}` : ""}`, level(loop.state)]);
+  rows.push(["loop", `${loop.state}, ${loop.failed} errors${loop.last_error ? `: ${loop.last_error}` : ""}`, level(loop.state)]);
   rows.push(["controller", controlled ? "answers" : "silent", controlled ? "ok" : "warn"]);
-  if (swap?.state && swap.state !== "idle") rows.push(["model swap", `${swap.state} ${swap.detail ?? ""}`]);
+  if (swap?.state && swap.state !== "idle") rows.push(["model swap", `${swap.state}${swap.detail ? `: ${swap.detail}` : ""}`]);
   if (shedding) rows.push(["load shedding", shedding.level ? shedding.why : shedding.distress || "none", shedding.level ? "warn" : "ok"]);
-  for (const [name, scorer] of Object.entries(scorers ?? {})) rows.push([name, scorer.model ?? "asked"]);
+  for (const [name, scorer] of Object.entries(scorers ?? {})) rows.push([name, scorer.model ?? "in use"]);
   if (checkpoint) rows.push(["checkpoint", Object.values(checkpoint).filter((v) => typeof v === "string").join(", ")]);
   pairs("health", rows);
 });

@@ -7,9 +7,9 @@ import * as map from "./map.js";
 
 const SURE_MS = 3000;
 const HINTS = {
-  place: "Drag on the map from the place to where the robot is to look. Esc: stop.",
-  room: "Click in the room on the map. Esc: stop.",
-  zone: "Click the corners on the map, then double-click or press Done. Esc: stop.",
+  place: "On the map, drag from the place to a point that the robot shall look at. Esc cancels.",
+  room: "On the map, click into the room. Esc cancels.",
+  zone: "On the map, click the corners, then double-click or press Done. Esc cancels.",
 };
 let [version, allowed, corners] = [undefined, false, null];
 
@@ -162,7 +162,7 @@ function cornered(from, to, isEnd) {
 
 function finish() {
   if (!corners) return;
-  if (corners.length < 3) return toast("A zone has three corners at least.");
+  if (corners.length < 3) return toast("A zone needs at least three corners.");
   const ring = [...corners, corners[0]];
   stop();
   add(drawn(), { type: "Polygon", coordinates: [ring] });

@@ -41,7 +41,7 @@ function rowsOf(at, s) {
   if (s.steps.length > 1) rows.push(...s.steps.map((step) => [step.state, step.said]));
   if (s.missing.length) rows.push(["not seen yet", s.missing.join(", ")]);
   if (s.refined.length) rows.push(["driven", `${at.driven_m.toFixed(1)} of ${s.length_m.toFixed(1)} m, ${s.time_s.toFixed(0)} s in total`]);
-  if (s.refinements > 1) rows.push(["refined again", `${s.refinements - 1} times: the map has changed`]);
+  if (s.refinements > 1) rows.push(["refined again", `${s.refinements - 1} times, because the map changed`]);
   return [...rows, ...s.notes.map((note) => ["note", note, "warn"])];
 }
 

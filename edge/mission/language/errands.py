@@ -234,15 +234,15 @@ _UNCLEAR = (
             rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) (?:{ARTICLE}|{any_of("room")}) ',
             re.I,
         ),
-        "unclear what to do with the second one; say it in a sentence of its own",
+        "unclear what to do with the second thing; name it in a sentence of its own",
     ),
     (
         re.compile(r'\bon (?:the|your) way,? (?:there,? )?(?:then )?go to "', re.I),
-        "name what comes first, first",
+        "unclear order; say first what the robot does first",
     ),
     (
         re.compile(r"(?<=\w) stop (?=(?:go|come|drive|find|look|return)\b)", re.I),
-        "stop there, or instead? use two sentences",
+        "unclear if the robot stops there or goes there instead; use two sentences",
     ),
     (
         re.compile(
@@ -281,7 +281,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         'go to "check kettle in the kitchen", then go to "here"'
     """
     if permits := _PERMITS.match(text):
-        hint = "an order, or a permission? say 'go to …', or 'you may go to … again'"
+        hint = "unclear if an order or a permission; say 'go to …', or 'you may go to … again'"
         raise UnclearError(f"instruction: {permits[0]!r}: {hint}", permits[0])
     marked, known = mark_places(text, places)
     text = f" {marked}"
@@ -426,7 +426,7 @@ def _explored(found: re.Match[str]) -> str | None:
     if not all(is_room(room) for room in rooms if room) or (time and len(rooms) > 1):
         return None
     if vague := [room for room in rooms if room and is_vague(room)]:
-        raise UnclearError(f"instruction: {vague[0]!r}: unclear which one; name it", vague[0])
+        raise UnclearError(f"instruction: {vague[0]!r}: unclear which room; name it", vague[0])
     orders = [_go_to(f"{EXPLORED}{f' {room}' * bool(room)}{time}") for room in rooms]
     return orders[0] + "".join(
         j.rstrip() + order for j, order in zip(joints, orders[1:], strict=True)

@@ -22,10 +22,10 @@ from edge.mission.language.tokens import TranslationError
 from edge.mission.logic.ltl import Formula, FormulaError, ap, parse, propositions, renamed, to_text
 from edge.text import one_line
 
-MOST_NAMES = 100
+MOST_NAMES = 100  # names that the grammar lists; with more, it allows any quoted name
 MOST_NESTING = 8  # depth of parentheses; a sequence of n objects needs n - 1
-MOST_OPERANDS = 12
-SPARE = 3  # added to the number of names for both, because an object may occur several times
+MOST_OPERANDS = 12  # operands of one & or |
+SPARE = 3  # an object may occur several times: nesting and operands may exceed the number of names
 
 UNARY = ("!", "F ", "G ", "X ")
 BINARY = (" W ", " U ")  # they can express the other operators
@@ -60,9 +60,8 @@ def _level(n: int, operands: int) -> dict[str, str]:
     """Return the rules of formulas with at most `n` nested parentheses and `operands` per & or |.
 
     One pair of parentheses has only one kind of &, | or ->, so precedence does not matter. One step
-    reaches one object, so only the first part of a conjunction may be a bare name, and no part may
-    be
-    a conjunction: `a & b` contradicts itself, and small models tend to continue it without end.
+    reaches one object, so `a & b` contradicts itself, and small models tend to continue it without
+    end. Only the first part of a conjunction may be a bare name, and no part may be a conjunction.
     """
     times = f"{{1,{operands - 1}}}"
     rules = {
@@ -153,7 +152,7 @@ log = logging.getLogger(__name__)
 MAX_TOKENS = 256  # six objects in three branches with two conditions need about 120
 MAX_FORMULA_CHARACTERS = 4000
 SHOWN_TO_MODEL = 500  # characters of a wrong answer
-SHOWN_TO_USER = 80
+SHOWN_TO_USER = 80  # characters of a wrong answer
 
 SYSTEM = """\
 Translate the instruction to a home robot into one formula of linear temporal logic. Answer with \
@@ -206,7 +205,9 @@ class LlmTranslator:
         begin_s, url = time.monotonic(), self._client.url
         objects = objects_in(instruction)
         if not objects:
-            raise TranslationError(f"no object to reach is named in {one_line(instruction, 100)!r}")
+            raise TranslationError(
+                f"instruction: {one_line(instruction, 100)!r} names no object to reach; name one"
+            )
         messages = conversation(instruction)
         options = {"temperature": 0, **constraint(self._config.constrain, objects)}
         for _ in range(2):
@@ -224,7 +225,7 @@ class LlmTranslator:
             messages += repair(answer, fault)
         shown = one_line(bare(answer), SHOWN_TO_USER)
         raise TranslationError(
-            f"no translation: {url} answered {shown!r}: {one_line(fault)}; "
+            f"instruction: no translation: {url} answered {shown!r}: {one_line(fault)}; "
             "say it in other words, or use a larger model"
         )
 
@@ -283,7 +284,10 @@ def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
     """
     text = bare(answer)
     if len(text) > MAX_FORMULA_CHARACTERS:
-        raise _UnusableError(f"the answer has {len(text)} characters; it must be one short formula")
+        raise _UnusableError(
+            f"the answer has {len(text)} characters; it must be one formula of at most "
+            f"{MAX_FORMULA_CHARACTERS}"
+        )
     formula = renamed(parse(text), _canonical)
     allowed = {names.canonical(phrase) for phrase in objects}
     strange = [name for name in propositions(formula) if name not in allowed]
@@ -292,7 +296,7 @@ def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
             f"the instruction names no {strange[0]!r}; it names {', '.join(objects[:20])}"
         )
     if not propositions(formula):
-        raise _UnusableError("the formula speaks of no object")
+        raise _UnusableError("the formula names no object")
     return formula
 
 
@@ -321,4 +325,5 @@ def _report_left_out(formula: Formula, objects: tuple[str, ...]) -> None:
     known = dict.fromkeys(names.canonical(phrase) for phrase in objects if names.is_known(phrase))
     left_out = [name for name in known if name not in propositions(formula)]
     if left_out:
-        log.warning("the formula does not contain %s; check its meaning", ", ".join(left_out))
+        log.warning("mission: the formula leaves out %s of the instruction; check the mission's "
+                    "meaning", ", ".join(left_out))  # fmt: skip

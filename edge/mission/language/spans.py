@@ -45,7 +45,7 @@ def seconds_of(span: str) -> float:
     """
     found = _PARTS.search(span.strip())
     if found is None:
-        raise ValueError(f"no length of time: {span!r}")
+        raise ValueError(f"not a length of time: {span!r}; expected one such as '90 s'")
     size = found["size"].lower()
     value = _SIZES.get(size)
     if value is None:

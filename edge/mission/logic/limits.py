@@ -10,10 +10,12 @@ from __future__ import annotations
 from edge.errors import UserError
 
 MAX_STATES = 20_000
+"""Default limit of the states of each automaton."""
 MAX_STEPS = 30_000_000
+"""Default limit of the steps of all compilations together."""
 
 PER_NODE = 4  # steps to visit a node, and to visit each of its operands
-_CELLS = 16
+_CELLS = 16  # array cells that NumPy processes in one step
 
 
 class CompileError(UserError):
@@ -39,7 +41,7 @@ class CompileBudget:
         self.steps += steps
         if self.steps > self.max_steps:
             raise CompileError(
-                f"formula: no automaton within {self.max_steps} steps; use fewer targets or "
+                f"formula: not compiled within {self.max_steps} steps; use fewer targets or "
                 "constraints, or raise mission.compile_limit_steps"
             )
 
@@ -51,6 +53,6 @@ class CompileBudget:
         """Raise CompileError if the number of states is above the limit."""
         if n > self.max_states:
             raise CompileError(
-                f"formula: its automaton needs more than {self.max_states} states; use fewer "
+                f"formula: needs an automaton of more than {self.max_states} states; use fewer "
                 "targets or constraints, or raise mission.max_states"
             )

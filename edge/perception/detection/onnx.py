@@ -190,8 +190,8 @@ class OnnxDetector:
         text = self._text.embed(columns.words)
         if text.shape[1] > MAX_COLUMNS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
             raise PromptError(
-                f"{text.shape[1]} prompts, synonyms, background and contrasts counted in: engines "
-                f"of TensorRT are built for at most {MAX_COLUMNS}; name fewer"
+                f"{text.shape[1]} text classes (prompts, synonyms, background and contrast words), "
+                f"but TensorRT engines are built for at most {MAX_COLUMNS}: name fewer"
             )
         bound = bind(
             self._session,
@@ -211,7 +211,7 @@ class OnnxDetector:
         unknown = [repr(word) for word in self.config.background if word not in known]
         if unknown:
             log.warning(
-                "model %s: perception.detector.background: ignored words that it does not know: %s",
+                "model %s: perception.detector.background: words unknown to it are ignored: %s",
                 self.name, ", ".join(unknown),
             )  # fmt: skip
         return known
@@ -290,9 +290,9 @@ class OnnxDetector:
         most = self.card.input.height * self.card.input.width  # all get buffers
         if boxes.shape != (1, anchors, 4) or scores.shape != (1, anchors, 1) or anchors > most:
             raise ModelError(
-                f"{self.card.file or self.name}: boxes {boxes.shape} and scores {scores.shape} do "
-                f"not belong together, must be (1, a, 4) and (1, a, n), a at most {most}: export "
-                "it again"
+                f"{self.card.file or self.name}: boxes have the shape {boxes.shape} and scores "
+                f"{scores.shape}, must be (1, a, 4) and (1, a, n), a at most {most}: export the "
+                "model again"
             )
         return anchors
 
@@ -339,7 +339,7 @@ class OnnxDetector:
         if invalid:
             if not self.invalid_boxes:
                 log.error(
-                    "model %s: %d of %d boxes are %s; dropped and counted",
+                    "model %s: %d of %d boxes are %s: dropped (further ones are only counted)",
                     self.name, invalid, self._anchors, UNSOUND,
                 )  # fmt: skip
             self.invalid_boxes += invalid

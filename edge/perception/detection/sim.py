@@ -121,8 +121,8 @@ class SimDetector:
         depth = observation.depth_m
         if there is None or depth is None or there.ids.shape != depth.shape or depth.size == 0:
             raise ValueError(
-                f"observation {observation.seq}: no segmentation with depth: lost on the way, or "
-                "no simulator sends it (for a real camera use perception.detector.kind: onnx)"
+                f"observation {observation.seq}: no segmentation and depth of one size: lost on "
+                "the way, or not sent (for a real camera use perception.detector.kind: onnx)"
             )
         ids = there.ids
         if there.labels != self._labels:

@@ -152,7 +152,10 @@ def _category(noun: str, vocabulary: Vocabulary) -> str | None:
 
 def _describe(prompt: str, adjectives: list[str], category: str, vocabulary: Vocabulary) -> Phrase:
     if denied := next((word for word in adjectives if word in NEGATIONS), None):
-        raise PromptError(f"prompt {prompt!r}: {denied!r} is not understood; say what it is like")
+        raise PromptError(
+            f"prompt {prompt!r}: {denied!r} is not understood; say what the thing is like, not "
+            "what it is not like"
+        )
     plain = [_PLAIN.get(word, word) for word in adjectives]
     colors = list(dict.fromkeys(word for word in plain if word in vocabulary.colors))
     sizes = list(dict.fromkeys(word for word in plain if word in vocabulary.sizes))
@@ -229,7 +232,7 @@ class AttributeEncoder:
             self.vocabulary = Vocabulary.from_json(metadata["vocabulary"])
         except (KeyError, ValueError) as error:
             raise ModelError(
-                f"{path}: no vocabulary in its metadata ({error}): export it again"
+                f"{path}: the model's metadata has no vocabulary ({error}): export the model again"
             ) from None
         self._warned: set[tuple[str, ...]] = set()
 
@@ -260,7 +263,7 @@ class AttributeEncoder:
         if phrase.ignored and phrase.ignored not in self._warned:
             self._warned.add(phrase.ignored)
             log.warning(
-                "prompt %r: this model ignores %s here, looking for %r",
+                "prompt %r: this model ignores %s and looks for %r",
                 prompt, ", ".join(map(repr, phrase.ignored)), str(phrase),
             )  # fmt: skip
         return phrase

@@ -84,8 +84,8 @@ class ClipTextEncoder:
             ids = self._tokenizer.encode(text).ids
             if len(ids) > self._context:
                 raise PromptError(
-                    f"prompt {text[:40]!r}…: {len(ids)} tokens, the text model reads "
-                    f"{self._context}: say it shorter"
+                    f"prompt {text[:40]!r}…: {len(ids)} tokens, the text model reads at most "
+                    f"{self._context}: shorten the prompt"
                 )
             row[: len(ids)] = ids
         return _unit_rows(self._session, self.card, "tokens", tokens)
@@ -191,10 +191,13 @@ def open_tokenizer(card: TextCard) -> Any:
     """
     path = card.tokenizer_path
     if path is None or not path.is_file():
-        raise ModelError(f"{path}: the tokenizer of {card.name} is not there; put it there")
+        raise ModelError(f"{path}: no such file; put the tokenizer of {card.name} there")
     wanted = card.tokenizer.sha256
     if wanted is not None and fresh_sha256(path) != wanted:
-        raise ModelError(f"{path}: another tokenizer: its sha256 is not {wanted[:12]}…")
+        raise ModelError(
+            f"{path}: damaged, or another tokenizer than that of {card.name}: its sha256 is not "
+            f"{wanted[:12]}…"
+        )
     return read_tokenizer(path, card.name, "pip install 'edge-vln[clip]'")
 
 

@@ -79,7 +79,9 @@ def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEnc
     except PromptError as error:
         wanted = " or ".join(str(model.path) for model in models)
         wanted = wanted or f"no text card of family {VOCABULARY_FAMILY}"
-        raise PromptError(f"no CLIP text model ({wanted}), and {error}") from None
+        raise PromptError(
+            f"neither a CLIP text model ({wanted}), nor a vocabulary: {error}"
+        ) from None
 
 
 def _vocabulary_models() -> list[TextCard]:
@@ -89,7 +91,7 @@ def _vocabulary_models() -> list[TextCard]:
         try:
             card = load_card(name)
         except ModelError as error:  # an invalid card must not stop the detector
-            log.warning("%s: card ignored", error)
+            log.warning("%s; this model card is ignored", error)
             continue
         if isinstance(card, TextCard) and card.family == VOCABULARY_FAMILY:
             found.append(card)

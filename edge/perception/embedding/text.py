@@ -129,7 +129,8 @@ def run_encoder(session: Any, file: str, name: str, batch: np.ndarray, dim: int)
     shape = (len(batch), dim)
     if rows.shape != shape or not (np.isfinite(norms).all() and (norms > 0.0).all()):
         raise ModelError(
-            f"{file}: embeddings of shape {rows.shape}, zero or not finite; they must be {shape}"
+            f"{file}: embeddings of shape {rows.shape}, some zero or not finite; expected "
+            f"{shape}, finite and not zero"
         )
     return rows
 
@@ -180,7 +181,10 @@ def load_vocabulary(path: Path) -> tuple[list[str], np.ndarray]:
             f"{path}: not a vocabulary (needs arrays `names` and `emb`): {one_line(error)}"
         ) from None
     if rows.ndim != 2 or len(rows) != len(words) or not words:
-        raise PromptError(f"{path}: {len(words)} names but embeddings of shape {rows.shape}")
+        raise PromptError(
+            f"{path}: {len(words)} names, but embeddings of shape {rows.shape}; expected one row "
+            "for each name"
+        )
     norms = np.linalg.norm(rows, axis=1, keepdims=True)
     usable = np.isfinite(norms) & (norms > 0.0)
     if not usable.all():
@@ -259,7 +263,7 @@ class TextEmbeddings:
         for noun in names.head_nouns(word):
             if found := self._lookup(noun):
                 log.warning(
-                    "prompt %r: no embedding for the phrase, looking for %r (vocabulary word %r)",
+                    "prompt %r: no embedding for the phrase; looking for %r (vocabulary word %r)",
                     prompt, noun, found,
                 )  # fmt: skip
                 return found

@@ -53,8 +53,8 @@ class SamSegmenter:
         self.name = card.name
         if TENSORRT in settings.providers:
             raise ModelError(
-                f"{_KEY}: {TENSORRT!r} alone runs detectors only; name onnxruntime's "
-                "TensorrtExecutionProvider"
+                f"{_KEY}: {TENSORRT!r} runs only detectors; name onnxruntime's "
+                "TensorrtExecutionProvider instead"
             )
         prompts = {"point_coords": ((1, 2, 2),) * 3, "point_labels": ((1, 2),) * 3}
         self._encoder, self._decoder = (
@@ -129,8 +129,8 @@ class SamSegmenter:
             return {taken[0]: made[0]}
         encoder, decoder = self.card.files
         raise ModelError(
-            f"{decoder.file}: takes {', '.join(taken) or 'no features'}, {encoder.file} makes "
-            f"{', '.join(made)}: take both from one export"
+            f"{decoder.file}: needs the inputs {', '.join(taken) or 'none'}, but {encoder.file} "
+            f"makes {', '.join(made)}: take both files from one export"
         )
 
     def _fill_pixels(self, rgb: np.ndarray) -> np.ndarray:
@@ -164,7 +164,7 @@ class SamSegmenter:
         """Write the mask with the highest predicted IoU of those that a box may mean."""
         best = np.ascontiguousarray(logits[0, int(np.argmax(iou[0]))], np.float32)
         if not np.isfinite(best).all():
-            raise ModelError(f"{self.name}: masks that are not finite: export it again")
+            raise ModelError(f"{self.name}: masks are not finite: export the model again")
         rows, columns = best.shape
         to_mask = np.array([columns, rows], np.float32) / self.card.prompt_px
         rasterise(best, (0.0, 0.0), tuple(scale * to_mask), box, out)

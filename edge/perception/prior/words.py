@@ -90,5 +90,6 @@ def make_words(
         try:
             return PriorWordIndex(table, load_vocabulary(find_vocabulary(detector.vocabulary)))
         except PromptError as error:
-            log.info("prior: no text embeddings, words outside its table are ignored: %s", error)
+            log.info("prior: no text embeddings, so words outside the prior's table are ignored: "
+                     "%s", error)  # fmt: skip
     return PriorWordIndex(table)

@@ -177,7 +177,7 @@ class ModelProcessClient:
                     self._frames.write(seq, rgb)
                 except OSError as error:
                     raise ModelProcessError(
-                        f"{shared_dir()}: no room for images: {error}"
+                        f"{shared_dir()}: no room for the images of model {self.name}: {error}"
                     ) from None
             hw = None if rgb is None else rgb.shape[:2]
             answered = self._exchange(wire.encode(seq=seq, hw=hw, **request), timeout_s, limit)
@@ -207,7 +207,7 @@ class ModelProcessClient:
                 raise self.kill(f"no answer within {timeout_s:g} s ({limit}): killed")
         if not (sent and message):  # the other end is closed
             self._ended.wait(_END_S)
-            raise self.kill("takes no requests: killed")
+            raise self.kill("accepts no requests: killed")
         return message
 
     def check(self, prompts: Sequence[str], timeout_s: float) -> bool:
@@ -274,8 +274,8 @@ class ModelProcessClient:
         self.fault = self.fault or f"model {self.name}: its process: left behind"
         self._ended.set()
         log.error(
-            "model %s: its process %d does not end, though it was killed: left behind; if it is "
-            "still there later, restart the machine", self.name, self._process.pid,
+            "model %s: its process %d was killed, but does not end: left behind; if the process "
+            "is still there later, restart the machine", self.name, self._process.pid,
         )  # fmt: skip
 
 

@@ -96,10 +96,10 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
     if header.get("seq") != seq:
         raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
     if type(invalid) is not int:
-        raise ValueError(f"invalid_boxes {bounded_repr(invalid, 40)}")
+        raise ValueError(f"invalid_boxes {bounded_repr(invalid, 40)}, expected an integer")
     around = header.get("context")
     if not (around is None or isinstance(around, dict)):
-        raise ValueError(f"context {bounded_repr(around, 40)}")
+        raise ValueError(f"context {bounded_repr(around, 40)}, expected an object or null")
     words, m = ([], 0) if around is None else (around.get("words"), around.get("n"))
     _check_words("prompts", prompts)
     _check_words("context", words)
@@ -107,8 +107,8 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
     counted = type(n) is int and type(m) is int and min(n, m) >= 0
     if not counted or len(block) != (n + m) * _BOX_BYTES:
         raise ValueError(
-            f"{len(block)} bytes for {bounded_repr(n, 40)} and {bounded_repr(m, 40)} boxes of "
-            f"{_BOX_BYTES}"
+            f"{len(block)} bytes do not fit n {bounded_repr(n, 40)} boxes and "
+            f"{bounded_repr(m, 40)} context boxes of {_BOX_BYTES} bytes"
         )
     xyxy, score, class_id, competing_score = _unpacked(block[: n * _BOX_BYTES], n, prompts)
     context = None
@@ -123,7 +123,7 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
 
 def _check_words(what: str, words: Any) -> None:
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-        raise ValueError(f"{what} {bounded_repr(words, 40)}")
+        raise ValueError(f"{what} {bounded_repr(words, 40)}, expected a list of words")
 
 
 def _unpacked(
@@ -140,7 +140,7 @@ def _unpacked(
     if fault := invalid_boxes_reason(xyxy, score, competing_score):
         raise ValueError(fault)
     if not ((class_id >= 0) & (class_id < len(words))).all():
-        raise ValueError(f"classes that are not among {len(words)} prompts")
+        raise ValueError(f"a class_id is not from 0 to {len(words) - 1}")
     return xyxy, score, class_id, competing_score
 
 
@@ -156,7 +156,7 @@ def decode_health(header: dict[str, Any]) -> Health:
         or len(health) != 2
         or not all(isinstance(t, str) for t in health)
     ):
-        raise ValueError(f"health {bounded_repr(health, 40)}")
+        raise ValueError(f"health {bounded_repr(health, 40)}, expected [state, detail]")
     if health[0] not in _STATES:
         raise ValueError(f"health {bounded_repr(health[0], 40)} (choices: {', '.join(_STATES)})")
     return Health(*health)
@@ -249,7 +249,7 @@ class FrameView:
         if end > len(self._bytes):
             self._bytes, self._seq = _map(self._fd, end)
         if self._seq[_AFTER] != seq or not self.is_whole(seq):
-            raise ValueError(f"frame {seq}: torn, frame {self._seq[_BEFORE]} is in its place")
+            raise ValueError(f"frame {seq}: overwritten by frame {self._seq[_BEFORE]}")
         return self._bytes[PIXELS_AT:end].reshape(*image_hw, 3)
 
     def is_whole(self, seq: int) -> bool:

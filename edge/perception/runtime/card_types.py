@@ -225,16 +225,18 @@ class _FileCard(BaseCard):
         if "server" not in others.data:  # invalid, which has its own error
             return file
         if file is None and others.data["server"] is None:
-            raise ValueError("missing: name it, or a server that runs the model")
+            raise ValueError("missing: name the model's file, or a server that runs the model")
         if file is not None and others.data["server"] is not None:
-            raise ValueError("a server runs the model: name no file")
+            raise ValueError("server is set, so this must be null: the model runs on the server")
         return file
 
     @field_validator("sha256", mode="before")
     @classmethod
     def _of_a_file(cls, sha256: object, others: ValidationInfo) -> object:
         if sha256 == _NOT_GIVEN and others.data.get("file") is not None:
-            raise ValueError("missing: null if FILE.json next to the file has it")
+            raise ValueError(
+                "missing: give the file's SHA-256, or null if FILE.json next to it does"
+            )
         return None if sha256 == _NOT_GIVEN else sha256
 
     @property
@@ -433,9 +435,9 @@ class SimilarityCard(BaseCard):
     def _one_kind(self) -> SimilarityCard:
         named = tuple(bool(n) for n in (self.image_encoder, self.text_encoder, self.detector))
         if named not in ((True, True, False), (False, False, True)):
-            raise ValueError("name image_encoder and text_encoder, or detector alone")
+            raise ValueError("set image_encoder and text_encoder, or only detector")
         if self.related is not None and self.detector != RUNNING:
-            raise ValueError(f"related: only with detector: {RUNNING}")
+            raise ValueError(f"related: needs detector: {RUNNING}")
         return self
 
 
@@ -485,7 +487,9 @@ class ChoiceCard(BaseCard):
     @model_validator(mode="after")
     def _can_be_shown_images(self) -> ChoiceCard:
         if self.vision_encoder is not None and self.embed_tokens is None:
-            raise ValueError("vision_encoder: needs embed_tokens, whose rows its features replace")
+            raise ValueError(
+                "vision_encoder: set embed_tokens too: image features replace rows of its output"
+            )
         return self
 
     @property

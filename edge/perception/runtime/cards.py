@@ -118,7 +118,7 @@ def all_cards() -> list[Card]:
         try:
             found.append(read_card(path))
         except ModelError as error:
-            log.warning("%s: card ignored", "; ".join(str(error).splitlines()))
+            log.warning("%s; this model card is ignored", "; ".join(str(error).splitlines()))
     return found
 
 
@@ -129,7 +129,7 @@ def read_card(path: Path) -> Card:
     except (OSError, ValueError) as error:
         raise ModelError(f"{path}: cannot be read: {one_line(error)}") from None
     if not isinstance(data, dict):
-        raise ModelError(f"{path}: expected keys such as name, task, file")
+        raise ModelError(f"{path}: not a model card: expected keys such as name, task, file")
     task = data.get("task")
     if not isinstance(task, str) or task not in _BY_TASK:
         what = f"unknown {bounded_repr(task)}" if task else "missing"
@@ -174,7 +174,7 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
     """
     path = card.path
     if card.server is not None:
-        raise ModelError(f"model {card.name}: no file of it is here, {install_hint(card)}")
+        raise ModelError(f"model {card.name}: has no file here: {install_hint(card)}")
     if not card.is_here():
         raise ModelError(f"{path}: model {card.name} is not there; {install_hint(card)}")
     if not _has_its_hash(card, path, believe_cache):

@@ -50,7 +50,10 @@ class Device:
                 "perception.detector.providers"
             ) from None
         if index >= count:
-            raise ModelError(f"perception.detector.device_id: {index}, there are {count} GPUs here")
+            raise ModelError(
+                f"perception.detector.device_id: {index}, but there are {count} GPUs here, "
+                "numbered from 0"
+            )
         self.use()
         self._pinned: weakref.WeakValueDictionary[int, np.ndarray] = weakref.WeakValueDictionary()
         (self._stream,) = self._call("cudaStreamCreate")

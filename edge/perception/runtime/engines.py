@@ -178,7 +178,7 @@ def get_or_build(
             fault = damage(folder)
             if fault is None:
                 return folder
-            log.warning("engine %s: %s; it is built again", folder, fault)
+            log.warning("engine %s: %s; the engine is built again", folder, fault)
             _remove(folder, fault)
         for left_over in cache.glob(f".{name}.*"):  # of a build that was killed
             shutil.rmtree(left_over, ignore_errors=True)
@@ -203,8 +203,8 @@ def _remove(folder: Path, fault: str) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     if folder.exists():
         raise ModelError(
-            f"{folder}: unusable ({fault}) and cannot be removed; remove it as the user who owns "
-            "it, or set perception.detector.engine_cache"
+            f"{folder}: the engine is unusable ({fault}), and this user cannot remove the folder; "
+            "remove it as its owner, or set perception.detector.engine_cache"
         )
 
 
@@ -254,7 +254,9 @@ def _locked(path: Path, progress: ProgressCallback) -> Iterator[None]:
     try:
         file = path.open("a")
     except OSError as error:
-        raise ModelError(f"{path}: cannot be written ({error.strerror}); remove it") from None
+        raise ModelError(
+            f"{path}: the lock file cannot be written ({error.strerror}); remove it"
+        ) from None
     with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -255,7 +255,7 @@ def _specs(values: Sequence[Value]) -> dict[str, tuple[str, messages.Shape]]:
 def _refusal(reply: HttpReply) -> str:
     if 300 <= reply.status < 400:
         where = one_line(redact(reply.headers.get("Location", "nowhere")))
-        return f"HTTP {reply.status}, see {where}; configure another URL"
+        return f"the server redirects to {where} (HTTP {reply.status}); configure the right URL"
     reason = explanation(reply.body)
     reason = reason.decode("utf-8", "replace") if isinstance(reason, bytes) else reason
     return f"HTTP {reply.status}: {one_line(reason) or 'it does not say why'}; see the server's log"

@@ -76,7 +76,7 @@ def infer_answer(
     answer, at = read_json_object(body[:length]), length
     entries = answer.get("outputs")
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise ValueError("it has no list of outputs")
+        raise ValueError("the answer has no list of outputs")
     found: dict[str, np.ndarray] = {}
     for entry in entries:
         name = entry.get("name")
@@ -84,15 +84,15 @@ def infer_answer(
         block = None if size is None else memoryview(body)[at : at + size]
         at += size or 0
         if at > len(body):
-            raise ValueError(f"it ends before the bytes of {one_line(name, 40)!r}")
+            raise ValueError(f"the answer ends before the bytes of {one_line(name, 40)!r}")
         if isinstance(name, str) and name in wanted:
             if name in found:
-                raise ValueError(f"it has {name!r} twice")
+                raise ValueError(f"the answer has the output {name!r} twice")
             found[name] = _tensor(entry, block, wanted[name])
     if at != len(body):
-        raise ValueError(f"{len(body) - at} bytes belong to no output")
+        raise ValueError(f"{len(body) - at} bytes of the answer belong to no output")
     if lacking := [name for name in wanted if name not in found]:
-        raise ValueError(f"it lacks the output {lacking[0]!r}")
+        raise ValueError(f"the answer lacks the output {lacking[0]!r}")
     return found
 
 
@@ -137,7 +137,9 @@ def speaks_binary(body: bytes) -> bool:
 
 def _length(text: str, most: int) -> int:
     if not (text.isascii() and text.isdigit() and len(text) < 12 and int(text) <= most):
-        raise ValueError(f"{HEADER_LENGTH} is {one_line(text, 40)!r}, of {most} bytes")
+        raise ValueError(
+            f"{HEADER_LENGTH} is {one_line(text, 40)!r}, expected 0 to {most}, the bytes there are"
+        )
     return int(text)
 
 
@@ -148,14 +150,15 @@ def _binary_size(entry: dict[str, Any]) -> int | None:
         return None
     size = parameters["binary_data_size"]
     if not _is_size(size):
-        raise ValueError(f"binary_data_size is {one_line(size, 40)}")
+        raise ValueError(f"binary_data_size is {one_line(size, 40)}, must be a number of bytes")
     return size
 
 
 def _tensor(entry: dict[str, Any], block: memoryview | None, wanted: Shape) -> np.ndarray:
     name, shape = entry["name"], _sizes(entry.get("shape"))
     if entry.get("datatype") != "FP32":
-        raise ValueError(f"{name!r} is {one_line(entry.get('datatype'), 40)}, must be FP32")
+        kind = one_line(entry.get("datatype"), 40)
+        raise ValueError(f"{name!r} has the datatype {kind}, must be FP32")
     if shape is None or not _fits(shape, wanted):
         is_ = one_line(entry.get("shape"), 60)
         raise ValueError(f"{name!r} has the shape {is_}, must be {_shown(wanted)}")
@@ -167,7 +170,7 @@ def _tensor(entry: dict[str, Any], block: memoryview | None, wanted: Shape) -> n
     try:
         numbers = np.asarray(entry.get("data"))
     except (ValueError, RecursionError):  # lists of different lengths, or too deep
-        raise ValueError(f"the data of {name!r} is no array") from None
+        raise ValueError(f"the data of {name!r} is not an array of numbers") from None
     if numbers.dtype.kind not in "iuf" or numbers.size != n:
         raise ValueError(f"the data of {name!r} is not {n} numbers")
     with np.errstate(over="ignore"):

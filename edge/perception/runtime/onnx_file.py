@@ -151,8 +151,8 @@ def check_fixed(path: Path, key: str) -> None:
     for value in _read(path).inputs:
         if value.shape is None or None in value.shape:
             raise ModelError(
-                f"{path}: its input {value.name!r:.60} has no fixed shape, which TensorRT needs "
-                f"here: name CUDAExecutionProvider or CPUExecutionProvider in {key}"
+                f"{path}: the input {value.name!r:.60} has no fixed shape, which TensorRT needs: "
+                f"name CUDAExecutionProvider or CPUExecutionProvider in {key}"
             )
 
 
@@ -160,7 +160,9 @@ def _read(path: Path) -> OnnxFile:
     try:
         return read_onnx(path)
     except NotOnnxError as error:
-        raise ModelError(f"{path}: not an ONNX model: {error}; get or make it again") from None
+        raise ModelError(
+            f"{path}: not an ONNX model: {error}; pull or export the model again"
+        ) from None
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror})") from None
 
@@ -172,17 +174,21 @@ def check_format(path: Path, model: OnnxFile) -> None:
         outside = where.startswith(("/", "\\")) or ".." in Path(where.replace("\\", "/")).parts
         what = "outside its folder" if outside else "that no hash covers"
         raise ModelError(
-            f"{path}: keeps weights in another file, {where!r}, {what}; save it as one file"
+            f"{path}: keeps weights in another file, {where!r}, {what}; save the model as one file"
         )
     if model.ir > MAX_IR:
-        raise ModelError(f"{path}: ONNX IR {model.ir}, at most {MAX_IR}: export it again")
+        raise ModelError(
+            f"{path}: ONNX IR version {model.ir}, at most {MAX_IR} can be read: export the model "
+            "again"
+        )
     if not 1 <= model.opset <= MAX_OPSET:
         raise ModelError(
-            f"{path}: ONNX opset {model.opset}, must be 1 … {MAX_OPSET}: export it again"
+            f"{path}: ONNX opset {model.opset}, must be 1 to {MAX_OPSET}: export the model again"
         )
     if model.strange:
         raise ModelError(
-            f"{path}: operators of {model.strange[0]!r}, which onnxruntime lacks: export it again"
+            f"{path}: has operators of the domain {model.strange[0]!r}, which onnxruntime lacks: "
+            "export the model again"
         )
 
 
@@ -202,7 +208,7 @@ def check_interface(path: Path, model: OnnxFile, card: FileCard) -> None:
         raise ModelError(
             f"{path}: inputs {_list(model.inputs)}, outputs {_list(model.outputs)}; "
             f"model {card.name} must have inputs {_list(inputs)}, "
-            f"outputs {_list(outputs)}: export it again"
+            f"outputs {_list(outputs)}: export the model again"
         )
 
 
@@ -226,7 +232,7 @@ def _check_segmenter(path: Path, model: OnnxFile, card: MaskEncoderCard | MaskDe
     if not fits:
         raise ModelError(
             f"{path}: inputs {_list(model.inputs)}, outputs {_list(model.outputs)}; "
-            f"model {card.name} must have {asked}: export it again"
+            f"model {card.name} must have {asked}: export the model again"
         )
 
 
@@ -307,7 +313,7 @@ def parse_onnx(content: bytes | mmap.mmap) -> OnnxFile:
     model = _Reader(content).message("model", 0, len(content), 0)
     graphs, ir = model.get("graph", []), _last(model, "ir", 0)
     if len(graphs) != 1 or not ir:
-        raise NotOnnxError("its header is not ONNX's" if graphs else "it has no graph")
+        raise NotOnnxError("the header is not that of ONNX" if graphs else "there is no graph")
     graph = graphs[0]
     opsets = {_last(o, "domain", ""): _last(o, "version", 0) for o in model.get("opset", [])}
     brought = {_last(function, "domain", "") for function in model.get("function", [])}
@@ -368,9 +374,9 @@ class _Reader:
         """Parse one message and the messages in it that are in `_FIELDS`."""
         self._parts += 1
         if self._parts > MAX_PARTS:
-            raise NotOnnxError(f"it has more than {MAX_PARTS} parts")
+            raise NotOnnxError(f"there are more than {MAX_PARTS} parts")
         if depth > MAX_DEPTH:
-            raise NotOnnxError(f"its parts are nested more than {MAX_DEPTH} deep")
+            raise NotOnnxError(f"parts are nested more than {MAX_DEPTH} deep")
         found: Tree = {}
         for number, wire, value, stop in self._in(begin, end):
             name = _FIELDS[kind].get(number, "")
@@ -389,7 +395,7 @@ class _Reader:
         while at < end:
             self._fields += 1
             if self._fields > MAX_FIELDS:
-                raise NotOnnxError(f"it has more than {MAX_FIELDS} fields")
+                raise NotOnnxError(f"there are more than {MAX_FIELDS} fields")
             tag, at = self._varint(at, end)
             number, wire = tag >> 3, tag & 7
             if wire == _VARINT:
@@ -401,9 +407,9 @@ class _Reader:
             elif wire in (_FIXED64, _FIXED32):
                 size = 8 if wire == _FIXED64 else 4
             else:
-                raise NotOnnxError(f"byte {at} is not protocol buffers")
+                raise NotOnnxError(f"byte {at} does not fit the format (protocol buffers)")
             if number == 0 or size > end - at:
-                raise NotOnnxError(f"it ends within a field, at byte {at}: truncated or damaged")
+                raise NotOnnxError(f"ends within a field, at byte {at}: truncated or damaged")
             yield number, wire, at, at + size
             at += size
 
@@ -417,4 +423,4 @@ class _Reader:
             value |= (byte & 0x7F) << shift
             if byte < 0x80:
                 return value & (1 << 64) - 1, at
-        raise NotOnnxError(f"it ends within a number, at byte {at}: truncated or damaged")
+        raise NotOnnxError(f"ends within a number, at byte {at}: truncated or damaged")

@@ -67,8 +67,8 @@ def open_session(
     engine = engine or EngineOptions(path.stem, "fp32")
     if engine.precision == "int8-cpu" and TENSORRT_PROVIDERS.intersection(providers):
         raise ModelError(
-            f"model {engine.model}: its INT8 is not symmetric, but TensorRT needs that; choose its "
-            "int8-trt or fp16 variant"
+            f"model {engine.model}: quantized for CPUs (int8-cpu, asymmetric), which TensorRT "
+            "cannot run; choose the model's int8-trt or fp16 variant"
         )
     check_providers(providers, key)
     if TENSORRT in providers:
@@ -88,10 +88,12 @@ def check_providers(providers: Sequence[str], key: str, look: bool = True) -> No
         ModelError: there are none, or a package or a provider is missing.
     """
     if not providers:
-        raise ModelError(f"{key}: empty, name at least one")
+        raise ModelError(f"{key}: empty; name at least one provider")
     if TENSORRT in providers:
         if len(providers) > 1:
-            raise ModelError(f"{key}: {TENSORRT!r} cannot be combined with others; name it alone")
+            raise ModelError(
+                f"{key}: {TENSORRT!r} cannot be combined with other providers; name only one"
+            )
         tensorrt.load()
         return
     lacks = ModelError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
@@ -153,7 +155,9 @@ def _load(
         # Its fallback would print, and use other providers than those named.
         session = ort.InferenceSession(str(path), options, providers=providers, enable_fallback=0)
     except Exception as error:  # onnxruntime raises many types
-        raise ModelError(f"{path}: onnxruntime cannot load it: {short_reason(error)}") from None
+        raise ModelError(
+            f"{path}: onnxruntime cannot load the model: {short_reason(error)}"
+        ) from None
     # A provider that fails to start is only logged by onnxruntime, which then uses the CPU.
     if missing := [p for p, _ in providers if p not in session.get_providers()]:
         raise ModelError(

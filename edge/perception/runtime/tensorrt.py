@@ -38,7 +38,7 @@ def load() -> Any:
     except ImportError:
         raise ModelError(
             "TensorRT for Python is not installed: pip install edge-vln[tensorrt]; on a Jetson "
-            "use JetPack's, in an environment made with --system-site-packages"
+            "use JetPack's TensorRT, in a venv made with --system-site-packages"
         ) from None
     return tensorrt
 
@@ -97,7 +97,7 @@ def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[
     if not parser.parse_from_file(str(path)):
         faults = [parser.get_error(i).desc() for i in range(parser.num_errors)]
         reason = one_line(faults[0] if faults else logger.last)
-        raise ModelError(f"{path}: TensorRT cannot read it: {reason}")
+        raise ModelError(f"{path}: TensorRT cannot read the model: {reason}")
     config = builder.create_builder_config()
     config.set_memory_pool_limit(trt.MemoryPoolType.WORKSPACE, _WORKSPACE_BYTES)
     config.progress_monitor = make_monitor(trt, note)
@@ -108,7 +108,7 @@ def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[
         config.add_optimization_profile(profile)
     plan = builder.build_serialized_network(network, config)
     if plan is None:
-        raise ModelError(f"{path}: TensorRT cannot build an engine of it: {logger.last}")
+        raise ModelError(f"{path}: TensorRT cannot build an engine: {logger.last}")
     return plan
 
 
@@ -198,7 +198,7 @@ class TensorrtSession:
         self.device = device
         self._context = engine.create_execution_context()
         if self._context is None:
-            raise ModelError("TensorRT: not enough GPU memory for the engine; free some")
+            raise ModelError("TensorRT: not enough GPU memory for the engine; free GPU memory")
         self._lock = threading.Lock()
 
     def get_providers(self) -> list[str]:

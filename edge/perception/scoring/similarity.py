@@ -69,8 +69,8 @@ class PairSimilarity:
     def __init__(self, name: str, image: ClipImageEncoder, text: TextEncoder) -> None:
         if image.dim != text.dim:
             raise ModelError(
-                f"model {name}: image embeddings have length {image.dim}, those of its text "
-                f"encoder {text.dim}: name two of one family"
+                f"model {name}: embeddings of the image encoder have length {image.dim}, those of "
+                f"the text encoder {text.dim}: name two encoders of one family in the card"
             )
         self.name = name
         self._image, self._text = image, text

@@ -230,7 +230,9 @@ class ModelSwap(Generic[Model]):
         for ended in self._ended:
             ended.thread.join(max(0.0, until_s - time.monotonic()))
         if any(ended.thread.is_alive() for ended in self._ended):
-            log.warning("a swapped model is still loading: the process ends without waiting for it")
+            log.warning(
+                "a model of a swap is still loading: the service ends without waiting for it"
+            )
 
     def _check_free(self, name: str, again: bool = False) -> None:
         """Check that a swap to a model may begin.
@@ -245,12 +247,12 @@ class ModelSwap(Generic[Model]):
         """
         if self._attempt is not None:
             raise SwapError(
-                f"{self._attempt.name} is still {self.state}; wait until that swap ends"
+                f"the swap to {self._attempt.name} is still {self.state}; wait until it ends"
             )
         if name == self.running and not again:
-            raise SwapError(f"{name} runs already")
+            raise SwapError(f"model {name} runs already")
         if late := next((one.name for one in self._ended if one.trying), None):
-            raise SwapError(f"{late}, which was refused, is still loading; try again later")
+            raise SwapError(f"model {late}, which was refused, is still loading; try again later")
 
     def _begin(self, attempt: SwapAttempt[Model, Any], now_ns: int) -> None:
         self.number += 1

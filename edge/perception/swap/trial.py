@@ -84,7 +84,7 @@ def run_trial(
         )
     old, found = boxes_found_again(samples, runs[0], perception.tau_det)
     if old == 0:
-        return f"{pace}; {running} found nothing there to compare with"
+        return f"{pace}; {running} found nothing on these images to compare with"
     share = f"finds {found} of the {old} boxes of {running}"
     if not related:
         return f"{pace}; {share} (another family: no reason to refuse it)"

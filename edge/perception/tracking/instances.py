@@ -355,7 +355,7 @@ class InstanceTracker:
         check_arrays(state, self.state_dict(), rows, most, ("id",))
         n_points, end = state["n_points"], np.cumsum(state["n_points"])
         if (n_points == 0).any() or n_points.sum() != len(state["points_m"]):
-            raise ValueError("n_points: its sum is not the number of points")
+            raise ValueError("n_points: the sum is not the number of points, or an object has none")
         for row, label in enumerate(state["label"].tolist()):
             its = slice(end[row] - n_points[row], end[row])
             points_m = state["points_m"][its].copy()

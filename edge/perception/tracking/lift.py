@@ -133,8 +133,8 @@ class BackProjector:
         if missing := self._missing(seen):
             self.skipped += 1
             if self.skipped == 1:
-                log.warning("observation %d: %s; its boxes get no position (more of these are "
-                            "only counted)", seen.seq, missing)  # fmt: skip
+                log.warning("observation %d: %s; its boxes get no position in the map (further "
+                            "ones are only counted)", seen.seq, missing)  # fmt: skip
         return not missing
 
     def _missing(self, seen: Observation) -> str:

@@ -80,7 +80,8 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
             action = NavigateProxy(ends, plan["action"], lambda: any(t.wanted for t in received))
             often.append(action.pass_requests)
             seldom.append(action.update)
-        log.info("passing up to %d topics in and %d out", len(received), len(plan["said"]))
+        log.info("passing up to %d topics from ROS 2 to edge, and %d from edge to ROS 2",
+                 len(received), len(plan["said"]))  # fmt: skip
         while not stop.is_set():
             executor.spin_once(timeout_sec=GRAPH_S)
             for update in often:
@@ -107,7 +108,7 @@ def _import_or_explain(name: str, plan: dict[str, Any]) -> Any:
             "rclpy": "source ROS 2's setup file first, or name it in ros2.adapter.setup",
             "zenoh": f"{sys.executable} -m pip install eclipse-zenoh=={plan['version']}",
         }[name]
-        raise SetupError(f"{sys.executable}: no {name} ({error}): {what}") from None
+        raise SetupError(f"{sys.executable}: cannot import {name} ({error}): {what}") from None
 
 
 def _open(zenoh: Any, plan: dict[str, Any], stop: threading.Event) -> Any:
@@ -117,7 +118,7 @@ def _open(zenoh: Any, plan: dict[str, Any], stop: threading.Event) -> Any:
     except zenoh.ZError as error:
         versions = f"written by eclipse-zenoh {plan['version']}"
         raise SetupError(
-            f"zenoh: cannot read the session's settings ({versions}): {error}"
+            f"zenoh: cannot read the settings ({versions}); install the same version here: {error}"
         ) from None
     logged = False
     while not stop.is_set():
@@ -126,7 +127,7 @@ def _open(zenoh: Any, plan: dict[str, Any], stop: threading.Event) -> Any:
         except zenoh.ZError as error:
             if not logged:
                 logged = True
-                log.info("waiting for the service: %s", one_line(str(error).split(" at /")[0]))
+                log.info("waiting for edge: %s", one_line(str(error).split(" at /")[0]))
             stop.wait(_OPEN_AGAIN_S)
     return None
 

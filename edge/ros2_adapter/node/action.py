@@ -139,7 +139,9 @@ class NavigateProxy:
         if self._is_followed():
             self._followed_s = time.monotonic()
         elif time.monotonic() - self._followed_s > GONE_S and self.cancel():
-            log.warning("the service is gone: its goal is cancelled")
+            log.warning(
+                "edge is gone (no receiver for %g s): its navigation goal is cancelled", GONE_S
+            )
 
     def cancel(self) -> bool:
         """Cancel our active goal; return True if there was one."""

@@ -188,8 +188,9 @@ def cdr_of(payload: Any, max_bytes: int) -> bytes:
     """Return a payload for ROS, which does not check it; raise ValueError if it is no CDR."""
     if payload is None or len(payload) > max_bytes:
         size = 0 if payload is None else len(payload)
-        raise ValueError(f"{size} bytes, at most {max_bytes} are allowed")
+        raise ValueError(f"the message has {size} bytes, at most {max_bytes} are allowed")
     data = payload.to_bytes()
     if data[:2] != _CDR:
-        raise ValueError(f"not little-endian CDR: begins {data[:4].hex() or 'empty'}")
+        begin = data[:4].hex() or "nothing"
+        raise ValueError(f"not little-endian CDR: the message begins with {begin}, expected 0001")
     return data

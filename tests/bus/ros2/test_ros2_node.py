@@ -146,7 +146,7 @@ def test_a_flood_of_tokens_is_bounded_and_told(session, port, monkeypatch, caplo
         said = [Endpoint("MP", "z", "/n", f"/t{i}", POSE, "RIHS01_0") for i in range(9)]
         tokens = [names.endpoint_token(0, 0, i, e, names.RELIABLE) for i, e in enumerate(said)]
         open_tokens = [other.liveliness().declare_token(token) for token in tokens]
-        eventually(lambda: seen.update() and "more than 4 endpoints" in caplog.text)
+        eventually(lambda: seen.update() and "more than 4 publishers" in caplog.text)
         eventually(lambda: not seen.update())
         assert sum(bool(seen.endpoints("MP", e.topic)) for e in said) == 4
         del open_tokens

@@ -75,8 +75,8 @@ def ask(request, port) -> Iterator[Ask]:
 @pytest.mark.parametrize(
     ("text", "answer"),
     [
-        ("", {"error": "not JSON"}),
-        ("[]", {"error": "expected a JSON object"}),
+        ("", {"error": "the request is not JSON"}),
+        ("[]", {"error": "the request is JSON, but not an object"}),
         ("{}", {"error": "to: unknown None (choices: mission, models, site, memory)"}),
         ('{"to": "site"}', {"to": "site", "error": "do: unknown None (choices: list, remove)"}),
         ('{"to": "memory", "do": "list", "ref": 7}', {"to": "memory", "ref": 7, "did": "list"}),
@@ -86,7 +86,7 @@ def ask(request, port) -> Iterator[Ask]:
         ),
         (
             '{"to": "site", "do": "list", "ref": [1]}',
-            {"error": "ref: expected a number, or a text of 100 characters"},
+            {"error": "ref: expected an integer, or text of at most 100 characters, got a list"},
         ),
     ],
 )

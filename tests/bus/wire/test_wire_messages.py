@@ -392,7 +392,11 @@ def zero_rotation(odometry) -> None:
         ("nav_msgs/msg/Odometry", lambda m: setattr(m.pose.pose.position, "x", math.nan), "NaN"),
         ("nav_msgs/msg/Odometry", zero_rotation, "not a rotation"),
         ("nav_msgs/msg/Odometry", lambda m: setattr(m.twist.twist.linear, "x", math.inf), "twist"),
-        ("nav_msgs/msg/Odometry", lambda m: setattr(m.header.stamp, "nanosec", 10**9), "time"),
+        (
+            "nav_msgs/msg/Odometry",
+            lambda m: setattr(m.header.stamp, "nanosec", 10**9),
+            "nanosec 10",
+        ),
         ("nav_msgs/msg/Odometry", lambda m: setattr(m.pose.pose.position, "z", 1e300), "too far"),
         ("geometry_msgs/msg/PoseStamped", lambda m: setattr(m.pose.position, "y", -1e6), "too far"),
         ("nav_msgs/msg/OccupancyGrid", lambda m: setattr(m.info.origin.position, "x", 1e30), "far"),
@@ -418,7 +422,7 @@ def test_an_image_that_does_not_fit_its_place():
     header = messages.decode_image_header(payload)
     with pytest.raises(DecodeError, match="3x2, expected 2x2"):
         messages.decode_image_into(payload, header, np.zeros((2, 2, 3), np.uint8))
-    with pytest.raises(DecodeError, match="rgb8 where float32"):
+    with pytest.raises(DecodeError, match="is rgb8, but float32"):
         messages.decode_image_into(payload, header, np.zeros((2, 3), np.float32))
     with pytest.raises(ValueError, match="no image encoding"):
         messages.encode_image(1, "camera", np.zeros((2, 3, 4), np.uint8))

@@ -73,15 +73,15 @@ class MarkNetwork:
     ) -> None:
         if text.dim != card.text_dim:
             raise ModelError(
-                f"model {card.name}: takes text embeddings of length {card.text_dim}, those of "
-                f"{card.text_encoder} have {text.dim}: name another text_encoder"
+                f"model {card.name}: needs text embeddings of length {card.text_dim}, but those of "
+                f"{card.text_encoder} have {text.dim}: name another text_encoder in the card"
             )
         self.name, self._text = card.name, text
         self._scale, self._deadline = np.float32(card.preprocess.scale), InferenceTimeout(card.name)
         if TENSORRT in providers:
             raise ModelError(
-                f"{_KEY}: {TENSORRT!r} alone runs detectors only; name onnxruntime's "
-                "TensorrtExecutionProvider"
+                f"{_KEY}: {TENSORRT!r} runs only detectors; name onnxruntime's "
+                "TensorrtExecutionProvider instead"
             )
         path = verify_model(card, believe_cache=True)
         engine = EngineOptions(card.name, card.precision)
@@ -272,6 +272,6 @@ def check_size(card: MarksCard, config: ChoiceOnnx) -> None:
     longer = max(card.input.height, card.input.width)
     if longer > config.max_image_px:
         raise ModelError(
-            f"perception.choice.max_image_px: {config.max_image_px}, but {card.name} takes "
+            f"perception.choice.max_image_px: {config.max_image_px}, but {card.name} needs "
             f"images of {card.input.width}x{card.input.height}: set at least {longer}"
         )

@@ -75,7 +75,7 @@ class _Process(SupervisedProcess):
     def _ready(self, again: bool) -> None:
         """See `SupervisedProcess`."""
         if again:
-            log.info("model %s: its process runs", self.name)
+            log.info("model %s: its process runs again", self.name)
 
     def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
         """See `SupervisedProcess`."""
@@ -142,12 +142,14 @@ def _decode(
         raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
     values = header.get("p")
     if not isinstance(values, list) or len(values) != len(sizes):
-        raise ValueError(f"p {bounded_repr(values, 40)}")
+        raise ValueError(f"p {bounded_repr(values, 40)}, expected {len(sizes)} lists")
     try:
         found = [np.array(p, np.float32) for p in values]
     except (TypeError, ValueError):
-        raise ValueError(f"p {bounded_repr(values, 40)}") from None
+        raise ValueError(f"p {bounded_repr(values, 40)}, expected lists of numbers") from None
     for p, size in zip(found, sizes, strict=True):
         if p.shape != (size,) or not (p >= 0).all() or abs(float(p.sum()) - 1.0) > _SUM_ERROR:
-            raise ValueError(f"shares {bounded_repr(p.tolist(), 40)} for {size} answers")
+            raise ValueError(
+                f"p {bounded_repr(p.tolist(), 40)}, expected {size} probabilities with the sum 1"
+            )
     return found

@@ -39,7 +39,7 @@ def main() -> int:
     try:
         answer_questions(questions, answer, frames)
     except BaseException:
-        log.exception("model %s: its process ends", request["choice"]["card"])
+        log.exception("model %s: its process ends after an error", request["choice"]["card"])
         os._exit(1)
     return 0
 

@@ -48,7 +48,7 @@ def show_picture(max_px: int, view: MarkedView) -> ServerPrompt:
     """
     rgb = view.observation.rgb
     if rgb is None:
-        raise ValueError(f"observation {view.observation.seq}: no image to show")
+        raise ValueError(f"observation {view.observation.seq}: no image to show to the model")
     image, marks = draw(rgb, view.marks, max_px)
     part = {"type": "image_url", "image_url": {"url": data_url(image)}}
     return ServerPrompt(view, part, marks)

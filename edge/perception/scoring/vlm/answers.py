@@ -51,7 +51,7 @@ def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -
         likeliest = ", ".join(repr(token) for token, _ in tokens[:3])
         raise NoAnswerError(
             f"the model begins its answer with {likeliest:.60}, not with {', '.join(answers)}; "
-            "use one that answers at once"
+            "use a model that answers at once, without reasoning"
         )
     missing = np.isneginf(logits)
     if missing.any():

@@ -77,8 +77,8 @@ class Decoder:
         else:
             return
         raise ModelError(
-            f"{self._files.folder}: model {self._files.name}: its decoder {fault}: take one of the "
-            "published layout (decoder_model_merged)"
+            f"{self._files.folder}: model {self._files.name}: its decoder {fault}: take a decoder "
+            "of the usual layout (decoder_model_merged)"
         )
 
     def _no_past(self) -> Iterator[tuple[str, np.ndarray]]:
@@ -98,8 +98,8 @@ class Decoder:
                 )
                 if not (isinstance(n, int) and isinstance(d, int)):
                     raise ModelError(
-                        f"{self._files.folder}: model {self._files.name}: neither the decoder nor "
-                        "config.json gives num_key_value_heads and head_dim"
+                        f"{self._files.folder}: model {self._files.name}: num_key_value_heads and "
+                        "head_dim are neither in the decoder nor in config.json; add them there"
                     )
                 yield name, np.empty((1, n, 0, d), DTYPES[value.type])
 
@@ -150,8 +150,8 @@ class Decoder:
         kept = {_PAST + name.removeprefix(_PRESENT): a for name, a in by_name.items()}
         if any(a.shape[2] != length for a in kept.values()):
             raise ModelError(
-                f"model {self._files.name}: its decoder returns a cache of another length than "
-                f"the {length} tokens that it has read, {n} of them now"
+                f"model {self._files.name}: its decoder read {length} tokens ({n} of them now), "
+                "but returns a cache of another length; take another model"
             )
         return KeyValueCache(length, kept), logits
 

@@ -66,8 +66,8 @@ def read_files(card: ChoiceCard) -> ModelFiles:
     image = _read(card, PREPROCESSOR, needed=False) or processor.get("image_processor")
     if card.vision_encoder is not None and not isinstance(image, dict):
         raise ModelError(
-            f"{folder / PREPROCESSOR}: model {card.name}: no image preprocessing is configured; "
-            "name that file among the card's others"
+            f"{folder / PREPROCESSOR}: model {card.name}: its card does not name this file, which "
+            "configures the image preprocessing; add it to the card's others"
         )
     return ModelFiles(
         name=card.name,
@@ -85,7 +85,7 @@ def _read(card: ChoiceCard, name: str, needed: bool = True) -> dict[str, Any]:
     path = card.path / name
     if not any(part.file == name for part in card.others):
         if needed:
-            raise ModelError(f"model {card.name}: its card names no {name} among its others")
+            raise ModelError(f"model {card.name}: add {name} to the list others of its card")
         return {}
     try:
         return read_json_object(read_regular(path))
@@ -120,8 +120,8 @@ def _template(card: ChoiceCard, tokenizer: dict[str, Any]) -> str:
         return _text_of(tokenizer["chat_template"])
     except (KeyError, TypeError, StopIteration):
         raise ModelError(
-            f"model {card.name}: no chat template: neither in {TOKENIZER_CONFIG} nor in a file "
-            f"({', '.join(TEMPLATES)}) that its card names"
+            f"model {card.name}: no chat template: neither in {TOKENIZER_CONFIG}, nor in a file "
+            f"({', '.join(TEMPLATES)}) that the card names"
         ) from None
 
 

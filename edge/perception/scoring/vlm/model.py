@@ -95,8 +95,8 @@ class LanguageModel:
         )
         if missing := [answer for answer in ordered if not len(found[answer])]:
             raise ModelError(
-                f"model {self.name}: its vocabulary has no token for {missing[0]!r}: it cannot "
-                "answer with one token; take another model"
+                f"model {self.name}: its vocabulary has no token for the answer {missing[0]!r}; "
+                "take another model"
             )
         return found
 
@@ -179,8 +179,8 @@ class LanguageModel:
         for value in self._vision.get_inputs():
             if value.name not in feeds:
                 raise ModelError(
-                    f"model {self.name}: its vision encoder needs {value.name!r:.40}, which its "
-                    f"image processor does not make (it makes {', '.join(feeds)})"
+                    f"model {self.name}: its vision encoder needs the input {value.name!r:.40}, "
+                    f"but its image processor makes only {', '.join(feeds)}; take another model"
                 )
             taken[value.name] = feeds[value.name].astype(DTYPES[value.type], copy=False)
         first = self._vision.get_outputs()[0].name
@@ -191,28 +191,28 @@ class LanguageModel:
         for some in ids:
             if len(some) > self._card.max_tokens:
                 raise ModelError(
-                    f"model {self.name}: a question of {len(some)} tokens, its card's max_tokens "
-                    f"is {self._card.max_tokens}"
+                    f"model {self.name}: a question has {len(some)} tokens, but max_tokens of its "
+                    f"card is {self._card.max_tokens}"
                 )
             images = int((some == self._prompter.image_id).sum()) if len(features) else 0
             if images != len(features):
                 raise ModelError(
                     f"model {self.name}: its vision encoder makes {len(features)} rows of an "
-                    f"image, its prompt has places for {images}: the files are of two models"
+                    f"image, but its prompt has {images} image tokens: the files are of two models"
                 )
 
     def _shares(self, logits: np.ndarray, answers: Sequence[str]) -> np.ndarray:
         ids = [self._ids[answer] for answer in answers]
         if max(int(some.max()) for some in ids) >= len(logits):
             raise ModelError(
-                f"model {self.name}: {len(logits)} logits, fewer than its tokenizer has "
-                "tokens: the files are of two models"
+                f"model {self.name}: its decoder returns {len(logits)} logits, fewer than its "
+                "tokenizer has tokens: the files are of two models"
             )
         p = answer_probabilities(logits, ids)
         if not np.isfinite(p).all():
             raise ModelError(
-                f"model {self.name}: logits of the answers are not finite: it is damaged, or its "
-                "precision too low; take another variant"
+                f"model {self.name}: logits of the answers are not finite: the model is damaged, "
+                "or its precision is too low; take another variant"
             )
         return p
 

@@ -90,7 +90,7 @@ class _Normalise:
             mean = np.asarray(settings["image_mean"], np.float32)
             std = np.asarray(settings["image_std"], np.float32)
         if mean.shape != (3,) or std.shape != (3,) or not std.all():
-            raise ValueError("image_mean or image_std")
+            raise ValueError("image_mean and image_std must be three numbers each, no std 0")
         self._scale, self._shift = (scale / std).astype(np.float32), (mean / std).astype(np.float32)
 
     def __call__(self, rgb: np.ndarray) -> np.ndarray:
@@ -101,7 +101,7 @@ def _size(settings: dict[str, Any], key: str, most: int, default: int | None = N
     """Return a whole number of 1 to `most`; raise KeyError or ValueError."""
     found = int(settings[key] if default is None else settings.get(key, default))
     if not 1 <= found <= most:
-        raise ValueError(f"{key} {found} (1 to {most})")
+        raise ValueError(f"{key} is {found}, expected 1 to {most}")
     return found
 
 
@@ -146,7 +146,9 @@ def _idefics3(
 
 def _check_limit(most_tokens: int, least: int) -> None:
     if most_tokens < least:
-        raise ValueError(f"{least} tokens an image, where the card's image_tokens is {most_tokens}")
+        raise ValueError(
+            f"an image takes {least} tokens, but image_tokens of the card is {most_tokens}"
+        )
 
 
 def _to_longest(rgb: np.ndarray, longest: int) -> tuple[int, int]:
@@ -175,7 +177,9 @@ def _qwen2_vl(
     times = _size(settings, "temporal_patch_size", _MAX_FRAMES, 2)
     resample = Image.Resampling(settings.get("resample", 3))
     if patch * merge > MAX_EDGE_PX:
-        raise ValueError(f"patch_size times merge_size is {patch * merge}, not 1 to {MAX_EDGE_PX}")
+        raise ValueError(
+            f"patch_size times merge_size is {patch * merge}, expected 1 to {MAX_EDGE_PX}"
+        )
     size = settings.get("size") or {}
     least = int(settings.get("min_pixels") or size["shortest_edge"])
     most = int(settings.get("max_pixels") or size["longest_edge"])

@@ -60,14 +60,14 @@ class Prompter:
         missing = [part for part in (rules, view, question) if part and part not in text]
         if missing:
             raise ModelError(
-                f"model {self._name}: its chat template leaves out {one_line(missing[0], 40)!r}: "
-                f"it is of another model, or damaged ({', '.join(TEMPLATES)})"
+                f"model {self._name}: its chat template ({', '.join(TEMPLATES)}) leaves out "
+                f"{one_line(missing[0], 40)!r}: the template is of another model, or damaged"
             )
         images = text.count(self.image_token) if self.image_token else 0
         if images != (view is None):
             raise ModelError(
                 f"model {self._name}: its chat template shows {images} images "
-                f"({self.image_token or 'it takes none'}) in place of {int(view is None)}"
+                f"({self.image_token or 'the model takes none'}), expected {int(view is None)}"
             )
         return text
 
