@@ -285,18 +285,18 @@ def mask_of(things: Sequence[WorldObject], most: int) -> np.ndarray:
 
 
 @jit
-def visible_px(ids: np.ndarray, depth_m: np.ndarray, mine: np.ndarray, range_m: float) -> int:
+def visible_px(ids: np.ndarray, depth_m: np.ndarray, mask: np.ndarray, range_m: float) -> int:
     """Count the pixels that show one of the objects within a range.
 
     Args:
         ids: (h, w) uint16 object ids.
         depth_m: (h, w) float32, NaN = no return.
-        mine: (n,) bool by object id.
+        mask: (n,) bool by object id, True for the objects.
         range_m: the range.
     """
     count = 0
     for v in range(ids.shape[0]):
         for u in range(ids.shape[1]):
-            if mine[ids[v, u]] and depth_m[v, u] <= range_m:
+            if mask[ids[v, u]] and depth_m[v, u] <= range_m:
                 count += 1
     return count
