@@ -198,7 +198,7 @@ def story_of(
         MissionEvent(round(t_s * S), kind, label, 0, text)  # the states are not looked at
         for t_s, kind, label, text in steps
     )
-    return replace(facts(), spec=spec, state=automaton.run(word), trace=word, plan=DEAD, steps=told)
+    return replace(facts(), spec=spec, state=automaton.run(word), trace=word, plan=DEAD, log=told)
 
 
 def mission_run() -> RunRecord:

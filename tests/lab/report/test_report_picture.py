@@ -58,7 +58,7 @@ def test_long_maps_keep_the_picture_readable(run, size_m):
 
 def test_the_way_has_the_colours_of_its_targets_and_what_was_reached_a_number(long_run):
     drawn, green = picture.png(long_run), palette.OUTCOME["reached"]
-    by_time = replace(long_run, mission_facts=replace(long_run.mission_facts, steps=()))
+    by_time = replace(long_run, mission_facts=replace(long_run.mission_facts, log=()))
     simple = replace(long_run, mission_facts=None)
     assert drawn != picture.png(by_time)
     assert count(pixels(drawn), green) > count(pixels(picture.png(simple)), green)

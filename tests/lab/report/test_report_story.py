@@ -33,7 +33,7 @@ def test_a_mission_is_explained_and_drawn(long_run):
 
 def test_a_mission_under_way_says_what_is_to_come(long_run):
     plan = replace(DEAD, steps=("sofa", "", "tv"))
-    under_way = replace(long_run.mission_facts, trace=(), state=0, steps=(), plan=plan)
+    under_way = replace(long_run.mission_facts, trace=(), state=0, log=(), plan=plan)
     text = Reader(story.section(replace(long_run, mission_facts=under_way))).text
     assert "left to reachsofa, then nothing, then tv" in text
     assert "reachednothing" in text
