@@ -127,7 +127,10 @@ def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, mon
     ("chain", "line"),
     [
         ({"kind": "mine"}, "tasks.pipeline.kind: expected module:Class"),
-        ({"kind": "own_chain:nothing"}, "tasks.pipeline.kind: 'own_chain:nothing': AttributeError"),
+        (
+            {"kind": "own_chain:nothing"},
+            "tasks.pipeline.kind: 'own_chain:nothing' cannot be imported: AttributeError",
+        ),
         ({"kind": "own_chain:make"}, "tasks.pipeline.options: missing a required argument: 'box'"),
         ({"kind": "own_chain:made_of_nothing"}, "own_chain:made_of_nothing is no pipeline"),
         (
