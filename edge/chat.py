@@ -28,7 +28,7 @@ from edge.host.http import (
 )
 from edge.text import bounded_repr, one_line, split_url
 
-MAX_ANSWER_BYTES = 256 * 1024
+MAX_ANSWER_BYTES = 256 * 1024  # limit of an HTTP body for the clients of `make_chat_client`
 MOST_TOKENS = 20  # most log-probabilities that OpenAI and vLLM return for one position
 ROUNDING = 1e-3  # tolerance of a log-probability above 0
 LEAST = -1e4  # lower bound; for "impossible", OpenAI and vLLM return -9999, llama.cpp -3e38
@@ -116,7 +116,7 @@ class ChatClient:
             ChatError: no usable answer within the limits; `TokenLimitError` if the token limit
             ended it.
         """
-        return self._content(self._reply(messages, left_s, options))
+        return self._parse_content(self._reply(messages, left_s, options))
 
     def next_tokens(
         self, messages: list[dict[str, Any]], left_s: float | None = None, **options: Any
@@ -124,9 +124,9 @@ class ChatClient:
         """Return the most likely first tokens of the answer, with their log-probabilities.
 
         One token is requested, with temperature 1. So the logits are the model's own, even if a
-        server
-        divides them by the temperature before it reports them. The request has no field for prompt
-        caching: vLLM and llama.cpp cache without one, and hosted servers refuse unknown fields.
+        server divides them by the temperature before it reports them. The request has no field for
+        prompt caching: vLLM and llama.cpp cache without one, and hosted servers refuse unknown
+        fields.
 
         Args:
             messages: see `ask`.
@@ -139,8 +139,13 @@ class ChatClient:
         Raises:
             ChatError: no usable answer within the limits, or one without log-probabilities.
         """
-        wanted = {"max_tokens": 1, "temperature": 1, "logprobs": True, "top_logprobs": MOST_TOKENS}
-        return self._likeliest(self._reply(messages, left_s, {**wanted, **options}))
+        defaults = {
+            "max_tokens": 1,
+            "temperature": 1,
+            "logprobs": True,
+            "top_logprobs": MOST_TOKENS,
+        }
+        return self._parse_log_probabilities(self._reply(messages, left_s, {**defaults, **options}))
 
     def close(self) -> None:
         """Cancel running requests at once; later requests fail."""
@@ -154,7 +159,7 @@ class ChatClient:
     ) -> HttpReply:
         left_s = self.time_limit_s if left_s is None else left_s
         if left_s <= 0:
-            raise self._late()
+            raise self._timeout_error()
         request = {"model": self.model, "messages": messages, "stream": False, **options}
         reply = self._exchange(json.dumps(request).encode(), left_s)
         if 300 <= reply.status < 400:
@@ -180,7 +185,7 @@ class ChatClient:
         try:
             return exchange.send(self._http, request, self.max_answer_bytes, left_s)
         except (TimeoutError, httpx.TimeoutException):
-            raise self._late() from None
+            raise self._timeout_error() from None
         except Exception as error:
             raise self._error(_reason(error)) from None
         finally:
@@ -200,8 +205,8 @@ class ChatClient:
             "POST", url.geturl(), content=body, headers=headers, timeout=left_s
         )
 
-    def _content(self, reply: HttpReply) -> str:
-        answer, shown = self._json(reply), self._quote(reply.body)
+    def _parse_content(self, reply: HttpReply) -> str:
+        answer, shown = self._parse_json(reply), self._quote(reply.body)
         try:
             choice = answer["choices"][0]
             content, ended_by = choice["message"]["content"], choice.get("finish_reason")
@@ -219,8 +224,8 @@ class ChatClient:
             raise self._error("the answer is empty; try another model")
         return content
 
-    def _likeliest(self, reply: HttpReply) -> list[tuple[str, float]]:
-        answer = self._json(reply)
+    def _parse_log_probabilities(self, reply: HttpReply) -> list[tuple[str, float]]:
+        answer = self._parse_json(reply)
         try:
             found = answer["choices"][0]["logprobs"]["content"][0]["top_logprobs"]
             pairs = [(entry["token"], entry["logprob"]) for entry in found]
@@ -241,7 +246,7 @@ class ChatClient:
                 )
         return [(token, float(max(logprob, LEAST))) for token, logprob in pairs]
 
-    def _json(self, reply: HttpReply) -> Any:
+    def _parse_json(self, reply: HttpReply) -> Any:
         try:
             return json.loads(reply.body)
         except (ValueError, RecursionError):
@@ -265,7 +270,7 @@ class ChatClient:
     def _error(self, what: str) -> ChatError:
         return ChatError(f"{self.url}: {what}")
 
-    def _late(self) -> ChatTimeoutError:
+    def _timeout_error(self) -> ChatTimeoutError:
         return ChatTimeoutError(
             f"{self.url}: no complete answer within {self.time_limit_s:g} s; raise time_limit_s or "
             "use a faster model"

@@ -17,11 +17,11 @@ FARTHEST_M = 1e6
 # Columns are the optical axes seen from a body frame (x forward, y left, z up).
 R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
-# Limits of a pinhole camera, in units of the longer image side. A focal length of one side gives a
-# field of view of 53 degrees; the limits give 178.9 and 0.6 degrees. The principal point may be far
-# outside the image if the image is a small crop.
-MIN_FOCAL, MAX_FOCAL, MAX_ASIDE = 0.01, 100.0, 10.0
-MAX_SIDE_PX = 1 << 16
+# Limits of a pinhole camera; the first three are in units of the longer image side.
+MIN_FOCAL = 0.01  # focal length with a field of view of 178.9 degrees
+MAX_FOCAL = 100.0  # focal length with a field of view of 0.6 degrees
+MAX_ASIDE = 10.0  # distance of the principal point from the centre; large if the image is a crop
+MAX_SIDE_PX = 1 << 16  # width and height
 
 
 def wrap_angle(angle_rad: float) -> float:
@@ -100,7 +100,7 @@ class Grid:
         return (np.asarray(xy_m, np.float64) - self.origin_xy_m) / self.resolution_m
 
     def to_metres(self, xy: np.ndarray) -> np.ndarray:
-        """Convert points (…, 2) from cell units to metres, the inverse of `of_metres`."""
+        """Convert points (…, 2) from cell units to metres, the inverse of `to_cells`."""
         return np.asarray(xy) * self.resolution_m + np.asarray(self.origin_xy_m)
 
     def centres_m(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -227,8 +227,8 @@ def invert(T: np.ndarray) -> np.ndarray:
 def interpolate(T_a: np.ndarray, T_b: np.ndarray, fraction: float) -> np.ndarray:
     """Interpolate between two (4, 4) poses; a `fraction` above 1 extrapolates beyond `T_b`.
 
-    The rotation uses nlerp. It differs from slerp by less than 1e-4 rad between odometry samples
-    (< 10 degrees apart).
+    The rotation is interpolated linearly and normalised (nlerp). Between odometry samples, which
+    are less than 10 degrees apart, this differs from slerp by less than 1e-4 rad.
     """
     q_a, q_b = quaternion_of(T_a), quaternion_of(T_b)
     dot = sum(a * b for a, b in zip(q_a, q_b, strict=True))

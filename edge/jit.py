@@ -9,7 +9,9 @@ from numba import njit
 from numba.core.caching import IndexDataCacheFile
 
 jit: Any = partial(njit, nogil=True, cache=True)
-"""`numba.njit` without the GIL that keeps the compiled code, bare or with more of its options."""
+"""`numba.njit` that releases the GIL and caches the compiled code on disk.
+
+Use it as `@jit`, or as `@jit(...)` with further options of `njit`."""
 
 
 def _ignore_stale_indexes(load: Any) -> Any:

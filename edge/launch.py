@@ -54,9 +54,9 @@ from edge.sources.truth import make_ground_truth
 from edge.tasks.mission_spec import prepare_mission
 
 log = logging.getLogger("edge")
-_SWITCH_S = 2e-4
-_CHILD_STOP_S = 5.0
-_CHILD_CHECK_S = 0.2
+_SWITCH_S = 2e-4  # switch interval of the interpreter lock between threads; Python's is 5 ms
+_CHILD_STOP_S = 5.0  # time for a child process to end after SIGTERM, before it is killed
+_CHILD_CHECK_S = 0.2  # period of the checks if a child process has ended
 
 
 @dataclass
@@ -147,15 +147,17 @@ def open_service(
         stack.callback(presence.close)
         policy = run_unless_stopped(make_policy, stop)
         # Sinks are made before the slow steps: a port may be in use, and a plugin may fail.
-        every = [*(make(config=config, session=session) for make in make_sinks), *sinks]
-        for sink in every:
+        all_sinks = [*(make(config=config, session=session) for make in make_sinks), *sinks]
+        for sink in all_sinks:
             stack.callback(sink.close)
         source = make_source(config=config, session=session)
         stack.callback(source.close)
         lockstep = config.loop.lockstep
         masker = run_unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
         progress("loading the detector")
-        detector = _load(config, spec.prompts, make_ground_truth(config, session), stop, progress)
+        detector = _load_detector(
+            config, spec.prompts, make_ground_truth(config, session), stop, progress
+        )
         worker = DetectorWorker(detector, lockstep, masker)
         stack.callback(worker.close)
         progress("loading the scorers")
@@ -175,7 +177,7 @@ def open_service(
             }
 
         service = Service(
-            config, spec, worker, policy, every, checkpoint, scorers, overruns,
+            config, spec, worker, policy, all_sinks, checkpoint, scorers, overruns,
             calibration.load(), idle, inputs=getattr(source, "input_table", tuple), site=site,
         )  # fmt: skip
         stack.callback(service.close)
@@ -183,8 +185,8 @@ def open_service(
         def prepare(**request: Any) -> MissionSpec:
             return prepare_mission(config, site=site.known, **request)
 
-        served = requests.request_handlers(service, prepare, problems)
-        for key, (verbs, handle) in served.items():
+        handlers = requests.request_handlers(service, prepare, problems)
+        for key, (verbs, handle) in handlers.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)
         if config.ros2.requests:
@@ -202,17 +204,22 @@ def open_service(
         sys.setswitchinterval(_SWITCH_S)
         if not lockstep:
             stack.enter_context(trim_memory_periodically())
-        yield LaunchedService(config, service, worker, source, servers, session, every)
+        yield LaunchedService(config, service, worker, source, servers, session, all_sinks)
 
 
-def _load(
+def _load_detector(
     config: Config,
     targets: Sequence[str],
     truth: TruthAt | None,
     stop: threading.Event,
     progress: Callable[[str], None],
 ) -> Detector:
-    """Make the detector (see `make_detector`). Raise Stopped once `stop` is set."""
+    """Make the detector (see `make_detector`).
+
+    Raises:
+        Stopped: `stop` was set before the detector was ready.
+        ModelError: see `make_detector`.
+    """
 
     def report(health: Health) -> None:
         log_progress(health)
@@ -231,7 +238,7 @@ def _load(
 def with_free_port(config: Config) -> Config:
     """Return the configuration with a free local endpoint.
 
-    It needs no router, and no certificate of `zenoh.file`.
+    This endpoint works without a router and without the certificates in `zenoh.file`.
     """
     change = {
         "endpoint": f"tcp/127.0.0.1:{free_port()}", "mode": "peer", "file": None,
@@ -264,7 +271,7 @@ def child_processes(
     """
     environ = {k: v for k, v in os.environ.items() if k in KNOWN_VARIABLES or not is_ours(k)}
     started: list[subprocess.Popen[bytes]] = []
-    with _in_memory(config) as file:
+    with _write_to_memory_file(config) as file:
         path = f"/proc/self/fd/{file.fileno()}"
         try:
             for command, *options in commands:
@@ -280,14 +287,14 @@ def child_processes(
                     named = " ".join([command, *options])
                     raise UserError(f"cannot start `edge {named}`: {error.strerror}") from None
                 started.append(child)
-            with _watched(started, stop):
+            with _watch(started, stop):
                 yield started
-            _check(list(map(" ".join, commands)), started)
+            _check_children(list(map(" ".join, commands)), started)
         finally:
-            _stop(started)
+            _stop_children(started)
 
 
-def _in_memory(config: Config) -> BinaryIO:
+def _write_to_memory_file(config: Config) -> BinaryIO:
     """Return an unnamed in-memory file with the configuration.
 
     Nothing of it remains after the process ends, and only the children can read its secrets.
@@ -298,7 +305,7 @@ def _in_memory(config: Config) -> BinaryIO:
     return file
 
 
-def _watched(
+def _watch(
     started: list[subprocess.Popen[bytes]], stop: threading.Event
 ) -> AbstractContextManager[None]:
     """Set `stop` as soon as one of the processes ends."""
@@ -310,7 +317,7 @@ def _watched(
     return run_periodically("children", _CHILD_CHECK_S, check)
 
 
-def _check(names: list[str], started: list[subprocess.Popen[bytes]]) -> None:
+def _check_children(names: list[str], started: list[subprocess.Popen[bytes]]) -> None:
     """Raise UserError for the first process that has ended by itself."""
     for name, child in zip(names, started, strict=True):
         code = child.poll()
@@ -321,7 +328,7 @@ def _check(names: list[str], started: list[subprocess.Popen[bytes]]) -> None:
             raise error
 
 
-def _stop(started: list[subprocess.Popen[bytes]]) -> None:
+def _stop_children(started: list[subprocess.Popen[bytes]]) -> None:
     for child in started:
         with suppress(ProcessLookupError):
             child.send_signal(signal.SIGTERM)

@@ -14,11 +14,12 @@ from typing import Any, TextIO
 from edge.text import one_line, printable_lines
 
 LEVELS = ("debug", "info", "warning", "error")
-CLEAR_LINE = "\r\x1b[2K"
+CLEAR_LINE = "\r\x1b[2K"  # terminal control: go to the start of the line and erase it
 MAX_MESSAGE = 2000  # characters of a plain line
 
+# Attributes that every log record has; all others are `extra` fields of the caller.
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
-_seen: dict[Hashable, object] = {}
+_seen: dict[Hashable, object] = {}  # key → marker of the first call of `first_time` with it
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,8 +60,8 @@ def first_time(key: Hashable) -> bool:
     >>> first_time("readme example"), first_time("readme example")
     (True, False)
     """
-    mine = object()
-    return _seen.setdefault(key, mine) is mine  # setdefault is atomic between threads
+    marker = object()
+    return _seen.setdefault(key, marker) is marker  # setdefault is atomic between threads
 
 
 class HumanFormatter(logging.Formatter):
@@ -75,13 +76,13 @@ class HumanFormatter(logging.Formatter):
 
     def __init__(self, terminal: bool = False) -> None:
         super().__init__()
-        self._before = CLEAR_LINE if terminal else ""
+        self._prefix = CLEAR_LINE if terminal else ""
 
     def format(self, record: logging.LogRecord) -> str:
         clock = datetime.fromtimestamp(record.created).strftime("%H:%M:%S.%f")[:-3]
         name = record.name.removeprefix("edge.")
         message = one_line(record.getMessage(), MAX_MESSAGE)
-        text = f"{self._before}{clock} {record.levelname.lower():7} {name}: {message}"
+        text = f"{self._prefix}{clock} {record.levelname.lower():7} {name}: {message}"
         if record.exc_info:
             # Indented, so that no line of the exception's text looks like a log record.
             trace = printable_lines(self.formatException(record.exc_info))
@@ -103,12 +104,12 @@ class JsonFormatter(logging.Formatter):
         if record.exc_info:
             fields["exception"] = self.formatException(record.exc_info)
         line = json.dumps({**extra, **fields}, default=str, ensure_ascii=False)
-        return line if line.isprintable() else "".join(map(_escaped, line))
+        return line if line.isprintable() else "".join(map(_escape, line))
 
 
-def _escaped(char: str) -> str:
-    """Return the JSON escape of a non-printable character.
+def _escape(char: str) -> str:
+    """Return a character, escaped for JSON if it is not printable.
 
-    Some of them, such as U+009B, control terminals.
+    Some non-printable characters, such as U+009B, control terminals.
     """
     return char if char.isprintable() else json.dumps(char)[1:-1]

@@ -15,7 +15,7 @@ from functools import lru_cache
 from edge.errors import UserError
 from edge.text import one_line
 
-MAX_CHARS = 200
+MAX_CHARS = 200  # of a name, before it is normalised
 
 ALIASES: dict[str, tuple[str, ...]] = {
     "air conditioner": ("airconditioner", "aircon", "ac unit"),
@@ -165,6 +165,7 @@ NEAR: dict[str, tuple[str, ...]] = {
 }
 """Canonical name → other objects that look alike in one view; several views may separate them."""
 
+# Words for `singular`: irregular plurals, nouns without a singular, endings of singular nouns.
 _PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch"}
 _PAIRS = ("scissors", "trousers", "headphones", "binoculars", "pliers", "tweezers", "sunglasses")
 _EYEGLASSES = ("glasses", "reading glasses", "safety glasses")
@@ -175,6 +176,7 @@ _AFTER_HEAD = re.compile(
     r"\s+(?:near|next to|beside|behind|in|inside|on|under|below|above|by|at|with|without|from|"
     r"to|that|which|where|between|against|opposite|close to|in front of)\s+"
 )
+# Borders between words in CamelCase: "TVStand" is "TV" and "Stand".
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 # A number after a space belongs to the name ("room 12"). These suffixes do not: "Sofa_01", "SofaC".
 _VARIANT = re.compile(r"(?:(?:_|(?<!\w)\s)+(?:[A-Z]|\d+))+$")
@@ -189,7 +191,7 @@ SMALL_NUMBERS = tuple(_SMALL_NUMBERS.split())
 TENS = ("twenty", "thirty", "forty", "fifty", "sixty", "seventy", "eighty", "ninety")
 ORDINALS = tuple(_ORDINALS.split())
 STOREYS = ("floor", "level", "storey", "story")
-_MOST_SPELLED = 10
+_MOST_SPELLED = 10  # largest number that a normalised name has as a word
 
 _CANONICAL: dict[str, str] = {name: name for name in ALIASES}
 for _name, _others in ALIASES.items():
@@ -205,42 +207,40 @@ def normalise(word: str) -> str:
     """Return the name in lower case, with single spaces, no article and no model suffix.
 
     `SofaC_01` becomes `sofa`. A number at the end is part of the name. Numbers up to ten become
-    words,
-    larger ones digits: "room 2" becomes "room two", "room twelve" becomes "room 12". "Floor 2"
-    becomes
-    "second floor". All parts of the program accept exactly these names: prompts, formulas, worlds
-    and vocabularies.
+    words, larger ones digits: "room 2" becomes "room two", "room twelve" becomes "room 12".
+    "Floor 2" becomes "second floor". Prompts, formulas, worlds and vocabularies accept exactly
+    these names.
 
     Raises:
         NotANameError: there is no letter or digit, there is a non-printing character (line break,
             escape, change of writing direction), or there are more than `MAX_CHARS` characters.
     """
     if len(word) > MAX_CHARS:
-        raise NotANameError(f"{_shown(word)} is no name: it has more than {MAX_CHARS} characters")
+        raise NotANameError(f"{_quoted(word)} is no name: it has more than {MAX_CHARS} characters")
     if not word.isprintable():
         at = next(i for i, c in enumerate(word) if not c.isprintable())
         raise NotANameError(
-            f"{_shown(word)} is no name: character {at + 1} (U+{ord(word[at]):04X}) does not print"
+            f"{_quoted(word)} is no name: character {at + 1} (U+{ord(word[at]):04X}) does not print"
         )
-    text = _tidied(word)
-    while (again := _tidied(text)) != text:  # one pass may expose more to remove
+    text = _tidy(word)
+    while (again := _tidy(text)) != text:  # one pass may expose more to remove
         text = again
     if not any(map(str.isalnum, text)):
-        raise NotANameError(f"{_shown(word)} is no name: it needs a letter or a digit")
+        raise NotANameError(f"{_quoted(word)} is no name: it needs a letter or a digit")
     return text
 
 
 @lru_cache(maxsize=4096)
-def _tidied(word: str) -> str:
+def _tidy(word: str) -> str:
     text = _VARIANT_LETTER.sub("", _VARIANT.sub("", word.strip()))
     text = " ".join(_CAMEL.sub(" ", re.sub(r"[_\-]+", " ", text)).split())
     text = text.lower().strip(" .,;:!?'\"")
     for article in _ARTICLES:
         text = text.removeprefix(article)
-    return _numbered(text)
+    return _normalise_number(text)
 
 
-def _numbered(text: str) -> str:
+def _normalise_number(text: str) -> str:
     """Return the name with its number in the form that `normalise` documents."""
     words = text.split(" ")
     if len(words) < 2:
@@ -295,7 +295,7 @@ def ordinal(word: str) -> int | None:
     return number([word.removesuffix("th")]) if word.endswith("teenth") else None
 
 
-def _shown(word: str) -> str:
+def _quoted(word: str) -> str:
     return f"'{one_line(word, 60)}'"
 
 
@@ -423,7 +423,7 @@ def head_phrase(phrase: str) -> str:
     """
     head = _AFTER_HEAD.split(normalise(phrase), maxsplit=1)[0]
     if not is_name(head):
-        raise NotANameError(f"{_shown(phrase)} is no name: it has a place but no object")
+        raise NotANameError(f"{_quoted(phrase)} is no name: it has a place but no object")
     return head
 
 

@@ -5,16 +5,21 @@ from __future__ import annotations
 from edge.geometry import SE2, wrap_angle
 
 STUCK_M = 0.05
-# Turning on the spot is also movement. This angle counts like `stuck_m`.
+"""Default of `stuck_m`: a robot that moves less than this has not moved."""
 TURN_RAD = 0.2
+"""Turn that counts as movement, like a distance of `stuck_m`."""
 
 
 class StuckDetector:
     """A detector of a pose that stays within `stuck_m` and 0.2 rad while motion is commanded.
 
     The robot is stuck after `stuck_s` of commanded motion. Time without a motion command does not
-    count, but does not restart the wait. A blocked robot may get one goal after another, with
-    breaks between them.
+    count. Nor does it restart the wait, because a blocked robot may get one goal after another,
+    with breaks between them.
+
+    Args:
+        stuck_s: Time with a motion command and without movement, in seconds.
+        stuck_m: Distance that counts as movement, in metres.
 
     Example:
         >>> detector = StuckDetector(stuck_s=2.0)
@@ -42,13 +47,13 @@ class StuckDetector:
             now_ns: Time of the pose. The wait restarts if time goes back, or if the last call was
                 more than half of `stuck_s` ago.
         """
-        passed_ns, self._last_ns = now_ns - self._last_ns, now_ns
-        seen = 0 <= passed_ns <= self._wait_ns // 2
-        if self._anchor is None or self._has_moved(pose) or not seen:
+        elapsed_ns, self._last_ns = now_ns - self._last_ns, now_ns
+        continuous = 0 <= elapsed_ns <= self._wait_ns // 2
+        if self._anchor is None or self._has_moved(pose) or not continuous:
             self._anchor, self._commanded_ns = pose, 0
             return False
         if moving_commanded:
-            self._commanded_ns += passed_ns
+            self._commanded_ns += elapsed_ns
         if self._commanded_ns < self._wait_ns:
             return False
         self._anchor, self._commanded_ns = pose, 0

@@ -18,7 +18,7 @@ _URL = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]{0,31}://)(?:[^\s/?#]*@)?([^\s?#]*)(?
 _LOCATOR = re.compile(
     r"(?<![\w/])((?:tcp|udp|tls|quic|ws|serial|vsock|unixpipe|unixsock-stream)/)([^\s?#]*)[?#]\S*"
 )
-_BREAK = re.compile(r" *[^\S ]\s*")  # any white space but single-line spaces
+_BREAK = re.compile(r" *[^\S ]\s*")  # white space that has a line break or a tab in it
 _SECRET_KEY = re.compile(
     r"(pass(word|wd|phrase)?|secret|token|api_?key|private_key)$", re.IGNORECASE
 )
@@ -34,7 +34,8 @@ def one_line(text: object, limit: int = MAX_CHARS) -> str:
     >>> one_line("stuck\\n12:00 info mission:\\x1b[31m reached")
     'stuck 12:00 info mission: [31m reached'
     """
-    # Only ten times the limit is read, so the cost does not grow with the text.
+    # Only ten times the limit is read, so the cost does not grow with the text. `str` of an integer
+    # or a container would build the whole text first; `bounded_repr` does not.
     is_data = type(text) is int or type(text) in _BRACKETS
     head = bounded_repr(text, 10 * limit) if is_data else str(text)[: 10 * limit]
     line = " ".join(_printable(head).split())
@@ -97,7 +98,9 @@ def shorten(text: str, length: int) -> str:
 
 
 def printable_lines(text: object) -> str:
-    """Return our own multi-line text, which may quote outside text, without control characters.
+    """Return a text of `edge` without control characters; its line breaks stay.
+
+    The text may quote text from outside.
 
     >>> printable_lines("robot.yaml: one fault\\nrobot.yaml: \\x1b[2J")
     'robot.yaml: one fault\\nrobot.yaml:  [2J'
@@ -123,49 +126,49 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text)
 
 
-def read_json(text: bytes | str, most: int | None = None) -> Any:
+def read_json(text: bytes | str, max_values: int | None = None) -> Any:
     """Return the data of JSON text from outside.
 
     Args:
         text: The JSON text.
-        most: Largest number of commas and opening brackets, an estimate of the number of values.
-            A parsed value takes about twenty times the memory of its text.
+        max_values: Largest number of commas and opening brackets, an estimate of the number of
+            values. A parsed value takes about twenty times the memory of its text.
 
     Raises:
         ValueError: The text is not JSON, is nested too deeply, or has too many values.
     """
-    if most is not None:
+    if max_values is not None:
         marks = (b",", b"[", b"{") if isinstance(text, bytes) else (",", "[", "{")
-        if sum(map(text.count, marks)) > most:
-            raise ValueError(f"more than {most} values, which is not allowed")
+        if sum(map(text.count, marks)) > max_values:
+            raise ValueError(f"more than {max_values} values, which is not allowed")
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
         raise ValueError("not JSON") from None
 
 
-def read_json_object(text: bytes | str, most: int | None = None) -> dict[str, Any]:
+def read_json_object(text: bytes | str, max_bytes: int | None = None) -> dict[str, Any]:
     """Return the object in JSON text from outside.
 
     Raises:
-        ValueError: The text is not a JSON object, or is longer than `most` bytes. The message is
+        ValueError: The text is not a JSON object, or is longer than `max_bytes`. The message is
             one line.
     """
-    if most is not None and len(text) > most:
-        raise ValueError(f"{len(text)} bytes, at most {most} are accepted")
+    if max_bytes is not None and len(text) > max_bytes:
+        raise ValueError(f"{len(text)} bytes, at most {max_bytes} are accepted")
     data = read_json(text)
     if not isinstance(data, dict):
         raise ValueError("not a JSON object")
     return data
 
 
-def split_url(url: str, of: str, wanted: str) -> SplitResult:
+def split_url(url: str, server: str, advice: str) -> SplitResult:
     """Return the parts of a server's URL.
 
     Args:
         url: The URL, http or https.
-        of: Name of the server, for messages.
-        wanted: Advice to the user, for messages.
+        server: Name of the server, for messages.
+        advice: Advice to the user, for messages.
 
     Raises:
         ValueError: It is not a URL, or it holds a password. The message is one line that shows no
@@ -176,13 +179,13 @@ def split_url(url: str, of: str, wanted: str) -> SplitResult:
         parts.port  # noqa: B018 - raises if it is not a number
     except ValueError:
         shown = one_line(redact(url))
-        raise ValueError(f"not the URL of {of}: {shown!r}; {wanted}") from None
+        raise ValueError(f"not the URL of {server}: {shown!r}; {advice}") from None
     if parts.username is not None or parts.password is not None:
-        raise ValueError(f"the URL of {of} must not hold a password; {wanted}")
+        raise ValueError(f"the URL of {server} must not hold a password; {advice}")
     usable = parts.scheme in ("http", "https") and parts.hostname and url.isprintable()
     if not usable or " " in url or not url.isascii():
         shown = one_line(redact(url))
-        raise ValueError(f"not the URL of {of}: {shown!r}; {wanted}")
+        raise ValueError(f"not the URL of {server}: {shown!r}; {advice}")
     return parts
 
 
@@ -222,7 +225,7 @@ def redact(data: Any, depth: int = 100) -> Any:
     {'endpoint': 'tls/host:7447?***', 'token': '***'}
     """
     if isinstance(data, str):
-        return _LOCATOR.sub(r"\1\2?***", _URL.sub(_plain, data))
+        return _LOCATOR.sub(r"\1\2?***", _URL.sub(_without_secrets, data))
     if not isinstance(data, (dict, list, tuple)):
         return data
     if depth == 0:
@@ -235,7 +238,8 @@ def redact(data: Any, depth: int = 100) -> Any:
     return [redact(value, depth - 1) for value in data]
 
 
-def _plain(url: re.Match[str]) -> str:
+def _without_secrets(url: re.Match[str]) -> str:
+    """Return a URL without user and password, and with `***` for its query and fragment."""
     scheme, place = url.groups()
     rest = url[0][url.end(2) - url.start() :]
     return f"{scheme}{place}{'?***' if rest else ''}"

@@ -59,6 +59,7 @@ from exporters.sidecar import write_sidecar
 
 FAMILIES = ("yolo-world-s",)
 NAME = r"[a-z0-9][a-z0-9.-]*"
+"""Pattern of a new card's name."""
 FOLDERS = {
     "clip": "exporters.clip", "siglip": "exporters.clip",
     "idefics3": "exporters.vlm", "smolvlm": "exporters.vlm", "qwen2_vl": "exporters.vlm",
@@ -104,6 +105,7 @@ def export_card(card: DetectCard, args: argparse.Namespace) -> ParityReport | No
 def _export(
     card: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport | None:
+    """Make the file of a card, and first the FP32 file if the card is derived from it."""
     if card.derived_from is None:
         return _export_fp32(card, args, text)
     fp32 = load_card(card.derived_from, args.cards)
@@ -135,7 +137,7 @@ def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
     """Write a vocabulary file for the service to look prompts up in, if there is none yet."""
     if out.exists():
         return
-    with replace_atomically(out) as made, made.open("wb") as file:
+    with replace_atomically(out) as temporary, temporary.open("wb") as file:
         np.savez(file, names=np.array(text.names), emb=text.emb)
     print(f"{out}: the {len(text.names)} words inside the checkpoint", file=sys.stderr)
 
@@ -150,11 +152,11 @@ def _export_fp32(
     print(f"{card.name}: exporting {out}", file=sys.stderr)
     detector = load_detector(args.weights, card.weights_sources()[0].sha256)
     report = None
-    with replace_atomically(out) as made:  # a file that fails its limits is discarded
-        export_onnx(detector, card.input.height, card.input.width, made)
+    with replace_atomically(out) as temporary:  # a file that fails its limits is discarded
+        export_onnx(detector, card.input.height, card.input.width, temporary)
         if validation := pictures(args.calibration, args.validation)[1]:
-            report = measure(torch_model(detector), made, validation, text)
-            _conclude(card, args, report, FP32_LIMITS, reference="torch")
+            report = measure(torch_model(detector), temporary, validation, text)
+            _check_step(card, args, report, FP32_LIMITS, reference="torch")
     _write_sidecar(card, out, report, "torch", calibration=None)
     return report
 
@@ -167,19 +169,19 @@ def _export_derived(
     calibration, validation = split_images(args.calibration, args.validation)
     print(f"{card.name}: {len(calibration)} images to calibrate on", file=sys.stderr)
     feeds = calibration_feeds(calibration, text, input_hw(onnx.load(source)))
-    with replace_atomically(out) as made:
+    with replace_atomically(out) as temporary:
         if card.precision == "fp16":
-            write_fp16(source, made, feeds, recipe)
+            write_fp16(source, temporary, feeds, recipe)
         else:
-            quantize(source, made, feeds, recipe, card.precision)
-        report = measure(source, made, validation, text)
+            quantize(source, temporary, feeds, recipe, card.precision)
+        report = measure(source, temporary, validation, text)
         limits = FP16_LIMITS if card.precision == "fp16" else INT8_LIMITS
-        _conclude(card, args, report, limits, reference=fp32.name)
+        _check_step(card, args, report, limits, reference=fp32.name)
     _write_sidecar(card, out, report, fp32.name, digest_of(calibration))
     return report
 
 
-def _conclude(
+def _check_step(
     card: DetectCard,
     args: argparse.Namespace,
     report: ParityReport,
@@ -318,10 +320,10 @@ def main(argv: list[str] | None) -> None:
     if args.weights is not None and args.weights.is_dir():
         export_folder(args)
         return
-    if isinstance(named := named_card(args.card, args.cards), ChoiceCard):
+    if isinstance(card_of_name := named_card(args.card, args.cards), ChoiceCard):
         from exporters.vlm_quantize import quantize_card
 
-        print_reports(quantize_card(named, args))
+        print_reports(quantize_card(card_of_name, args))
         return
     card = load_card(args.card, args.cards)
     report = export_card(card, args)

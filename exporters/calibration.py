@@ -18,6 +18,7 @@ from edge.host.progress import with_progress
 from exporters.onnx_format import cpu_session
 
 BINS = 2048
+"""Bins of a histogram."""
 LEVELS = 255
 """Steps of an 8-bit range."""
 MAX_LEVEL = 127

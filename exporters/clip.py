@@ -116,7 +116,7 @@ FAMILIES = {
 
 
 def load_towers(folder: Path) -> tuple[ImageTower, nn.Module]:
-    """Return image and text tower of a folder; raise ExportError for another architecture."""
+    """Return the image and text towers of a folder; raise ExportError for other architectures."""
     import transformers
 
     family = _family(folder)
@@ -160,11 +160,11 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
         hugging_face.tokenizer_text(folder, lowercase=_family(folder).pads).encode(),
     )
     cards = {p: make_cards(folder, p, towers, args) for p in wanted}
-    maker = _Maker(args, towers, cards["fp32"], calibration, validation)
+    exporter = _TowerExporter(args, towers, cards["fp32"], calibration, validation)
     reports: dict[str, EmbeddingReport | None] = {}
     for precision in wanted:
         for card in cards[precision][:2]:
-            reports[card["name"]] = maker.make(card)
+            reports[card["name"]] = exporter.make(card)
         for card in cards[precision]:
             path = args.cache / f"{card['name']}.yaml"
             write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
@@ -188,7 +188,7 @@ def make_cards(
         "family": args.family or args.card, "sources": [],
         "license": args.license or hugging_face.license_of(folder),
     }  # fmt: skip
-    made = {"sha256": None, "parity": None}
+    not_measured = {"sha256": None, "parity": None}
     tokenizer = f"{args.card}-tokenizer.json"
     derived = (None, None) if precision == "fp32" else (
         f"{args.card}-image-fp32", f"{args.card}-text-fp32",
@@ -197,12 +197,12 @@ def make_cards(
         dim = int(towers[1](torch.zeros(1, context, dtype=torch.int64)).shape[1])
     return [
         {
-            "name": image, "task": "image", **common, **made, "file": f"{image}.onnx",
+            "name": image, "task": "image", **common, **not_measured, "file": f"{image}.onnx",
             "precision": precision, "derived_from": derived[0], **image_preprocess(folder),
             "dim": dim,
         },
         {
-            "name": text, "task": "text", **common, **made, "file": f"{text}.onnx",
+            "name": text, "task": "text", **common, **not_measured, "file": f"{text}.onnx",
             "precision": TEXT_PRECISION[precision], "derived_from": derived[1], "dim": dim,
             "tokenizer": {
                 "kind": "clip", "file": tokenizer, "context": context,
@@ -258,8 +258,8 @@ def _height_width(size: Any, path: Path) -> tuple[int, int]:
     raise ExportError(f"{path}: size: got {one_line(size)}; give height and width in px")
 
 
-class _Maker:
-    """Makes one tower after the other, and compares each with the step before it."""
+class _TowerExporter:
+    """Exporter of the towers, one after the other; compares each with the original."""
 
     def __init__(
         self,
@@ -295,24 +295,26 @@ class _Maker:
         task, precision, source = card["task"], card["precision"], card["derived_from"]
         out = self._args.cache / card["file"]
         print(f"{card['name']}: exporting {out}", file=sys.stderr)
-        with replace_atomically(out) as made:
+        with replace_atomically(out) as temporary:
             if source is None:
                 tower = self._towers[("image", "text").index(task)]
-                export_tower(tower, made, task, self._example(card))
+                export_tower(tower, temporary, task, self._example(card))
             else:
                 fp32 = self._args.cache / f"{source}.onnx"
-                derive(fp32, made, self._feeds[task], precision)
-            report = self._measure(card, made, precision)
+                derive(fp32, temporary, self._feeds[task], precision)
+            report = self._measure(card, temporary, precision)
         parity = report.for_card("torch") if report else None
         digest = self._digest if task == "image" and source is not None else None
         write_sidecar(out, card["name"], parity, self._weights, digest)
         return report
 
-    def _measure(self, card: dict[str, Any], made: Path, precision: str) -> EmbeddingReport | None:
+    def _measure(
+        self, card: dict[str, Any], temporary: Path, precision: str
+    ) -> EmbeddingReport | None:
         task = card["task"]
         if not self._tests[task]:
             return None
-        found = embed_onnx(made, self._tests[task])
+        found = embed_onnx(temporary, self._tests[task])
         other = self._rows["text" if task == "image" else "image"]
         report = compare(self._rows[task], found, other)
         print(f"{card['name']} against torch:\n{report.table()}", file=sys.stderr)

@@ -16,7 +16,7 @@ LIMITS = {
     "int8": {"cosine": 0.995, "rank_agreement": 0.97},
     "int8-cpu": {"cosine": 0.95, "rank_agreement": 0.9},
 }
-"""Limits by the precision of the candidate."""
+"""Least figures of `EmbeddingReport`, by the precision of the candidate."""
 
 
 @dataclass(frozen=True)
@@ -68,15 +68,15 @@ def compare(
         )
     exact, found = _unit("reference", reference), _unit("candidate", candidate)
     cosines = (exact * found).sum(axis=1)
-    order = float("nan")
+    agreement = float("nan")
     if others is not None and len(others):
-        by = _unit("other tower", others).T
-        order = rank_agreement(exact @ by, found @ by)
+        others_unit = _unit("other tower", others).T
+        agreement = rank_agreement(exact @ others_unit, found @ others_unit)
     return EmbeddingReport(
         inputs=len(exact),
         cosine=float(cosines.min()),
         mean_cosine=float(cosines.mean()),
-        rank_agreement=order,
+        rank_agreement=agreement,
         max_abs_diff=float(np.abs(exact - found).max()),
     )
 

@@ -54,12 +54,14 @@ def to_fp16(
     from onnxruntime.transformers.onnx_model import OnnxModel
 
     ends = [value.name for value in (*model.graph.input, *model.graph.output)]
-    whole = [name for name in ends if not name.startswith(half_ends or "\0")]
-    half = convert_float_to_float16(model, keep_io_types=whole, node_block_list=sorted(kept))
-    drop_round_trips(half)
-    OnnxModel(half).topological_sort()
-    onnx.checker.check_model(half)
-    return half
+    float32_ends = [name for name in ends if not name.startswith(half_ends or "\0")]
+    converted = convert_float_to_float16(
+        model, keep_io_types=float32_ends, node_block_list=sorted(kept)
+    )
+    drop_round_trips(converted)
+    OnnxModel(converted).topological_sort()
+    onnx.checker.check_model(converted)
+    return converted
 
 
 def overflowing_nodes(
@@ -84,19 +86,19 @@ def drop_round_trips(model: onnx.ModelProto) -> None:
     graph = model.graph
     to_half = {n.output[0]: n.input[0] for n in graph.node if _is_cast(n, onnx.TensorProto.FLOAT16)}
     trips = [n for n in graph.node if _is_cast(n, onnx.TensorProto.FLOAT) and n.input[0] in to_half]
-    instead = {node.output[0]: to_half[node.input[0]] for node in trips}
-    for name in instead:
-        while instead[name] in instead:
-            instead[name] = instead[instead[name]]
+    replacement = {node.output[0]: to_half[node.input[0]] for node in trips}
+    for name in replacement:
+        while replacement[name] in replacement:
+            replacement[name] = replacement[replacement[name]]
     results = {output.name for output in graph.output}
     # A model output keeps its name: the value before the round trip takes that name.
-    renamed = {source: name for name, source in instead.items() if name in results}
+    renamed = {source: name for name, source in replacement.items() if name in results}
     for node in trips:
         graph.node.remove(node)
     for node in graph.node:
         for names in (node.input, node.output):
             for index, name in enumerate(names):
-                name = instead.get(name, name)
+                name = replacement.get(name, name)
                 names[index] = renamed.get(name, name)
     used = {name for node in graph.node for name in node.input} | results
     for node in [n for n in graph.node if not used.intersection(n.output)]:

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+# Before the imports that read them: nothing may be downloaded or sent.
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
 
@@ -61,7 +62,7 @@ def weight_files(folder: Path) -> list[Path]:
 
 
 def weights_sha256(folder: Path) -> str:
-    """Return one digest of all weights: of their own digests, in name order."""
+    """Return one digest of all weight files: the digest of their digests, in name order."""
     own = "".join(sha256_of(path) for path in weight_files(folder))
     return hashlib.sha256(own.encode()).hexdigest()
 

@@ -34,7 +34,7 @@ def cpu_session(model: Path | bytes, threads: int = 0) -> onnxruntime.InferenceS
 
     Args:
         model: path or content of an ONNX file.
-        threads: 0 for one for each core.
+        threads: number of threads; 0 for one per core.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.log_severity_level = threads, 3

@@ -16,7 +16,9 @@ from exporters.onnx_format import check_format, cpu_session
 from exporters.reports import Report, check_limits
 
 SCORE_THRESHOLD = 0.3
+"""Least score of a detection."""
 NMS_IOU = 0.5
+"""Boxes of a class with a larger overlap are one detection."""
 SCORE_BAND = (0.05, 0.3)
 """Scores below the detection threshold that the policy still weighs (VL-Nav eq. 3)."""
 
@@ -24,6 +26,7 @@ Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """(images (1, 3, H, W), txt_feats (1, n, 512)) → boxes (1, A, 4) xyxy px, scores (1, A, n)."""
 
 
+# Limits of the figures of `ParityReport`, by the precision of the candidate.
 FP32_LIMITS = {"recall": 1.0, "precision": 1.0, "score_error": 0.01, "max_abs_diff": 0.01}
 FP16_LIMITS = {"recall": 0.97, "precision": 0.95, "score_error": 0.05}
 INT8_LIMITS = {"recall": 0.95, "precision": 0.8}
@@ -36,12 +39,12 @@ class ParityReport(Report):
     Attributes:
         images: number of images.
         detections: reference detections at `SCORE_THRESHOLD` after class-wise NMS.
-        recall: share of these that the candidate also has (same class, IoU >= `MATCH_IOU`).
+        recall: share of these that the candidate also has (see `match_to_reference`).
         precision: share of the candidate's detections that the reference also has.
         score_error: mean of |candidate - reference| / reference over every anchor and class whose
             reference score lies in `SCORE_BAND`; NaN if there is none.
-        score_bias: mean of (candidate - reference) / reference over the same.
-        max_abs_diff: largest score difference anywhere.
+        score_bias: mean of (candidate - reference) / reference over the same anchors and classes.
+        max_abs_diff: largest difference of any two scores.
     """
 
     images: int

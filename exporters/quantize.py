@@ -37,6 +37,7 @@ from exporters.rounding import round_weights
 
 PRECISIONS = ("int8-cpu", "int8-trt")
 MIN_IMAGES = 4
+"""Least number of images for a calibration."""
 MAX_ROUNDING_IMAGES = 40
 """Images that the weights are rounded against; the ranges use all images."""
 HELD_OUT_EVERY = 4
@@ -156,9 +157,9 @@ def _overrides(
     """Return our ranges and weight scales in the form of onnxruntime's quantizer.
 
     Args:
-        ranges: of the activations.
-        scales: of the weights' output channels.
-        axis: of a weight's output channels.
+        ranges: range of each activation, by tensor name.
+        scales: scale of each output channel, by the name of the weight.
+        axis: axis of a weight's output channels.
     """
     from onnxruntime.quantization import QuantType
 

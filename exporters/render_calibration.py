@@ -18,7 +18,9 @@ import numpy as np
 from exporters.files import ExportError, exit_on_user_error
 
 SIZES_HW = ((256, 320), (480, 640))
+"""Sizes of the images, in turn."""
 CAMERA_HEIGHT_M = (0.4, 0.6)
+"""Range of the camera's height above the floor."""
 HORIZONTAL_FOV_RAD = np.deg2rad(75.0)
 CLEARANCE_M = 0.3
 """Free space around the camera, as a small robot's body needs."""

@@ -11,6 +11,7 @@ from exporters.files import ExportError
 AT_MOST = ("score_error", "max_abs_diff")
 """Figures whose limit is a maximum; for all others it is a minimum."""
 MAY_BE_UNKNOWN = ("rank_agreement",)
+"""Figures that pass their limit if they are unknown."""
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,13 @@ from exporters.calibration import Feed, tensor_session
 DAMPING = 0.01
 """Share of the mean input power added to the diagonal, for stability in unseen directions."""
 BLOCK = 128
+"""Columns that are rounded before the error is spread over all later columns."""
 ROWS_PER_IMAGE = 384
 """Output cells of a layer (tokens, for a matrix) that one image contributes."""
 MAX_LEVEL = 127
 """Symmetric int8: a stored weight's scale has zero point 0."""
 CLIP_SHARES = np.linspace(0.7, 1.0, 13)
+"""Range ends to try for a weight's channel, as shares of its largest magnitude."""
 
 
 def attribute(node: onnx.NodeProto, name: str, default: list[int]) -> list[int]:
@@ -116,8 +118,8 @@ def input_statistics(
         model: the float32 model.
         layers: `Conv` and `MatMul` nodes.
         feeds: inputs, one for each image.
-        limits: the tensors' 8-bit ranges, if known.
-        seed: of the choice of cells.
+        limits: largest magnitude of each tensor's symmetric 8-bit range, if known.
+        seed: seed of the choice of cells.
     """
     weights = {init.name: init for init in model.graph.initializer}
     names = sorted({node.input[0] for node in layers} - {model.graph.input[0].name})
@@ -180,7 +182,8 @@ def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarra
 def _inverse_factor(moment: np.ndarray, damping: float) -> np.ndarray:
     """Return upper triangular U, (d, d), with UᵀU the inverse of moment + damping·1.
 
-    U is the inverse of an upper factor R of RRᵀ, which is Cholesky's from the far corner.
+    U is the inverse of the upper triangular R with RRᵀ = moment + damping·1. R is Cholesky's factor
+    of the matrix with rows and columns in reverse order.
     """
     damped = moment + damping * np.eye(len(moment), dtype=moment.dtype)
     return np.linalg.inv(np.linalg.cholesky(damped[::-1, ::-1])[::-1, ::-1])

@@ -1,4 +1,4 @@
-"""`FILE.onnx.json` next to an exported model: its digest, parity, and the tools that made it."""
+"""Sidecar `FILE.onnx.json` of an exported model: its digest, parity, and the tools that made it."""
 
 from __future__ import annotations
 

@@ -50,6 +50,7 @@ OTHERS = (
 )  # fmt: skip
 """Files that describe the preprocessing, if the folder has them."""
 TRACED_TOKENS, TRACED_PAST = 3, 2
+"""Numbers of new and of cached tokens in the example from which the decoder is traced."""
 
 
 class Networks(NamedTuple):
@@ -77,7 +78,7 @@ class Family:
     """One architecture.
 
     Attributes:
-        prefix: of the names of its classes in `transformers`.
+        prefix: prefix of the names of its classes in `transformers`.
         vision: module of its vision encoder.
         text: attribute of the model that holds its language model.
         threefold: True if position ids have three numbers (M-RoPE).

@@ -18,6 +18,7 @@ from exporters.vlm_parity import LetterComparison, LetterReport, OnnxPipeline
 
 VISION, EMBEDDING, DECODER = FILES = ("vision_encoder", "embed_tokens", "decoder_model_merged")
 CACHED = ("past_key_values.", "present.")
+"""Prefixes of the decoder's inputs and outputs for keys and values."""
 LIMITS = {
     "fp32": {"cosine": 0.9999, "rank_agreement": 0.99},
     "fp16": {"cosine": 0.999, "rank_agreement": 0.97},
@@ -25,6 +26,7 @@ LIMITS = {
     "q4": {"cosine": 0.9, "rank_agreement": 0.8},
     "q4f16": {"cosine": 0.999, "rank_agreement": 0.8},
 }
+"""Least figures of `LetterReport`, by precision."""
 ONE_FILE_BYTES = 2_000_000_000
 """Larger weights go into a separate file: protocol buffers end at 2 GiB."""
 
@@ -66,12 +68,12 @@ def check_variant(
 
     Args:
         files: for each network its file, and its weight files.
-        precision: of the files; selects the limits.
-        name: of the card.
+        precision: precision of the files; selects the limits.
+        name: name of the card.
         exam: the comparison.
         against: name of the reference.
         gate: if True, raise ExportError if the parity misses its limits.
-        digests: of the weights and of the calibration images, if known.
+        digests: digest of the weights, and of the calibration images, if known.
 
     Raises:
         ExportError: the parity misses its limits, and `gate` is True.
@@ -90,7 +92,7 @@ def files_of_card(paths: list[list[Path]], folder: Path, others: list[str]) -> d
 
     Args:
         paths: for each network its file, and its weight files.
-        folder: of the model.
+        folder: folder of the model.
         others: files that describe the preprocessing.
     """
     relative = [[path.relative_to(folder).as_posix() for path in files] for files in paths]

@@ -21,6 +21,7 @@ from exporters.onnx_format import cpu_session
 from exporters.reports import Report
 
 TARGETS = ("chair", "refrigerator", "bed")
+"""Targets that are asked for."""
 MARKS = 4
 """Directions that a question offers; one more letter stands for elsewhere."""
 _SPELLINGS = ("{}", "Ġ{}", "▁{}")
@@ -72,15 +73,18 @@ def questions(folder: Path, image_token: int) -> list[Question]:
 
 
 def position_ids_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge: int) -> np.ndarray:
-    """Return position ids, (1, n) int64; with a grid (3, 1, n): time, row, column.
+    """Return the position ids of tokens.
 
-    Qwen2-VL section 2.1.
+    With a grid, each token has three numbers (Qwen2-VL section 2.1): time, row and column.
 
     Args:
         ids: (1, n) tokens.
         image: placeholder token of the image.
         grid: (1, 3) size of the image in patches; None for plain positions.
         merge: height and width of a token in patches.
+
+    Returns:
+        (1, n) int64; with a grid (3, 1, n).
     """
     n = ids.shape[1]
     if grid is None:
@@ -224,15 +228,15 @@ class LetterComparison:
         ]
         self._reference = np.array(rows).T
 
-    def compare(self, chain: OnnxPipeline) -> LetterReport:
+    def compare(self, pipeline: OnnxPipeline) -> LetterReport:
         """Ask three files the same questions; raise ExportError if an answer is not finite."""
         found, cosines = [], []
         for shown in with_progress("pictures: candidate", self._pictures):
-            features = chain.features(shown.feeds)
+            features = pipeline.features(shown.feeds)
             norms = np.linalg.norm(shown.features, axis=1) * np.linalg.norm(features, axis=1)
             cosines.append(float(((shown.features * features).sum(axis=1) / norms).min()))
             found += [
-                chain.logits(question, features, shown.grid, self._merge)[list(question.letters)]
+                pipeline.logits(question, features, shown.grid, self._merge)[list(question.letters)]
                 for question in self._asked
             ]
         reference, candidate = self._reference, np.array(found, np.float32).T

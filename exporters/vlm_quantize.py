@@ -51,7 +51,7 @@ from exporters.vlm_parity import (
 )
 from exporters.weight_only import quantize_weights
 
-FP32, OUT = "fp32", "quantized"
+FP32, OUT = "fp32", "quantized"  # precision of the source; folder of the variants
 PRECISIONS = {
     "fp16": ("fp16", "fp16", "fp16"),
     "int8": ("int8", "int8", "int8"),
@@ -107,23 +107,23 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     exam = LetterComparison(original, [original.show(read_rgb(path)) for path in validation], asked)
     fp32 = dict(zip(FILES, map(card.path_of, card.networks), strict=True))
     (card.path / OUT).mkdir(exist_ok=True)
-    maker = VariantBuilder(fp32, original, asked[0], calibration, card.path / OUT)
+    builder = VariantBuilder(fp32, original, asked[0], calibration, card.path / OUT)
     others = [part.file for part in card.others if not part.file.startswith("onnx/")]
     reports = {}
     for precision, name in wanted.items():
-        files = [maker.make(*part) for part in zip(FILES, PRECISIONS[precision], strict=True)]
+        files = [builder.make(*part) for part in zip(FILES, PRECISIONS[precision], strict=True)]
         reports[name] = check_variant(
             files, precision, name, exam, card.name, not args.no_gate,
             (None, digest_of(calibration)),
         )  # fmt: skip
-        made = {
+        card_data = {
             **card.model_dump(mode="json", include={"task", "family", "license", "folder",
                                                     "image_tokens", "max_tokens"}),
             "name": name, "precision": precision, "derived_from": card.name,
             **files_of_card(files, card.path, others),
             "measured": {f"against {card.name}": reports[name].figures()},
         }  # fmt: skip
-        write_card(made, args.cache)
+        write_card(card_data, args.cache)
     return reports
 
 

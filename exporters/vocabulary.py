@@ -22,6 +22,7 @@ from edge.host.files import open_regular, read_regular, replace_atomically
 from exporters.files import ExportError, exit_on_user_error
 
 DIM = 512
+"""Length of an embedding."""
 _METADATA = Path("datasets/metadata")
 _UNREADABLE = (OSError, EOFError, ValueError, SyntaxError, KeyError, IndexError, TypeError)
 

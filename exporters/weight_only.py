@@ -18,10 +18,12 @@ from exporters.files import ExportError
 BITS = {"int8": 8, "q4": 4}
 """Bits by the precision of a card."""
 BLOCK = 32
+"""Weights that share a scale."""
 INT8_ARITHMETIC = 4
 """MatMulNBits' `accuracy_level`: the CPU multiplies in int8, with inputs rounded block by block. In
 float32 it would unpack every weight first. A GPU ignores it."""
 MAX_LEVEL = 127
+"""Largest magnitude of an int8 level."""
 
 
 def quantize_weights(model: onnx.ModelProto, precision: str) -> onnx.ModelProto:
@@ -38,16 +40,16 @@ def quantize_weights(model: onnx.ModelProto, precision: str) -> onnx.ModelProto:
     )
 
     tables = quantize_tables(model)
-    how = DefaultWeightOnlyQuantConfig(
+    settings = DefaultWeightOnlyQuantConfig(
         block_size=BLOCK, is_symmetric=True, accuracy_level=INT8_ARITHMETIC, bits=BITS[precision]
     )
-    quantizer = MatMulNBitsQuantizer(model, algo_config=how)
+    quantizer = MatMulNBitsQuantizer(model, algo_config=settings)
     logging.getLogger("onnxruntime.quantization.matmul_nbits_quantizer").setLevel(logging.WARNING)
     quantizer.process()
-    made = quantizer.model.model
-    if not tables and all(node.op_type != "MatMulNBits" for node in made.graph.node):
+    quantized = quantizer.model.model
+    if not tables and all(node.op_type != "MatMulNBits" for node in quantized.graph.node):
         raise ExportError(f"{precision}: the model has no constant matrix that can be quantized")
-    return made
+    return quantized
 
 
 def quantize_tables(model: onnx.ModelProto) -> int:

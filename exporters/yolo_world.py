@@ -30,6 +30,7 @@ INPUTS = ("images", "txt_feats")
 OUTPUTS = ("boxes", "scores")
 """`boxes` (1, A, 4) float32 xyxy in input pixels; `scores` (1, A, n) float32 after the sigmoid."""
 TEXT_DIM = 512
+"""Length of a text embedding."""
 
 
 class YoloWorldDetector(nn.Module):

@@ -1,12 +1,12 @@
-"""Holds benchmarks to `budgets.yaml` and prints where each stands.
+"""Budgets of the benchmarks (`budgets.yaml`): prints each time next to its budget.
 
 A benchmark names its budget: `benchmark.extra_info["budget"] = "astar_weighted_1000"`. A budget is
-a ratio to a reference that is timed in the same run, so that a slower computer changes no verdict
-and slower code does: a piece of work of `edge.host.calibration`, another benchmark, or what the
-test itself gives to `against`, such as OpenCV doing the same; or to a deadline, such as a tick.
-What is timed is processor time, so that a busy computer changes little; only what runs on several
-threads or processes is timed by the wall. `--enforce-budgets` turns an exceeded budget, or one
-whose reference was not measured, into a failed run; without it the table only says so.
+a ratio to a reference that is timed in the same run. So a slower computer changes no verdict, but
+slower code does. The reference is a workload of `edge.host.calibration`, another benchmark, the
+work that the test gives to `against` (such as OpenCV for the same task), or a deadline such as a
+tick. Times are processor time, so that other programs change little. Only work on several threads
+or processes is measured in real time. With `--enforce-budgets` the run fails if a budget is
+exceeded, or if its reference was not measured. Without the option, only the table shows this.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import yaml
 from edge.host import calibration
 
 BUDGETS = yaml.safe_load((Path(__file__).parent / "budgets.yaml").read_text())
-ROUNDS = 25
+ROUNDS = 25  # runs of a reference
 WORK = calibration.workloads()
 
 
@@ -35,7 +35,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Benchmarks take this timer where they do not ask for another; it sees one thread."""
+    """Set the default timer of benchmarks: the processor time of one thread."""
     cv2.setNumThreads(1)
     config.option.benchmark_timer = "time.thread_time"
 
@@ -62,6 +62,7 @@ def _calibrated(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 def median_ms(work: Callable[[], object], timer: Callable[[], float]) -> float:
+    """Return the median time of `work` over `ROUNDS` runs, after one that is not timed."""
     work()
     took_s = []
     for _ in range(ROUNDS):

@@ -1,7 +1,8 @@
 """A robot's ROS 2 for `test_ros2.py`: `python ros_echo.py`, in ROS's Python.
 
-Publishes what it is told on standard input (`rgb`, `scan` or `odom`, and a stamp in ns), and says
-the stamp of each goal that NavigateToPose is asked for; each is reached at once.
+Each line on standard input is the name of a message (`rgb`, `scan` or `odom`) and a stamp in ns; it
+publishes this message. It prints the stamp of each goal of NavigateToPose, and reports the goal as
+reached at once.
 """
 
 from __future__ import annotations

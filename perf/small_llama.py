@@ -1,6 +1,7 @@
 """A small Llama with random weights, as ONNX and as GGUF: the same model for two runtimes.
 
-RMSNorm, rotary embedding, SwiGLU, as Touvron et al. 2023 ("LLaMA", section 2.2) put them together.
+The network has RMSNorm, rotary embedding and SwiGLU, as in Touvron et al. 2023 ("LLaMA", section
+2.2).
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ import numpy as np
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from tiny_vlm import F32, I64, Graph
 
-EPSILON, THETA = 1e-5, 1e4
-CONTEXT = 2048
+EPSILON = 1e-5  # of the RMSNorm
+THETA = 1e4  # base of the rotary embedding
+CONTEXT = 2048  # tokens
 _SPECIAL = ("<unk>", "<s>", "</s>")
 _BYTES = tuple(f"<0x{byte:02X}>" for byte in range(256))
 _UNKNOWN, _CONTROL, _BYTE, _NORMAL = 2, 3, 6, 1
@@ -33,7 +35,10 @@ class LlamaSize(NamedTuple):
 
 
 def weights(size: LlamaSize, seed: int = 0) -> dict[str, np.ndarray]:
-    """By llama.cpp's names, (out, in) float32, for the halved rotation of Hugging Face."""
+    """Return random weights by llama.cpp's names, (out, in) float32.
+
+    They are for the rotary embedding of Hugging Face, which rotates the two halves of a row.
+    """
     rng = np.random.default_rng(seed)
     h, f, v = size.hidden, size.inner, size.tokens
     shapes = {"token_embd": (v, h), "output": (v, h)}
@@ -41,7 +46,7 @@ def weights(size: LlamaSize, seed: int = 0) -> dict[str, np.ndarray]:
         block = {"attn_q": (h, h), "attn_k": (h, h), "attn_v": (h, h), "attn_output": (h, h),
                  "ffn_gate": (f, h), "ffn_up": (f, h), "ffn_down": (h, f)}  # fmt: skip
         shapes |= {f"blk.{layer}.{name}": shape for name, shape in block.items()}
-    made = {
+    matrices = {
         name: (rng.normal(size=shape) * shape[1] ** -0.5).astype(np.float32)
         for name, shape in shapes.items()
     }
@@ -49,23 +54,30 @@ def weights(size: LlamaSize, seed: int = 0) -> dict[str, np.ndarray]:
         "output_norm",
         *(f"blk.{i}.{n}_norm" for i in range(size.layers) for n in ("attn", "ffn")),
     ]
-    return made | {name: rng.uniform(0.5, 1.5, h).astype(np.float32) for name in norms}
+    return matrices | {name: rng.uniform(0.5, 1.5, h).astype(np.float32) for name in norms}
 
 
-def onnx_of(size: LlamaSize, told: dict[str, np.ndarray]) -> Any:
-    """Build a decoder with key and value inputs and outputs, of the operators of our exports."""
+def onnx_of(size: LlamaSize, parameters: dict[str, np.ndarray]) -> Any:
+    """Return the ONNX decoder, with keys and values as inputs and outputs.
+
+    It has the same operators as our exports.
+
+    Args:
+        size: dimensions of the model.
+        parameters: see `weights`.
+    """
     g, width = Graph(np.random.default_rng(0), F32), size.hidden // size.heads
     epsilon, two = g.real(EPSILON), g.real(2.0)
 
     def product(x: str, name: str) -> str:
-        return g("MatMul", x, g.constant(np.ascontiguousarray(told[name].T)))
+        return g("MatMul", x, g.constant(np.ascontiguousarray(parameters[name].T)))
 
     def norm(x: str, name: str) -> str:
         mean = g("ReduceMean", g("Pow", x, two), axes=[-1])
         root = g("Sqrt", g("Add", mean, epsilon))
-        return g("Mul", g("Div", x, root), g.constant(told[name]))
+        return g("Mul", g("Div", x, root), g.constant(parameters[name]))
 
-    def turned(x: str) -> str:
+    def rotated(x: str) -> str:
         first, second = (
             g("Slice", x, *[g.constant([n]) for n in (begin, end, 3)])
             for begin, end in ((0, width // 2), (width // 2, width))
@@ -90,25 +102,25 @@ def onnx_of(size: LlamaSize, told: dict[str, np.ndarray]) -> Any:
     mask = g("Where", seen, g.real(0.0), g.real(-1e4))
     split, joined = g.constant([0, 0, size.heads, width]), g.constant([0, 0, size.hidden])
     scale, kept = g.real(width**-0.5), {}
-    x = g("Gather", g.constant(told["token_embd"]), "input_ids")
+    x = g("Gather", g.constant(parameters["token_embd"]), "input_ids")
     for layer in range(size.layers):
         at = f"blk.{layer}."
-        seen_by = norm(x, f"{at}attn_norm")
+        normed = norm(x, f"{at}attn_norm")
         q, k, v = (
             g(
                 "Transpose",
-                g("Reshape", product(seen_by, f"{at}attn_{n}"), split),
+                g("Reshape", product(normed, f"{at}attn_{n}"), split),
                 perm=[0, 2, 1, 3],
             )
             for n in "qkv"
         )
-        q, k = turned(q), turned(k)
+        q, k = rotated(q), rotated(k)
         k = g("Concat", f"past_key_values.{layer}.key", k, axis=2, out=f"present.{layer}.key")
         v = g("Concat", f"past_key_values.{layer}.value", v, axis=2, out=f"present.{layer}.value")
         scores = g("Mul", g("MatMul", q, g("Transpose", k, perm=[0, 1, 3, 2])), scale)
-        heard = g("MatMul", g("Softmax", g("Add", scores, mask), axis=-1), v)
-        heard = g("Reshape", g("Transpose", heard, perm=[0, 2, 1, 3]), joined)
-        x = g("Add", x, product(heard, f"{at}attn_output"))
+        mixed = g("MatMul", g("Softmax", g("Add", scores, mask), axis=-1), v)
+        mixed = g("Reshape", g("Transpose", mixed, perm=[0, 2, 1, 3]), joined)
+        x = g("Add", x, product(mixed, f"{at}attn_output"))
         inner = norm(x, f"{at}ffn_norm")
         gate = product(inner, f"{at}ffn_gate")
         gate = g("Mul", g("Mul", gate, g("Sigmoid", gate)), product(inner, f"{at}ffn_up"))
@@ -118,7 +130,7 @@ def onnx_of(size: LlamaSize, told: dict[str, np.ndarray]) -> Any:
     last = g(
         "Slice", norm(x, "output_norm"), g.constant([-1]), g.constant([1 << 30]), g.constant([1])
     )
-    g("MatMul", last, g.constant(np.ascontiguousarray(told["output"].T)), out="logits")
+    g("MatMul", last, g.constant(np.ascontiguousarray(parameters["output"].T)), out="logits")
     rank = {name: (I64, ["b", n]) for name, n in
             (("input_ids", "n"), ("attention_mask", "t"), ("position_ids", "n"))}  # fmt: skip
     pasts = {f"past_key_values.{name}": value for name, value in kept.items()}
@@ -126,7 +138,7 @@ def onnx_of(size: LlamaSize, told: dict[str, np.ndarray]) -> Any:
     return g.model({**rank, **pasts}, {"logits": (F32, ["b", 1, size.tokens]), **presents})
 
 
-def write_gguf(path: Path, size: LlamaSize, told: dict[str, np.ndarray], kind: str) -> None:
+def write_gguf(path: Path, size: LlamaSize, parameters: dict[str, np.ndarray], kind: str) -> None:
     """Write the same model for llama.cpp (F32, Q8_0 or Q4_0 matrices), with made-up tokens."""
     import gguf
 
@@ -152,7 +164,7 @@ def write_gguf(path: Path, size: LlamaSize, told: dict[str, np.ndarray], kind: s
     writer.add_eos_token_id(2)
     writer.add_unk_token_id(0)
     kept = gguf.GGMLQuantizationType[kind]
-    for name, array in told.items():
+    for name, array in parameters.items():
         if name.endswith(("attn_q", "attn_k")):
             array = _interleaved(array, size.heads)
         data = array if array.ndim == 1 else gguf.quants.quantize(array, kept)
@@ -165,7 +177,7 @@ def write_gguf(path: Path, size: LlamaSize, told: dict[str, np.ndarray], kind: s
 
 
 def _interleaved(array: np.ndarray, heads: int) -> np.ndarray:
-    """Rows for a rotation of neighbours, which is llama.cpp's, from those for one of halves."""
+    """Reorder rows for the rotary embedding of llama.cpp, which rotates neighbouring rows."""
     rows, columns = array.shape
     halves = array.reshape(heads, 2, rows // heads // 2, columns)
     return np.ascontiguousarray(halves.swapaxes(1, 2).reshape(rows, columns))

@@ -32,13 +32,13 @@ from small_llama import LlamaSize, onnx_of, weights, write_gguf
 from tiny_vlm import Size, pin, publish
 
 LIMIT_S = 600.0
-MOST_TOKENS = 2048
+MOST_TOKENS = 2048  # of a prompt
 SIZE = Size(hidden=256, heads=4, layers=8)
 LLAMA = LlamaSize(*SIZE, inner=704, tokens=600)
 
 
 def view(k: int) -> str:
-    """In words, another one each time."""
+    """Return the description of view number `k` in words; each number gives another one."""
     seen = tuple(DetectedObject(f"thing {k + i}", 0.1 * i, 1.0 + i) for i in range(8))
     marks = tuple(Mark(i, 0.0, 0.0, 0.3 * i, 2.0 + i) for i in range(4))
     return describe(MarkedView(Observation(0, 0, np.eye(4)), "chair", marks, seen))
@@ -53,10 +53,10 @@ def test_two_questions_against_two_prefills(benchmark, against, tmp_path, monkey
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     resources.models_dir().mkdir(parents=True)
     card = publish(resources.models_dir(), "text", size=SIZE)
-    asked, views = asked_of(4, "chair"), iter(range(1 << 30))
+    questions, views = asked_of(4, "chair"), iter(range(1 << 30))
     model = LanguageModel(card, asked_of(8, "chair"), threads=1)
     found = benchmark.pedantic(
-        lambda: model.ask(SYSTEM, view(next(views)), asked, LIMIT_S), rounds=15, warmup_rounds=2
+        lambda: model.ask(SYSTEM, view(next(views)), questions, LIMIT_S), rounds=15, warmup_rounds=2
     )
     assert found[0].sum() > 0.99
 
@@ -67,8 +67,8 @@ def test_two_questions_against_two_prefills(benchmark, against, tmp_path, monkey
 
     def read_whole() -> None:
         words = view(next(views))
-        for one in asked:
-            ids = model._prompter.ids(model._prompter.text(SYSTEM, words, one.question))
+        for asked in questions:
+            ids = model._prompter.ids(model._prompter.text(SYSTEM, words, asked.question))
             places = np.arange(len(ids))[None]
             feeds = {"input_ids": ids[None], "attention_mask": np.ones_like(places)}
             session.run(["logits"], {**feeds, "position_ids": places, **nothing})
@@ -113,18 +113,19 @@ def test_prefill_against_genai(benchmark, against, tmp_path, monkeypatch):
 def test_prefill_against_llama_cpp(
     benchmark, against, tmp_path, monkeypatch, kind, precision, differ
 ):
-    """The same 200 tokens, in a Llama whose weights both have; llama.cpp reads them in one go.
+    """Compare the prefill of 200 tokens with llama.cpp, which reads all tokens in one go.
 
-    In fewer bits each rounds in its own way: `differ` is of a log-probability.
+    Both run a Llama with the same weights. With fewer bits they round differently: `differ` is the
+    largest difference of a log-probability.
     """
     llama = pytest.importorskip("xllamacpp", reason="pip install xllamacpp")
     pytest.importorskip("gguf", reason="pip install gguf")
     benchmark.extra_info["budget"] = f"choice_prefill_200_llama_{kind.lower()}"
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     resources.models_dir().mkdir(parents=True)
-    told = weights(LLAMA)
+    parameters = weights(LLAMA)
     card = publish(resources.models_dir(), "text", size=SIZE)
-    network = onnx_of(LLAMA, told)
+    network = onnx_of(LLAMA, parameters)
     if precision != "fp32":
         network = quantize_weights(network, precision)
     onnx.save(network, card.path_of(card.decoder))
@@ -133,7 +134,7 @@ def test_prefill_against_llama_cpp(
     ids = np.random.default_rng(0).integers(0, LLAMA.tokens, 200)
     ours = prefill_of(model, ids)
 
-    write_gguf(tmp_path / "llama.gguf", LLAMA, told, kind)
+    write_gguf(tmp_path / "llama.gguf", LLAMA, parameters, kind)
     theirs = llama.Server(llama_params(llama, tmp_path / "llama.gguf"))
     question = {
         "prompt": ids.tolist(), "max_tokens": 1, "cache_prompt": False, "temperature": 0.0,
@@ -146,7 +147,8 @@ def test_prefill_against_llama_cpp(
     answer = peer(n_probs=LLAMA.tokens)
     assert answer["timings"]["prompt_n"] == 200
     likeliest = answer["choices"][0]["logprobs"]["content"][0]["top_logprobs"]
-    logprobs = np.array([one["logprob"] for one in sorted(likeliest, key=lambda one: one["id"])])
+    by_id = sorted(likeliest, key=lambda token: token["id"])
+    logprobs = np.array([token["logprob"] for token in by_id])
     logits = ours()
     np.testing.assert_allclose(logits - np.logaddexp.reduce(logits), logprobs, atol=differ)
     benchmark.pedantic(ours, rounds=15, warmup_rounds=2)
@@ -154,7 +156,7 @@ def test_prefill_against_llama_cpp(
 
 
 def prefill_of(model: LanguageModel, ids: np.ndarray) -> Callable[[], np.ndarray]:
-    """Read all but 30 tokens, then those 30."""
+    """Return a function that reads all but the last 30 tokens, and then these 30."""
     decoder, places = model._decoder, np.tile(np.arange(len(ids)), (3, 1))
 
     def prefill() -> np.ndarray:
@@ -166,13 +168,18 @@ def prefill_of(model: LanguageModel, ids: np.ndarray) -> Callable[[], np.ndarray
 
 
 def llama_params(llama: Any, path: Path) -> Any:
-    """One thread on the CPU, and nothing kept from one question to the next."""
-    told = llama.CommonParams()
-    told.model.path, told.n_ctx, told.n_parallel = str(path), MOST_TOKENS, 1
-    told.cpuparams.n_threads = told.cpuparams_batch.n_threads = 1
-    told.cache_type_k = told.cache_type_v = llama.ggml_type.GGML_TYPE_F32
-    told.cache_ram_mib, told.n_gpu_layers, told.port, told.verbosity = 0, 0, 0, 0
-    return told
+    """Return parameters for one thread on the CPU, without a cache between questions."""
+    parameters = llama.CommonParams()
+    parameters.model.path, parameters.n_ctx, parameters.n_parallel = str(path), MOST_TOKENS, 1
+    parameters.cpuparams.n_threads = parameters.cpuparams_batch.n_threads = 1
+    parameters.cache_type_k = parameters.cache_type_v = llama.ggml_type.GGML_TYPE_F32
+    parameters.cache_ram_mib, parameters.n_gpu_layers, parameters.port, parameters.verbosity = (
+        0,
+        0,
+        0,
+        0,
+    )
+    return parameters
 
 
 def genai_config(tokens: int) -> dict:

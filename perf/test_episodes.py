@@ -1,4 +1,4 @@
-"""Benchmark: cost of an episode in one process; a robot would need ten seconds for it."""
+"""Benchmark: cost of ten simulated seconds of an episode, in one process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Benchmark: cost of a detector's own process, against the same images inside the service."""
+"""Benchmark: detection in a process of its own, and in a thread of the service."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def detector(model, isolation):
 @pytest.mark.benchmark(timer=time.perf_counter)
 @pytest.mark.parametrize("isolation", ["thread", "process"])
 def test_detect(benchmark, detector, isolation, model):
-    """A 320 x 256 image in, boxes out, on two threads."""
+    """Measure one detection in an image of 320 x 256 pixels, on two threads."""
     benchmark.extra_info["budget"] = f"detect_in_{isolation}_{model.model.partition('-256')[0]}"
     rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
-    seen = Observation(0, 0, np.eye(4), rgb=rgb)
-    benchmark.pedantic(detector.detect, (seen,), rounds=200, warmup_rounds=10)
+    observation = Observation(0, 0, np.eye(4), rgb=rgb)
+    benchmark.pedantic(detector.detect, (observation,), rounds=200, warmup_rounds=10)

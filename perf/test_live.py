@@ -37,19 +37,22 @@ def test_a_tick_that_nobody_looks_at(benchmark, closed):
 
 
 def test_a_tick_that_is_looked_at(benchmark, closed):
-    """A tick that gathers the state: five a second. One of five gathers all objects, too."""
+    """Measure a tick that gathers the state for viewers.
+
+    There are five such ticks a second. One of five also gathers all objects.
+    """
     service, observation = closed.service, closed.observe()
     now_s = 0.0
     sink = LiveSink(lambda: now_s)
 
-    def fresh():
+    def watch_again():
         nonlocal now_s
         now_s += PERIOD_S
         sink.mark_watched()
         return (service.result(1, observation),), {}
 
     benchmark.extra_info["budget"] = "live_tick_seen"
-    benchmark.pedantic(sink.tick, setup=fresh, rounds=200)
+    benchmark.pedantic(sink.tick, setup=watch_again, rounds=200)
 
 
 def test_what_is_asked_five_times_a_second(benchmark, closed):
@@ -61,7 +64,7 @@ def test_what_is_asked_five_times_a_second(benchmark, closed):
 
 
 def test_a_map_of_a_house(benchmark, against, closed):
-    """Against OpenCV's own encoder, at the same compression."""
+    """Compare with OpenCV's own encoder, at the same compression."""
     grid = closed.service.map.grid.snapshot(50)
     options = [cv2.IMWRITE_PNG_COMPRESSION, 1]
     against(lambda: cv2.imencode(".png", grid.cells.view(np.uint8), options))
@@ -70,7 +73,7 @@ def test_a_map_of_a_house(benchmark, against, closed):
 
 
 def test_an_image(benchmark, against):
-    """Against OpenCV's own encoder and base64, of an image whose colours are as it wants them."""
+    """Compare with OpenCV's own encoder and base64, which need no conversion of colours."""
     rng = np.random.default_rng(0)
     rgb = cv2.resize(rng.integers(0, 255, (24, 32, 3), np.uint8), (640, 480))
     options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]

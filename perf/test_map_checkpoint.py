@@ -1,4 +1,4 @@
-"""Costs of the map's checkpoint: to the loop when it is saved, to the start when it is restored."""
+"""Benchmark: cost of the map's checkpoint, when it is saved in the loop and when it is restored."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def parts_of(grid: mapping.RollingMap, c: config.Config) -> MapParts:
 
 
 def file_of(cells: int) -> bytes:
-    """All of a map that is explored all over."""
+    """Return the checkpoint of a fully explored map, all tiles included."""
     grid, c = explored_map(cells), settings(cells)
     copier, packed = TileCopier(), PackedTiles()
     grid.window.written[:] = True
@@ -55,14 +55,14 @@ def file_of(cells: int) -> bytes:
 
 @pytest.mark.parametrize("cells", [1000, 4000])
 def test_copying_what_changed(benchmark, cells):
-    """The tick that copies pays this, once in three seconds."""
+    """Measure the copy of the changed tiles, which one tick makes every three seconds."""
     benchmark.extra_info["budget"] = f"places_copy_{cells}"
     grid, c = explored_map(cells), settings(cells)
     parts, update, copier = parts_of(grid, c), update_all_round(grid), TileCopier()
     update()
     grid.window.written[:] = False
 
-    def written() -> None:
+    def change_map() -> None:
         update()
         copier.collect()
 
@@ -70,12 +70,12 @@ def test_copying_what_changed(benchmark, cells):
         assert copier.step(grid.window, grid.planes, MOST_PER_STEP + grid.tiles_of_update)
         state_of(parts, NOW, "", ("bed",), "bed")
 
-    benchmark.pedantic(copy, setup=written, rounds=100, warmup_rounds=5)
+    benchmark.pedantic(copy, setup=change_map, rounds=100, warmup_rounds=5)
 
 
 @pytest.mark.parametrize("cells", [1000, 4000])
 def test_restoring(benchmark, cells):
-    """From the file's bytes to a map with its frontiers, before the first tick."""
+    """Measure the way from the file's bytes to a map with frontiers, before the first tick."""
     benchmark.extra_info["budget"] = f"places_restore_{cells}"
     content, c = file_of(cells), settings(cells)
 
@@ -90,7 +90,7 @@ def test_restoring(benchmark, cells):
 
 @pytest.mark.parametrize("keeps", [False, True])
 def test_tick(benchmark, tmp_path, keeps):
-    """A tick of a service with a checkpoint, and of one without, on one road."""
+    """Measure a tick with a checkpoint, and one without, on the same drive."""
     benchmark.extra_info["budget"] = "tick_keeping" if keeps else "tick_not_keeping"
     lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.05}}
     loop = ClosedLoop(parse({**SETTINGS, **lockstep, "mission": {"target": "toilet"}}))

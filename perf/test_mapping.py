@@ -1,4 +1,4 @@
-"""Map update with frontiers, unknown-area ratio and reach field, against their budgets."""
+"""Benchmark: map update with frontiers, unknown area, travel-cost field and detector coverage."""
 
 from __future__ import annotations
 
@@ -96,6 +96,7 @@ def numpy_points(depth_m: np.ndarray, T: np.ndarray):
 
 
 def update_all_round(m: grid.RollingMap):
+    """Return a function that updates the map with the next of `frames`, over and over."""
     views = itertools.cycle(frames())
 
     def step() -> None:
@@ -114,7 +115,7 @@ def update_all_round(m: grid.RollingMap):
     ],
 )
 def test_map_update(benchmark, against, cells, budget):
-    """Against plain NumPy that does the first step of it: all pixels to points of the map."""
+    """Compare with the first step of an update in plain NumPy: all pixels to points of the map."""
     benchmark.extra_info["budget"] = budget
     against(numpy_points(*frames()[0][:2]))
     m = explored_map(cells)
@@ -156,7 +157,7 @@ def test_where_the_detector_looked(benchmark):
 
 
 def test_step_of_the_search_for_a_view(benchmark):
-    """In an open hall of 50 m, where all can be reached and nothing was looked at: the dearest."""
+    """Measure the most expensive case: an open hall of 50 m that no image has covered."""
     benchmark.extra_info["budget"] = "coverage_search_step"
     m = explored_map(1000)
     while m.travel_cost.generation == 0:

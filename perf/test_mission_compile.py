@@ -1,4 +1,4 @@
-"""Compiling a formula to its automaton, parsing left out (it is measured by itself)."""
+"""Benchmark: compilation of a formula to its automaton, and parsing of its text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import parse
 
-# PEERS.md's formulas: f2 and f3 are the ViTL paper's case studies, as they are written there.
+# Formula and number of states. f2 and f3 are the case studies of the ViTL paper.
 FORMULAS = {
     "f1": ("F((chair | couch) & F tv)", 3),
     "f2": (

@@ -1,4 +1,4 @@
-"""Replanning, and driving distances between objects."""
+"""Benchmark: replanning of a mission, and driving distances between objects."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ def _compiled():
 
 
 def unordered(k: int):
-    """2^k states."""
+    """Return the automaton of k objects in any order; it has 2^k states."""
     return compile_formula(parse(" & ".join(f"F object{i}" for i in range(k))))
 
 
 def half_known(automaton) -> MissionKnowledge:
+    """Return knowledge in which every second object is detected, with random distances."""
     letters = automaton.propositions
     k = len(letters)
     metres = np.random.default_rng(0).uniform(1.0, 20.0, (k + 1, k))

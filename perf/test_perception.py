@@ -54,6 +54,7 @@ WORDS = tuple(f"word{i}" for i in range(20))
 
 
 def boxes_in(observation, n, seed=1, prompts=("chair", "sofa", "bed", "desk")):
+    """Return n random detections, the highest score first."""
     random = np.random.default_rng(seed)
     corner = random.uniform(0, (480, 320), (n, 2))
     xyxy = np.hstack((corner, corner + random.uniform(40, 160, (n, 2)))).astype(np.float32)
@@ -74,30 +75,30 @@ def detector():
 
 @pytest.mark.benchmark(timer=time.perf_counter)
 def test_detect(benchmark, detector, against):
-    """Image in, boxes out: the whole of it on two threads, against the network's own run."""
+    """Compare a whole detection, on two threads, with a run of the network alone."""
     benchmark.extra_info["budget"] = "detect_int8_cpu_256x320"
-    seen = observe()
-    detector.detect(seen)
+    observation = observe()
+    detector.detect(observation)
     against(detector._prompt_set.bound.run, time.perf_counter)
-    benchmark.pedantic(detector.detect, (seen,), rounds=60, warmup_rounds=5)
+    benchmark.pedantic(detector.detect, (observation,), rounds=60, warmup_rounds=5)
 
 
 def test_around_the_network(benchmark, detector):
-    """The same without the network's own run: letterbox, scores, NMS."""
+    """Measure a detection without the run of the network: letterbox, scores, NMS."""
     benchmark.extra_info["budget"] = "detect_pre_and_post"
-    seen = observe()
-    detector.detect(seen)
+    observation = observe()
+    detector.detect(observation)
     boxes, scores = detector._prompt_set.bound.run()
 
     def around():
-        detector._fill_input(seen.rgb)
+        detector._fill_input(observation.rgb)
         return detector._pick(detector._prompt_set, boxes[0], scores[0])
 
     benchmark(around)
 
 
 def test_suppress(benchmark, against):
-    """Decoding and NMS with 300 anchors over the threshold, against OpenCV's NMS of these."""
+    """Compare decoding and NMS of 300 anchors above the threshold with OpenCV's NMS of these."""
     benchmark.extra_info["budget"] = "nms_1680_anchors"
     random = np.random.default_rng(0)
     n = 1680
@@ -125,12 +126,12 @@ def test_suppress(benchmark, against):
 
 
 def test_grabcut(benchmark):
-    """Masks of eight boxes of a 640 × 480 image: things of one colour each, on noise."""
+    """Measure the masks of eight boxes in a 640 × 480 image: objects of one colour, on noise."""
     benchmark.extra_info["budget"] = "grabcut_8_boxes"
-    seen, settings = observe(), config.SegmenterGrabcut()
-    found = boxes_in(seen, 8)
+    observation, settings = observe(), config.SegmenterGrabcut()
+    found = boxes_in(observation, 8)
     for i, (x0, y0, x1, y1) in enumerate(found.xyxy_px.astype(int)):
-        seen.rgb[y0 + 8 : y1 - 8, x0 + 8 : x1 - 8] = 20 + 25 * i
+        observation.rgb[y0 + 8 : y1 - 8, x0 + 8 : x1 - 8] = 20 + 25 * i
     masker = Masker(make_segmenter(settings), settings, timed=False)
     out = benchmark.pedantic(masker.add, (found,), rounds=40, warmup_rounds=3)
     assert out.mask.any()
@@ -138,36 +139,36 @@ def test_grabcut(benchmark):
 
 @pytest.mark.parametrize("way", ["depth", "cloud"])
 def test_lift(benchmark, way):
-    """Twenty boxes of a 640 × 480 image."""
+    """Measure the back-projection of twenty boxes of a 640 × 480 image."""
     benchmark.extra_info["budget"] = f"lift_20_boxes_{way}"
-    seen = observe()
+    observation = observe()
     lifter = BackProjector(
         config.PerceptionConfig(detector=config.DetectorSim(), back_projection=way)
     )
-    out, _ = benchmark(lifter.back_project, boxes_in(seen, 20))
+    out, _ = benchmark(lifter.back_project, boxes_in(observation, 20))
     assert out.valid.any()
 
 
 def test_track(benchmark):
-    """Eight boxes into a tracker that knows some thirty things, with a look at all of them."""
+    """Measure an update with eight boxes, and the check of all of some thirty known objects."""
     benchmark.extra_info["budget"] = "instances_update_8"
     perception = config.PerceptionConfig(detector=config.DetectorSim())
     tracker, lifter = InstanceTracker(perception), BackProjector(perception)
     for seed in range(20):
         tracker.update(lifter.back_project(boxes_in(observe(seed), 20, seed))[0], seed)
-    seen = observe()
-    lifted, _ = lifter.back_project(boxes_in(seen, 8))
+    observation = observe()
+    lifted, _ = lifter.back_project(boxes_in(observation, 8))
 
     def step():
         tracker.update(lifted, 1_000_000_000)
-        tracker.expire(seen, lifted.detections.prompts)
+        tracker.expire(observation, lifted.detections.prompts)
 
     benchmark(step)
     assert len(tracker) > 10
 
 
 def test_sightings(benchmark):
-    """Time eight target boxes and twenty context boxes among about two hundred objects."""
+    """Measure an update with 8 target and 20 context boxes, among about 200 known objects."""
     benchmark.extra_info["budget"] = "sightings_look_28"
     perception = config.PerceptionConfig(detector=config.DetectorSim())
     sightings, lifter = ObjectTracker(perception), BackProjector(perception)
@@ -176,20 +177,23 @@ def test_sightings(benchmark):
         sightings.update(
             lifted, lifter.back_project(boxes_in(observe(seed), 20, seed + 100, WORDS))[0]
         )
-    seen = observe()
-    targets, _ = lifter.back_project(boxes_in(seen, 8))
-    around, _ = lifter.back_project(boxes_in(seen, 20, 2, WORDS))
+    observation = observe()
+    targets, _ = lifter.back_project(boxes_in(observation, 8))
+    around, _ = lifter.back_project(boxes_in(observation, 20, 2, WORDS))
     benchmark(sightings.update, targets, around)
     assert sightings.read_only.n > 50
 
 
 def test_five_thousand_objects(benchmark, against):
-    """The same look in a memory of 5,000 objects on 3,600 m², and in one of 400 as dense."""
+    """Compare the same update among 5,000 known objects on 3,600 m² and among 400, as dense."""
     benchmark.extra_info["budget"] = "sightings_look_5000"
-    seen, lifter = observe(), BackProjector(config.PerceptionConfig(detector=config.DetectorSim()))
+    observation, lifter = (
+        observe(),
+        BackProjector(config.PerceptionConfig(detector=config.DetectorSim())),
+    )
     boxes = (
-        lifter.back_project(boxes_in(seen, 8))[0],
-        lifter.back_project(boxes_in(seen, 20, 2, WORDS))[0],
+        lifter.back_project(boxes_in(observation, 8))[0],
+        lifter.back_project(boxes_in(observation, 20, 2, WORDS))[0],
     )
     few, many = (full_of(n) for n in (400, 5000))
     against(lambda: few.update(*boxes))

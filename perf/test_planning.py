@@ -1,4 +1,4 @@
-"""The task-level benchmark: one planner over 2000 tasks and ten p_obs, and its parts."""
+"""Benchmark: evaluation of one planner over 2000 tasks and ten p_obs, and parts of it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def tasks():
 
 
 def test_tasks_sample(benchmark, tasks):
-    """A tenth of the benchmark, automata compiled, plans made anew in every round."""
+    """Measure a tenth of the tasks, with compiled automata and new plans in every round."""
     benchmark.extra_info["budget"] = f"eval_planning_{SAMPLE}_vitl"
     settings = Settings(("vitl",), P_OBS)
     results = benchmark.pedantic(run_tasks, args=(tasks, settings), rounds=5, warmup_rounds=1)
@@ -36,7 +36,7 @@ def test_tasks_sample(benchmark, tasks):
 
 
 def test_task_episode(benchmark):
-    """One run of case study 2 with the plans already made."""
+    """Measure 64 runs of case study 2, for which the plans are already made."""
     benchmark.extra_info["budget"] = "eval_planning_episode"
     lifted = delexicalise(parse(CASE_2))
     problem = PlanningProblem.of(lifted.automaton, lifted.others)
@@ -44,7 +44,7 @@ def test_task_episode(benchmark):
     draws = [draws_of(0, task, 0.5, 0) for task in range(64)]
 
     def run():
-        return [run_episode(problem, 0.5, choose, one) for one in draws]
+        return [run_episode(problem, 0.5, choose, draw) for draw in draws]
 
     run()
     episodes = benchmark(run)
@@ -53,7 +53,7 @@ def test_task_episode(benchmark):
 
 
 def test_optimal_policy(benchmark):
-    """The exact optimum of case study 2 at one p_obs: 32 states, 64 sets of known objects."""
+    """Measure the exact optimum of case study 2 at one p_obs: 32 states, 64 sets of objects."""
     benchmark.extra_info["budget"] = "eval_planning_optimum"
     problem = PlanningProblem.of(compiled(delexicalise(parse(CASE_2)).formula), 0)
     optimum = PLANNERS["optimal"].make(problem)
@@ -63,7 +63,7 @@ def test_optimal_policy(benchmark):
 
 @pytest.mark.slow
 def test_tasks_whole(benchmark):
-    """Everything for one planner on one core: tasks, automata, plans and 20,000 runs."""
+    """Measure everything for one planner on one core: tasks, automata, plans, 20,000 runs."""
     benchmark.extra_info["budget"] = "eval_planning_2000_vitl"
 
     def whole():

@@ -19,7 +19,7 @@ T_BASE_CAMERA = CONFIG.sensors.camera.T_base_camera()
 TICK_NS = 33_333_333
 
 
-def seen(k: int, step_m: float) -> Observation:
+def view(k: int, step_m: float) -> Observation:
     """Return a view of a floor and a far wall, from a robot that drives towards the wall."""
     rng = np.random.default_rng(k)
     row = (np.arange(480) - CAMERA.cy_px) / CAMERA.fy_px
@@ -34,7 +34,7 @@ def seen(k: int, step_m: float) -> Observation:
 @pytest.mark.parametrize(("budget", "step_m"), [("judge_standing", 0.0), ("judge_driving", 0.017)])
 def test_judging_an_observation(benchmark, against, budget, step_m):
     benchmark.extra_info["budget"] = budget
-    frames = [seen(k, step_m) for k in range(30)]
+    frames = [view(k, step_m) for k in range(30)]
     against(lambda: np.multiply(frames[0].depth_m, np.float32(0.001)))
     stage = Plausibility(CONFIG, 0.8, lambda *_: None)
     there_and_back = itertools.cycle((*frames, *frames[-2:0:-1]))

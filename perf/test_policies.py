@@ -1,4 +1,4 @@
-"""Scoring 200 candidates and choosing a goal among them, unknown-area search included."""
+"""Benchmark: scoring of candidates, and choice of a goal among them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _compiled():
 
 
 def detections(stamp_ns: int) -> Detections:
-    """Boxes all over the image, some of them mere hints."""
+    """Return boxes all over the image, some with scores below the detection threshold."""
     rng = np.random.default_rng(2)
     left = rng.uniform(0, CAMERA.width_px - 60, BOXES)
     top = rng.uniform(0, CAMERA.height_px - 60, BOXES)
@@ -46,7 +46,7 @@ def detections(stamp_ns: int) -> Detections:
 
 
 def around(n: int) -> Frontiers:
-    """Frontiers on all sides, 1 to 8 m away."""
+    """Return n frontiers on all sides, 1 to 8 m away."""
     rng = np.random.default_rng(1)
     radius_m, angle = rng.uniform(1.0, 8.0, n), rng.uniform(-math.pi, math.pi, n)
     xy_m = np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle)], axis=1)
@@ -57,7 +57,7 @@ def around(n: int) -> Frontiers:
 
 @pytest.mark.parametrize("kind", ["vlfm", "adaptive"])
 def test_score_by_values_30(benchmark, kind):
-    """Thirty frontiers, of which half are promising: the tour takes as many as it may."""
+    """Measure thirty frontiers. Half have high values, so the tour has its largest size."""
     benchmark.extra_info["budget"] = f"score_{kind}_30"
     m = explored_map(1000)
     while m.travel_cost.generation == 0:
@@ -80,7 +80,7 @@ def test_score_by_values_30(benchmark, kind):
 
 
 def test_score_and_select_200(benchmark):
-    """Every round looks with fresh candidates, so that eq. 3 is worked out for all in view."""
+    """Measure scores and goal with a reset policy, which computes eq. 3 for all in view."""
     benchmark.extra_info["budget"] = "score_and_select_200"
     m = explored_map(1000)
     while m.travel_cost.generation == 0:
@@ -105,14 +105,14 @@ def test_score_and_select_200(benchmark):
         2,
     )
 
-    def fresh() -> None:
+    def reset() -> None:
         policy.reset("mission")
         goals.abandon()
 
     def score_and_select():
         return goals.choose(context, m, scores_of(policy, context), 0)
 
-    goal = benchmark.pedantic(score_and_select, setup=fresh, rounds=500, warmup_rounds=20)
+    goal = benchmark.pedantic(score_and_select, setup=reset, rounds=500, warmup_rounds=20)
     assert context.candidates.n == CANDIDATES
     assert goal is not None
     assert np.ptp(scores_of(policy, context)) > 0

@@ -1,4 +1,4 @@
-"""The prior in the tick: 100 places among 200 sightings, all of it new, or nothing new."""
+"""Benchmark: cost of the prior in the tick: 100 places among 200 objects, new or known."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def objects(n: int, words: Sequence[str]) -> TrackedObjects:
 
 @pytest.fixture(scope="module")
 def seen() -> tuple[LocationPrior, MapView, TrackedObjects, np.ndarray]:
-    """As after a house of 10 m × 10 m was seen whole."""
+    """Return the state after all of a house of 10 m × 10 m was seen."""
     rng, table = np.random.default_rng(0), load()
     sightings = objects(THINGS, table.things)
     words = make_words(table, DetectorSim())
@@ -74,7 +74,7 @@ def test_all_new(benchmark, seen):
 
 
 def test_cut_rooms(benchmark, seen):
-    """Beside the loop, once a second."""
+    """Measure the division of the map into rooms, in the background once a second."""
     benchmark.extra_info["budget"] = "prior_rooms_1000"
     view = seen[1]
     regions = benchmark(survey_regions, view.layers, view.window, TALL)
@@ -82,7 +82,7 @@ def test_cut_rooms(benchmark, seen):
 
 
 def test_kinds_of_rooms(benchmark, seen):
-    """In the tick, at most once a second, with as many objects as the memory holds."""
+    """Measure the kinds of rooms with a full memory; the tick computes them once a second."""
     benchmark.extra_info["budget"] = "room_kinds_5000"
     view, table = seen[1], load()
     sightings = objects(MAX_SIGHTINGS, table.things)

@@ -16,17 +16,19 @@ from edge.sinks.mcap import McapSink
 TICKS = 32
 
 
-class Kept:
-    """Keeps results, with copies of what the simulator writes over."""
+class ResultStore:
+    """Sink that keeps results, with copies of the images that the simulator overwrites."""
 
     def __init__(self) -> None:
         self.results = []
 
     def tick(self, result) -> None:
-        seen = result.observation
-        if seen is not None:
-            seen = replace(seen, rgb=seen.rgb.copy(), depth_m=seen.depth_m.copy())
-        self.results.append(replace(result, observation=seen))
+        observation = result.observation
+        if observation is not None:
+            observation = replace(
+                observation, rgb=observation.rgb.copy(), depth_m=observation.depth_m.copy()
+            )
+        self.results.append(replace(result, observation=observation))
 
     def close(self) -> None:
         pass
@@ -37,10 +39,10 @@ def results():
     """Return the results of one second of the demo, with depth in whole millimetres."""
     lockstep = {"lockstep": True}
     perception = {"detector": {"kind": "sim"}}
-    kept = Kept()
+    store = ResultStore()
     closed = ClosedLoop(
         parse({"loop": lockstep, "sim": {**lockstep, "step_s": 1 / 30}, "perception": perception}),
-        sinks=[kept],
+        sinks=[store],
     )
     look = closed.rig.look
 
@@ -53,18 +55,18 @@ def results():
     closed.rig.look = look_in_millimetres
     for _ in range(TICKS):
         closed.step()
-    yield closed.config, kept.results
+    yield closed.config, store.results
     closed.close()
 
 
 def test_record_a_tick_in_the_loop(benchmark, results):
-    """Time the loop thread's part: depth as millimetres, and an image now and then."""
+    """Measure the loop thread's part: depth in millimetres, and an image twice a second."""
     config, ticks = results
-    teller = ResultEncoder(config, rgb_hz=2.0)
+    encoder = ResultEncoder(config, rgb_hz=2.0)
 
     def one_pass():
         for result in ticks:
-            teller.capture(result)
+            encoder.capture(result)
 
     benchmark.extra_info["budget"] = "record_take_32"
     benchmark(one_pass)
@@ -72,7 +74,7 @@ def test_record_a_tick_in_the_loop(benchmark, results):
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 def test_record_a_tick(benchmark, against, results, tmp_path, compression):
-    """All of it, in one thread; against zlib on as much depth as one second has."""
+    """Compare the whole recording, in one thread, with zlib on the depth of one second."""
     config, ticks = results
     sink = McapSink(config, str(tmp_path), compression=compression)
 

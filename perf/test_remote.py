@@ -1,4 +1,4 @@
-"""Benchmark: client cost of a detector on a server, without the server's computation."""
+"""Benchmark: cost of a detector on a server for the client, without the server's computation."""
 
 from __future__ import annotations
 
@@ -22,24 +22,27 @@ ANCHORS = 1680
 
 
 def nothing(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the outputs of a detector that finds nothing."""
     n = feed["txt_feats"].shape[1]
     boxes, scores = (np.zeros((1, ANCHORS, width), np.float32) for width in (4, n))
     return {"boxes": boxes, "scores": scores}
 
 
 def test_detect_on_a_server(benchmark, against, monkeypatch):
-    """In processor time of the thread that asks, against the same network here, on one thread."""
+    """Compare the client's processor time with a run of the same network on one thread here."""
     benchmark.extra_info["budget"] = "detect_on_a_server"
     rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
-    seen = Observation(0, 1, np.eye(4), rgb=rgb)
+    observation = Observation(0, 1, np.eye(4), rgb=rgb)
     settings = config.DetectorOnnx(model=CARD, threads=1)
-    here = OnnxDetector(settings, ["bed"])
+    local = OnnxDetector(settings, ["bed"])
     with serving(KServe(nothing)) as server:
-        told = InferenceServer(url=server.url, model="m", time_limit_s=60)
-        card = load_card_of(DetectCard, CARD).model_copy(update={"server": told, "file": None})
+        inference_server = InferenceServer(url=server.url, model="m", time_limit_s=60)
+        card = load_card_of(DetectCard, CARD).model_copy(
+            update={"server": inference_server, "file": None}
+        )
         monkeypatch.setattr("edge.perception.detection.onnx.load_detector_card", lambda name: card)
-        there = RemoteDetector(settings, card, ("bed",))
-        benchmark.pedantic(there.detect, (seen,), rounds=100, warmup_rounds=10)
-        assert there.health().state == "ok"
-        there.close()
-    against(lambda: here.detect(seen))
+        remote = RemoteDetector(settings, card, ("bed",))
+        benchmark.pedantic(remote.detect, (observation,), rounds=100, warmup_rounds=10)
+        assert remote.health().state == "ok"
+        remote.close()
+    against(lambda: local.detect(observation))

@@ -1,7 +1,7 @@
-"""From odometry on the wire to the goal that comes of it, both at the robot's end.
+"""Benchmark: time from an odometry message to the goal, both measured on the robot's side.
 
-The odometry is what the synchronizer waits for, and the goal is there as soon as there is an
-observation: what a tick computes has budgets of its own.
+The synchronizer waits for this odometry. The goal is sent as soon as there is an observation: the
+computation of a tick is not included, it has its own budgets.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from edge.types import Goal  # noqa: E402
 
 TICK_MS = 1e3 / 30
 CAMERA = CameraModel.from_hfov(320, 256, 1.3)
-FAR_NS = 10**15
+FAR_NS = 10**15  # later than all stamps
 STAMPS = range(10**9, FAR_NS, 40_000_000)
 
 
@@ -50,7 +50,8 @@ def goal_of(stamp_ns: int) -> Goal:
     return Goal(stamp_ns, SE2(1.0, 2.0, 0.5), "frontier", 7, (1.0, 2.5), 0.4, "chair")
 
 
-def observed(source: ZenohSource | Ros2Source) -> None:
+def take_observation(source: ZenohSource | Ros2Source) -> None:
+    """Wait for an observation; fail without one."""
     for _ in range(60):
         if (seen := source.poll()) is not None:
             seen.release()
@@ -60,7 +61,7 @@ def observed(source: ZenohSource | Ros2Source) -> None:
 
 
 def until_found(source: ZenohSource | Ros2Source, bring: Callable[[], None]) -> None:
-    """Bring an observation again and again until all ways are found, and let the rest pass."""
+    """Call `bring` until an observation comes; then drop all that is still under way."""
 
     def found() -> bool:
         bring()
@@ -79,10 +80,12 @@ def until_found(source: ZenohSource | Ros2Source, bring: Callable[[], None]) -> 
 def until_received(
     source: ZenohSource | Ros2Source, n: int, send: Callable[[int], None], stamps: Iterator[int]
 ) -> int:
-    """Send n messages of an instant until all of one have come: any of them may be dropped.
+    """Send n messages of one stamp, until all messages of a stamp have come.
+
+    Any message may be dropped, so several stamps may be needed.
 
     Returns:
-        The stamp of those that came.
+        The stamp.
     """
 
     def sent() -> int:
@@ -139,7 +142,7 @@ def test_odometry_to_goal_over_zenoh(benchmark):
 
         def trip(stamp_ns: int) -> None:
             move(stamp_ns + 1)
-            observed(source)
+            take_observation(source)
             goal = goal_of(stamp_ns)
             sink.tick(result(stamp_ns, goals=(goal,), goal=goal))
             while messages.decode_pose_stamped(goals.recv().payload.to_bytes())[0] != stamp_ns:
@@ -166,10 +169,10 @@ def process(command: list[str], environ: dict[str, str]) -> Iterator[subprocess.
 
 @pytest.mark.benchmark(timer=time.perf_counter)
 def test_odometry_to_goal_through_the_adapter(benchmark, tmp_path):
-    """From a live ROS 2 (rclpy, Fast DDS), with two pipes to it on top."""
+    """Measure with a live ROS 2 (rclpy, Fast DDS); two pipes to its process are included."""
     ros = make_environ(tmp_path / "packages")
     config = adapted_config(f"tcp/127.0.0.1:{free_port()}")
-    path, stamps, told = tmp_path / "robot.yaml", iter(STAMPS), []
+    path, stamps, statuses = tmp_path / "robot.yaml", iter(STAMPS), []
     path.write_text(json.dumps(config.model_dump(mode="json", exclude={"path"})))
     adapter = [sys.executable, "-m", "edge.cli", "ros2-adapter", str(path)]
     environ = {**ros, "PYTHONPATH": f"{ROOT}:{ros['PYTHONPATH']}"}
@@ -182,7 +185,7 @@ def test_odometry_to_goal_through_the_adapter(benchmark, tmp_path):
         assert robot.stdout.readline() == "ready\n"
         source = Ros2Source(config, session)
         node = open_node(config, session, "sink")
-        navigator = NavigateToPoseClient(node, "/navigate_to_pose", "odom", told.append)
+        navigator = NavigateToPoseClient(node, "/navigate_to_pose", "odom", statuses.append)
         send_goal = node.client(
             "/navigate_to_pose/_action/send_goal", f"{NAVIGATE_TO_POSE}_SendGoal", timeout_s=1.0
         )
@@ -203,7 +206,7 @@ def test_odometry_to_goal_through_the_adapter(benchmark, tmp_path):
 
         def trip(stamp_ns: int) -> None:
             say("odom", stamp_ns + 1)
-            observed(source)
+            take_observation(source)
             navigator.send(goal_of(stamp_ns))
             while robot.stdout.readline() != f"goal {stamp_ns}\n":
                 pass

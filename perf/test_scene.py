@@ -1,4 +1,4 @@
-"""Benchmark: projection of a scan into masks (OpenNav eq. 2), and of a whole scene."""
+"""Benchmark: points of a scan in each mask (OpenNav eq. 2)."""
 
 from __future__ import annotations
 
@@ -32,41 +32,49 @@ def scan():
     return cloud, boxes, masks
 
 
-def by_numpy(cloud, boxes, masks):
-    """Do the same with NumPy: project all points once; each mask checks those in its window."""
+def points_by_numpy(cloud, boxes, masks):
+    """Return the points of each mask: the reference for `points_of_masks`, in NumPy.
+
+    For each mask, take the points in a widened box, split them by depth at gaps, and keep the
+    cluster that fits the mask best.
+    """
     at_px, shown = in_picture(cloud, T_CAMERA_CLOUD, CAMERA)
     seen = np.flatnonzero(shown)
     u, v = at_px[seen].T
     depth = (cloud[seen] @ T_CAMERA_CLOUD[2, :3] + T_CAMERA_CLOUD[2, 3]).astype(np.float32)
     out = []
     for (x0, y0, x1, y1), mask in zip(boxes, masks, strict=True):
-        aside, above = BESIDE * (x1 - x0), BESIDE * (y1 - y0)
-        near = (u >= x0 - aside) & (u < x1 + aside) & (v >= y0 - above) & (v < y1 + above)
+        margin_u, margin_v = BESIDE * (x1 - x0), BESIDE * (y1 - y0)
+        near = (u >= x0 - margin_u) & (u < x1 + margin_u)
+        near &= (v >= y0 - margin_v) & (v < y1 + margin_v)
         at = np.flatnonzero(near)
         r = ((v[at] - y0) / (y1 - y0) * MASK_SIDE).astype(np.intp)
         c = ((u[at] - x0) / (x1 - x0) * MASK_SIDE).astype(np.intp)
         inside = (r >= 0) & (r < MASK_SIDE) & (c >= 0) & (c < MASK_SIDE)
         inside &= (v[at] >= y0) & (u[at] >= x0)
-        on = np.zeros(len(at), np.bool_)
-        on[inside] = mask[r[inside], c[inside]]
+        in_mask = np.zeros(len(at), np.bool_)
+        in_mask[inside] = mask[r[inside], c[inside]]
+        # A gap between neighbours in depth begins a new cluster; it may grow with the depth.
         order = np.argsort(depth[at])
-        at, on = at[order], on[order]
+        at, in_mask = at[order], in_mask[order]
         d = depth[at]
-        part = np.concatenate(([0], np.cumsum(np.diff(d) > GAP_M + GAP_SHARE * d[:-1])))
-        mine = np.bincount(part, on)
-        fit = mine / np.maximum(on.sum() + np.bincount(part, ~on), 1)
-        out.append(np.sort(seen[at[on & (part == np.argmax(fit))]]))
+        cluster = np.concatenate(([0], np.cumsum(np.diff(d) > GAP_M + GAP_SHARE * d[:-1])))
+        n_in_mask = np.bincount(cluster, in_mask)
+        iou = n_in_mask / np.maximum(in_mask.sum() + np.bincount(cluster, ~in_mask), 1)
+        out.append(np.sort(seen[at[in_mask & (cluster == np.argmax(iou))]]))
     return out
 
 
 def test_points_of_masks(benchmark, scan, against):
+    """Check the result against the reference, then measure both."""
     benchmark.extra_info["budget"] = "project_120k_20_masks"
     cloud, boxes, masks = scan
-    expected = by_numpy(*scan)
+    expected = points_by_numpy(*scan)
     got = points_of_masks(cloud, T_CAMERA_CLOUD, CAMERA, boxes, masks)
     assert sum(len(points) for points in got) > 1000
-    for mine, its in zip(got, expected, strict=True):
-        # On the edge of a mask's cell float32 and float64 may differ.
-        assert len(np.setxor1d(mine, its)) <= 0.01 * len(its) + 1
+    for got_points, expected_points in zip(got, expected, strict=True):
+        # At the edge of a mask's cell, float32 and float64 may differ.
+        n_different = len(np.setxor1d(got_points, expected_points))
+        assert n_different <= 0.01 * len(expected_points) + 1
     benchmark(points_of_masks, cloud, T_CAMERA_CLOUD, CAMERA, boxes, masks)
-    against(lambda: by_numpy(*scan))
+    against(lambda: points_by_numpy(*scan))

@@ -41,7 +41,7 @@ class Idle:
 
 
 def test_ask_choice_200(benchmark):
-    """200 frontiers all around, of which the image shows a few."""
+    """Measure a question about 200 frontiers on all sides; the image shows a few of them."""
     benchmark.extra_info["budget"] = "ask_choice_200"
     rng = np.random.default_rng(1)
     xy_m = rng.uniform(-8.0, 8.0, (CANDIDATES, 2)).astype(np.float32)
@@ -49,35 +49,35 @@ def test_ask_choice_200(benchmark):
     pool = CandidatePool(CANDIDATES, 0.01)
     pool.update(Frontiers(CANDIDATES, xy_m, sizes, ids), [], 1, 1)
     depth = np.full((CAMERA.height_px, CAMERA.width_px), 9.0, np.float32)
-    seen = Observation(
+    observation = Observation(
         0, 1, SE2(0.0, 0.0, 0.3).matrix(), depth_m=depth, camera=CAMERA,
         T_base_camera=T_BASE_CAMERA,
     )  # fmt: skip
     scorers = Scorers(None, Idle(), inline=True)
     tracker = InstanceTracker(config.PerceptionConfig(detector=config.DetectorSim()))
     values = grid.RollingMap(config.MappingConfig()).values
-    benchmark(scorers.ask, seen, ("chair",), "chair", pool.candidates, tracker, values)
+    benchmark(scorers.ask, observation, ("chair",), "chair", pool.candidates, tracker, values)
     assert scorers.status()["choice"]["failed"] == 0
 
 
 def test_choose_mini_house(benchmark, against):
-    """One view of four marks, against a detection by the same trunk; one thread each."""
+    """Compare the choice among four marks with a detection by the same trunk, on one thread."""
     benchmark.extra_info["budget"] = "choose_mini_house"
     rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
-    seen = Observation(0, 1, np.eye(4), rgb=rgb)
+    observation = Observation(0, 1, np.eye(4), rgb=rgb)
     scorer = open_choice(config.ChoiceOnnx(card="mini-house-choice", threads=1))
     marks = tuple(Mark(i, 60.0 * i, 150.0, 0.5 - 0.3 * i, 2.0) for i in range(4))
     ways = MarkCosts(np.full(4, 2.5, np.float32), np.ones(4, np.float32), np.zeros(3, np.float32))
-    view = MarkedView(seen, "bed", marks, mark_costs=ways)
+    view = MarkedView(observation, "bed", marks, mark_costs=ways)
     choice = benchmark(lambda: scorer.answer(scorer.prepare(view)))
     assert choice.ids == (0, 1, 2, 3)
     of_trunk = config.DetectorOnnx(model="mini-house-256x320-int8-cpu", threads=1)
     detector = OnnxDetector(of_trunk, ["bed"])
-    against(lambda: detector.detect(seen))
+    against(lambda: detector.detect(observation))
 
 
 class Busy:
-    """A scorer whose one answer lasts until it is closed: its network runs all the while."""
+    """A scorer that answers one question until it is closed; its network runs all the time."""
 
     def __init__(self, scorer: ViewScorer) -> None:
         self.name, self._scorer, self._over = scorer.name, scorer, threading.Event()
@@ -97,7 +97,7 @@ class Busy:
 
 @pytest.mark.parametrize("asks", [False, True])
 def test_tick(benchmark, monkeypatch, asks):
-    """A tick beside which a scorer's network runs, and one without scorers, on one road."""
+    """Measure a tick while a scorer's network runs, and one without scorers, on the same drive."""
     benchmark.extra_info["budget"] = "tick_choosing" if asks else "tick_not_choosing"
     choice = config.ChoiceOnnx(card="mini-house-choice", threads=1)
     busy = Busy(open_choice(choice))

@@ -20,7 +20,7 @@ AWS = Path(__file__).resolve().parents[2] / "shared" / "worlds" / "aws_small_hou
 
 
 class Views:
-    """Renders and casts from one free pose after another."""
+    """Camera images and LiDAR scans of a world, from one free pose after another."""
 
     def __init__(self, world: World, lidar: Lidar | None = None) -> None:
         mount = to_optical(se3(0.1, 0.0, 0.6, pitch_rad=math.radians(5.0)))

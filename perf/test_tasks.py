@@ -10,7 +10,7 @@ from test_loop_task import closed, until
 
 
 def test_task_step(benchmark):
-    """Between ticks of a robot that drives; a sixth of the steps look along the path ahead."""
+    """Measure a step while the robot drives; each sixth step checks the path ahead."""
     benchmark.extra_info["budget"] = "task_step"
     loop = until(closed("go straight for 3 metres"), "driving")
     service = loop.service

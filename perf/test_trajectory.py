@@ -1,4 +1,4 @@
-"""Paths: A* on weighted mazes and on a house's map, and what the controller does with them."""
+"""Benchmark: A* on mazes and on a house's map, cost maps, smoothing, and a controller's step."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from edge.trajectory.costmap import from_occupancy, from_weights
 
 
 def maze(side: int, seed: int = 1) -> np.ndarray:
-    """Random weights 1 to 10, and nine walls from edge to edge with one gap each."""
+    """Return random weights 1 to 10, and nine walls (0) from edge to edge with one gap each."""
     rng = np.random.default_rng(seed)
     weights = rng.integers(1, 11, (side, side)).astype(np.uint8)
     gap = side // 80
@@ -81,10 +81,10 @@ def graph(weights: np.ndarray) -> scipy.sparse.csr_matrix:
 
 @pytest.mark.parametrize("other", ["scipy", "pyastar2d"])
 def test_astar_against(benchmark, other):
-    """Weights 1 to 10 on 1000 x 1000 cells, our search and another's by turns.
+    """Compare our search with another library's on a maze of 1000 x 1000 cells, by turns.
 
-    scipy's Dijkstra has the same graph and finds the least cost; pyastar2d has the same weights,
-    and takes a diagonal step to be as long as a straight one.
+    scipy's Dijkstra has the same graph and finds the least cost. pyastar2d has the same weights,
+    but counts a diagonal step as long as a straight one.
     """
     weights = maze(1000)
     costmap = from_weights(Grid(weights, (0.0, 0.0), 1.0), unit=1)
@@ -115,7 +115,10 @@ def test_astar_against(benchmark, other):
 
 
 def test_value_map(benchmark, against):
-    """A tenth of the paper's 10 Hz is 10 ms; against OpenCV's distance to the nearest obstacle."""
+    """Compare with OpenCV's distance to the nearest obstacle.
+
+    10 ms are a tenth of a period at the paper's 10 Hz.
+    """
     cells = house(1000)
     regions = np.zeros(cells.shape, np.uint8)
     regions[200:700], regions[700:750] = 1, 2
@@ -140,7 +143,7 @@ def test_astar_house(benchmark):
 
 
 def test_costmap_from_occupancy(benchmark, against):
-    """Against OpenCV's distance to the nearest obstacle, from which costs are made."""
+    """Compare with OpenCV's distance to the nearest obstacle, from which the costs are made."""
     cells = house(1000)
     free = (cells != 100).astype(np.uint8)
     against(lambda: cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
@@ -156,7 +159,7 @@ def test_smoothing(benchmark):
 
 
 def test_controller_step(benchmark):
-    """A step that follows its path; the one that plans again costs an `astar_house_400` more."""
+    """Measure a step along a path; a step that plans again takes `astar_house_400` longer."""
     controller = Controller(parse({"perception": {"detector": {"kind": "sim"}}}))
     controller.on_map(Grid(house(400), (0.0, 0.0), 0.05))
     controller.on_goal(1, SE2(18.0, 14.0, 0.0))

@@ -1,4 +1,4 @@
-"""The value maps' update against VLFM's, on the same frames, alternating in one process."""
+"""Benchmark: update of the value maps, compared with VLFM's on the same frames, by turns."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def _compiled():
 class VlfmValueMap:
     """Twin of VLFM's ValueMap.update_map, step by step (bdaiinstitute/vlfm, weighted average).
 
-    A template of confidences, cos^2 over the field of view, is made once; each update cuts the
-    visible part out of a copy of it, turns that by the camera's yaw, lays it into an empty map of
-    full size, and averages the whole map with it, once a channel.
+    A template of confidences, cos^2 over the field of view, is made once. Each update cuts the
+    visible part out of a copy of the template, turns it by the camera's yaw, and places it in an
+    empty map of full size. Then it averages the whole value map with this map, for each channel.
     """
 
     def __init__(self, channels: int, size: int = 1000, pixels_per_m: int = 20) -> None:
@@ -42,7 +42,7 @@ class VlfmValueMap:
         self._template = np.zeros((0, 0), np.float32)
 
     def update(self, score, depth_m, T, fov_rad, range_m) -> None:
-        new = self._laid(self._turned(self._visible(depth_m, fov_rad, range_m), T), T)
+        new = self._place(self._rotate(self._visible_part(depth_m, fov_rad, range_m), T), T)
         new[(new < 0.35) & (new < self.confidence)] = 0.0
         with np.errstate(invalid="ignore"):
             total = self.confidence + new
@@ -66,7 +66,7 @@ class VlfmValueMap:
             self._template = (cone * (0.25 + 0.75 * np.cos(angle) ** 2)).astype(np.float32)
         return self._template.copy()
 
-    def _visible(self, depth_m: np.ndarray, fov_rad: float, range_m: float) -> np.ndarray:
+    def _visible_part(self, depth_m: np.ndarray, fov_rad: float, range_m: float) -> np.ndarray:
         """Return the cone without the cells behind the farthest return of each column."""
         shown = np.clip(depth_m, 0.0, range_m) / range_m  # VLFM is given such an image
         farthest = shown.max(axis=0) * range_m
@@ -79,12 +79,12 @@ class VlfmValueMap:
         rim = np.concatenate([[[0, last]], np.stack([y, x], axis=1), [[last, last]]])
         return cv2.drawContours(mask, [rim], -1, 0, -1)
 
-    def _turned(self, mask: np.ndarray, T: np.ndarray) -> np.ndarray:
+    def _rotate(self, mask: np.ndarray, T: np.ndarray) -> np.ndarray:
         h, w = mask.shape
         turn = cv2.getRotationMatrix2D((w // 2, h // 2), -math.degrees(optical_yaw_rad(T)), 1.0)
         return cv2.warpAffine(mask, turn, (w, h), borderValue=0)
 
-    def _laid(self, mask: np.ndarray, T: np.ndarray) -> np.ndarray:
+    def _place(self, mask: np.ndarray, T: np.ndarray) -> np.ndarray:
         new, side = np.zeros_like(self.confidence), len(mask)
         middle = len(new) // 2
         row = int(T[0, 3] * self.pixels_per_m) + middle - side // 2
@@ -94,7 +94,7 @@ class VlfmValueMap:
 
 
 def test_the_reference_is_a_value_map():
-    """Ahead of the camera stands what was told, behind it and behind pillars nothing."""
+    """Check the twin: values ahead of the camera, none behind it and behind pillars."""
     theirs, (depth, T, _) = VlfmValueMap(1), frames()[0]
     for score in (0.2, 0.6):
         theirs.update(np.array([score]), depth, T, CAMERA.hfov_rad, 5.0)
@@ -105,7 +105,7 @@ def test_the_reference_is_a_value_map():
 
 
 def test_four_channels_against_one_of_vlfm(benchmark):
-    """All of it: from a depth image of 480 x 640 to the written map of 1000 x 1000 cells."""
+    """Measure all steps from a depth image of 480 x 640 to the map of 1000 x 1000 cells."""
     benchmark.extra_info["budget"] = "value_update_4_channels"
     m = explored_map(1000)
     m.values.set_targets(TARGETS)
@@ -113,7 +113,7 @@ def test_four_channels_against_one_of_vlfm(benchmark):
     took_s = []
 
     def reference() -> None:
-        """Right before each of ours, on the same frame; timed by itself."""
+        """Update the twin with the next frame, and time it; then `step` uses this frame."""
         depth, T, pose = step.view = next(views)
         step.seen = Observation(
             0, 0, pose.matrix(), depth_m=depth, camera=CAMERA, T_base_camera=T_BASE_CAMERA
@@ -136,10 +136,10 @@ def test_values_of_100_frontiers(benchmark):
     m = explored_map(1000)
     m.values.set_targets(TARGETS)
     for depth, _, pose in frames():
-        seen = Observation(
+        observation = Observation(
             0, 0, pose.matrix(), depth_m=depth, camera=CAMERA, T_base_camera=T_BASE_CAMERA
         )
-        m.values.write_view(m.values.range_profile(seen), TARGETS, SCORE)
+        m.values.write_view(m.values.range_profile(observation), TARGETS, SCORE)
     xy_m = np.random.default_rng(1).uniform(-5, 5, (100, 2)).astype(np.float32)
     xy_m.flags.writeable = False
     out = np.zeros(100, np.float32)

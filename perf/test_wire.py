@@ -26,7 +26,7 @@ def images() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_decode_rgb_and_depth(benchmark, against):
-    """Against a copy of the colours, and OpenCV's conversion of the depth."""
+    """Compare with a copy of the colours, and OpenCV's conversion of the depth."""
     rgb, depth = images()
     payloads = [messages.encode_image(1, "camera", array) for array in (rgb, depth)]
     out = np.zeros_like(rgb), np.zeros(depth.shape, np.float32)
@@ -43,7 +43,7 @@ def test_decode_rgb_and_depth(benchmark, against):
 
 
 def test_rectify_rgb_and_depth(benchmark):
-    """Decode and rectify: its budget is a ratio to decoding alone."""
+    """Measure decoding and rectification; the budget is a ratio to decoding alone."""
     rgb, depth = images()
     lens = Lens("rational_polynomial", (0.46, -2.65, 7e-4, -3e-4, 1.54, 0.34, -2.47, 1.47), CAMERA)
     rectifier = Rectifier(lens, CAMERA)
@@ -64,14 +64,14 @@ def test_rectify_rgb_and_depth(benchmark):
 
 
 def test_ingest_a_frame(benchmark):
-    """Camera, depth and two odometry samples in, one observation out, as in every tick."""
+    """Measure the way from camera, depth and two odometry messages to one observation."""
     rgb, depth = images()
     synchronizer = TimeSynchronizer(parse({"perception": {"detector": {"kind": "onnx"}}}))
     decoder = CdrDecoder(synchronizer)
     decoder.offer(topics.CAMERA_INFO, messages.encode_camera_info(1, "camera", CAMERA))
 
-    def arrivals():
-        k = arrivals.k = arrivals.k + 1
+    def next_messages():
+        k = next_messages.k = next_messages.k + 1
         stamps = [(2 * k + i) * PERIOD_NS // 2 for i in (0, 1)]
         pose = SE2(0.01 * k, 0.0, 0.0).matrix()
         frame = [(topics.ODOMETRY, messages.encode_odometry(s, pose, 0.3, 0.0)) for s in stamps]
@@ -79,7 +79,7 @@ def test_ingest_a_frame(benchmark):
         frame.append((topics.DEPTH, messages.encode_image(stamps[0] + 5, "camera", depth)))
         return (frame,), {}
 
-    arrivals.k = 0
+    next_messages.k = 0
 
     def ingest(frame):
         for topic, payload in frame:
@@ -87,13 +87,13 @@ def test_ingest_a_frame(benchmark):
         synchronizer.poll().release()
 
     benchmark.extra_info["budget"] = "ingest_decode_320x256"
-    benchmark.pedantic(ingest, setup=arrivals, rounds=500, warmup_rounds=20)
+    benchmark.pedantic(ingest, setup=next_messages, rounds=500, warmup_rounds=20)
     assert synchronizer.counters["observations"] == 520
 
 
 @pytest.mark.parametrize("encoding", [b"rgb8", b"bgr8"])
 def test_decode_a_large_image(benchmark, against, encoding):
-    """Against a plain copy of the payload."""
+    """Compare with a plain copy of the payload."""
     image = np.random.default_rng(0).integers(0, 255, (720, 1280, 3), dtype=np.uint8)
     payload = messages.encode_image(1, "camera", image).replace(b"rgb8", encoding)
     data, out = np.frombuffer(payload, np.uint8), np.zeros_like(image)
@@ -110,7 +110,7 @@ def test_decode_a_large_image(benchmark, against, encoding):
 
 @pytest.mark.parametrize("n", [100_000])
 def test_decode_a_cloud(benchmark, against, n):
-    """Against a plain copy of the points."""
+    """Compare with a plain copy of the points."""
     points = np.random.default_rng(0).normal(size=(n, 3)).astype(np.float32)
     payload, out = messages.encode_point_cloud(1, "lidar", points), np.zeros((n, 3), np.float32)
     messages.decode_point_cloud_into(payload, out)
@@ -120,7 +120,7 @@ def test_decode_a_cloud(benchmark, against, n):
 
 
 def test_encode_a_map(benchmark, against):
-    """Against the copy of the cells into bytes, without which there is no message."""
+    """Compare with the copy of the cells into bytes, which every message needs."""
     cells = np.zeros((1000, 1000), np.int8)
     benchmark.extra_info["budget"] = "encode_map_1000"
     against(cells.tobytes)

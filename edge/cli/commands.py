@@ -38,8 +38,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("edge")
 
-_NEVER_S = 1e6
-_MOST_OBJECTS = 20
+_NO_LIMIT = 1e6
+"""A limit of time [s] or path [m] that no recording reaches."""
+_MAX_PRINTED_OBJECTS = 20
 MissionArguments = tuple[str | None, str | None, str | None]
 """A mission of the command line: (instruction, formula, task); see `edge.launch.open_service`."""
 NO_MISSION: MissionArguments = (None, None, None)
@@ -134,23 +135,30 @@ def _serve(
 ) -> RunResult:
     """Run the service and return the results of the run.
 
-    `stay` keeps the live view open after the end of the mission or recording, until `stop` is set.
-    The results are then those at that end. `playback` is a recording to play instead of the
-    configured source. `recorded` collects the data of a report.
+    Args:
+        config: the configuration.
+        stop: ends the run when it is set.
+        once: end when the mission is over.
+        what: mission of the command line.
+        reload: how to reload the configuration; None: it is never reloaded.
+        stay: keep the live view open after the end of the mission or recording, until `stop` is
+            set. The results are then those at the end of the mission or recording.
+        playback: recording to play instead of the configured source.
+        recorded: collect the data of a report.
     """
-    recorder, vitals = _recorder(config) if recorded else None, ServiceHealth(SystemdNotifier())
-    live, metrics, traced = LiveView(config, vitals), Metrics(vitals), TracePage()
+    recorder, health = _recorder(config) if recorded else None, ServiceHealth(SystemdNotifier())
+    live, metrics, trace_page = LiveView(config, health), Metrics(health), TracePage()
     sinks = [ConsoleSink(), *([] if recorder is None else [recorder]), live.sink]
-    pages = {**vitals.pages(), **metrics.pages(), **traced.pages(), **live.pages()}
+    pages = {**health.pages(), **metrics.pages(), **trace_page.pages(), **live.pages()}
     with (
-        _served(pages, live.forms(), config.http) as url,
+        _serve_pages(pages, live.forms(), config.http) as url,
         open_service(
             config,
             sinks,
             *what,
             stop,
-            vitals.starting,
-            vitals.problems,
+            health.starting,
+            health.problems,
             None if playback is None else playback.open,
         ) as running,
     ):
@@ -158,19 +166,19 @@ def _serve(
         if reload is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.requested)
         metrics.add_service(running, running.sinks)
-        traced.spans = running.service.latency.spans
+        trace_page.spans = running.service.latency.spans
         mission = running.service.mission
         doing = mission.reason if mission.idle else one_line(mission.spec.translation.instruction)
         log.info("ready: %s; Zenoh endpoint %s", doing, config.zenoh.address)
-        vitals.ready()
+        health.ready()
         ended: RunResult | None = None
         if playback is not None:
             running.clock = playback.clock
 
-        def over() -> bool:
+        def is_over() -> bool:
             return running.service.status.done if playback is None else playback.is_over
 
-        def end() -> RunResult:
+        def make_result() -> RunResult:
             result = running.service.result()
             return RunResult(
                 result.status,
@@ -180,26 +188,26 @@ def _serve(
                 None if recorder is None else recorder.record(result, running.source.counters),
             )
 
-        def each() -> None:
+        def after_cycle() -> None:
             nonlocal ended
-            vitals.beat(running)
-            if not over():
+            health.beat(running)
+            if not is_over():
                 ended = None
             elif stay and ended is None:
-                ended = end()
+                ended = make_result()
                 phase = running.service.status.phase
                 outcome = f"mission {phase}" if playback is None else "recording played"
                 log.info("%s; the live view stays open until Ctrl-C: %s", outcome, url)
             elif playback is not None and not stay:
                 stop.set()
 
-        loop(running, stop, once and not stay, each)
-        vitals.stopping()
-        return ended or end()
+        loop(running, stop, once and not stay, after_cycle)
+        health.stopping()
+        return ended or make_result()
 
 
 @contextmanager
-def _served(pages: GetRoutes, forms: PostRoutes, http: HttpConfig) -> Iterator[str | None]:
+def _serve_pages(pages: GetRoutes, forms: PostRoutes, http: HttpConfig) -> Iterator[str | None]:
     """Serve the web pages as configured, in this block; yield their URL, or None without a port."""
     if http.port is None:
         yield None
@@ -299,7 +307,7 @@ def run_play(
     Raises:
         UserError: see `run_service`; or the recording cannot be read, or gives no observation.
     """
-    config = _undriven(with_free_port(config), lockstep=rate is None)
+    config = _config_for_recording(with_free_port(config), lockstep=rate is None)
     if live is not None:
         config = _with_live_view(config, live)
     _prepare(config, report)
@@ -310,20 +318,20 @@ def run_play(
         stay = live is not None
         recorded = report is not None
         ended = _serve(config, stop, False, what, stay=stay, playback=playback, recorded=recorded)
-        lines = [*playback.outcome(), *_mapped(ended)]
+        lines = [*playback.outcome(), *_map_lines(ended)]
     _conclude(ended, report)
     print("\n".join(lines))
     return os.EX_OK
 
 
-def _undriven(config: Config, lockstep: bool) -> Config:
+def _config_for_recording(config: Config, lockstep: bool) -> Config:
     """Return the configuration for a recording: no limits of time or path, no sinks.
 
     The recorded robot does not follow our goals, so it must not count as stuck. The checkpoint of
     the service is neither read nor written.
     """
     mission = {
-        "time_limit_s": _NEVER_S, "path_limit_m": _NEVER_S, "stuck_s": _NEVER_S,
+        "time_limit_s": _NO_LIMIT, "path_limit_m": _NO_LIMIT, "stuck_s": _NO_LIMIT,
         "search_limit_s": None, "checkpoint": None, "on_request": False,
     }  # fmt: skip
     update = {
@@ -336,16 +344,16 @@ def _undriven(config: Config, lockstep: bool) -> Config:
     return config.model_copy(update=update)
 
 
-def _mapped(ended: RunResult) -> Iterator[str]:
+def _map_lines(ended: RunResult) -> Iterator[str]:
     """Yield lines about the map and the objects that were found."""
     yield f"map: {ended.map_m2:.0f} m2; driven: {ended.mission.path_m:.1f} m"
-    for found in ended.instances[:_MOST_OBJECTS]:
-        x_m, y_m, z_m = found.center_m
+    for instance in ended.instances[:_MAX_PRINTED_OBJECTS]:
+        x_m, y_m, z_m = instance.center_m
         yield (
-            f"object: {one_line(found.label)} at ({x_m:.2f}, {y_m:.2f}, {z_m:.2f}) m, "
-            f"{found.hits} hits, score {found.score:.2f}"
+            f"object: {one_line(instance.label)} at ({x_m:.2f}, {y_m:.2f}, {z_m:.2f}) m, "
+            f"{instance.hits} hits, score {instance.score:.2f}"
         )
-    left = len(ended.instances) - _MOST_OBJECTS
+    left = len(ended.instances) - _MAX_PRINTED_OBJECTS
     yield f"{left} more objects" if left > 0 else f"{len(ended.instances)} objects"
 
 

@@ -16,7 +16,8 @@ from edge.text import shorten
 TERMINAL_PERIOD_S = 0.2
 LOG_PERIOD_S = 5.0
 _RECENT = 150  # number of ticks for the percentiles
-_THEN_CHARS = 60
+_PART_CHARS = 60
+"""Longest text of one part of the line, such as the later targets."""
 
 
 class ConsoleSink:
@@ -30,18 +31,18 @@ class ConsoleSink:
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = sys.stderr if stream is None else stream
-        self._terminal = self._stream.isatty()
-        self._period_ns = round(1e9 * (TERMINAL_PERIOD_S if self._terminal else LOG_PERIOD_S))
-        self._last_ns: int | None = None
+        self._is_terminal = self._stream.isatty()
+        self._period_ns = round(1e9 * (TERMINAL_PERIOD_S if self._is_terminal else LOG_PERIOD_S))
+        self._last_written_ns: int | None = None
 
     def tick(self, result: TickResult) -> None:
         """See `edge.loop.result.Sink`."""
         wall_ns = time.monotonic_ns()
-        if self._last_ns is not None and wall_ns - self._last_ns < self._period_ns:
+        if self._last_written_ns is not None and wall_ns - self._last_written_ns < self._period_ns:
             return
-        self._last_ns = wall_ns
+        self._last_written_ns = wall_ns
         line = status_line(result)
-        if self._terminal:
+        if self._is_terminal:
             self._stream.write(CLEAR_LINE + line[: self._columns() - 1])
         else:
             self._stream.write(line + "\n")
@@ -49,10 +50,10 @@ class ConsoleSink:
 
     def close(self) -> None:
         """End the rewritten line, so that later output starts on a new line."""
-        if self._terminal and self._last_ns is not None:
+        if self._is_terminal and self._last_written_ns is not None:
             self._stream.write("\n")
             self._stream.flush()
-        self._last_ns = None
+        self._last_written_ns = None
 
     def _columns(self) -> int:
         try:
@@ -78,13 +79,13 @@ def status_line(result: TickResult) -> str:
     tick, detect = latency.tick, latency.stage("detect")
     phase = status.phase if pose is not None else "waiting for sensors, looking for"
     if task is None or pose is None:
-        parts = [f"{phase} {_ahead(result)}", *_sought(result)]
+        parts = [f"{phase} {_targets_text(result)}", *_search_parts(result)]
     else:
-        parts = _of_task(task, result)
-    if lacks := result.health().get("inputs", {}).get("detail"):
+        parts = _task_parts(task, result)
+    if missing := result.health().get("inputs", {}).get("detail"):
         parts[0] = parts[0].removeprefix("waiting for sensors, ")
         # At the front, since a narrow terminal cuts the line.
-        parts.insert(0, lacks if pose is not None else f"waiting for sensors: {lacks}")
+        parts.insert(0, missing if pose is not None else f"waiting for sensors: {missing}")
     parts[0] = f"{status.elapsed_s:.1f}s {parts[0]}"
     parts.append(f"map {result.known_m2():.0f} m2")
     if tick.n:
@@ -94,7 +95,7 @@ def status_line(result: TickResult) -> str:
     return "".join(c for c in " | ".join(parts) if c.isprintable())
 
 
-def _sought(result: TickResult) -> list[str]:
+def _search_parts(result: TickResult) -> list[str]:
     """Return the present goal, and the number of objects that may be the target."""
     goal, pose, target = result.goal, result.pose, result.status.target
     seen = sum(names.same_name(found.label, target) for found in result.instances())
@@ -102,13 +103,14 @@ def _sought(result: TickResult) -> list[str]:
     return ["no goal" if goal is None else f"{goal.kind} {away_m:.1f} m", f"{seen} seen"]
 
 
-def _of_task(task: TaskStatus, result: TickResult) -> list[str]:
-    asked = shorten(task.instruction, _THEN_CHARS)
-    driven, all = sum(step.state == "driven" for step in task.steps), len(task.steps)
-    step = [f"step {driven + 1} of {all}"] if driven < all > 1 else []
+def _task_parts(task: TaskStatus, result: TickResult) -> list[str]:
+    """Return the parts of the line during a task: instruction, step and distance."""
+    asked = shorten(task.instruction, _PART_CHARS)
+    driven, n_steps = sum(step.state == "driven" for step in task.steps), len(task.steps)
+    step = [f"step {driven + 1} of {n_steps}"] if driven < n_steps > 1 else []
     if task.phase == "looking":
-        wanted = shorten(", ".join(task.missing), _THEN_CHARS) or "what is around"
-        return [f"looking for {wanted}, to {asked}", *step, *_sought(result)]
+        wanted = shorten(", ".join(task.missing), _PART_CHARS) or "what is around"
+        return [f"looking for {wanted}, to {asked}", *step, *_search_parts(result)]
     if task.refined is None:
         answers = f", {len(task.rounds)} answers" if task.rounds else ""
         return [f"{task.phase} {asked}", *step, f"by {task.writer}{answers}"]
@@ -116,12 +118,12 @@ def _of_task(task: TaskStatus, result: TickResult) -> list[str]:
     return [f"{task.phase} {asked}", *step, f"{driven_m:.1f} of {length_m:.1f} m"]
 
 
-def _ahead(result: TickResult) -> str:
+def _targets_text(result: TickResult) -> str:
     """Return the present target, and the targets that the plan has after it."""
     status, steps = result.status, result.mission().plan.steps
     if status.phase == "idle":
         return f"({status.reason})"
     then = ", ".join(letter or "nothing" for letter in steps[1:])
     if then and not status.done:
-        return f"{status.target} (then {shorten(then, _THEN_CHARS)})"
+        return f"{status.target} (then {shorten(then, _PART_CHARS)})"
     return status.target

@@ -43,7 +43,9 @@ from edge.perception.runtime.sessions import TENSORRT
 from edge.text import one_line, redact
 
 LOOPBACK_S = 5.0
+"""Time for a message from Zenoh to Zenoh on this machine."""
 SERVER_S = 2.0
+"""Time for the connection to a server."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -165,7 +167,7 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
 
 def check_access(config: Config) -> Iterator[Finding]:
     """Check who can connect to the service, and who can read the files with secrets."""
-    from edge.bus.session import OPEN, SHUT, session_config, zenoh_file_of
+    from edge.bus.session import OPEN_WARNING, SHUT_WARNING, session_config, zenoh_file_of
     from edge.bus.zenoh_file import denies_prefix, exposed_secrets, open_addresses
     from edge.host.credentials import is_open_to_others, read_token
 
@@ -173,10 +175,10 @@ def check_access(config: Config) -> Iterator[Finding]:
     served = session_config(settings, "listen")
     for address in open_addresses(served):
         todo = "listen on 127.0.0.1, or require certificates (docs/security.md)"
-        yield Finding("warn", OPEN.format(address), todo)
+        yield Finding("warn", OPEN_WARNING.format(address), todo)
     if denies_prefix(served, settings.prefix):
         todo = "correct the keys under access_control in zenoh.file (docs/security.md)"
-        yield Finding("warn", SHUT.format(settings.prefix), todo)
+        yield Finding("warn", SHUT_WARNING.format(settings.prefix), todo)
     paths = [
         path
         for role in ("listen", "connect")
@@ -205,14 +207,16 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
     detector = config.perception.detector
     wanted = detector.providers if detector.kind == "onnx" else ()
     needed = any(name != TENSORRT for name in wanted)
-    lack: Level = "fail" if needed else "warn"
+    level_if_missing: Level = "fail" if needed else "warn"
     if _installed("onnxruntime") and _installed("onnxruntime-gpu"):
         todo = "pip uninstall onnxruntime onnxruntime-gpu, then install only one of them"
         yield Finding("warn", "onnxruntime and onnxruntime-gpu are both installed", todo)
     probed = probe()
     if probed is None:
         todo = "pip install 'edge-vln[cpu]' (or [gpu])"
-        yield Finding(lack, "onnxruntime is not installed, so no neural detector can run", todo)
+        yield Finding(
+            level_if_missing, "onnxruntime is not installed, so no neural detector can run", todo
+        )
         return
     what = f"onnxruntime {probed.version}".strip()
     if not probed.fault:
@@ -229,7 +233,7 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
             "another version may work (pip install 'onnxruntime==1.20.1'), and on arm64 all cores "
             "must be on (Jetson: sudo nvpmodel -m 0; not under qemu): docs/install.md"
         )
-        yield Finding(lack, f"{what} {probed.fault}", todo)
+        yield Finding(level_if_missing, f"{what} {probed.fault}", todo)
         return
     for name in wanted:
         if name != TENSORRT and name not in probed.providers:
@@ -292,7 +296,7 @@ def check_models(config: Config) -> Iterator[Finding]:
         yield Finding(
             "warn", "no model cards: the package's folder models/ is missing", "reinstall edge-vln"
         )
-    away = 0
+    n_absent = 0
     for name in names:
         try:
             card = load_card(name)
@@ -302,23 +306,24 @@ def check_models(config: Config) -> Iterator[Finding]:
             except ModelError:
                 if name in needed:
                     raise
-                away += 1
+                n_absent += 1
                 continue
-            paths = [_verified(file) for file in card.files if file.server is None]
+            paths = [_verify(file) for file in card.files if file.server is None]
         except ModelError as error:
             yield Finding("fail" if name in needed else "warn", *_split(error))
         else:
             yield from (Finding("ok", f"model {name}: {path}") for path in paths)
-            yield from (_remote(name, server.url) for server in served)
-    if away:
+            yield from (_server_finding(name, server.url) for server in served)
+    if n_absent:
         what = (
-            f"{away} other models are not on this machine, and this configuration needs none of "
-            "them"
+            f"{n_absent} other models are not on this machine, and this configuration needs none "
+            "of them"
         )
         yield Finding("ok", f"{what} (`edge models list`)")
 
 
-def _verified(file: FileCard | ChoiceCard) -> Path:
+def _verify(file: FileCard | ChoiceCard) -> Path:
+    """Check the hash of a model file, and return its path."""
     from edge.perception.runtime.cards import verify_model, verify_parts
 
     if not isinstance(file, ChoiceCard):
@@ -327,7 +332,8 @@ def _verified(file: FileCard | ChoiceCard) -> Path:
     return file.path
 
 
-def _remote(name: str, url: str) -> Finding:
+def _server_finding(name: str, url: str) -> Finding:
+    """Return the finding on the server of a model that does not run on this machine."""
     shown = redact(url)
     if _listens(url):
         return Finding("ok", f"model {name}: a server listens at {shown}")
@@ -398,8 +404,8 @@ def check_scorers(config: Config) -> Iterator[Finding]:
     """Check that the configured scorers can be made, and that their server listens."""
     from edge.loop.scorers import make_scorers
 
-    here = config.perception.similarity is not None or config.perception.choice.kind == "onnx"
-    if here and _sessions_crash():
+    uses_onnx = config.perception.similarity is not None or config.perception.choice.kind == "onnx"
+    if uses_onnx and _sessions_crash():
         return
     try:
         scorers = make_scorers(config, _targets(config))
@@ -420,6 +426,7 @@ def check_scorers(config: Config) -> Iterator[Finding]:
 
 
 def _listens(url: str) -> bool:
+    """Return True if a TCP connection to the server of a URL can be opened."""
     parts = urlsplit(url)
     port = parts.port or {"http": 80, "https": 443}[parts.scheme]
     try:
@@ -436,8 +443,8 @@ def check_tasks(config: Config) -> Iterator[Finding]:
     try:
         version = script.version()
     except UserError as error:
-        lack: Level = "fail" if config.tasks.planner.kind == "model" else "warn"
-        yield Finding(lack, *_split(error))
+        level_if_missing: Level = "fail" if config.tasks.planner.kind == "model" else "warn"
+        yield Finding(level_if_missing, *_split(error))
     else:
         yield Finding(
             "ok",
@@ -451,10 +458,12 @@ def check_worlds(config: Config) -> Iterator[Finding]:
     if not missing:
         yield Finding("ok", "textured worlds: trimesh, pillow and embreex are installed")
         return
-    lack: Level = "fail" if config.sim.world.kind == "mesh" else "warn"
+    level_if_missing: Level = "fail" if config.sim.world.kind == "mesh" else "warn"
     todo = "pip install 'edge-vln[worlds]' (embreex: x86_64 only)"
     yield Finding(
-        lack, f"textured worlds cannot be simulated: not installed: {', '.join(missing)}", todo
+        level_if_missing,
+        f"textured worlds cannot be simulated: not installed: {', '.join(missing)}",
+        todo,
     )
 
 

@@ -138,8 +138,10 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     compare = lazy_handler("edge.lab.eval.comparison.run", "run", lab=True)
     runs = lazy_handler("edge.lab.eval.runs", "run", lab=True)
-    of_runs = ("--episodes", "--plan", "--worlds", "--arm", "--arms", "--out", "--report")
-    dispatch_on_option(episodes, "--compare", compare, ("--baseline",), runs, of_runs)
+    only_runs = ("--episodes", "--plan", "--worlds", "--arm", "--arms", "--out", "--report")
+    dispatch_on_option(
+        episodes, "--compare", on=compare, on_only=("--baseline",), off=runs, off_only=only_runs
+    )
 
 
 _P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from edge.mission.logic.automaton import Automaton
 
 _DRAWINGS = (".svg", ".png", ".dot")
-_LIST_CHARS = 1000
+_LIST_CHARS = 1000  # longest line of targets, plan or reading
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import math
 import os
 import sys
 import time
@@ -29,7 +30,8 @@ log = logging.getLogger("edge")
 
 ANY = "any"
 _PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")
-_CELL = 40
+_CELL_CHARS = 40
+"""Longest text in a cell of a table."""
 
 
 def fleet_settings(name: str) -> tuple[ZenohConfig, MissionConfig]:
@@ -57,7 +59,7 @@ def show(args: argparse.Namespace) -> int:
     with open_roster(fleet_settings(args.config)[0]) as roster:
         robots = roster.ask_status()
     if args.json:
-        print(json.dumps([_data(robot) for robot in robots.values()], indent=2))
+        print(json.dumps([_as_dict(robot) for robot in robots.values()], indent=2))
     else:
         print(table(robots.values()) if robots else f"no robot found (Zenoh keys {roster.pattern})")
     return 0
@@ -73,31 +75,35 @@ def table(robots: Iterable[Robot]) -> str:
 def _shortened(cells: Iterable[str]) -> list[str]:
     """Shorten the cells, except for health and reason, which are shown in full."""
     *others, health, reason = cells
-    return [*(one_line(cell, _CELL) for cell in others), one_line(health), one_line(reason)]
+    return [*(one_line(cell, _CELL_CHARS) for cell in others), one_line(health), one_line(reason)]
 
 
 def _cells(robot: Robot) -> dict[str, str]:
-    account = robot.status_reply
-    if account is None:
+    """Return the row of a robot in the table: heading → text."""
+    status = robot.status_reply
+    if status is None:
         return {"robot": robot.name, **dict.fromkeys(("phase", "mission", "target", "pose"), "?"),
                 "health": robot.problem, "reason": "-"}  # fmt: skip
-    body, idle = account.robot, account.phase == "idle"
-    problems = [*body.problems, *(["controller silent"] if body.controller == "silent" else [])]
-    pose = "?" if body.pose is None else "{:.1f} {:.1f} m {:.0f}°".format(
-        *body.pose[:2], body.pose[2] * 57.29578
+    robot_state, idle = status.robot, status.phase == "idle"
+    problems = [
+        *robot_state.problems,
+        *(["controller silent"] if robot_state.controller == "silent" else []),
+    ]
+    pose = "?" if robot_state.pose is None else "{:.1f} {:.1f} m {:.0f}°".format(
+        *robot_state.pose[:2], math.degrees(robot_state.pose[2])
     )  # fmt: skip
     return {
         "robot": robot.name,
-        "phase": account.phase,
-        "mission": "-" if idle else account.instruction,
-        "target": "-" if idle else account.target or "-",
+        "phase": status.phase,
+        "mission": "-" if idle else status.instruction,
+        "target": "-" if idle else status.target or "-",
         "pose": pose,
         "health": "; ".join(problems) or "ok",
-        "reason": account.reason if account.phase in ("reached", "failed") else "-",
+        "reason": status.reason if status.phase in ("reached", "failed") else "-",
     }
 
 
-def _data(robot: Robot) -> dict[str, Any]:
+def _as_dict(robot: Robot) -> dict[str, Any]:
     return {"robot": robot.name, "problem": robot.problem, "answer": robot.reply}
 
 
@@ -133,7 +139,7 @@ def _changes(
             continue
         if as_json:
             gone = {"robot": name, "problem": "gone", "answer": None}
-            print(json.dumps(_data(robots[name]) if name in robots else gone), flush=True)
+            print(json.dumps(_as_dict(robots[name]) if name in robots else gone), flush=True)
         else:
             cells = _shortened(state[name].values()) if name in state else [one_line(name), "gone"]
             _say("  ".join(cells))
@@ -144,32 +150,33 @@ def _changes(
 
 
 def ask(args: argparse.Namespace) -> int:
-    """Handle `edge mission status | pause | resume | cancel --fleet`; send it to all robots.
+    """Handle `edge mission status | pause | resume | cancel --fleet`.
 
-    If no robots were named, a robot that refuses because it has no mission is no error.
+    The request goes to the named robots, or to all. If no robots were named, a robot that refuses
+    is no error: it may have no mission.
     """
     with open_roster(fleet_settings(args.config)[0]) as roster:
-        there = roster.names()
-        chosen = args.robots or there
-        _check_names(chosen, there)
+        found = roster.names()
+        chosen = args.robots or found
+        _check_names(chosen, found)
         answers = roster.ask(chosen, {"do": args.do}, args.timeout or ANSWER_S)
     if args.json:
-        print(json.dumps([_data(robot) for robot in answers.values()], indent=2))
+        print(json.dumps([_as_dict(robot) for robot in answers.values()], indent=2))
     else:
         for robot in answers.values():
             answer = robot.problem if robot.reply is None else as_text(dict(robot.reply))
             print(f"{one_line(robot.name)}:", answer.replace("\n", "\n  "), sep="\n  ")
-    silent = [robot for robot in answers.values() if robot.status_reply is None]
+    failed = [robot for robot in answers.values() if robot.status_reply is None]
     if not args.robots:
-        silent = [robot for robot in silent if not robot.problem.startswith("refused: ")]
-    return os.EX_UNAVAILABLE if silent or not there else 0
+        failed = [robot for robot in failed if not robot.problem.startswith("refused: ")]
+    return os.EX_UNAVAILABLE if failed or not found else 0
 
 
-def _check_names(names: Iterable[str], there: Iterable[str]) -> None:
-    if unknown := sorted(set(names) - set(there)):
+def _check_names(names: Iterable[str], found: Iterable[str]) -> None:
+    if unknown := sorted(set(names) - set(found)):
         raise RequestError(
             f"fleet: no robot {one_line(unknown[0])!r} is online (choices: "
-            f"{one_line(', '.join(there)) or 'none'})"
+            f"{one_line(', '.join(found)) or 'none'})"
         )
 
 
@@ -213,8 +220,10 @@ def _result_text(
     as_json: bool,
 ) -> str:
     """Return the result of the mission and of its parts, as text or JSON."""
-    none = PartOutcome("failed", "", "no robot started it")
-    rows = [(part, outcomes.get(part.id, none), ended_ns.get(part.id)) for part in mission.parts]
+    not_begun = PartOutcome("failed", "", "no robot started it")
+    rows = [
+        (part, outcomes.get(part.id, not_begun), ended_ns.get(part.id)) for part in mission.parts
+    ]
     phase = "failed" if any(o.phase == "failed" for _, o, _ in rows) else "reached"
     if as_json:
         parts = [
@@ -228,11 +237,12 @@ def _result_text(
         [part.english, o.phase, o.by or "-", _clock(ns) if ns else "-", o.reason]
         for part, o, ns in rows
     ]
-    cells = [[one_line(cell, 2 * _CELL) for cell in line] for line in lines]
+    cells = [[one_line(cell, 2 * _CELL_CHARS) for cell in line] for line in lines]
     return f"{phase}: mission {mission.id}\n{format_table(cells)}"
 
 
 def _say(text: str) -> None:
+    """Print a line with the time to stderr."""
     print(f"{_clock(time.time_ns())} {text}", file=sys.stderr, flush=True)
 
 

@@ -29,9 +29,11 @@ from edge.loop.service_health import HANGS_S
 UNITS = Path("/etc/systemd/system")
 STATE = Path("/var/lib")
 OF_SYSTEMD = "that systemd creates"
-_GROUPS = ("video", "render")
+"""Description of a dynamic user, for errors."""
+_GROUPS = ("video", "render")  # they may use cameras and GPUs
 _HOMES = ("/home", "/root", "/run/user")
 _TEMPORARY = ("/tmp", "/var/tmp")  # PrivateTmp gives the service its own
+# For errors: the name of a path that the service's user cannot read, and what to do.
 _PYTHON = (
     "the Python of this environment, {}",
     "make the environment with a Python that all users can read (such as "
@@ -39,7 +41,6 @@ _PYTHON = (
 )
 _INSTALLED = "the package, {}", "install it where all users can read it (such as /opt/edge)"
 _NAMED = "{}", "put it where all users can read it (such as /opt)"
-"""Name of a path that the service's user cannot read, and what to do; for errors."""
 _DEVICES = (
     "char-nvidia", "char-nvidia-uvm", "/dev/nvmap", "/dev/nvhost-ctrl", "/dev/nvhost-ctrl-gpu",
     "/dev/nvhost-gpu", "/dev/nvhost-as-gpu", "/dev/nvhost-prof-gpu", "char-drm",
@@ -127,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"{out}: written; now run:")
     if isinstance(detector := config.perception.detector, DetectorOnnx):
         cache = f"EDGE_CACHE_DIR=/var/cache/{name}"
-        print(f"  sudo {cache} {_edge()} models list --check {detector.model}")
+        print(f"  sudo {cache} {_edge_command()} models list --check {detector.model}")
     print(f"  sudo systemctl daemon-reload\n  sudo systemctl enable --now {name}")
     return 0
 
@@ -144,18 +145,18 @@ def unit(config: Config, name: str, user: str | None) -> str:
         UserError: see `run`.
     """
     at = STATE / name
-    files, copied = _named(config, at)
+    files, copied = _files_to_read(config, at)
     here = (Path(config.path), Path(sys.executable), Path(sys.base_prefix), resources.PACKAGE)
     needed = (*here, *files)
     _check_readable(needed, user)
-    _check_there(copied)
+    _check_exist(copied)
     _check_writable(config, at)
     words = (sys.executable, "-m", "edge.cli", "run", config.path)
     priority = config.loop.priority
     return _UNIT.format(
         name=name,
-        command=" ".join(map(_word, words)),
-        user="\n".join([*_user(user), *_credentials(copied)]),
+        command=" ".join(map(_quoted_argument, words)),
+        user="\n".join([*_user_lines(user), *_credential_lines(copied)]),
         homes="read-only" if any(_in_a_home(path) for path in needed) else "yes",
         # Twice HANGS_S, so that /healthz reports a hang before systemd kills the service.
         watchdog_s=2 * HANGS_S,
@@ -165,7 +166,7 @@ def unit(config: Config, name: str, user: str | None) -> str:
     )
 
 
-def _named(config: Config, at: Path) -> tuple[list[Path], dict[str, Path]]:
+def _files_to_read(config: Config, at: Path) -> tuple[list[Path], dict[str, Path]]:
     """Return the files that the service reads: public files, and files with secrets.
 
     Args:
@@ -191,7 +192,7 @@ def _named(config: Config, at: Path) -> tuple[list[Path], dict[str, Path]]:
     )
 
 
-def _check_there(copied: Mapping[str, Path]) -> None:
+def _check_exist(copied: Mapping[str, Path]) -> None:
     """Raise UnavailableError for the first file that systemd could not copy."""
     for secret, path in copied.items():
         if not os.path.isfile(path):  # unlike Path.is_file, does not raise without permission
@@ -210,27 +211,26 @@ def _check_writable(config: Config, at: Path) -> None:
         )
 
 
-def _user(user: str | None) -> list[str]:
+def _user_lines(user: str | None) -> list[str]:
     lines = ["DynamicUser=yes"] if user is None else [f"User={user}"]
-    known = {
-        group.gr_name for group in grp.getgrall()
-    }  # an unknown group would make the start fail
+    # A group that this machine does not have would make the start fail.
+    known = {group.gr_name for group in grp.getgrall()}
     if groups := [group for group in _GROUPS if group in known]:
         lines.append(f"SupplementaryGroups={' '.join(groups)}")
     return lines
 
 
-def _credentials(copied: Mapping[str, Path]) -> list[str]:
+def _credential_lines(copied: Mapping[str, Path]) -> list[str]:
     return [f"LoadCredential={name}:{path}".replace("%", "%%") for name, path in copied.items()]
 
 
-def _word(text: str) -> str:
+def _quoted_argument(text: str) -> str:
     """Return a word of `ExecStart=`, quoted and escaped."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{escaped}"' if any(c in " \t'\"\\;" for c in text) else escaped
 
 
-def _edge() -> str:
+def _edge_command() -> str:
     script = Path(sys.executable).with_name("edge")
     return str(script) if script.exists() else f"{sys.executable} -m edge.cli"
 
@@ -244,7 +244,11 @@ def _is_below(path: Path, folders: Iterable[str]) -> bool:
 
 
 def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
-    """Raise UserError for the first path that the user of the service cannot read."""
+    """Raise UserError for the first path that the user of the service cannot read.
+
+    The user must also be able to enter every folder above the path, and above the file that a
+    link points to.
+    """
     uid, gids = None, frozenset[int]()
     if user is not None:
         try:
@@ -266,7 +270,7 @@ def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
                 )
             for step in (*place.parents, place):
                 if not _may_read(step, uid, gids):
-                    named, todo = _about(path)
+                    named, todo = _name_and_remedy(path)
                     why = "" if step == place else f", who cannot enter {step}"
                     raise UserError(
                         f"{named.format(place)}: cannot be read by the user "
@@ -275,7 +279,8 @@ def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
                     )
 
 
-def _about(path: Path) -> tuple[str, str]:
+def _name_and_remedy(path: Path) -> tuple[str, str]:
+    """Return the name of an unreadable path, and what to do, for an error."""
     if path in (Path(sys.executable), Path(sys.base_prefix)):
         return _PYTHON
     return _INSTALLED if path == resources.PACKAGE else _NAMED
@@ -293,7 +298,7 @@ def _may_read(path: Path, uid: int | None, gids: frozenset[int]) -> bool:
     if uid == 0:
         return True
     if uid is not None and found.st_uid == uid:
-        need <<= 6
+        need <<= 6  # the bit of the owner
     elif found.st_gid in gids:
-        need <<= 3
+        need <<= 3  # the bit of the group
     return bool(found.st_mode & need)

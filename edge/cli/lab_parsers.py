@@ -116,13 +116,13 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
     models(
         "--update-cards", action="store_true", help="write the measured times into the model cards"
     )
-    of_models = ("--images", "--providers", "--threads", "--update-cards")
-    of_service = ("--enforce", "--calibrate", "--recording", "--swap", "--trust-cache")
-    compare, service_ = (
-        lazy_handler("edge.lab.bench.compare", "run"),
-        lazy_handler("edge.lab.bench.service", "run"),
+    only_models = ("--images", "--providers", "--threads", "--update-cards")
+    only_service = ("--enforce", "--calibrate", "--recording", "--swap", "--trust-cache")
+    compare = lazy_handler("edge.lab.bench.compare", "run")
+    measure = lazy_handler("edge.lab.bench.service", "run")
+    dispatch_on_option(
+        bench, "--models", on=compare, on_only=only_models, off=measure, off_only=only_service
     )
-    dispatch_on_option(bench, "--models", compare, of_models, service_, of_service)
 
 
 def add_soak(commands) -> None:  # type: ignore[no-untyped-def]

@@ -17,31 +17,32 @@ from edge.loop.source import InputStatus, Source, missing_inputs
 from edge.sources import find_source
 from edge.types import Observation
 
-_PATIENCE_S = 0.1
+_WAIT_S = 0.1
 _SLOW, _FAST = 0.7, 1.5  # tolerated share of the configured rate
 _DROPPED = 0.05  # tolerated share of dropped messages
-_OLD_S, _AHEAD_S = 0.5, 0.05
+_OLD_S = 0.5  # tolerated age of a frame
+_AHEAD_S = 0.05  # tolerated time by which a stamp is in the future
 _FLOOR_M = 0.1  # tolerated height of the lowest points above or below the floor
 _LOWEST = 10  # percentile of heights that counts as floor; lower ones are noise and stairs
 _STEEP = 0.25  # rays that fall by at least this much per metre see the floor, if it is free
-_STRIDE = 8
+_STRIDE = 8  # every eighth row and column of the depth image is checked
 _LENS = {"none": "", "rectified": ", rectified", "ignored": ", distortion ignored"}
 
 
 def check_live_sensors(config: Config, seconds: float) -> list[Finding]:
     """Listen to the sensors for `seconds`, and return the findings."""
-    over = threading.Event()
-    timer = threading.Timer(seconds, over.set)
+    time_is_over = threading.Event()
+    timer = threading.Timer(seconds, time_is_over.set)
     timer.daemon = True
     timer.start()
     try:
-        with zenoh_session(config.zenoh, "listen", over) as session:
+        with zenoh_session(config.zenoh, "listen", time_is_over) as session:
             source = find_source(config)(config=config, session=session)
             try:
-                heard = _Heard(config)
-                while not over.is_set():
-                    heard.take(source)
-                return [*heard.findings(getattr(source, "input_table", tuple)())]
+                measurements = _SensorMeasurements(config)
+                while not time_is_over.is_set():
+                    measurements.measure_next(source)
+                return [*measurements.findings(getattr(source, "input_table", tuple)())]
             finally:
                 source.close()
     except ConnectInterrupted:
@@ -54,43 +55,44 @@ def check_live_sensors(config: Config, seconds: float) -> list[Finding]:
         timer.cancel()
 
 
-class _Heard:
+class _SensorMeasurements:
     """Measurements of the sensor data, collected over all observations."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
+        # At low rates, three periods without a frame are normal.
         blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
         self._checks = Plausibility(config, blind_s, lambda text, now_ns, level: None)
         self._failed: dict[str, FailedCheck] = {}
         self._age_s: list[float] = []
         self._lag_s: list[float] = []
-        self._valid: list[float] = []
+        self._valid_shares: list[float] = []
         self._lowest_m: list[float] = []
         self._newest: Observation | None = None
 
-    def take(self, source: Source) -> None:
+    def measure_next(self, source: Source) -> None:
         """Wait 0.1 s for the next observation, and measure it."""
-        source.wait(_PATIENCE_S)
-        seen = source.poll()
-        if seen is None:
+        source.wait(_WAIT_S)
+        observation = source.poll()
+        if observation is None:
             return
         try:
-            self._checks.permitted_use(seen, time.monotonic_ns())
+            self._checks.permitted_use(observation, time.monotonic_ns())
             for found in self._checks.failed:
                 self._failed.setdefault(found.name, found)
-            self._age_s.append((time.time_ns() - seen.stamp_ns) * 1e-9)
-            self._lag_s.append(seen.lag_ns * 1e-9)
-            self._valid.append(self._checks.facts.depth_valid)
-            if (heights_m := _floor_heights(seen)).size:
+            self._age_s.append((time.time_ns() - observation.stamp_ns) * 1e-9)
+            self._lag_s.append(observation.lag_ns * 1e-9)
+            self._valid_shares.append(self._checks.facts.depth_valid)
+            if (heights_m := _floor_heights(observation)).size:
                 self._lowest_m.append(float(np.percentile(heights_m, _LOWEST)))
-            self._newest = seen
+            self._newest = observation
         finally:
-            seen.release()
+            observation.release()
 
     def findings(self, rows: Sequence[InputStatus]) -> Iterator[Finding]:
         """Yield a line for each input, then for stamps, mounts, depth, floor and failed checks."""
         for row in rows:
-            yield from _input(row)
+            yield from _check_input(row)
         if self._newest is None:
             why = (
                 missing_inputs(rows)
@@ -100,27 +102,28 @@ class _Heard:
                 "fail", f"sensors give no observation: {why}", "see docs/robot.md, step 5"
             )
             return
-        yield from _stamps(float(np.median(self._age_s)), float(np.median(self._lag_s)))
-        yield from self._mounts(self._newest)
-        yield from self._floor()
+        yield from _check_stamps(float(np.median(self._age_s)), float(np.median(self._lag_s)))
+        yield from self._check_mounts(self._newest)
+        yield from self._check_floor()
         for found in self._failed.values():
             level: Level = "warn" if found.then == "warn" else "fail"
             yield Finding(level, found.what, found.todo)
 
-    def _mounts(self, seen: Observation) -> Iterator[Finding]:
-        if seen.camera is not None:
-            camera, mount = seen.camera, _mounted(seen.T_base_camera, seen.T_base_camera[:3, 2])
+    def _check_mounts(self, observation: Observation) -> Iterator[Finding]:
+        if observation.camera is not None:
+            camera = observation.camera
+            mount = _describe_mount(observation.T_base_camera, observation.T_base_camera[:3, 2])
             size = f"{camera.width_px}x{camera.height_px} px, {np.degrees(camera.hfov_rad):.0f}°"
-            lens = _LENS[seen.distortion]
+            lens = _LENS[observation.distortion]
             yield Finding("ok", f"camera: {size} wide{lens}; {mount}")
-        if seen.cloud_m is not None:
-            mount = _mounted(seen.T_base_lidar, seen.T_base_lidar[:3, 0])
-            yield Finding("ok", f"lidar: {len(seen.cloud_m)} points; {mount}")
-        if seen.depth_m is not None:
-            valid = np.nanmean(self._valid)
+        if observation.cloud_m is not None:
+            mount = _describe_mount(observation.T_base_lidar, observation.T_base_lidar[:3, 0])
+            yield Finding("ok", f"lidar: {len(observation.cloud_m)} points; {mount}")
+        if observation.depth_m is not None:
+            valid = np.nanmean(self._valid_shares)
             yield Finding("ok", f"depth: {valid:.0%} of the pixels have a value")
 
-    def _floor(self) -> Iterator[Finding]:
+    def _check_floor(self) -> Iterator[Finding]:
         if not self._lowest_m:
             yield Finding("ok", "floor: not checked, because no sensor looks down at the floor")
             return
@@ -133,7 +136,7 @@ class _Heard:
             yield Finding("warn", what, f"{todo}; or point the sensor at open floor")
 
 
-def _input(row: InputStatus) -> Iterator[Finding]:
+def _check_input(row: InputStatus) -> Iterator[Finding]:
     """Yield the findings on the rate of one input, and on its dropped messages."""
     if row.state == "unused":
         return
@@ -163,7 +166,7 @@ def _input(row: InputStatus) -> Iterator[Finding]:
             )
 
 
-def _stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
+def _check_stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
     what = f"stamps: frames are {age_s:.2f} s old when the service gets them"
     if -_AHEAD_S <= age_s <= _OLD_S:
         yield Finding("ok", what)
@@ -176,8 +179,13 @@ def _stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
     yield Finding("ok", f"poses: the newest pose is {lag_s:.2f} s newer than the newest frame")
 
 
-def _mounted(T_base_sensor: np.ndarray, axis: np.ndarray) -> str:
-    """Return the position and direction of a sensor in words."""
+def _describe_mount(T_base_sensor: np.ndarray, axis: np.ndarray) -> str:
+    """Return the position and direction of a sensor in words.
+
+    Args:
+        T_base_sensor: pose of the sensor, (4, 4), in m.
+        axis: direction in which the sensor looks, in the base frame, (3,).
+    """
     x, y, z = T_base_sensor[:3, 3]
     pitch_deg = np.degrees(np.arcsin(np.clip(-axis[2], -1.0, 1.0)))
     yaw_deg = np.degrees(np.arctan2(axis[1], axis[0]))
@@ -186,19 +194,23 @@ def _mounted(T_base_sensor: np.ndarray, axis: np.ndarray) -> str:
     return f"{where}, looks {abs(yaw_deg):.0f}° to the {side} and {abs(pitch_deg):.0f}° {height}"
 
 
-def _floor_heights(seen: Observation) -> np.ndarray:
-    """Return heights above the base frame, in m, of points that a sensor sees steeply below it."""
-    if seen.depth_m is not None and seen.camera is not None:
-        camera, T = seen.camera, seen.T_base_camera
-        depth_m = seen.depth_m[::_STRIDE, ::_STRIDE]
-        row = (np.arange(0, seen.depth_m.shape[0], _STRIDE) - camera.cy_px) / camera.fy_px
-        column = (np.arange(0, seen.depth_m.shape[1], _STRIDE) - camera.cx_px) / camera.fx_px
+def _floor_heights(observation: Observation) -> np.ndarray:
+    """Return the heights of points that a sensor sees steeply below itself.
+
+    Returns:
+        Heights above the base frame in m, (n,).
+    """
+    if observation.depth_m is not None and observation.camera is not None:
+        camera, T = observation.camera, observation.T_base_camera
+        depth_m = observation.depth_m[::_STRIDE, ::_STRIDE]
+        row = (np.arange(0, observation.depth_m.shape[0], _STRIDE) - camera.cy_px) / camera.fy_px
+        column = (np.arange(0, observation.depth_m.shape[1], _STRIDE) - camera.cx_px) / camera.fx_px
         down = -(T[2, 0] * column[None, :] + T[2, 1] * row[:, None] + T[2, 2])
-        judged = (depth_m > 0.0) & (depth_m < FARTHEST_M) & (down >= _STEEP)
-        return T[2, 3] - depth_m[judged] * down[judged]
-    if seen.cloud_m is None:
+        is_used = (depth_m > 0.0) & (depth_m < FARTHEST_M) & (down >= _STEEP)
+        return T[2, 3] - depth_m[is_used] * down[is_used]
+    if observation.cloud_m is None:
         return np.empty(0)
-    T = seen.T_base_lidar
-    fall = seen.cloud_m @ T[2, :3].astype(np.float32)
-    steep = -fall >= _STEEP * np.linalg.norm(seen.cloud_m, axis=1)
+    T = observation.T_base_lidar
+    fall = observation.cloud_m @ T[2, :3].astype(np.float32)
+    steep = -fall >= _STEEP * np.linalg.norm(observation.cloud_m, axis=1)
     return T[2, 3] + fall[steep & (fall < 0.0) & np.isfinite(fall)]

@@ -25,12 +25,16 @@ from edge.perception.runtime.sessions import TENSORRT
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
 MIN_CORES = 2
 MIN_SHM_MB = 64
+"""Least size of the shared memory."""
 MIN_FREE_MB = 500
+"""Least free space in the cache folder."""
 CORE_MODULES = ("numpy", "cv2", "matplotlib", "mcap")
+"""Modules whose import is tested."""
 OPENCV = (
     "opencv-python-headless", "opencv-python", "opencv-contrib-python",
     "opencv-contrib-python-headless",
 )  # fmt: skip
+"""Packages that contain the folder `cv2`."""
 TEGRA_RELEASE = Path("/etc/nv_tegra_release")
 SHM = Path("/dev/shm")
 _MB = 1 << 20
@@ -76,9 +80,9 @@ def check_cores(config: Config) -> Iterator[Finding]:
 
 
 def check_speed(config: Config) -> Iterator[Finding]:
-    kept = calibration.load()
-    if kept is not None:
-        yield Finding("ok", f"speed of {kept.machine}: {kept}")
+    stored = calibration.load()
+    if stored is not None:
+        yield Finding("ok", f"speed of {stored.machine}: {stored}")
     else:
         todo = f"{calibration.HINT}; until then reports compare with deadlines, not with budgets"
         yield Finding("warn", "the speed of this computer is not measured yet", todo)
@@ -164,7 +168,7 @@ def check_cache(config: Config) -> Iterator[Finding]:
     yield Finding(level, f"cache folder {path}: {free_mb} MB free", todo)
 
 
-def _probe(a: int, b: int) -> int:
+def _add(a: int, b: int) -> int:
     """Add two numbers; `check_numba` compiles it."""
     return a + b
 
@@ -173,7 +177,7 @@ def check_numba(config: Config) -> Iterator[Finding]:
     import numba
 
     before = time.perf_counter()
-    kernel = numba.njit(nogil=True)(_probe)
+    kernel = numba.njit(nogil=True)(_add)
     if kernel(2, 3) != 5:
         yield Finding(
             "fail",
@@ -186,7 +190,7 @@ def check_numba(config: Config) -> Iterator[Finding]:
         "ok", f"numba {numba.__version__} works: compiled a test function in {took_s:.1f} s"
     )
     try:
-        path = Path(numba.njit(cache=True)(_probe).stats.cache_path)
+        path = Path(numba.njit(cache=True)(_add).stats.cache_path)
     except RuntimeError:
         todo = (
             "set NUMBA_CACHE_DIR to a writable folder, else every start compiles all kernels again"

@@ -53,7 +53,7 @@ def main(argv: list[str] | None = None) -> int:
         os.environ[TRUST_CACHE] = "1"
     show_stacks_on_signals()
     interrupt_on_signals()
-    return _leave(_outcome(args))
+    return _exit_now_if_needed(_outcome(args))
 
 
 def _outcome(args: argparse.Namespace) -> int:
@@ -61,8 +61,8 @@ def _outcome(args: argparse.Namespace) -> int:
     try:
         with kernel_cache():
             return int(args.handler(args))
-    except KeyboardInterrupt as broken_off:
-        return 128 + (broken_off.args or (signal.SIGINT,))[0]
+    except KeyboardInterrupt as interrupt:
+        return 128 + (interrupt.args or (signal.SIGINT,))[0]
     except BrokenPipeError:  # the reader of the output has closed it, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
@@ -83,7 +83,7 @@ def _outcome(args: argparse.Namespace) -> int:
         return os.EX_SOFTWARE
 
 
-def _leave(code: int) -> int:
+def _exit_now_if_needed(code: int) -> int:
     """Return the exit code, or exit here if a thread runs that must not be waited for.
 
     See `edge.host.interruptible`.
@@ -112,25 +112,26 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
     """
     from edge.config import load
 
-    environ, options = dict(os.environ), dict[str, str]()
+    environ, options = dict(os.environ), dict[str, str]()  # options: variable → its option
 
-    def give(option: str, variable: str, value: object) -> None:
+    def set_variable(option: str, variable: str, value: object) -> None:
         environ[variable], options[variable] = json.dumps(value), option
 
     if (target := getattr(args, "target", None)) is not None:
-        give("--target", "EDGE__MISSION__TARGET", target)
-        give("--target", "EDGE__MISSION__INSTRUCTION", None)
+        set_variable("--target", "EDGE__MISSION__TARGET", target)
+        set_variable("--target", "EDGE__MISSION__INSTRUCTION", None)
     elif (instruction := getattr(args, "mission", None)) is not None:
-        give("--mission", "EDGE__MISSION__INSTRUCTION", instruction)
-        give("--mission", "EDGE__MISSION__READING", args.reading)  # not that of the file
+        set_variable("--mission", "EDGE__MISSION__INSTRUCTION", instruction)
+        # Otherwise the file's `reading` would apply to this instruction.
+        set_variable("--mission", "EDGE__MISSION__READING", args.reading)
     elif (reading := getattr(args, "reading", None)) is not None:
-        give("--reading", "EDGE__MISSION__READING", reading)
+        set_variable("--reading", "EDGE__MISSION__READING", reading)
     if (policy := getattr(args, "policy", None)) is not None:
-        give("--policy", "EDGE__POLICY", {"kind": policy})
+        set_variable("--policy", "EDGE__POLICY", {"kind": policy})
         if args.config == "demo" and policy in _DEMO_SCORERS:
             key, scorer = _DEMO_SCORERS[policy]
             if key not in environ:
-                give("--policy", key, scorer)
+                set_variable("--policy", key, scorer)
     return load(args.config, environ, options)
 
 
@@ -145,10 +146,12 @@ def run(args: argparse.Namespace) -> int:
     with nonblocking_stderr():  # the loop writes to it and must not wait
         setup(args.log_level, args.log_json)
         reload = ReloadRequest(partial(load_config, args), hung_up)
-        return run_service(load_config(args), stop, args.once, args.report, _what(args), reload)
+        return run_service(
+            load_config(args), stop, args.once, args.report, _mission_arguments(args), reload
+        )
 
 
-def _what(args: argparse.Namespace) -> tuple[str | None, str | None, str | None]:
+def _mission_arguments(args: argparse.Namespace) -> tuple[str | None, str | None, str | None]:
     """Return the mission of the command line; see `edge.cli.commands.MissionArguments`."""
     return args.target or args.mission, args.formula, args.task
 
@@ -159,7 +162,7 @@ def demo(args: argparse.Namespace) -> int:
     stop = stop_on_signals()
     from edge.cli.commands import run_demo
 
-    return run_demo(load_config(args), stop, args.report, _what(args), args.live)
+    return run_demo(load_config(args), stop, args.report, _mission_arguments(args), args.live)
 
 
 def play(args: argparse.Namespace) -> int:
@@ -169,7 +172,7 @@ def play(args: argparse.Namespace) -> int:
 
     rate = None if args.fast else args.rate
     config = load_config(args)
-    return run_play(config, args.file, stop, rate, args.report, args.live, _what(args))
+    return run_play(config, args.file, stop, rate, args.report, args.live, _mission_arguments(args))
 
 
 def sim(args: argparse.Namespace) -> int:

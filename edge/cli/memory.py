@@ -67,17 +67,17 @@ def run(args: argparse.Namespace) -> int:
 
     with connected(args.config) as ask:
         answer = ask(topics.MEMORY_REQUEST, _request(args))
-        objects = written = answer.get("objects")
+        objects = content = answer.get("objects")
         if args.do == "export" and args.geojson:
             site = ask(topics.SITE_REQUEST, {"do": "list"})["site"]
             rooms = ask(topics.MEMORY_REQUEST, {"do": "rooms"})["rooms"]
-            written = memory_geojson(site, objects, rooms)
+            content = memory_geojson(site, objects, rooms)
     if args.do == "crop":
         write_atomically(Path(args.file), base64.b64decode(answer["jpeg_base64"]))
         print(f"{args.file}: {answer['text']}")
         return 0
     if args.do == "export":
-        write_atomically(Path(args.file), (json.dumps(written, indent=1) + "\n").encode())
+        write_atomically(Path(args.file), (json.dumps(content, indent=1) + "\n").encode())
         print(f"{args.file}: {answer['text']}")
     elif args.json:
         print(json.dumps(objects, indent=1))
@@ -86,11 +86,11 @@ def run(args: argparse.Namespace) -> int:
     elif objects:
         rows = [
             (
-                one_line(one["name"]), str(one["id"]), one_line(one["room"]) or "-",
-                f"{one['xyz'][0]:.2f}, {one['xyz'][1]:.2f}",
-                f"{one['confidence']:.2f}", f"{one['age_s']:.0f}",
+                one_line(item["name"]), str(item["id"]), one_line(item["room"]) or "-",
+                f"{item['xyz'][0]:.2f}, {item['xyz'][1]:.2f}",
+                f"{item['confidence']:.2f}", f"{item['age_s']:.0f}",
             )
-            for one in objects
+            for item in objects
         ]  # fmt: skip
         print(format_table([("name", "id", "room", "x, y", "confidence", "age, s"), *rows], left=3))
     else:
@@ -99,6 +99,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _request(args: argparse.Namespace) -> dict[str, object]:
+    """Return the request of an action; `export` asks for the list."""
     if args.do == "crop":
         return {"do": "crop", "id": args.id}
     request: dict[str, object] = (

@@ -16,9 +16,11 @@ from edge.cli.site import pose
 from edge.text import one_line
 
 _ROW_CHARS = 1000
-NEW_S = 120.0  # a language model may be asked twice, and the mission compiled
-
+"""Longest line of the answer."""
+NEW_S = 120.0
+"""Time for the answer to `new`: a language model may be asked twice, and the mission compiled."""
 PATIENCE_S = 10.0
+"""Default time to wait for a lost robot of a fleet."""
 _TEXT = {"help": "instruction in words, such as 'find the sofa, then the bed'"}
 _ROBOTS = {
     "nargs": "*",
@@ -55,9 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
             action="store_true",
             help="send the request to the robots of a fleet (default: to one service)",
         )
-        alone, of_fleet = ((), ("--robots",)) if not is_new else _add_new(action)
-        function = lazy_handler("edge.cli.fleet", "new" if is_new else "ask")
-        dispatch_on_option(action, "--fleet", function, of_fleet, run, alone)
+        only_service, only_fleet = _add_new(action) if is_new else ((), ("--robots",))
+        handle_fleet = lazy_handler("edge.cli.fleet", "new" if is_new else "ask")
+        dispatch_on_option(
+            action, "--fleet", on=handle_fleet, on_only=only_fleet, off=run, off_only=only_service
+        )
     return actions
 
 
@@ -157,7 +161,7 @@ def as_text(answer: dict) -> str:
     return "\n".join(f"{name + ':':{width}}{text}" for name, text in rows if text) or "done"
 
 
-def _text(key: str, between: str = ", ") -> Callable[[dict], str]:
+def _format_key(key: str, between: str = ", ") -> Callable[[dict], str]:
     """Return a function that formats the value of a key; a list is joined, None is empty."""
 
     def format_value(answer: dict) -> str:
@@ -172,18 +176,20 @@ def _text(key: str, between: str = ", ") -> Callable[[dict], str]:
 def _state(answer: dict) -> str:
     state, states = answer.get("state"), answer.get("states")
     known = isinstance(state, int) and isinstance(states, int)
-    return f"{state} (of 0 … {states - 1})" if known else _text("state")(answer)
+    return f"{state} (of 0 … {states - 1})" if known else _format_key("state")(answer)
 
 
 def _phase(answer: dict) -> str:
     paused = "paused (continue with `edge mission resume`)" if answer.get("paused") else ""
-    return "; ".join(filter(None, [paused, _text("phase")(answer), _text("reason")(answer)]))
+    return "; ".join(
+        filter(None, [paused, _format_key("phase")(answer), _format_key("reason")(answer)])
+    )
 
 
 def _not_ready(answer: dict) -> str:
     """Return the reasons why the robot is not ready, as in `/readyz`."""
     robot = answer.get("robot")
-    return _text("problems", "; ")(robot) if isinstance(robot, dict) else ""
+    return _format_key("problems", "; ")(robot) if isinstance(robot, dict) else ""
 
 
 def _reading(answer: dict) -> str:
@@ -197,21 +203,23 @@ def _overtaken(answer: dict) -> str:
     return f"{number} missions that were waiting to start" if number else ""
 
 
-def _of_task(format_task: Callable[[dict], str]) -> Callable[[dict], str]:
+def _format_task(format_part: Callable[[dict], str]) -> Callable[[dict], str]:
     """Return a function that formats the task of an answer, if it has one."""
 
     def format_answer(answer: dict) -> str:
         task = answer.get("task")
-        return format_task(task) if isinstance(task, dict) else ""
+        return format_part(task) if isinstance(task, dict) else ""
 
     return format_answer
 
 
 def _trajectory(task: dict) -> str:
-    length_m, driven_m, again = (task.get(key) for key in ("length_m", "driven_m", "refinements"))
+    length_m, driven_m, refinements = (
+        task.get(key) for key in ("length_m", "driven_m", "refinements")
+    )
     if not task.get("trajectory") or not _are_numbers(length_m, driven_m):
         return ""
-    more = again - 1 if _are_numbers(again) else 0
+    more = refinements - 1 if _are_numbers(refinements) else 0
     changed = f", refined again {more:g} times because the map changed" if more > 0 else ""
     return f"{driven_m:.1f} of {length_m:.1f} m driven{changed}"
 
@@ -241,29 +249,29 @@ def _are_numbers(*values: object) -> bool:
 
 _ROWS: dict[str, Callable[[dict], str]] = {
     "stopped": _overtaken,
-    "instruction": _text("instruction"),
-    "understood": _text("english"),
+    "instruction": _format_key("instruction"),
+    "understood": _format_key("english"),
     "reading": _reading,
-    "formula": _text("formula"),
-    "warning": _text("warnings"),
+    "formula": _format_key("formula"),
+    "warning": _format_key("warnings"),
     "state": _state,
     "phase": _phase,
     "not ready": _not_ready,
-    "target": _text("target"),
-    "why": _text("why"),
-    "plan": _text("plan", ", then "),
-    "seen": _text("detected"),
-    "reached": _text("reached"),
-    "failed": _text("failed"),
-    "forbidden": _text("forbidden"),
-    "task": _of_task(_text("phase")),
-    "steps": _of_task(_steps),
-    "written by": _of_task(_text("writer")),
-    "read as": _of_task(_text("understood")),
-    "missing": _of_task(_text("missing")),
-    "answers": _of_task(_answers),
-    "trajectory": _of_task(_trajectory),
-    "notes": _of_task(_text("notes", "; ")),
+    "target": _format_key("target"),
+    "why": _format_key("why"),
+    "plan": _format_key("plan", ", then "),
+    "seen": _format_key("detected"),
+    "reached": _format_key("reached"),
+    "failed": _format_key("failed"),
+    "forbidden": _format_key("forbidden"),
+    "task": _format_task(_format_key("phase")),
+    "steps": _format_task(_steps),
+    "written by": _format_task(_format_key("writer")),
+    "read as": _format_task(_format_key("understood")),
+    "missing": _format_task(_format_key("missing")),
+    "answers": _format_task(_answers),
+    "trajectory": _format_task(_trajectory),
+    "notes": _format_task(_format_key("notes", "; ")),
 }
 
 

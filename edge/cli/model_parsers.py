@@ -41,7 +41,9 @@ def _list(action: argparse.ArgumentParser) -> None:
         lazy_handler("edge.models.check", "run"),
         lazy_handler("edge.models.listing", "run"),
     )
-    dispatch_on_option(action, "--check", check, ("--file",), show, ("--json",))
+    dispatch_on_option(
+        action, "--check", on=check, on_only=("--file",), off=show, off_only=("--json",)
+    )
 
 
 def _pull(action: argparse.ArgumentParser) -> None:
@@ -96,8 +98,10 @@ def _export(action: argparse.ArgumentParser) -> None:
         lazy_handler("edge.models.make", "export"),
         lazy_handler("edge.models.make", "quantize"),
     )
-    of_weights = ("--weights", "--family", "--license")
-    dispatch_on_option(action, "--quantize", quantize, (), export, of_weights)
+    only_export = ("--weights", "--family", "--license")
+    dispatch_on_option(
+        action, "--quantize", on=quantize, on_only=(), off=export, off_only=only_export
+    )
 
 
 def _use(action: argparse.ArgumentParser) -> None:

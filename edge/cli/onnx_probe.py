@@ -1,6 +1,7 @@
 """A test of onnxruntime in a separate process.
 
-Its binaries may crash on a computer that they were not made for, at import or in the first session.
+Its binaries may crash on a computer for which they were not built: at import, or in the first
+session.
 On arm64 this happened with cores switched off, as in power modes of a Jetson
 (microsoft/onnxruntime#24221, #25103), on older cores (#24112), and under emulation. The separate
 process keeps the caller alive.
@@ -30,6 +31,7 @@ TRIED = (CPU, "CUDAExecutionProvider")
 An available provider was compiled in; only a run shows if it has code for this GPU.
 """
 LIMIT_S = 120.0
+"""Time for the whole test."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,20 +54,26 @@ class ProbeResult:
 
 @functools.cache
 def probe() -> ProbeResult | None:
-    """Return the result of the test, which runs once per process; None if it is not installed."""
+    """Return the result of the test, which runs once per process.
+
+    Returns:
+        None if onnxruntime is not installed.
+    """
     if util.find_spec("onnxruntime") is None:
         return None
     try:
         done = subprocess.run(
             python_module(__name__), capture_output=True, text=True, timeout=LIMIT_S, check=False
         )
-        output, code, last = done.stdout, done.returncode, done.stderr.strip().rpartition("\n")[2]
+        output, code = done.stdout, done.returncode
+        last_line = done.stderr.strip().rpartition("\n")[2]
     except subprocess.TimeoutExpired as error:
-        output, code, last = (error.stdout or b"").decode(), 1, f"no answer within {LIMIT_S:g} s"
-    return _result([json.loads(line) for line in output.splitlines()], code, last)
+        output, code = (error.stdout or b"").decode(), 1
+        last_line = f"no answer within {LIMIT_S:g} s"
+    return _make_result([json.loads(line) for line in output.splitlines()], code, last_line)
 
 
-def _result(steps: list[dict[str, Any]], code: int, last: str) -> ProbeResult:
+def _make_result(steps: list[dict[str, Any]], code: int, last_line: str) -> ProbeResult:
     """Return the result from the process's output, exit code and last line on stderr."""
     imported = steps[0] if steps else {"version": "", "providers": ()}
     ran = tuple(step["ran"] for step in steps[1:])
@@ -76,11 +84,11 @@ def _result(steps: list[dict[str, Any]], code: int, last: str) -> ProbeResult:
     if code < 0:
         fault = f"crashes ({signal.Signals(-code).name}) {when}"
     elif code:
-        fault = f"fails {when}: {one_line(last)}"
+        fault = f"fails {when}: {one_line(last_line)}"
     return ProbeResult(imported["version"], tuple(imported["providers"]), ran, fault)
 
 
-def _steps() -> Iterator[dict[str, Any]]:
+def _run_test() -> Iterator[dict[str, Any]]:
     """Import onnxruntime and run the model on each provider; yield the result of each step."""
     import numpy as np
     import onnxruntime as ort
@@ -95,16 +103,16 @@ def _steps() -> Iterator[dict[str, Any]]:
         if provider not in session.get_providers():
             raise RuntimeError(f"{provider} is installed but did not start; check the GPU driver")
         feeds = {
-            given.name: np.zeros(
-                [n if isinstance(n, int) else 1 for n in given.shape],
-                np.uint8 if given.type == "tensor(uint8)" else np.float32,
+            model_input.name: np.zeros(
+                [n if isinstance(n, int) else 1 for n in model_input.shape],
+                np.uint8 if model_input.type == "tensor(uint8)" else np.float32,
             )
-            for given in session.get_inputs()
+            for model_input in session.get_inputs()
         }
         session.run(None, feeds)
         yield {"ran": provider}
 
 
 if __name__ == "__main__":
-    for step in _steps():
+    for step in _run_test():
         print(json.dumps(step), flush=True)

@@ -52,9 +52,12 @@ def dispatch_on_option(
         parser: parser of the command.
         option: the option, or several: "--trace or --recover".
         on: handler with the option.
-        on_only: options and arguments that are valid only with it.
+        on_only: options and arguments that are valid only with `option`.
         off: handler without the option.
-        off_only: options and arguments that are valid only without it.
+        off_only: options and arguments that are valid only without `option`.
+
+    Returns:
+        The handler that was set.
     """
 
     def handler(args: argparse.Namespace) -> int:

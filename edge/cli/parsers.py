@@ -82,7 +82,7 @@ def _run(commands) -> None:  # type: ignore[no-untyped-def]
         "run", help="run the service for a robot or simulator that is already running"
     )
     run.add_argument("config", help=CONFIG)
-    _what(run)
+    _add_mission_options(run)
     run.add_argument(
         "--once",
         action="store_true",
@@ -95,7 +95,7 @@ def _run(commands) -> None:  # type: ignore[no-untyped-def]
         "report)",
     )
     trust_option(run)
-    _with_parent(run)
+    _add_parent_option(run)
     install = run.add_argument_group("install as a systemd service that starts at boot")
     install.add_argument(
         "--install", action="store_true", help="write the systemd unit; do not start the service"
@@ -109,19 +109,20 @@ def _run(commands) -> None:  # type: ignore[no-untyped-def]
         "--out", metavar="FILE", help="file to write the unit to; `-` prints it (default: "
         "/etc/systemd/system/NAME.service, which needs root)"
     )  # fmt: skip
-    of_run = ("--target", "--mission", "--formula", "--task", "--once", "--report")
-    at_boot, now = (
-        lazy_handler("edge.cli.install_service", "run"),
-        lazy_handler("edge.cli.main", "run"),
+    only_install = ("--name", "--user", "--out")
+    only_run = ("--target", "--mission", "--formula", "--task", "--once", "--report")
+    write_unit = lazy_handler("edge.cli.install_service", "run")
+    run_now = lazy_handler("edge.cli.main", "run")
+    dispatch_on_option(
+        run, "--install", on=write_unit, on_only=only_install, off=run_now, off_only=only_run
     )
-    dispatch_on_option(run, "--install", at_boot, ("--name", "--user", "--out"), now, of_run)
 
 
 def _demo(commands) -> None:  # type: ignore[no-untyped-def]
     text = "run the service with a simulated robot in a built-in house"
     demo = commands.add_parser("demo", help=text)
     demo.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
-    _what(demo)
+    _add_mission_options(demo)
     text = (
         "use this policy (policy.kind); with the configuration demo, also the scorer that it needs"
     )
@@ -132,12 +133,15 @@ def _demo(commands) -> None:  # type: ignore[no-untyped-def]
         default="report",
         help="folder for the report (default: ./report)",
     )
-    _live(demo)
+    _add_live_option(demo)
     demo.set_defaults(handler=lazy_handler("edge.cli.main", "demo"))
 
 
-def _what(command: argparse.ArgumentParser) -> None:
-    """Add the options of the mission. Without one, configuration or checkpoint decide."""
+def _add_mission_options(command: argparse.ArgumentParser) -> None:
+    """Add the options that choose the mission.
+
+    Without such an option, the checkpoint or the configuration has the mission.
+    """
     what = command.add_mutually_exclusive_group()
     what.add_argument("--target", metavar="NAME", help=_TARGET)
     what.add_argument("--mission", metavar="TEXT", help="mission: this instruction in words")
@@ -149,7 +153,7 @@ def _what(command: argparse.ArgumentParser) -> None:
     mission.add_reading(command)
 
 
-def _live(command: argparse.ArgumentParser) -> None:
+def _add_live_option(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--live", metavar="PORT", nargs="?", type=port, const=0, help="serve a live view on "
         "this port until Ctrl-C (default port: http.port, else 7480, else a free one; default: no "
@@ -170,11 +174,11 @@ def _sim(commands) -> None:  # type: ignore[no-untyped-def]
     which.add_argument(
         "--motion-only", action="store_true", help="run only the reference controller"
     )
-    _with_parent(sim)
+    _add_parent_option(sim)
     sim.set_defaults(handler=lazy_handler("edge.cli.main", "sim"))
 
 
-def _with_parent(command: argparse.ArgumentParser) -> None:
+def _add_parent_option(command: argparse.ArgumentParser) -> None:
     """Add the option for child processes: exit when the parent is gone, even if it was killed."""
     command.add_argument("--with-parent", type=int, metavar="PID", help=argparse.SUPPRESS)
 
@@ -251,7 +255,7 @@ def _play(commands) -> None:  # type: ignore[no-untyped-def]
     play.add_argument("file", type=Path, metavar="FILE", help="MCAP file, .db3 file, or folder "
                       "of a rosbag2")  # fmt: skip
     play.add_argument("config", help=CONFIG)
-    _what(play)
+    _add_mission_options(play)
     pace = play.add_mutually_exclusive_group()
     pace.add_argument(
         "--rate", type=positive, default=1.0, metavar="N", help="speed of the recording: 2 means "
@@ -266,7 +270,7 @@ def _play(commands) -> None:  # type: ignore[no-untyped-def]
         help="at the end, write a report (web page and picture) to this folder (default: no "
         "report)",
     )
-    _live(play)
+    _add_live_option(play)
     play.set_defaults(handler=lazy_handler("edge.cli.main", "play"))
 
 
@@ -309,13 +313,15 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
         help="file to write (default with --trace: trace.json; with --recover: the recording's "
         "name without .partial)",
     )  # fmt: skip
-    mine = ("--config", "--detect", "--trust")
-    of = {
-        name: lazy_handler("edge.recording.commands", name)
-        for name in ("replay", "recover", "trace")
-    }
-    write = dispatch_on_option(replay, "--trace", of["trace"], (), of["recover"], ())
-    dispatch_on_option(replay, "--trace or --recover", write, ("--out",), of["replay"], mine)
+    only_replay = ("--config", "--detect", "--trust")
+    run, recover, trace = (
+        lazy_handler("edge.recording.commands", name) for name in ("replay", "recover", "trace")
+    )
+    write = dispatch_on_option(replay, "--trace", on=trace, on_only=(), off=recover, off_only=())
+    dispatch_on_option(
+        replay, "--trace or --recover",
+        on=write, on_only=("--out",), off=run, off_only=only_replay,
+    )  # fmt: skip
 
 
 def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]

@@ -1,8 +1,8 @@
 """Checks of a configuration against this installation, before anything is loaded or compiled.
 
-`edge run` and `edge demo` start with them, and `edge config` ends with them, so all report the same
-errors. Nothing is opened and no server is asked. Ports, servers and the content of model files are
-checked when the service opens them, before it compiles its kernels.
+`edge run` and `edge demo` start with these checks, and `edge config` ends with them, so all report
+the same errors. Nothing is opened and no server is asked. Ports, servers and the content of model
+files are checked when the service opens them, before it compiles its kernels.
 """
 
 from __future__ import annotations
@@ -62,18 +62,18 @@ def check(config: Config) -> None:
         UserError: one line for each fault, with the exit code of the first.
     """
     faults: list[UserError] = []
-    for part in (*_PARTS, *(partial(_model, model) for model in named_models(config))):
+    for run_check in (*_CHECKS, *(partial(_model, model) for model in named_models(config))):
         try:
-            part(config)
+            run_check(config)
         except UserError as error:
             faults.append(error)
     if not faults:
         return
     if len(faults) == 1:
         raise faults[0]
-    every = UserError("\n".join(dict.fromkeys(map(str, faults))))
-    every.exit_code = faults[0].exit_code
-    raise every
+    combined = UserError("\n".join(dict.fromkeys(map(str, faults))))
+    combined.exit_code = faults[0].exit_code
+    raise combined
 
 
 def check_mission(config: Config) -> None:
@@ -118,9 +118,9 @@ def _http(config: Config) -> None:
 def _translator(config: Config) -> None:
     translator = config.mission.translator
     if (card := getattr(translator, "card", None)) is not None:
-        with _about(config, "mission.translator.card"):
+        with _prefix_errors(config, "mission.translator.card"):
             load_card_of(TranslateCard, card)
-    with _about(config, "mission.translator"):
+    with _prefix_errors(config, "mission.translator"):
         make_translator(translator)
 
 
@@ -132,14 +132,14 @@ def _choice(config: Config) -> None:
 
 def _tasks(config: Config) -> None:
     if isinstance(config.tasks.planner, WriterModel):
-        with _about(config, "tasks.planner"):
+        with _prefix_errors(config, "tasks.planner"):
             make_chat_client(config.tasks.planner).close()
         script.version()
 
 
 CLASSES: tuple[Callable[[Config], object], ...] = (find_source, find_sinks, _policy, _planner)
 """Checks that the classes that a configuration names exist and accept their options."""
-_PARTS = (*CLASSES, _bus, _http, _translator, _choice, _tasks)
+_CHECKS = (*CLASSES, _bus, _http, _translator, _choice, _tasks)
 
 
 class NamedModel(NamedTuple):
@@ -181,13 +181,15 @@ def named_models(config: Config) -> Iterator[NamedModel]:
 
 def _model(model: NamedModel, config: Config) -> None:
     """Check the card of a model and the cards that it refers to: files, packages, providers."""
-    with _about(config, model.key):
+    with _prefix_errors(config, model.key):
         cards = list(_cards(config, model.name, model.kind))
     if any(file.server is None for card in cards for file in card.files):
         # A model in a separate process must not load onnxruntime into this one.
         isolated = config.perception.isolation == "process"
-        look = not isolated and tuple(model.providers) != CPU_ALONE
-        check_providers(model.providers, f"{model.key.rpartition('.')[0]}.providers", look)
+        look_in_process = not isolated and tuple(model.providers) != CPU_ALONE
+        check_providers(
+            model.providers, f"{model.key.rpartition('.')[0]}.providers", look_in_process
+        )
 
 
 def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
@@ -221,7 +223,7 @@ def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
 
 
 @contextmanager
-def _about(config: Config, key: str) -> Iterator[None]:
+def _prefix_errors(config: Config, key: str) -> Iterator[None]:
     """Prefix errors of the block with the key of the configuration."""
     try:
         yield

@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _request(args: argparse.Namespace) -> dict:
+    """Return the request of an action: `list` asks the memory, all others change the site."""
     if args.do == "list":
         return {"do": "rooms"}
     if args.do == "name":

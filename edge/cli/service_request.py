@@ -13,6 +13,7 @@ from typing import Any
 from edge.cli.options import CONFIG, lazy_handler
 
 ANSWER_S = 5.0
+"""Default time for the connection, and for each answer."""
 
 
 def add_action(actions: Any, name: str, text: str, module: str) -> argparse.ArgumentParser:
@@ -39,7 +40,7 @@ def connected(
     Args:
         config: path or name of the configuration.
         patience_s: how long to wait for the connection, and for each answer.
-        what: name of the command, for error messages.
+        what: what is asked, for error messages.
 
     Raises:
         RequestError: no service is there, it does not answer, or it refuses.

@@ -26,7 +26,7 @@ def add_places(commands) -> None:  # type: ignore[no-untyped-def]
         help="pose: x and y in the map frame in m, heading in degrees; write --at=X,Y,DEG if X is "
         "negative (default: the robot's pose)",
     )  # fmt: skip
-    _common(actions, "places and zones")
+    _add_common_actions(actions, "places and zones")
 
 
 def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
@@ -44,7 +44,7 @@ def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
             help="at least three corners, x and y in the map frame in m; write -- before a "
             "negative X",
         )  # fmt: skip
-    _common(actions, "places and zones")
+    _add_common_actions(actions, "places and zones")
 
 
 def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
@@ -53,13 +53,14 @@ def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
     return action
 
 
-def _common(actions, all_of_it: str) -> None:  # type: ignore[no-untyped-def]
-    _action(actions, "list", f"list {all_of_it}")
+def _add_common_actions(actions, content: str) -> None:  # type: ignore[no-untyped-def]
+    """Add the actions that places and zones share."""
+    _action(actions, "list", f"list {content}")
     remove = _action(actions, "remove", "remove a place or zone")
     remove.add_argument("name", help="name of the place or zone, as `list` shows it")
-    export = _action(actions, "export", f"write {all_of_it} as GeoJSON")
+    export = _action(actions, "export", f"write {content} as GeoJSON")
     export.add_argument("file", help="GeoJSON file to write")
-    load = _action(actions, "import", f"read {all_of_it} from GeoJSON")
+    load = _action(actions, "import", f"read {content} from GeoJSON")
     load.add_argument("file", help="GeoJSON file to read")
     load.add_argument(
         "--replace", action="store_true", help="first remove all places and zones of the service"

@@ -28,11 +28,11 @@ def component_factory(
     """Return a function that makes a component, such as a sink, from keyword arguments.
 
     The returned function takes the arguments of `given`. It passes the options to the class, and
-    those of `given` that the class has a parameter for.
+    those arguments of `given` for which the class has a parameter.
 
-    A class without a method of `needs` is refused here, before it is called, since it may be any
-    class. If the class has a method `check_options`, it is called here, with the options and those
-    of `known` that it has a parameter for. So wrong options are refused before anything is opened.
+    A class that lacks a method of `needs` is refused here, before it is called. If the class has a
+    method `check_options`, this method is called here, with the options and those arguments of
+    `known` for which it has a parameter. So wrong options are refused before anything is opened.
 
     Args:
         what: kind of component, such as `sink`, for errors.
@@ -75,7 +75,7 @@ def component_factory(
         except UserError:
             raise
         except Exception as error:
-            raise ConfigError(f"{where}.options: {kind}: {_said(error)}") from None
+            raise ConfigError(f"{where}.options: {kind}: {_describe_error(error)}") from None
 
     def make_named(**parts: Any) -> Any:
         try:
@@ -84,7 +84,7 @@ def component_factory(
         except UserError:
             raise
         except Exception as error:  # a plugin may raise anything
-            raise ConfigError(f"{where}.options: {kind}: {_said(error)}") from None
+            raise ConfigError(f"{where}.options: {kind}: {_describe_error(error)}") from None
         if missing:
             raise ConfigError(f"{where}.kind: {kind} is no {what}: it has no {missing[0]}")
         return made
@@ -104,8 +104,8 @@ def _find_class(kind: str, registry: Mapping[str, str], where: str) -> Any:
         return getattr(import_module(module), name)
     except Exception as error:  # the import of a plugin may raise anything
         raise ConfigError(
-            f"{where}: {bounded_repr(kind)} cannot be imported: {_said(error)}; the folder of the "
-            "module must be on PYTHONPATH"
+            f"{where}: {bounded_repr(kind)} cannot be imported: {_describe_error(error)}; "
+            "the folder of the module must be on PYTHONPATH"
         ) from None
 
 
@@ -117,5 +117,5 @@ def _has(part: object, name: str) -> bool:
     return True
 
 
-def _said(error: Exception) -> str:
+def _describe_error(error: Exception) -> str:
     return one_line(f"{type(error).__name__}: {error}")

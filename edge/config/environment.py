@@ -23,7 +23,7 @@ KNOWN_VARIABLES = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE")
 
 
 class KeyOrigins(dict[tuple[str, ...], str]):
-    """The variable or option that set a key, by the parts of the key; only overridden keys.
+    """Parts of each overridden key → the variable or option that set the key.
 
     All instances compare equal, so configurations with the same values are equal.
 
@@ -45,10 +45,10 @@ class KeyOrigins(dict[tuple[str, ...], str]):
             path: path of the configuration file.
             keys: keys that the error is about, each as its parts.
         """
-        return ", ".join(dict.fromkeys(name for key in keys for name in self._of(path, key)))
+        return ", ".join(dict.fromkeys(name for key in keys for name in self._sources(path, key)))
 
     def rename(self, key: tuple[str, ...], name: str) -> None:
-        """Rename the last part of a key, in it and in all keys below it."""
+        """Rename the last part of a key; keys below this key are renamed accordingly."""
         size, new = len(key), (*key[:-1], name)
         renamed = {old: (*new, *old[size:]) for old in self if old[:size] == key}
         for old, now in renamed.items():
@@ -57,8 +57,8 @@ class KeyOrigins(dict[tuple[str, ...], str]):
             (*new, *old[size:]) if old[:size] == key else old for old in self.added_sections
         }
 
-    def _of(self, path: str, key: tuple[str, ...]) -> list[str]:
-        starts = [key[:n] for n in range(len(key), 0, -1)]
+    def _sources(self, path: str, key: tuple[str, ...]) -> list[str]:
+        starts = [key[:n] for n in range(len(key), 0, -1)]  # the key, then the sections around it
         if (own := next(filter(None, map(self.get, starts)), None)) is not None:
             return [own]
         # A key may be wrong because an override chose the kind of its section.

@@ -10,21 +10,21 @@ from pydantic import BaseModel, ValidationError
 
 from edge.text import bounded_repr, one_line, redact
 
-MOST_FAULTS = 20
+MOST_FAULTS = 20  # faults that are listed; more are only counted
 
 Origin = Callable[[str, tuple[str, ...]], str]
-"""Function that returns the file, variable or option that set a key (`KeyOrigins.of`).
+"""Function that returns the file, variable or option that set a key (`KeyOrigins.describe`).
 
 Its arguments are the path of the file and the parts of the key.
 """
 
 
-def _the_file(path: str, key: tuple[str, ...]) -> str:
+def _file_only(path: str, key: tuple[str, ...]) -> str:
     return path
 
 
 def explain_all(
-    error: ValidationError, path: str, root: type[BaseModel], origin: Origin = _the_file
+    error: ValidationError, path: str, root: type[BaseModel], origin: Origin = _file_only
 ) -> str:
     """Return one line for each fault, at most `MOST_FAULTS`, and a line that counts the rest."""
     faults = error.errors()
@@ -34,7 +34,7 @@ def explain_all(
     return "\n".join(lines)
 
 
-def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _the_file) -> str:
+def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _file_only) -> str:
     """Return one line for one fault of pydantic's list.
 
     Args:

@@ -154,7 +154,7 @@ class LoadSheddingConfig(Section):
 
     The next level is taken if the median time of the detector exceeds `perception.swap.budget_ms`,
     if the detector returns nothing, or if the board throttles or is about to. The level before is
-    taken again when there is room (`edge.loop.degradation`).
+    taken again when there is room (`edge.loop.load_shedder`).
 
     Attributes:
         levels: degradation levels, the first to be taken first; empty: no load shedding.

@@ -48,7 +48,7 @@ def drop_removed_keys(
     Args:
         section: content of the section.
         path: path of the file.
-        origins: variables and options that set keys; the renamed keys in it are renamed, too.
+        origins: variables and options that set keys; their keys are renamed as well.
         above: names of the sections around this one.
 
     Raises:

@@ -48,8 +48,10 @@ HEADROOM_M, HEADROOM_SHARE = 0.2, 0.25
 its height if that is less."""
 
 ValueSource = Literal["similarity", "choice"]
-_GOES_BY: dict[str, ValueSource] = {"vlfm": "similarity", "directional": "choice"}
-_SCORER = {
+# Policy → the scorer whose values it uses.
+_SCORER_OF_POLICY: dict[str, ValueSource] = {"vlfm": "similarity", "directional": "choice"}
+# Scorer → advice for a configuration that lacks it.
+_SCORER_ADVICE = {
     "similarity": "perception.similarity to a card, such as cooccurrence-similarity",
     "choice": "perception.choice.kind to openai, text, onnx or cooccurrence",
 }
@@ -59,7 +61,7 @@ class Config(Section):
     """A whole configuration.
 
     Attributes:
-        path: the file that it was read from. Set by `edge`, not in the file.
+        path: path of the file. Set by `edge`, not in the file.
         robot: size and limits of the robot.
         sensors: the robot's sensors.
         zenoh: connection of all programs.
@@ -162,13 +164,14 @@ class Config(Section):
         A plugin gets the maps of the choice scorer if there is one, else those of similarity.
         """
         if isinstance(self.policy, PolicyPlugin):
-            there = self._scorers_there()
-            return there[0] if there else None
+            configured = self._configured_scorers()
+            return configured[0] if configured else None
         if isinstance(self.policy, PolicyAdaptive):
             return None if self.policy.by == "prior" else self.policy.by
-        return _GOES_BY.get(self.policy.kind)
+        return _SCORER_OF_POLICY.get(self.policy.kind)
 
     def _check_cells(self) -> None:
+        """Raise ConfigError if the cells are too small for the policy `hvl`."""
         cell_m = self.mapping.resolution_m
         if isinstance(self.policy, PolicyHvl) and MAX_RADIUS_CELLS * cell_m < UNKNOWN_RADIUS_M:
             least_m = math.ceil(1e4 * UNKNOWN_RADIUS_M / MAX_RADIUS_CELLS) / 1e4
@@ -178,12 +181,13 @@ class Config(Section):
                 f"mapping.resolution_m to at least {least_m:g}, or another policy.kind"
             )
 
-    def _scorers_there(self) -> list[ValueSource]:
+    def _configured_scorers(self) -> list[ValueSource]:
+        """Return the scorers that the configuration has, the preferred one first."""
         similar: list[ValueSource] = [] if self.perception.similarity is None else ["similarity"]
         return similar if self.perception.choice.kind == "none" else ["choice", *similar]
 
     def check_site(self) -> None:
-        """Refuse a file of places in a frame that does not outlive the service.
+        """Refuse a file of places if the map frame changes with each start.
 
         Raises:
             ConfigError: one line: the key, and what to set.
@@ -195,17 +199,17 @@ class Config(Section):
             )
 
     def check_policy(self) -> None:
-        """Refuse a policy that lacks a scorer or needs larger cells, or a scorer without a prior.
+        """Refuse a policy that lacks a scorer or needs larger cells; refuse values without a prior.
 
         Raises:
             ConfigError: one line: the key, and what to set.
         """
         self._check_cells()
         source, kind = self.value_source, self.policy.kind
-        if source is not None and source not in self._scorers_there():
+        if source is not None and source not in self._configured_scorers():
             raise ConfigError(
                 f"{self.locate('policy.kind', f'perception.{source}')}: {kind} needs the {source} "
-                f"scorer, and none is configured: set {_SCORER[source]}"
+                f"scorer, and none is configured: set {_SCORER_ADVICE[source]}"
             )
         by_prior = {
             "policy.by": getattr(self.policy, "by", None),

@@ -14,17 +14,17 @@ NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
-def _named(text: str) -> str:
+def _check_name(text: str) -> str:
     names.normalise(text)  # NotANameError is a ValueError, as pydantic needs
     return text
 
 
-Name = Annotated[str, AfterValidator(_named)]
+Name = Annotated[str, AfterValidator(_check_name)]
 
-MODULE_CLASS = "module:Class"
+MODULE_CLASS = "module:Class"  # tag and placeholder of the kind of a plugin
 
 
-def _names_a_class(kind: str) -> str:
+def _check_plugin_kind(kind: str) -> str:
     module, _, name = kind.partition(":")
     if not (name.isidentifier() and all(part.isidentifier() for part in module.split("."))):
         raise ValueError(f"expected {MODULE_CLASS}")
@@ -32,7 +32,7 @@ def _names_a_class(kind: str) -> str:
 
 
 PluginKind = Annotated[
-    str, AfterValidator(_names_a_class), Field(json_schema_extra={"pattern": ":"})
+    str, AfterValidator(_check_plugin_kind), Field(json_schema_extra={"pattern": ":"})
 ]
 """Kind of a plugin: a class of the user, on PYTHONPATH."""
 

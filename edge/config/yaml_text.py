@@ -12,9 +12,11 @@ from edge.host.files import read_regular
 from edge.text import one_line
 
 MAX_YAML_BYTES = 1 << 20
+"""Size limit of a text."""
 MAX_NODES = 20_000
 """Most keys and values of a text. An alias counts as all nodes that it stands for."""
 MAX_DEPTH = 64
+"""Largest nesting of sections and lists."""
 _CHARS_PER_NODE = 64  # a long text counts as several nodes
 _MAX_PLAIN_CHARS = 100  # of a number, a date or another value that is not text
 _TOO_DEEP = f"nested too deeply (more than {MAX_DEPTH} levels)"

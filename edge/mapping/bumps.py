@@ -1,4 +1,4 @@
-"""Obstacles that no sensor shows but that held the robot up: a sill, glass, a cable."""
+"""Obstacles that no sensor shows, but at which the robot was blocked: a sill, glass, a cable."""
 
 from __future__ import annotations
 
@@ -16,14 +16,18 @@ from edge.mapping.update import SEEN_FREE
 from edge.mapping.window import Window
 
 ROUNDING_CELLS = 2
-"""Rounding of an obstacle and of the robot's place to cells may narrow the gap by up to this."""
-_MOST = 64
-# Two bumps at most this far apart, on a line across the robot's path both times, are one sill.
-_SAME_SILL_M, _ACROSS = 1.5, 0.7
+"""Cells by which a gap may seem narrower, because an obstacle and the robot's place are rounded to
+cells."""
+_MAX_BUMPS = 64
+# Two bumps at most this far apart may be one sill.
+_SAME_SILL_M = 1.5
+# They are one sill only if the robot drove across the line between them both times: the cosine of
+# the angle between the line and the motion is at most this.
+_MAX_COSINE = 0.7
 # A sill is assumed to extend beyond two bumps by the distance between them, at most by this.
-_GOES_ON_M = 1.0
+_MAX_EXTENSION_M = 1.0
 # A first touch may have been a passer-by, so it is kept only for this share of `bump_memory_s`.
-_FIRST = 0.2
+_FIRST_TOUCH_SHARE = 0.2
 
 Cell = tuple[int, int]
 XY = tuple[float, float]
@@ -33,13 +37,13 @@ class _Bump(NamedTuple):
     """Cells that one bump has closed.
 
     Attributes:
-        place_m: place where the robot's front was held up, driving along `heading_rad`.
+        place_m: place where the robot's front was blocked, driving along `heading_rad`.
         heading_rad: direction of the robot's motion.
         half_m: half the robot's width.
         until_ns: time when the cells are opened.
         felt: cells that the front touched.
         guessed: cells of a sill between this bump and another; `open_all` does not keep them.
-        again: True if the robot was held up there before; sensors cannot open the cells then.
+        again: True if the robot was blocked there before. Then sensors cannot open the cells.
     """
 
     place_m: XY
@@ -76,14 +80,14 @@ class _Closed(NamedTuple):
 
 
 class ContactObstacles:
-    """World cells that are closed because something held the robot up there.
+    """World cells that are closed because the robot was blocked there.
 
     A bump closes the cells that the robot's front touched, as wide as the robot. Two bumps along
-    one line form a sill: it is closed between them and beyond them. No cell is closed at a known
-    obstacle, or so near to the robot's trail that the way back would be blocked.
+    one line form a sill. The cells between the two and beyond them are closed as well. No cell is
+    closed at a known obstacle, or so near to the robot's trail that the way back would be blocked.
 
     A bump opens if the robot stands there, if the sensors see floor there, after a fifth of
-    `bump_memory_s`, or by `open_all`. If the robot is then held up there again, the sensors cannot
+    `bump_memory_s`, or by `open_all`. If the robot is then blocked there again, the sensors cannot
     see the obstacle: the bump stays for all of `bump_memory_s`.
 
     Args:
@@ -109,12 +113,12 @@ class ContactObstacles:
         # A bump this near to an opened one is the same sill, which is still there.
         self._same_m = 2 * config.inflation_m + ROUNDING_CELLS * config.resolution_m
         self._bumps: list[_Bump] = []  # oldest first
-        self._opened: list[_Bump] = []  # by `open_all`, oldest first
+        self._opened: list[_Bump] = []  # opened but perhaps still there, oldest first
         self._closed: dict[Cell, _Closed] = {}
 
     @property
     def closed_m(self) -> list[XY]:
-        """Places where the robot was held up and the map is closed, oldest first."""
+        """Places where the robot was blocked and the map is closed, oldest first."""
         return [bump.place_m for bump in self._bumps]
 
     @property
@@ -129,21 +133,21 @@ class ContactObstacles:
 
         Args:
             pose: pose of the robot.
-            place_m: place where its front was held up.
+            place_m: place where the robot's front was blocked.
             radius_m: radius of the robot.
             now_ns: time on the clock that `expire` gets.
         """
         heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
-        found = [self._with_cells(_Bump(place_m, heading, radius_m, 0))]
-        closed = found[0].felt
-        while found:
-            bump = found.pop()
+        waiting = [self._with_cells(_Bump(place_m, heading, radius_m, 0))]
+        closed = waiting[0].felt
+        while waiting:
+            bump = waiting.pop()
             near = [b for b in self._opened if math.dist(b.place_m, bump.place_m) <= self._same_m]
             self._opened = [b for b in self._opened if b not in near]
-            found += [b._replace(again=True) for b in near]
+            waiting += [b._replace(again=True) for b in near]
             same = [b for b in self._bumps if b.felt <= bump.felt]
             again = bump.again or bool(near) or any(b.again for b in same)
-            lasts_ns = self._memory_ns if again else int(_FIRST * self._memory_ns)
+            lasts_ns = self._memory_ns if again else int(_FIRST_TOUCH_SHARE * self._memory_ns)
             guessed = bump.guessed.union(*(b.guessed for b in same))
             self._close(bump._replace(until_ns=now_ns + lasts_ns, guessed=guessed, again=again))
             for b in same:
@@ -170,7 +174,7 @@ class ContactObstacles:
         return any_closed
 
     def clear_under_robot(self, cell: Cell) -> None:
-        """Open the bumps at the robot's world cell: nothing holds it up there."""
+        """Open the bumps at the robot's world cell: nothing blocks the robot there."""
         if cell in self._closed:
             for bump in [b for b in self._bumps if cell in b.cells]:
                 self._open(bump)
@@ -191,7 +195,7 @@ class ContactObstacles:
         A row of `cell` is (bump, x, y, 1 if guessed). A row of `closed` is (x, y, raw, top) with
         the values before the cell was closed.
         """
-        opened = self._opened[-_MOST:]
+        opened = self._opened[-_MAX_BUMPS:]
         every = (*opened, *self._bumps)
         cells = [
             (i, *cell, guessed)
@@ -216,8 +220,8 @@ class ContactObstacles:
 
         `later_ns` is the difference between the current clock and that of the `state_dict`.
         """
-        each = ("place_m", "heading_rad", "half_m", "until_ns", "opened", "again")
-        rows = {each: 2 * _MOST, ("cell",): 1 << 16, ("closed",): 1 << 16}
+        fields = ("place_m", "heading_rad", "half_m", "until_ns", "opened", "again")
+        rows = {fields: 2 * _MAX_BUMPS, ("cell",): 1 << 16, ("closed",): 1 << 16}
         check_arrays(state, self.state_dict(), rows, {})
         cells, raw_top = state["cell"], state["closed"][:, 2:]
         if ((cells[:, ::3] < 0) | (cells[:, ::3] >= (len(state["opened"]), 2))).any():
@@ -225,9 +229,9 @@ class ContactObstacles:
         if ((raw_top < 0) | (raw_top > 255)).any():
             raise ValueError("closed: a raw or top value is not from 0 to 255")
         self._opened, self._bumps = [], []
-        held: dict[Cell, int] = {}
+        n_closing: dict[Cell, int] = {}
         for at, heading, half, until_ns, opened, again, (felt, guessed) in zip(
-            *(state[name] for name in each), _by_bump(cells, len(state["opened"])), strict=True
+            *(state[name] for name in fields), _by_bump(cells, len(state["opened"])), strict=True
         ):
             bump = _Bump(
                 (float(at[0]), float(at[1])), float(heading), float(half), int(until_ns) + later_ns,
@@ -235,24 +239,24 @@ class ContactObstacles:
             )  # fmt: skip
             (self._opened if opened else self._bumps).append(bump)
             for cell in () if opened else bump.cells:
-                held[cell] = held.get(cell, 0) + 1
+                n_closing[cell] = n_closing.get(cell, 0) + 1
         was = {(x, y): (raw, top) for x, y, raw, top in state["closed"].tolist()}
-        self._closed = {c: _Closed(*was.get(c, (ly.FREE, 0)), n) for c, n in held.items()}
+        self._closed = {c: _Closed(*was.get(c, (ly.FREE, 0)), n) for c, n in n_closing.items()}
         self.follow_window()
 
     def explained_by_obstacle(
         self, pose: SE2, place_m: tuple[float, float], radius_m: float
     ) -> bool:
-        """Return True if a known obstacle explains why the robot at `pose` is held up at a place.
+        """Return True if a known obstacle explains why the robot at `pose` is blocked at a place.
 
         The obstacle must be on the line from the robot through the place, from `radius_m` before
         the place to the inflation radius behind it. Only half the robot's width counts, because
-        obstacles at its side, such as door jambs next to a sill, do not hold it up. Obstacles that
+        obstacles at its side, such as door jambs next to a sill, do not block it. Obstacles that
         touch the robot's front half count too, such as the edge of a table in a turn.
 
         Args:
             pose: pose of the robot.
-            place_m: place where it is held up.
+            place_m: place where the robot is blocked.
             radius_m: radius of the robot.
         """
         window, beyond_m = self._window, self._inflation_m
@@ -268,14 +272,14 @@ class ContactObstacles:
         c, s = math.cos(heading), math.sin(heading)
         along, across = dx * c + dy * s, dy * c - dx * s
         raw = self._layers.raw[y % n, x % n]
-        on_the_way = (-radius_m <= along) & (along <= beyond_m) & (np.abs(across) <= 0.5 * radius_m)
+        in_path = (-radius_m <= along) & (along <= beyond_m) & (np.abs(across) <= 0.5 * radius_m)
         ahead_m = along + math.dist(place_m, (pose.x_m, pose.y_m))  # from the robot's centre
         touched = (ahead_m >= 0.0) & (np.hypot(ahead_m, across) <= radius_m + res)
         return bool(
             np.any(
                 (raw >= ly.OCCUPIED)
                 & (raw != ly.BUMPED)
-                & (on_the_way | touched)
+                & (in_path | touched)
                 & (ox <= x) & (x < ox + n) & (oy <= y) & (y < oy + n)
             )
         )  # fmt: skip
@@ -291,8 +295,10 @@ class ContactObstacles:
         guessed: set[Cell] = set()
         for other in self._bumps:
             guessed.update(self._between(bump, other))
-        held = {cell for cell in felt | guessed if self._window.contains(*cell)}
-        return bump._replace(felt=frozenset(felt & held), guessed=frozenset(guessed & held - felt))
+        inside = {cell for cell in felt | guessed if self._window.contains(*cell)}
+        return bump._replace(
+            felt=frozenset(felt & inside), guessed=frozenset(guessed & inside - felt)
+        )
 
     def _off_trail(self, bump: _Bump) -> XY | None:
         """Return the touched place, moved along the heading until it leaves the trail open.
@@ -326,29 +332,30 @@ class ContactObstacles:
             return
         x, y = ((q - p) / gap_m for p, q in zip(a.place_m, b.place_m, strict=True))
         if any(
-            abs(x * math.cos(bump.heading_rad) + y * math.sin(bump.heading_rad)) > _ACROSS
+            abs(x * math.cos(bump.heading_rad) + y * math.sin(bump.heading_rad)) > _MAX_COSINE
             for bump in (a, b)
         ):
             return
-        on_m = min(gap_m, _GOES_ON_M)
+        extension_m = min(gap_m, _MAX_EXTENSION_M)
         yield from self._along(a.place_m, (x, y), gap_m)
         yield from self._along(b.place_m, (-x, -y), gap_m)
-        yield from self._along(b.place_m, (x, y), b.half_m + on_m)
-        yield from self._along(a.place_m, (-x, -y), a.half_m + on_m)
+        yield from self._along(b.place_m, (x, y), b.half_m + extension_m)
+        yield from self._along(a.place_m, (-x, -y), a.half_m + extension_m)
 
-    def _along(self, start_m: XY, way: XY, length_m: float) -> Iterator[Cell]:
-        """Yield cells from a place on, up to a known obstacle or the robot's trail."""
+    def _along(self, start_m: XY, direction: XY, length_m: float) -> Iterator[Cell]:
+        """Yield the cells on a line from a place, up to a known obstacle or the robot's trail."""
         res, n = self._window.resolution_m, self._window.n
         for k in range(1, math.floor(2.0 * length_m / res) + 1):
             cell = self._window.cell_of(
-                start_m[0] + 0.5 * k * res * way[0], start_m[1] + 0.5 * k * res * way[1]
+                start_m[0] + 0.5 * k * res * direction[0], start_m[1] + 0.5 * k * res * direction[1]
             )
-            stands = ly.OCCUPIED <= self._layers.raw[cell[1] % n, cell[0] % n] < ly.BUMPED
-            if stands or self._near_trail(cell) or not self._window.contains(*cell):
+            is_obstacle = ly.OCCUPIED <= self._layers.raw[cell[1] % n, cell[0] % n] < ly.BUMPED
+            if is_obstacle or self._near_trail(cell) or not self._window.contains(*cell):
                 return
             yield cell
 
     def _close(self, bump: _Bump) -> None:
+        """Close the cells of a bump; open the oldest bump if there are too many."""
         if not bump.felt:
             return
         for cell in bump.cells:
@@ -359,7 +366,7 @@ class ContactObstacles:
                 self._write(*cell, ly.BUMPED, 0)
             self._closed[cell] = before._replace(bumps=before.bumps + 1)
         self._bumps.append(bump)
-        if len(self._bumps) > _MOST:
+        if len(self._bumps) > _MAX_BUMPS:
             self._open(self._bumps[0])
 
     def _reopen(self, bump: _Bump) -> None:

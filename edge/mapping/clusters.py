@@ -13,15 +13,17 @@ import numpy as np
 
 from edge.jit import jit
 
-# Largest cluster, which bounds the work of growing one again (25 m at 0.05 m).
 MAX_CELLS = 512
+"""Largest number of cells of a cluster (25 m at 0.05 m), which bounds the work of growing it."""
 MAX_SAMPLES = 32
+"""Largest number of target points of a cluster."""
 MAX_CLUSTERS = 8192
 MAX_KEPT = 1024
-_CELLS_PER_SIDE = 64
+"""Largest number of target points that are kept while their clusters are grown again."""
+_CELLS_PER_SIDE = 64  # room for this many frontier cells per row of the map
 ROWS = {("id", "size", "samples", "sample"): MAX_CLUSTERS, ("cell",): 1 << 18, ("free",): 1 << 13}
 """Groups of arrays in a `state_dict` with equally many rows, and the largest number of rows."""
-# Entries of `Clusters.count`.
+# Indices of the entries of `Clusters.count`.
 FREE_NODE, FREE_IDS, OVERFLOW, KEPT = 0, 1, 2, 3
 
 
@@ -104,16 +106,16 @@ def retest(layers, shift_x, shift_y, x0, y0, x1, y1, clusters, n_pending):
             sw = (w + (shift_x >> 6)) % words
             free = layers.known[sy, sw] & ~layers.blocked[sy, sw]
             unknown = _unknown(layers, sy, sw)
-            beside = (unknown << one) | (unknown >> one)
+            next_to_unknown = (unknown << one) | (unknown >> one)
             if w > 0:
-                beside |= _unknown(layers, sy, (sw + words - 1) % words) >> top
+                next_to_unknown |= _unknown(layers, sy, (sw + words - 1) % words) >> top
             if w < words - 1:
-                beside |= _unknown(layers, sy, (sw + 1) % words) << top
+                next_to_unknown |= _unknown(layers, sy, (sw + 1) % words) << top
             if y > 0:
-                beside |= _unknown(layers, (sy + n - 1) % n, sw)
+                next_to_unknown |= _unknown(layers, (sy + n - 1) % n, sw)
             if y < n - 1:
-                beside |= _unknown(layers, (sy + 1) % n, sw)
-            now = free & beside
+                next_to_unknown |= _unknown(layers, (sy + 1) % n, sw)
+            now = free & next_to_unknown
             flips = now ^ layers.frontier[sy, sw]
             if flips == zero:
                 continue
@@ -179,7 +181,7 @@ def _dissolve(flat, clusters, k, n_pending):
         return n_pending
     node = clusters.head[k]
     while node >= 0:
-        following = clusters.node_next[node]
+        next_node = clusters.node_next[node]
         cell = clusters.node_cell[node]
         if flat[cell] == k:
             flat[cell] = -1
@@ -188,7 +190,7 @@ def _dissolve(flat, clusters, k, n_pending):
                 n_pending += 1
         clusters.node_next[node] = clusters.count[FREE_NODE]
         clusters.count[FREE_NODE] = node
-        node = following
+        node = next_node
     for i in range(clusters.samples[k]):
         if clusters.count[KEPT] < len(clusters.kept):
             clusters.kept[clusters.count[KEPT]] = clusters.sample[k, i]
@@ -215,10 +217,10 @@ def _grow(layers, flat, shift_x, shift_y, clusters, seed):
     queue = clusters.queue
     queue[0] = seed
     flat[seed] = k
-    done, found = 0, 1
-    while done < found:
-        cell = queue[done]
-        done += 1
+    n_done, n_queued = 0, 1
+    while n_done < n_queued:
+        cell = queue[n_done]
+        n_done += 1
         node = clusters.count[FREE_NODE]
         if node < 0:
             clusters.count[OVERFLOW] += 1
@@ -231,11 +233,11 @@ def _grow(layers, flat, shift_x, shift_y, clusters, seed):
         for ny in range(max(y - 1, 0), min(y + 2, n)):
             for nx in range(max(x - 1, 0), min(x + 2, n)):
                 near = ((ny + shift_y) % n) * n + (nx + shift_x) % n
-                if flat[near] == -1 and found < MAX_CELLS:
+                if flat[near] == -1 and n_queued < MAX_CELLS:
                     flat[near] = k
-                    queue[found] = near
-                    found += 1
-    clusters.size[k] = done
+                    queue[n_queued] = near
+                    n_queued += 1
+    clusters.size[k] = n_done
 
 
 @jit
@@ -287,18 +289,18 @@ def _central(n, shift_x, shift_y, clusters, k):
 @jit
 def _add_apart(n, shift_x, shift_y, clusters, k, cell, spacing_cells):
     """Make a cell a target point of its cluster unless one is nearer than `spacing_cells`."""
-    chosen = clusters.samples[k]
-    if chosen == MAX_SAMPLES:
+    n_samples = clusters.samples[k]
+    if n_samples == MAX_SAMPLES:
         return
     x, y = (cell % n - shift_x) % n, (cell // n - shift_y) % n
-    for i in range(chosen):
+    for i in range(n_samples):
         other = clusters.sample[k, i]
         dx = x - (other % n - shift_x) % n
         dy = y - (other // n - shift_y) % n
         if dx * dx + dy * dy < spacing_cells * spacing_cells:
             return
-    clusters.sample[k, chosen] = cell
-    clusters.samples[k] = chosen + 1
+    clusters.sample[k, n_samples] = cell
+    clusters.samples[k] = n_samples + 1
 
 
 @jit

@@ -1,8 +1,8 @@
 """Detector coverage: how often the detector saw each place, and the best view of unseen places.
 
-A place is a square of about a quarter of a metre. The camera sees the places along a straight line
-over free cells, up to and including the first occupied one. The search for views uses the same
-rule, so a view shows what the search expected of it.
+A place is a square of about a quarter of a metre. Along a ray, the camera sees the places over free
+cells, up to and including the first occupied cell. The search for views uses the same rule, so a
+view shows the places that the search expected.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from edge.mapping.window import Window
 from edge.types import Observation
 
 PLACE_M = 0.25
+"""Side of a place; rounded to a power of two of the map's cells."""
 NEAR_M = 0.8
 """Places nearer than this are outside the image."""
 LEAST_M2 = 0.5
@@ -33,10 +34,13 @@ SURE = 0.85
 The robot stops slightly off the planned pose.
 """
 WORK_PER_STEP = 100_000
-"""Work of one search step, in lattice points visited (some 10 ns each)."""
-_REACHED_WORK, _CAST_WORK = 64, 2048
+"""Work of one search step. The unit is one visit of a lattice point, some 10 ns."""
+_REACHED_WORK = 64  # work of counting the unseen places around a point
+_CAST_WORK = 2048  # work of casting rays from a point
 MAX_RAYS = 512
-# A place's byte: number of looks up to `MOST_LOOKS`, and a flag that only kernels use.
+"""Largest number of rays of a full circle."""
+# A place's byte holds its number of looks up to `MOST_LOOKS`, and a flag. A kernel sets the flag on
+# places that the current rays have crossed, so that each place counts once, and clears it.
 MOST_LOOKS, _FLAG = 127, 128
 # Action on the places that a ray cast showed.
 KEEP, COUNT, WRITE_OFF = range(3)
@@ -75,9 +79,9 @@ class Coverage:
         resolution_m, n = window.resolution_m, window.n
         # The window moves by multiples of 64 cells, and so of a place's side.
         self._bits = min(6, max(0, round(math.log2(PLACE_M / resolution_m))))
-        self._least = max(1, round(LEAST_M2 / (resolution_m * 2**self._bits) ** 2))
+        self._min_places = max(1, round(LEAST_M2 / (resolution_m * 2**self._bits) ** 2))
         self.looks = np.zeros((n >> self._bits, n >> self._bits), np.uint8)
-        self._fresh = np.zeros(MAX_RAYS, np.int32)
+        self._new_places = np.zeros(MAX_RAYS, np.int32)
         self._fov_rad = self._range_m = 0.0
         self._images_needed = 1
         self._next = 0  # lattice point where the search continues
@@ -112,20 +116,20 @@ class Coverage:
         T = seen.T_map_base @ seen.T_base_camera
         self.camera_yaw_rad = optical_yaw_rad(seen.T_base_camera)
         far = range_m / self._window.resolution_m
-        between, rays = sector(camera.hfov_rad, far, self._bits)
-        first = optical_yaw_rad(T) - 0.5 * (rays - 1) * between
-        self._show(T[0, 3], T[1, 3], first, between, rays, far, COUNT)
+        step_rad, rays = sector(camera.hfov_rad, far, self._bits)
+        first = optical_yaw_rad(T) - 0.5 * (rays - 1) * step_rad
+        self._show(T[0, 3], T[1, 3], first, step_rad, rays, far, COUNT)
 
     def is_worth_it(self, view: Viewpoint) -> bool:
         """Return True if a view still shows enough places that were not seen well."""
-        return self._planned(view, KEEP) >= self._least
+        return self._planned(view, KEEP) >= self._min_places
 
     def area_m2(self, view: Viewpoint) -> float:
         """Return the area that a view still shows of places that were not seen well."""
         return self._planned(view, KEEP) * (self._window.resolution_m * 2**self._bits) ** 2
 
     def write_off(self, view: Viewpoint) -> None:
-        """Never seek the places of a view again that are still not seen well."""
+        """Exclude the places of a view that are still not seen well from all later searches."""
         self._planned(view, WRITE_OFF)
 
     def snapshot(self) -> Grid:
@@ -163,7 +167,8 @@ class Coverage:
         self._next = best_view(
             self._layers, distance, *rect, *self._window.origin, self.looks, self._bits,
             self._images_needed, SURE * self._fov_rad, NEAR_M / res, SURE * self._range_m / res,
-            START_M / res, self._least, self._fresh, self._next, WORK_PER_STEP, self._best,
+            START_M / res, self._min_places, self._new_places, self._next, WORK_PER_STEP,
+            self._best,
         )  # fmt: skip
         if self._next > 0:
             return False
@@ -173,25 +178,33 @@ class Coverage:
         self._best[:] = 0.0
         return True
 
-    def _planned(self, view: Viewpoint, then: int) -> int:
+    def _planned(self, view: Viewpoint, action: int) -> int:
+        """Return the number of places that a view shows and that were not seen well."""
         far = SURE * self._range_m / self._window.resolution_m
         between, width = sector(SURE * self._fov_rad, far, self._bits)
         first = view.heading_rad - 0.5 * (width - 1) * between
-        return self._show(view.x_m, view.y_m, first, between, width, far, then)
+        return self._show(view.x_m, view.y_m, first, between, width, far, action)
 
     def _show(
-        self, x_m: float, y_m: float, first: float, between: float, rays: int, far: float, then: int
+        self,
+        x_m: float,
+        y_m: float,
+        first: float,
+        between: float,
+        rays: int,
+        far: float,
+        action: int,
     ) -> int:
         """Call the kernel `show` with coordinates in metres of `map`."""
         window, res, (ox, oy) = self._window, self._window.resolution_m, self._window.origin
-        if then != KEEP:
+        if action != KEEP:
             x, y = window.cell_of(x_m, y_m)
             reach = math.ceil(far) + 1
             window.mark_written(x - reach, y - reach, x + reach + 1, y + reach + 1)
         return show(
             self._layers.raw, self.looks, self._bits, *window.shift,
             x_m / res - ox, y_m / res - oy, first, between, rays, NEAR_M / res, far,
-            self._images_needed, then, self._fresh,
+            self._images_needed, action, self._new_places,
         )  # fmt: skip
 
 
@@ -208,27 +221,27 @@ def sector(fov, far, bits):
 
 @jit
 def show(
-    raw, looks, bits, shift_x, shift_y, x, y, first, between, rays, near, far, enough, then, fresh
+    raw, looks, bits, shift_x, shift_y, x, y, first, between, rays, near, far, enough, action, new
 ):  # fmt: skip
     """Cast rays from a camera and update the places that it sees.
 
     - `x`, `y`: window coordinates in cells, with fractions.
     - `first`, `between`: direction of the first ray, and angle to the next, radians.
     - `near`, `far`: range in cells that counts.
-    - `then`: COUNT a look, WRITE_OFF places with too few looks, or KEEP everything.
-    - `fresh`: (rays,) int32 output: places with too few looks that this ray was the first to show.
+    - `action`: COUNT a look, WRITE_OFF places with too few looks, or KEEP everything.
+    - `new`: (rays,) int32 output: number of places with too few looks that no earlier ray showed.
 
     Returns:
-        The sum of `fresh`.
+        The sum of `new`.
     """
     total = 0
     for k in range(rays):
         angle = first + between * k
-        fresh[k] = _ray(
+        new[k] = _ray(
             raw, looks, bits, shift_x, shift_y, x, y, math.cos(angle), math.sin(angle),
             near, far, enough,
         )  # fmt: skip
-        total += fresh[k]
+        total += new[k]
     m = looks.shape[0]
     x0, y0, x1, y1 = _square(x, y, far, bits, m)
     for cy in range(y0, y1):
@@ -238,9 +251,9 @@ def show(
             if looks[sy, sx] < _FLAG:
                 continue
             before = looks[sy, sx] - _FLAG
-            if then == COUNT and before < MOST_LOOKS:
+            if action == COUNT and before < MOST_LOOKS:
                 before += 1
-            elif then == WRITE_OFF and before < enough:
+            elif action == WRITE_OFF and before < enough:
                 before = MOST_LOOKS
             looks[sy, sx] = before
     return total
@@ -269,29 +282,29 @@ def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, enough):
     """Flag the places along a ray; return how many of them are new and have too few looks."""
     n = raw.shape[0]
     step = max(1.0, 0.25 * (1 << bits))
-    fresh, along = 0, 0.0
-    while along <= far:
-        sx, sy = math.floor(x + along * dx), math.floor(y + along * dy)
+    n_new, distance = 0, 0.0
+    while distance <= far:
+        sx, sy = math.floor(x + distance * dx), math.floor(y + distance * dy)
         if sx < 0 or sy < 0 or sx >= n or sy >= n:
             break
         sx, sy = _stored(sx, shift_x, n), _stored(sy, shift_y, n)
         state = raw[sy, sx]
         if state == UNSEEN:
             break
-        if along >= near:
+        if distance >= near:
             before = looks[sy >> bits, sx >> bits]
             if before < _FLAG:
                 looks[sy >> bits, sx >> bits] = before + _FLAG
                 if before < enough:
-                    fresh += 1
+                    n_new += 1
         if state >= OCCUPIED:
             break
-        along += step
-    return fresh
+        distance += step
+    return n_new
 
 
 @jit
-def _bad_around(looks, bits, shift_x, shift_y, x, y, far, enough):
+def _unseen_around(looks, bits, shift_x, shift_y, x, y, far, enough):
     """Count the places with too few looks in the square around a cell: the most a view shows."""
     m = looks.shape[0]
     x0, y0, x1, y1 = _square(x, y, far, bits, m)
@@ -305,14 +318,14 @@ def _bad_around(looks, bits, shift_x, shift_y, x, y, far, enough):
 
 
 @jit
-def _best_sector(fresh, circle, width):
+def _best_sector(new, circle, width):
     """Return (places, first ray) of the best `width` neighbouring rays of a full circle."""
     now = 0
     for k in range(width):
-        now += fresh[k]
+        now += new[k]
     best, first = now, 0
     for k in range(1, circle):
-        now += fresh[(k + width - 1) % circle] - fresh[k - 1]
+        now += new[(k + width - 1) % circle] - new[k - 1]
         if now > best:
             best, first = now, k
     return best, first
@@ -321,12 +334,12 @@ def _best_sector(fresh, circle, width):
 @jit
 def best_view(
     layers, distance, x0, y0, x1, y1, origin_x, origin_y, looks, bits, enough, fov, near, far,
-    start, least, fresh, at, work, best,
+    start_cells, least, new, at, work, best,
 ):  # fmt: skip
     """Continue the search over the lattice of reachable cells, one per place, from point `at`.
 
     The value of a view is the number of places it shows over the length of the path to it plus
-    `start` cells.
+    `start_cells`.
 
     - `distance`: driving-distance field, valid in the world cells `x0`, `y0`, `x1`, `y1`.
     - `least`: a view with fewer places has no value.
@@ -344,7 +357,7 @@ def best_view(
     circle = round(2.0 * math.pi / between)
     # Upper bound of the places in a sector, including those cut by its rim.
     angle = between * width
-    room = (0.5 * angle * far * far / side + (2.0 + angle) * far) / side
+    most_places = (0.5 * angle * far * far / side + (2.0 + angle) * far) / side
     while at < columns * rows:
         if work <= 0:
             return at
@@ -355,20 +368,20 @@ def best_view(
         steps = distance[sy, sx]
         if steps == 0 or bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
             continue
-        cost = start + (steps - 1) / STRAIGHT
-        if room / cost <= best[_WORTH]:
+        cost = start_cells + (steps - 1) / STRAIGHT
+        if most_places / cost <= best[_WORTH]:
             continue
         work -= _REACHED_WORK
         x, y = wx - origin_x + 0.5, wy - origin_y + 0.5
-        most = min(_bad_around(looks, bits, shift_x, shift_y, x, y, far, enough), room)
-        if most < least or most / cost <= best[_WORTH]:
+        limit = min(_unseen_around(looks, bits, shift_x, shift_y, x, y, far, enough), most_places)
+        if limit < least or limit / cost <= best[_WORTH]:
             continue
         work -= _CAST_WORK
         show(
             layers.raw, looks, bits, shift_x, shift_y, x, y, 0.0, between, circle, near, far,
-            enough, KEEP, fresh,
+            enough, KEEP, new,
         )  # fmt: skip
-        places, first = _best_sector(fresh, circle, width)
+        places, first = _best_sector(new, circle, width)
         if places >= least and places / cost > best[_WORTH]:
             best[_WORTH], best[_X], best[_Y] = places / cost, wx, wy
             best[_HEADING] = (first + 0.5 * (width - 1)) * between

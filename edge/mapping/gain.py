@@ -20,11 +20,15 @@ from edge.mapping.window import Window
 OPEN_M = 2.5
 """Mean free length of a ray through rooms that were not seen yet."""
 RAYS = 64
+"""Number of rays of a full turn; `sector_bits` has one bit for each."""
 STEP_CELLS = 2.0
+"""Step along a ray in cells."""
 SURE = 0.85
-"""Share of the field of view and of the range that is assumed."""
-HERE_M, PLACES = 0.8, 256
-"""Number of places that are remembered, the latest ones; within `HERE_M` views show the same."""
+"""Share of the field of view and of the range that is used, to be on the safe side."""
+HERE_M = 0.8
+"""Views in one direction from places within this distance show the same."""
+PLACES = 256
+"""Largest number of remembered places; the oldest are forgotten."""
 CROWDED = 5
 """With this many occupied cells around it, a free cell is a gap in a wall seen from afar."""
 RAY_LEAST_M2 = 0.05
@@ -77,10 +81,10 @@ class InformationGain:
     def best_spin(
         self, pose: SE2, camera_yaw_rad: float, fov_rad: float
     ) -> tuple[float, float, float]:
-        """Find the turn on the spot that shows unknown area the camera did not see from near here.
+        """Find the turn on the spot that shows unknown area in directions not yet seen from here.
 
         Args:
-            pose: the robot's.
+            pose: pose of the robot.
             camera_yaw_rad: yaw of the camera on the robot.
             fov_rad: horizontal field of view.
 
@@ -113,7 +117,7 @@ class InformationGain:
         """Restore a `state_dict`.
 
         Raises:
-            ValueError: it is not one.
+            ValueError: the state is invalid.
         """
         rows: Rows = {("at_m", "looked"): PLACES}
         check_arrays(state, self.state_dict(), rows, {"next": PLACES - 1})
@@ -149,7 +153,7 @@ def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
     n = raw.shape[0]
     total = 0.0
     for k in range(len(direction)):
-        px, py, seen, open_ = x, y, 0.0, 1.0
+        px, py, seen, p_open = x, y, 0.0, 1.0
         for s in range(len(area)):
             px += direction[k, 0]
             py += direction[k, 1]
@@ -160,8 +164,8 @@ def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
             if raw[cy, cx] >= OCCUPIED or near[cy, cx] & ~ZONE >= CROWDED:
                 break
             if raw[cy, cx] == UNSEEN:
-                open_ *= decay
-                seen += open_ * area[s]
+                p_open *= decay
+                seen += p_open * area[s]
         out[k] = seen
         total += seen
     return total
@@ -193,11 +197,18 @@ def sector_bits(ahead, fov):
 def best_sweep(ray, looked, fov, ahead):
     """Find the shorter turn, left or right, over all unseen rays that show enough.
 
+    Args:
+        ray: (RAYS,) float64, area that each ray shows in m².
+        looked: rays that the camera has seen from near here, as bits.
+        fov: field of view in radians.
+        ahead: direction of the camera in radians.
+
     Returns:
-        (turn to the next view, angle of the whole turn, area). The turn to the next view is at most
-        120 degrees, so that no controller takes the other way round.
+        (turn to the next view, angle of the whole turn, area in m²). Angles are in radians; a turn
+        to the right is negative. The turn to the next view is at most 120 degrees, so that no
+        controller takes the other way round.
     """
-    left, right, total = 0.0, 0.0, 0.0
+    left_turn, right_turn, total = 0.0, 0.0, 0.0
     half = 0.5 * fov
     for k in range(RAYS):
         if ray[k] < RAY_LEAST_M2 or (looked >> np.uint64(k)) & np.uint64(1) != np.uint64(0):
@@ -205,11 +216,11 @@ def best_sweep(ray, looked, fov, ahead):
         total += ray[k]
         off = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi
         # To bring the ray into view from either side.
-        left = max(left, off % (2.0 * math.pi) - half)
-        right = max(right, -off % (2.0 * math.pi) - half)
+        left_turn = max(left_turn, off % (2.0 * math.pi) - half)
+        right_turn = max(right_turn, -off % (2.0 * math.pi) - half)
     if total == 0.0:
         return 0.0, 0.0, 0.0
-    most = 2.0 * math.pi / 3.0
-    if left <= right:
-        return min(left, most), left, total
-    return -min(right, most), right, total
+    max_turn = 2.0 * math.pi / 3.0
+    if left_turn <= right_turn:
+        return min(left_turn, max_turn), left_turn, total
+    return -min(right_turn, max_turn), right_turn, total

@@ -37,26 +37,28 @@ _FLOOR_GAIN = 0.2
 # Poses farther apart do not join the trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
 FRONTIER_MIN_CELLS, FRONTIER_LARGE_CELLS, FRONTIER_SPACING_M = 6, 40, 1.0
-"""A smaller cluster is not a frontier. A large one has several target points at this spacing."""
+"""A cluster with fewer cells than the first number is not a frontier. A cluster with at least the
+second number has several target points at this spacing."""
 MAX_FRONTIERS = 256
 REACH_CELLS_PER_TICK = 8000
-"""Cells by which the driving-distance field grows per tick.
+"""Cells by which the travel-cost field grows per tick.
 
 More cells make a tick slower; fewer make the field older.
 """
 CLEAR_AFTER = 2
 """Number of updates in a row that must see through an obstacle to clear it."""
 GROUND_SLOPE = 0.3
+"""Largest slope of ground that the robot can drive on; see `points.sweep_ground`."""
 _ROBOT = config.RobotConfig()
 _VALUE_CELL_M = 0.2  # cell of value maps, rounded to a power of two of the map's cells
 _VALUE_BETA = 0.5  # ViTL's edge attenuation factor (IV-B2)
-_NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
+_EMPTY_RECT = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
 
 
 class RollingMap:
     """A square window of the world that follows the robot; memory is fixed at construction.
 
-    The floor is the floor seen near the robot, at any z in `map`.
+    Heights are measured from the floor that is seen near the robot, at any z in `map`.
 
     Args:
         config: settings of the map.
@@ -66,11 +68,11 @@ class RollingMap:
     Attributes:
         frontiers: target points, refreshed in place by every update.
         travel_cost: driving distances from the robot; call its `step` once per tick.
-        bumps: obstacles that held the robot up but that no sensor shows.
+        bumps: obstacles that no sensor shows, but at which the robot was blocked.
         zones: areas that the robot must not enter; set by `set_zones`.
-        coverage: places that the detector has seen; call its `look` for each searched image.
+        coverage: places that the detector has seen; call its `on_image` for each searched image.
         gain: unknown area that a view would show.
-        values: scores of places; call its `begin` before feeding it.
+        values: scores of places; call its `set_targets` before writing to it.
         window: part of the world that is held; only the map moves it.
         layers: arrays that updates write, read-only, by storage cell (see `edge.mapping.layers`).
 
@@ -87,19 +89,19 @@ class RollingMap:
 
     def __init__(self, config: config.MappingConfig, robot: config.RobotConfig = _ROBOT) -> None:
         c = self.config = config
-        self._robot_shape = robot
+        self._robot_config = robot
         res = c.resolution_m
         # An obstacle may be at the rim of its cell, half a cell nearer than the centre.
         self._inflation_cells = c.inflation_m / res + 0.5
         self._disc = ly.disc_half_widths(self._inflation_cells)
         self._body = ly.disc_half_widths(max(self._inflation_cells - ROUNDING_CELLS, 0.0))
         self._footprint = ly.disc_half_widths(max(_FOOTPRINT_M, robot.radius_m) / res)
-        self._stood_on = ly.disc_half_widths(max(robot.radius_m / res - _OFF_CENTRE_CELLS, 0.0))
+        self._freed_disc = ly.disc_half_widths(max(robot.radius_m / res - _OFF_CENTRE_CELLS, 0.0))
         self._polar = points.make_polar(c.range_m, res)
         self._half = self._polar.bin_of.shape[0] // 2
         # Cells that must lie in the window on each side of the sensor.
-        self._need = self._half + len(self._disc) // 2 + 1
-        cells = max(math.ceil(c.extent_m / res), 2 * self._need + 1 + ly.WORD)
+        self._reach_cells = self._half + len(self._disc) // 2 + 1
+        cells = max(math.ceil(c.extent_m / res), 2 * self._reach_cells + 1 + ly.WORD)
         n = ly.WORD * math.ceil(cells / ly.WORD)
         self.window = Window(n, res)
         self._layers = ly.make_layers(n)
@@ -107,14 +109,14 @@ class RollingMap:
         self._clusters = cl.make_clusters(n)
         self._n_pending = 0
         self._scan = points.make_scan(self._polar, 1024)
-        self._robot: tuple[int, int] | None = None  # its world cell at the last update
-        self._lost = np.zeros(self._polar.sectors, np.uint64)
+        self._robot_cell: tuple[int, int] | None = None  # its world cell at the last update
+        self._lost_rays = np.zeros(self._polar.sectors, np.uint64)
         self._floor, self._levels = np.zeros(3), np.zeros((2, 64))
         self._floor_m = math.nan  # height of the floor over the base; NaN until it was seen
         self._base_z_m = math.nan  # height of the base when the floor was last seen
-        self._nowhere = False  # True if the ground is far below the base; then no cell is freed
-        self._changed = np.array(_NOTHING, np.int64)
-        self._explored = np.array(_NOTHING, np.int64)
+        self._no_floor = False  # True if the ground is far below the base; then no cell is freed
+        self._changed = np.array(_EMPTY_RECT, np.int64)
+        self._explored = np.array(_EMPTY_RECT, np.int64)
         self._flipped = np.zeros(self._polar.bin_of.size, np.int32)
         self._flood = (np.zeros(64, np.uint64), np.zeros(64, np.uint64))
         self._flood_disc = (0.0, ly.disc_half_widths(0.0))
@@ -147,7 +149,7 @@ class RollingMap:
 
         Args:
             depth_m: (h, w) float32; NaN, 0, inf and values over 1e6 are no returns.
-            camera: its intrinsics.
+            camera: intrinsics of the depth camera.
             T_map_base: (4, 4), pose of the robot's base at the image's stamp.
             T_base_camera: (4, 4), pose of the optical frame on the base.
 
@@ -170,10 +172,10 @@ class RollingMap:
             np.float32(self.config.min_range_m),
         )  # fmt: skip
         n_points = points.from_depth(*seen, self._scan.xyz)
-        self._lost[:] = 0
+        self._lost_rays[:] = 0
         if n_points < self._n_pixels:
-            points.lost_rays(*seen, self._polar, self._lost)
-        return self._finish(
+            points.lost_rays(*seen, self._polar, self._lost_rays)
+        return self._integrate(
             n_points, n_points, T, cell, fraction, T_map_base, T_base_camera, rolled
         )
 
@@ -199,8 +201,8 @@ class RollingMap:
         hits, n_points = points.from_cloud(
             ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
         )
-        self._lost[:] = 0
-        return self._finish(n_points, hits, T, cell, fraction, T_map_base, T_base_lidar, rolled)
+        self._lost_rays[:] = 0
+        return self._integrate(n_points, hits, T, cell, fraction, T_map_base, T_base_lidar, rolled)
 
     def set_zones(
         self, keep_out_m: Sequence[np.ndarray], stay_inside_m: Sequence[np.ndarray]
@@ -255,7 +257,7 @@ class RollingMap:
             cells = np.empty((max(y1 - y0, 0), max(x1 - x0, 0)), np.int8)
             corner = origin[0] + x0, origin[1] + y0
             # A robot inside a zone gets the map without zones, or its controller could not leave.
-            zones = self._robot is None or not self.zones.contains_cell(*self._robot)
+            zones = self._robot_cell is None or not self.zones.contains_cell(*self._robot_cell)
             compose(self._layers, self._body, *corner, inflated, zones, cells)
             if self.window.origin == origin:
                 corner_m = (corner[0] * self.resolution_m, corner[1] * self.resolution_m)
@@ -314,7 +316,7 @@ class RollingMap:
 
     def state_dict(self) -> Arrays:
         """Return the state outside `planes`; unknown `robot` and `floor_m` have no row."""
-        robot = np.array([] if self._robot is None else [self._robot], np.int64)
+        robot = np.array([] if self._robot_cell is None else [self._robot_cell], np.int64)
         floor_m = self._floor_m, self._base_z_m
         known = all(abs(z_m) < FARTHEST_M for z_m in floor_m)
         return {
@@ -335,7 +337,7 @@ class RollingMap:
             state: result of `state_dict`.
             packed: state of `tiles.PackedTiles` with the contents of `planes`.
             tile_bytes: unpacked size of a tile.
-            values: True if the value maps have the same targets and cells.
+            values: True to load the value maps too: they have the same targets and cells.
 
         Raises:
             ValueError: this is not the state of a map.
@@ -345,7 +347,7 @@ class RollingMap:
         rows |= {("robot",): 1, ("floor_m",): 1}
         check_arrays(state, self.state_dict(), rows, {"cells": 1 << 16})
         robot = [(x, y) for x, y in state["robot"].tolist()]
-        self._robot = robot[0] if robot else None
+        self._robot_cell = robot[0] if robot else None
         for floor_m in state["floor_m"].tolist():
             self._floor_m, self._base_z_m = floor_m
         x, y = state["origin"].tolist()
@@ -359,7 +361,7 @@ class RollingMap:
         seen = layers.raw != ly.UNSEEN
         layers.known[:] = ly.bits_of(seen)
         if seen.any():
-            whole, changed = (0, 0, n, n), np.array(_NOTHING, np.int64)
+            whole, changed = (0, 0, n, n), np.array(_EMPTY_RECT, np.int64)
             ly.inflate_into(layers, *window.shift, whole, whole, self._disc, changed)
             for axis in (0, 1):
                 at = (np.flatnonzero(seen.any(axis=axis)) - window.origin[axis]) % n
@@ -418,7 +420,7 @@ class RollingMap:
         fraction = (np.float32(self._half + x - cell[0]), np.float32(self._half + y - cell[1]))
         return np.ascontiguousarray(T_map_sensor[:3], np.float32), cell, fraction
 
-    def _finish(
+    def _integrate(
         self,
         n_points: int,
         hits: int,
@@ -431,7 +433,7 @@ class RollingMap:
     ) -> MapUpdate:
         """Complete an update after scan.xyz is filled: first `hits`, then the ends of free rays."""
         c, polar, scan, layers = self.config, self._polar, self._scan, self._layers
-        sensor_z, robot = float(T[2, 3]), self._robot_shape
+        sensor_z, robot = float(T[2, 3]), self._robot_config
         if robot.self_filter_m:
             axes = T_map_base[:3, :3].astype(np.float32, order="C")
             sensor_m = T_base_sensor[:3, 3].astype(np.float32)
@@ -451,7 +453,7 @@ class RollingMap:
         )  # fmt: skip
         base_x, base_y, base_z = T_map_base[:3, 3].tolist()
         floor_seen = self._find_floor(sensor_z, base_z)
-        if self._nowhere:
+        if self._no_floor:
             n, scan.reach_m[:] = 0, 0.0
         coded_m = max(c.obstacle_max_m, points.CODED_M)
         points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m, coded_m)
@@ -460,21 +462,21 @@ class RollingMap:
         shift, origin = self.window.shift, self.window.origin
         corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
         update.apply_scan(
-            layers, *shift, *corner, scan, polar, self._lost, sensor_z, c.obstacle_min_m,
+            layers, *shift, *corner, scan, polar, self._lost_rays, sensor_z, c.obstacle_min_m,
             c.obstacle_max_m, coded_m, CLEAR_AFTER, self._disc, self._changed, self._explored,
             self._flipped,
         )  # fmt: skip
         robot_cell = self.window.cell_of(base_x, base_y)
         update.free_footprint(
             layers, *shift, robot_cell[0] - origin[0], robot_cell[1] - origin[1],
-            self._footprint, self._stood_on, self._disc, self._changed, self._explored,
+            self._footprint, self._freed_disc, self._disc, self._changed, self._explored,
         )  # fmt: skip
         self._extend_trail(robot_cell)
         self.bumps.clear_under_robot(robot_cell)
         self.bumps.open_seen_free()
-        self._note_written(cell, robot_cell)
+        self._mark_tiles(cell, robot_cell)
         changed = self._refresh_frontiers(rolled)
-        return MapUpdate(changed, rolled, base_z + self._floor_m, floor_seen, self._nowhere)
+        return MapUpdate(changed, rolled, base_z + self._floor_m, floor_seen, self._no_floor)
 
     def _find_floor(self, sensor_z: float, base_z: float) -> bool:
         """Follow the ground from the floor under the robot; return True if the floor was seen.
@@ -512,7 +514,7 @@ class RollingMap:
             known = abs(floor_z - base_z - self._floor_m) <= step_m
             floor_z += (_FLOOR_GAIN if known else 1.0) * (total / count - floor_z)
             self._floor_m, self._base_z_m = floor_z - base_z, base_z
-        self._nowhere = not count and below_m2 > points.LEAST_FLOOR_M2
+        self._no_floor = not count and below_m2 > points.LEAST_FLOOR_M2
         return count > 0
 
     def _write(self, x: int, y: int, state: int, top: int = 0) -> None:
@@ -532,21 +534,21 @@ class RollingMap:
 
     def _extend_trail(self, robot: tuple[int, int]) -> None:
         """Mark the robot's path on the trail, where its body fits; see `layers.on_trail`."""
-        before, (ox, oy) = self._robot, self.window.origin
+        before, (ox, oy) = self._robot_cell, self.window.origin
         if before is None or math.dist(before, robot) > _TRAIL_STEP_CELLS:
             before = robot
         ly.mark_trail(
             self._layers, *self.window.shift,
             before[0] - ox, before[1] - oy, robot[0] - ox, robot[1] - oy,
         )  # fmt: skip
-        self._robot = robot
+        self._robot_cell = robot
 
-    def _note_written(self, sensor: tuple[int, int], robot: tuple[int, int]) -> None:
+    def _mark_tiles(self, sensor: tuple[int, int], robot: tuple[int, int]) -> None:
         """Mark the tiles that one update wrote, around the sensor and around the robot."""
-        reach, (x, y), wrote = self._half + 1, sensor, self.window.mark_written
-        wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
+        reach, (x, y), mark = self._half + 1, sensor, self.window.mark_written
+        mark(x - reach, y - reach, x + reach + 1, y + reach + 1)
         reach, (x, y) = max(len(self._footprint) // 2, _TRAIL_STEP_CELLS) + 1, robot
-        wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
+        mark(x - reach, y - reach, x + reach + 1, y + reach + 1)
 
     def _refresh_frontiers(self, rolled: bool) -> tuple[int, int, int, int]:
         """Find frontiers in the changed cells, list the target points, return these cells.
@@ -560,7 +562,7 @@ class RollingMap:
             self._retest(x0 - 1, y0 - 1, x1 + 1, y1 + 1)
             ox, oy = window.origin
             world = (x0 + ox, y0 + oy, x1 + ox, y1 + oy)
-            self._changed[:] = _NOTHING
+            self._changed[:] = _EMPTY_RECT
         res = self.resolution_m
         moved = cl.regroup(
             layers, *window.shift, self._clusters, self._n_pending,
@@ -591,7 +593,7 @@ class RollingMap:
             return False
         rolled = False
         for axis, at in enumerate((x, y)):
-            low, high = at - self._need, at + self._need + 1
+            low, high = at - self._reach_cells, at + self._reach_cells + 1
             origin = window.origin[axis]
             shift = 0
             if low < origin:
@@ -609,9 +611,9 @@ class RollingMap:
         """Move the window along one axis by a multiple of 64 cells; clear the strip that leaves."""
         window, n, layers, shift = self.window, self.window.n, self._layers, self.window.shift
         margin = len(self._disc) // 2
-        gone = min(abs(by), n)
-        out = (0, gone) if by > 0 else (n - gone, n)
-        come = (n - gone, n) if by > 0 else (0, gone)
+        strip = min(abs(by), n)
+        out = (0, strip) if by > 0 else (n - strip, n)
+        come = (n - strip, n) if by > 0 else (0, strip)
         ly.remove_obstacles(layers, *shift, *_band(axis, out, n), self._disc, self._changed)
         ly.wipe(layers, *shift, *_band(axis, out, n), self._clusters.dirty)
         x0, y0, x1, y1 = _band(axis, out, n)
@@ -626,9 +628,9 @@ class RollingMap:
             rect[axis] = max(rect[axis] - by, low)
             rect[axis + 2] = min(rect[axis + 2] - by, high)
         if self._explored[axis] >= self._explored[axis + 2]:
-            self._explored[:] = _NOTHING
+            self._explored[:] = _EMPTY_RECT
         if self._changed[axis] >= self._changed[axis + 2]:
-            self._changed[:] = _NOTHING
+            self._changed[:] = _EMPTY_RECT
         edge = (come[0] - margin, come[0]) if by > 0 else (come[1], come[1] + margin)
         shift = window.shift
         ly.inflate_into(

@@ -22,10 +22,11 @@ LOWEST_OBSTACLE, HEIGHT_CODES = 3, 250
 # A step is at least this share of obstacle_min_m high, such as a sill that stops the robot.
 _STEP_FROM = 0.5
 TALL = LOWEST_OBSTACLE + int(0.85 * HEIGHT_CODES)
-"""`Layers.top` from which an obstacle counts as a wall: nobody sees over it."""
+"""Value of `Layers.top` from which an obstacle is a wall, which the robot cannot see over."""
 CODED_M = 1.0
-"""Heights are coded up to this, or `obstacle_max_m` if that is more, so a low robot knows walls."""
-# An obstacle that ends this little below `obstacle_max_m` continues in the points above that.
+"""Heights are coded up to this height, or up to `obstacle_max_m` if that is higher. So a low robot
+can also tell walls from furniture."""
+# An obstacle that ends at most this far below `obstacle_max_m` may continue in the points above it.
 _GOES_ON_M = 0.1
 # Ground that varies by less is still the same ground (depth noise, carpets).
 _GROUND_NOISE_M = 0.02
@@ -34,29 +35,40 @@ _NEAR_GROUND_M = 1.5
 # Only ground seen over this length of a ray counts for that height. The foot of a bed is one
 # ring; if the floor before it is in the blind zone, it would raise the floor as the robot nears.
 _GROUND_RUN_M = 0.3
-_RUN_GAP = 2  # rings
+_RUN_GAP = 2  # largest number of rings without ground in such a length
 # Largest height of the base frame over the floor (a legged robot has it in its body).
 _HIGHEST_BASE_M = 0.9
 # Smaller areas are not floor: a wall has one ring, and objects on the floor are narrower.
-LEAST_FLOOR_M2, _LEAST_FLOOR_SHARE = 0.3, 0.3
-_LEVEL_M, _LEVELS_OF_FLOOR = 0.05, 4
+LEAST_FLOOR_M2 = 0.3
+# The same, as a share of the largest area at one height.
+_LEAST_FLOOR_SHARE = 0.3
+# The search for the floor counts area in levels of this height; the floor has this many levels.
+_LEVEL_M = 0.05
+_LEVELS_OF_FLOOR = 4
 # A ray that falls less than this slope hits a wall: a level scan sees no floor.
 _LEAST_FALL = 0.08
-# Range of the search for the floor, in heights of the sensor; there rays are steep enough.
-_SEARCH_HEIGHTS, _SEARCH_M, _SEARCH_BLIND = 4.0, 3.0, 2.0
+# Range of the search for the floor: the largest of this many heights of the sensor (there rays are
+# steep enough), this many metres, and this many times the sensor's smallest range.
+_SEARCH_HEIGHTS = 4.0
+_SEARCH_M = 3.0
+_SEARCH_BLIND = 2.0
 # Largest slope of the floor, from a tilted map or a climbing road.
 _STEEPEST_FLOOR = 0.15
-_FLOOR_SPREAD, _FITS = 0.06, 3
-# Each slope of rays without a return has one bit, from this slope upwards. Lower rays meet the
-# floor near the sensor, where many cameras return nothing.
+# The first fit of the floor's plane also takes ground that rises or falls by this slope.
+_FLOOR_SPREAD = 0.06
+_FITS = 3  # number of fits, each to the ground near the plane of the last fit
+# Slopes of rays without a return are kept as bits: `_LOST_BITS` bits from slope `_LOST_FROM`
+# upwards, `_LOST_PER_SLOPE` bits for each 1.0 of slope. Lower rays meet the floor near the sensor,
+# where many cameras return nothing.
 _LOST_FROM, _LOST_PER_SLOPE, _LOST_BITS = -0.75, 64, 64
+# Rays that meet the floor within this distance are ignored.
 _LOST_NEAR_M = 1.0
-# Fewer rays are only holes in the image.
+# Fewer rays without a return are only holes in the image.
 _LOST_LEAST = 3
 # Values beyond this range are no returns.
 _FARTHEST_M = np.float32(FARTHEST_M)
-_MIN_SECTOR_RAD = 0.0175
-_MAX_SPREAD = 16
+_MIN_SECTOR_RAD = 0.0175  # smallest width of a sector: a degree
+_MAX_SPREAD = 16  # largest value of `PolarGrid.spread`
 
 
 class PolarGrid(NamedTuple):
@@ -64,10 +76,11 @@ class PolarGrid(NamedTuple):
 
     Attributes:
         bin_of: (side, side) int32, sector * rings + ring of a cell's centre.
-        sector_of: (side, side) int16.
-        ring_of: (side, side) int16.
+        sector_of: (side, side) int16, sector of a cell's centre.
+        ring_of: (side, side) int16, ring of a cell's centre.
         distance_m: (side, side) float32, from the centre of the sensor's cell.
-        spread: (side, side) uint8, sectors on each side that an obstacle in the cell blocks.
+        spread: (side, side) uint8, number of sectors on each side of its own that an obstacle in
+            the cell blocks.
         direction: (sectors, 2) float32, unit vector of a sector's centre line.
         sectors: number of sectors.
         rings: number of rings.

@@ -16,9 +16,11 @@ from edge.mapping.points import TALL
 STRAIGHT, DIAGONAL = 5, 7
 BUCKETS = 8
 # For each of the eight neighbours in row order: the two straight ones next to a diagonal one.
-_BESIDE = np.array([[1, 3], [0, 0], [1, 4], [0, 0], [0, 0], [3, 6], [0, 0], [4, 6]])
+_NEXT_TO_DIAGONAL = np.array([[1, 3], [0, 0], [1, 4], [0, 0], [0, 0], [3, 6], [0, 0], [4, 6]])
 UNREACHED = np.int32(0)
-# Entries of `Wave.state`: cost being settled, cells queued, squared escape radius, start.
+"""Entry of `Wave.distance` of a cell that the field has not reached."""
+# Entries of `Wave.state`: cost being settled, number of queued cells, squared escape radius (-1 if
+# the start is free), storage cell of the start, number of cells that found their bucket full.
 _LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
 # An obstacle this near to a point of an object's surface is the object itself. With more cells, the
 # robot would stop behind the wall that the object stands at: noise puts some points into that wall.
@@ -33,7 +35,7 @@ class Wave(NamedTuple):
         bucket: (8, m) int32, queued cells by cost mod 8.
         filled: (8,) int64, number of cells in each bucket.
         bounds: (4,) int64, half-open storage rectangle that was written.
-        state: (6,) int64.
+        state: (6,) int64, progress of the field; see `_LEVEL` and the entries after it.
     """
 
     distance: np.ndarray
@@ -139,14 +141,14 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
         for k in range(8):
             near = cell + steps[k]
             if cost[k] == DIAGONAL and (
-                near_obstacles[cell + steps[_BESIDE[k, 0]]] != 0
-                or near_obstacles[cell + steps[_BESIDE[k, 1]]] != 0
+                near_obstacles[cell + steps[_NEXT_TO_DIAGONAL[k, 0]]] != 0
+                or near_obstacles[cell + steps[_NEXT_TO_DIAGONAL[k, 1]]] != 0
             ):
                 continue  # no cut corners, as in the planner
-            there = distance[near]
-            cheaper = level + cost[k]
-            if there != 0:
-                if there <= cheaper:
+            known = distance[near]
+            new_cost = level + cost[k]
+            if known != 0:
+                if known <= new_cost:
                     continue
             elif (
                 (near_obstacles[near] != 0 or raw[near] == 0)
@@ -154,13 +156,13 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
                 and not on_trail(layers, near // n, near % n, body)
             ):
                 continue
-            into = cheaper & (BUCKETS - 1)
-            if filled[into] == bucket.shape[1]:
+            new_slot = new_cost & (BUCKETS - 1)
+            if filled[new_slot] == bucket.shape[1]:
                 wave.state[_LOST] += 1
                 continue
-            distance[near] = cheaper
-            bucket[into, filled[into]] = near
-            filled[into] += 1
+            distance[near] = new_cost
+            bucket[new_slot, filled[new_slot]] = near
+            filled[new_slot] += 1
             queued += 1
     wave.state[_LEVEL], wave.state[_QUEUED] = level, queued
     wave.bounds[0], wave.bounds[1] = bounds_x0, bounds_y0
@@ -203,7 +205,7 @@ def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
 
 @jit
 def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out):
-    """Do the work of `TravelCostField.paths_m`."""
+    """Do the work of `TravelCostField.path_lengths_m`."""
     for i in range(n):
         _, _, steps = nearest_reached(
             layers, distance, x0, y0, x1, y1, xy[i, 0] / res, xy[i, 1] / res, radius[kind[i]] / res
@@ -227,12 +229,12 @@ def trace(distance, x0, y0, x1, y1, x, y, cells):
     while k < len(cells):
         cells[k, 0], cells[k, 1] = x, y
         k += 1
-        here, came_x, came_y = distance[y % n, x % n], x, y
+        cost, came_x, came_y = distance[y % n, x % n], x, y
         for ny in range(max(y - 1, y0), min(y + 2, y1)):
             for nx in range(max(x - 1, x0), min(x + 2, x1)):
-                there = distance[ny % n, nx % n]
+                other = distance[ny % n, nx % n]
                 step = DIAGONAL if nx != x and ny != y else STRAIGHT
-                if there > 0 and there + step == here:
+                if other > 0 and other + step == cost:
                     came_x, came_y = nx, ny
         if came_x == x and came_y == y:
             break
@@ -242,7 +244,7 @@ def trace(distance, x0, y0, x1, y1, x, y, cells):
 
 @jit
 def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, points):
-    """Do the work of `TravelCostField.approach`; the result is as in `nearest_reached`."""
+    """Do the work of `TravelCostField.stopping_point`; the result is as in `nearest_reached`."""
     n, k, radius = layers.raw.shape[0], len(surface), within / res
     at = np.empty((k, 2))  # in cells, relative to cell centres
     first_x, first_y, last_x, last_y = x1, y1, x0, y0

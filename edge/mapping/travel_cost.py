@@ -26,9 +26,9 @@ from edge.mapping.reach_kernels import (
 )
 from edge.mapping.window import Window
 
-_CLEAR_PER_CELL = 16
+_CLEAR_PER_CELL = 16  # cells that are cleared in the time in which one cell is added
 WAY_CELLS = 4096
-"""Longest path in cells that `way_m` returns; of a longer one it returns the end."""
+"""Largest number of cells that `path_m` returns; of a longer path it returns the end."""
 
 
 class TravelCostField:
@@ -77,8 +77,8 @@ class TravelCostField:
             for _ in range(2)
         ]
         self._origins = [(0, 0), (0, 0)]  # of the window at the start of each field
-        self._current = 0
-        self._growing = False
+        self._complete = 0
+        self._is_growing = False
         self._clear_row = -1
 
     def step(self, pose: SE2) -> None:
@@ -86,30 +86,30 @@ class TravelCostField:
 
         A new field starts at `pose`, the robot's current pose.
         """
-        nxt = 1 - self._current
-        wave = self._waves[nxt]
-        if not self._growing:
+        growing = 1 - self._complete
+        wave = self._waves[growing]
+        if not self._is_growing:
             if not self._clear(wave):
                 return
             window = self._window
-            self._origins[nxt] = window.origin
+            self._origins[growing] = window.origin
             x, y = window.cell_of(pose.x_m, pose.y_m)
             if not window.contains(x, y):
                 return
             start_wave(self._layers, wave, x % window.n, y % window.n, self._escape_cells)
-            self._growing = True
-        x0, y0, x1, y1 = self._common(nxt)
+            self._is_growing = True
+        x0, y0, x1, y1 = self._valid_rect(growing)
         ox, oy = self._window.origin
         if grow_wave(self._layers, wave, self._body, ox, oy, x0, y0, x1, y1, self._per_tick):
-            self._growing = False
-            self._current = nxt
+            self._is_growing = False
+            self._complete = growing
             self.generation += 1
             self._clear_row = -1
 
     @property
     def field(self) -> tuple[np.ndarray, tuple[int, int, int, int]]:
         """The current distances (see `Wave.distance`), and the world cells where they hold."""
-        return self._waves[self._current].distance, self._common(self._current)
+        return self._waves[self._complete].distance, self._valid_rect(self._complete)
 
     def distance_m(self, x_m: float, y_m: float) -> float:
         """Return the geodesic distance to a point's cell in metres; inf if it was not reached."""
@@ -117,10 +117,10 @@ class TravelCostField:
             return math.inf
         window = self._window
         x, y = window.cell_of(x_m, y_m)
-        x0, y0, x1, y1 = self._common(self._current)
+        x0, y0, x1, y1 = self._valid_rect(self._complete)
         if not (x0 <= x < x1 and y0 <= y < y1):
             return math.inf
-        steps = int(self._waves[self._current].distance[y % window.n, x % window.n])
+        steps = int(self._waves[self._complete].distance[y % window.n, x % window.n])
         if steps == UNREACHED:
             return math.inf
         return (steps - 1) / STRAIGHT * window.resolution_m
@@ -132,7 +132,7 @@ class TravelCostField:
             (x_m, y_m, geodesic_m) of the cell's centre; None if there is none.
         """
         res = self._window.resolution_m
-        return self._found(nearest_reached, float(x_m / res), float(y_m / res), radius_m / res)
+        return self._search(nearest_reached, float(x_m / res), float(y_m / res), radius_m / res)
 
     def stopping_point(
         self, surface_m: np.ndarray, within_m: float, points: int = 1
@@ -151,16 +151,16 @@ class TravelCostField:
             (x_m, y_m, geodesic_m) of the cell's centre; None if there is none.
         """
         res = self._window.resolution_m
-        return self._found(first_in_sight, res, surface_m, within_m, points)
+        return self._search(first_in_sight, res, surface_m, within_m, points)
 
-    def _found(
+    def _search(
         self, search: Callable[..., tuple[int, int, int]], *args: object
     ) -> tuple[float, float, float] | None:
         """Return the cell that a kernel finds in the current field; see `nearest`."""
         if self.generation == 0:
             return None
-        distance, common = self.field
-        x, y, steps = search(self._layers, distance, *common, *args)
+        distance, rect = self.field
+        x, y, steps = search(self._layers, distance, *rect, *args)
         return _place_m(x, y, steps, self._window.resolution_m)
 
     def path_m(self, x_m: float, y_m: float) -> np.ndarray:
@@ -172,9 +172,9 @@ class TravelCostField:
         """
         if self.generation == 0:
             return np.zeros((0, 2), np.float32)
-        distance, common = self.field
+        distance, rect = self.field
         cells = np.empty((WAY_CELLS, 2), np.int64)
-        n = trace(distance, *common, *self._window.cell_of(x_m, y_m), cells)
+        n = trace(distance, *rect, *self._window.cell_of(x_m, y_m), cells)
         return ((cells[:n][::-1] + 0.5) * self._window.resolution_m).astype(np.float32)
 
     def path_lengths_m(
@@ -192,11 +192,11 @@ class TravelCostField:
         if self.generation == 0:
             out_m[:n] = math.inf
             return
-        distance, common = self.field
+        distance, rect = self.field
         res = self._window.resolution_m
-        path_lengths(self._layers, distance, *common, res, xy_m, kind, radius_m, n, out_m)
+        path_lengths(self._layers, distance, *rect, res, xy_m, kind, radius_m, n, out_m)
 
-    def _common(self, which: int) -> tuple[int, int, int, int]:
+    def _valid_rect(self, which: int) -> tuple[int, int, int, int]:
         """Return the half-open rectangle of world cells in both a field's window and the map's."""
         (ax, ay), (bx, by), n = self._origins[which], self._window.origin, self._window.n
         return max(ax, bx), max(ay, by), min(ax, bx) + n, min(ay, by) + n

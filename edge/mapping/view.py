@@ -25,9 +25,9 @@ class MapView:
     Attributes:
         resolution_m: side of a cell.
         layers: read-only, by storage cell (see `edge.mapping.layers`).
-        window: part of the world that they hold; only the map moves it.
+        window: part of the world that the layers hold; only the map moves it.
         state_at, unknown_ratio, snapshot: see `edge.mapping.grid.RollingMap`.
-        distance_m, nearest, approach: see `edge.mapping.travel_cost.TravelCostField`.
+        distance_m, nearest, stopping_point: see `edge.mapping.travel_cost.TravelCostField`.
         is_worth_it: see `edge.mapping.coverage.Coverage`.
         values: one channel per target of the mission, if the policy's scorer feeds them.
     """

@@ -17,7 +17,7 @@ MARGIN_CELLS = 2
 """Cells added to the inflation, because a controller may cut a corner by this much."""
 _FIXED_BITS = 4  # fractional bits of the coordinates that OpenCV takes
 _BORDER_M = 1.0  # closed border around a stay-inside zone, which no planner can cross
-_MOST_CELLS = 1 << 22
+_MAX_CELLS = 1 << 22  # largest number of cells of a mask
 _CLOSED, _UNKNOWN = 100, -1
 
 
@@ -70,11 +70,11 @@ class Zones:
         self.polygons = new = ZonePolygons(tuple(keep_out_m), tuple(stay_inside_m))
         if not self._window.placed:
             return
-        if _same(old_inside, new.stay_inside_m):
-            moved = [p for p in old if not _among(p, new.keep_out_m)]
-            moved += [p for p in new.keep_out_m if not _among(p, old)]
-            if moved:
-                self._paint_around(np.concatenate(moved), changed)
+        if _same_polygons(old_inside, new.stay_inside_m):
+            changed_polygons = [p for p in old if not _contains_polygon(p, new.keep_out_m)]
+            changed_polygons += [p for p in new.keep_out_m if not _contains_polygon(p, old)]
+            if changed_polygons:
+                self._paint_around(np.concatenate(changed_polygons), changed)
         else:
             n = self._window.n
             self.paint((0, 0, n, n), changed)
@@ -158,7 +158,7 @@ def keepout_mask(zones: ZonePolygons, resolution_m: float, inflation_m: float) -
         low = np.floor(corners_m.min(axis=0) / resolution_m).astype(np.int64) - border
         high = np.ceil(corners_m.max(axis=0) / resolution_m).astype(np.int64) + border
         width, height = (high - low).tolist()
-        if width * height <= _MOST_CELLS:
+        if width * height <= _MAX_CELLS:
             break
         resolution_m *= 2
     closed = _closed_cells(zones, resolution_m, margin, low, (height, width))
@@ -210,9 +210,11 @@ def _fill(
         cv2.fillPoly(mask, [fixed], 1, shift=_FIXED_BITS)
 
 
-def _among(polygon_m: np.ndarray, polygons_m: Sequence[np.ndarray]) -> bool:
+def _contains_polygon(polygon_m: np.ndarray, polygons_m: Sequence[np.ndarray]) -> bool:
     return any(np.array_equal(polygon_m, other) for other in polygons_m)
 
 
-def _same(polygons_m: Sequence[np.ndarray], others_m: Sequence[np.ndarray]) -> bool:
-    return len(polygons_m) == len(others_m) and all(_among(p, others_m) for p in polygons_m)
+def _same_polygons(polygons_m: Sequence[np.ndarray], others_m: Sequence[np.ndarray]) -> bool:
+    return len(polygons_m) == len(others_m) and all(
+        _contains_polygon(p, others_m) for p in polygons_m
+    )

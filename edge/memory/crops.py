@@ -15,15 +15,16 @@ from edge.perception.tracking.sightings import MAX_SIGHTINGS, ObservedObject
 SIDE_PX = 64
 """Longest side of a picture."""
 MAX_CROPS = MAX_SIGHTINGS
+"""Largest number of pictures."""
 MAX_CROP_BYTES = 16 << 20
 """Largest size of all pictures; beyond it the oldest are dropped. 5,000 of 2 kB are 10 MB."""
-_QUALITY = 80
+_QUALITY = 80  # of the JPEG
 _LARGE_PX = 48
 """A box with this shorter side is large enough."""
-_RIM_PX = 2
-_BETTER = 1.25
-"""A view replaces the last one if it is better by this factor, so that few are encoded."""
-_MOST_PER_IMAGE = 3
+_RIM_PX = 2  # a box this near to the image's edge counts as cut off
+_MIN_GAIN = 1.25
+"""A view replaces the last one if it is better by this factor, so that few pictures are encoded."""
+_MAX_PER_IMAGE = 3  # largest number of views that are copied from one image
 _MARGIN = 0.1
 """Margin on each side, as a share of the box."""
 
@@ -34,7 +35,7 @@ _Stored = dict[int, tuple[float, bytes]]
 
 
 class CropStore:
-    """The pictures by object id. A thread of its own encodes them, from the first picture on.
+    """The pictures of objects, by object id. A background thread encodes them.
 
     Args:
         inline: encode in `observe`, for tests.
@@ -61,19 +62,19 @@ class CropStore:
         return None if found is None else found[1]
 
     def observe(self, seen: Sequence[ObservedObject], rgb: np.ndarray) -> None:
-        """Copy the views that are better than the stored ones, at most `_MOST_PER_IMAGE`.
+        """Copy the views that are better than the stored ones, at most `_MAX_PER_IMAGE`.
 
         Args:
             seen: objects in the image.
             rgb: (h, w, 3) uint8.
         """
-        rated = [(one, quality(one.score, one.xyxy_px, *rgb.shape[:2])) for one in seen]
-        better = [pair for pair in rated if pair[1] > _BETTER * self._best.get(pair[0].id, 0.0)]
+        ratings = [(obj, quality(obj.score, obj.xyxy_px, *rgb.shape[:2])) for obj in seen]
+        better = [pair for pair in ratings if pair[1] > _MIN_GAIN * self._best.get(pair[0].id, 0.0)]
         better.sort(key=lambda pair: self._best.get(pair[0].id, 0.0) / pair[1])
         crops: list[Crop] = []
-        for one, value in better[:_MOST_PER_IMAGE]:
-            self._best[one.id] = value
-            crops.append((one.id, value, _cut(one.xyxy_px, rgb)))
+        for obj, value in better[:_MAX_PER_IMAGE]:
+            self._best[obj.id] = value
+            crops.append((obj.id, value, _crop_box(obj.xyxy_px, rgb)))
         if crops:
             if self._worker is None:
                 self._worker = Worker("crops", self._encode, inline=self._inline)
@@ -165,14 +166,14 @@ class CropStore:
 
 
 def quality(score: float, xyxy_px: np.ndarray, height_px: int, width_px: int) -> float:
-    """Return the quality of a view in [0, 1]; best is a certain, large, whole box."""
+    """Return the quality of a view in [0, 1]. The best view is a large, whole box of high score."""
     x0, y0, x1, y1 = xyxy_px.tolist()
-    large = min(1.0, max(0.0, min(x1 - x0, y1 - y0)) / _LARGE_PX)
-    cut = min(x0, y0, width_px - x1, height_px - y1) < _RIM_PX
-    return score * large * (0.5 if cut else 1.0)
+    size = min(1.0, max(0.0, min(x1 - x0, y1 - y0)) / _LARGE_PX)
+    is_cut = min(x0, y0, width_px - x1, height_px - y1) < _RIM_PX
+    return score * size * (0.5 if is_cut else 1.0)
 
 
-def _cut(xyxy_px: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+def _crop_box(xyxy_px: np.ndarray, rgb: np.ndarray) -> np.ndarray:
     """Copy a box with a margin, thinned to at most twice `SIDE_PX`."""
     height, width = rgb.shape[:2]
     x0, y0, x1, y1 = xyxy_px.tolist()
@@ -187,6 +188,6 @@ def _arrays_of(jpeg: Mapping[int, tuple[float, bytes]]) -> Arrays:
     return {
         "id": np.array(list(jpeg), np.int64),
         "quality": np.array([value for value, _ in jpeg.values()], np.float64),
-        "n_bytes": np.array([len(each) for _, each in jpeg.values()], np.int64),
-        "jpeg": np.frombuffer(b"".join(each for _, each in jpeg.values()), np.uint8),
+        "n_bytes": np.array([len(picture) for _, picture in jpeg.values()], np.int64),
+        "jpeg": np.frombuffer(b"".join(picture for _, picture in jpeg.values()), np.uint8),
     }

@@ -13,7 +13,7 @@ from edge.geometry import SE2
 from edge.perception.tracking.sightings import TrackedObjects
 from edge.text import one_line
 
-_MOST_TOLD = 5
+_MAX_TOLD = 5  # largest number of objects that an answer names
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,13 +21,15 @@ class KnownObject:
     """An object of the map.
 
     Attributes:
+        id: number of the object.
+        name: class of the object.
         xyz_m: centre in `map`.
         confidence: in [0, 1], mean over all looks at the place; see `TrackedObjects`.
-        hits: number of images that it was detected in.
-        age_s: time since it was seen last.
-        known_s: time since it was seen first.
-        came_from_m: place (x, y) in `map` before it was moved; None if it was not.
-        room: name of its room; "" if it is not known.
+        hits: number of images in which the object was detected.
+        age_s: time since the object was seen last.
+        known_s: time since the object was seen first.
+        came_from_m: place (x, y) in `map` before the object was moved; None if it was not moved.
+        room: name of the room that the object is in; "" if the room is not known.
     """
 
     id: int
@@ -41,7 +43,7 @@ class KnownObject:
     room: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """Return it JSON-ready."""
+        """Return the object as a JSON-ready dict."""
         return {
             "id": self.id, "name": self.name, "xyz": [round(v, 3) for v in self.xyz_m],
             "confidence": round(self.confidence, 3), "hits": self.hits,
@@ -61,15 +63,18 @@ def known_objects(
     is_in: Callable[[float, float], bool] | None = None,
     room_of: Callable[[float, float], str] = lambda x_m, y_m: "",
 ) -> list[KnownObject]:
-    """Return the objects of the map, the most confident first; kinds of a name after the name.
+    """Return the objects of the map, the most confident first.
+
+    With a name, objects of exactly this name come before objects of a kind of it ("office chair"
+    for "chair").
 
     Args:
         sightings: objects of the map.
-        stamp_ns: now, on the sensors' clock.
-        min_hits: leave out what was detected in fewer images.
-        name: only these and kinds of them; empty for all.
-        most: limit of their number.
-        since_s: only those seen in the last seconds; None for all.
+        stamp_ns: current time, on the sensors' clock.
+        min_hits: objects that were detected in fewer images are left out.
+        name: return only objects of this name and of its kinds; "" for all.
+        most: largest number of objects to return; None for all.
+        since_s: return only objects seen in the last `since_s` seconds; None for all.
         is_in: returns True if an object at (x, y) in `map` is wanted; None: all are.
         room_of: returns the title of the room at (x, y); "" if there is none.
     """
@@ -112,17 +117,18 @@ def where_is(
 
     Args:
         name: class of the object.
-        found: of this name.
-        pose: the robot's; None if it is not known.
-        is_looked_for: False if the detector is not asked for it, so it cannot have been seen.
+        found: the known objects of this name.
+        pose: pose of the robot; None if it is not known.
+        is_looked_for: False if the detector is not asked for this name, so no object of it can
+            have been seen.
         room_of: returns the room of a point in words ("in the kitchen"); "" if there is none.
     """
     name = one_line(name)
     if not found:
         hint = "" if is_looked_for else ": the detector is not looking for it"
         return f"no {name} has been seen{hint}"
-    texts = [_place(one, pose, room_of) for one in found[:_MOST_TOLD]]
-    more = f"; {len(found) - _MOST_TOLD} more" if len(found) > _MOST_TOLD else ""
+    texts = [_place(obj, pose, room_of) for obj in found[:_MAX_TOLD]]
+    more = f"; {len(found) - _MAX_TOLD} more" if len(found) > _MAX_TOLD else ""
     return f"{name}: {'; '.join(texts)}{more}"
 
 
@@ -149,16 +155,16 @@ def similar_is(
     return "; ".join((where_is(name, [], pose, is_looked_for), *texts))
 
 
-def _place(one: KnownObject, pose: SE2 | None, room_of: Callable[[float, float], str]) -> str:
-    x_m, y_m, _ = one.xyz_m
-    away = "" if pose is None else f", {pose.distance_to(x_m, y_m):.1f} m away"
-    seen = "now" if one.age_s < 1.0 else f"{_ago(one.age_s)} ago"
-    moved = ""
-    if one.came_from_m is not None:
-        moved = ", probably moved from ({:.1f}, {:.1f})".format(*one.came_from_m)
+def _place(obj: KnownObject, pose: SE2 | None, room_of: Callable[[float, float], str]) -> str:
+    x_m, y_m, _ = obj.xyz_m
+    distance = "" if pose is None else f", {pose.distance_to(x_m, y_m):.1f} m away"
+    seen = "now" if obj.age_s < 1.0 else f"{_ago(obj.age_s)} ago"
+    origin = ""
+    if obj.came_from_m is not None:
+        origin = ", probably moved from ({:.1f}, {:.1f})".format(*obj.came_from_m)
     room = f"{room}, " if (room := room_of(x_m, y_m)) else ""
-    certain = f"confidence {one.confidence:.2f}{moved}"
-    return f"{room}at ({x_m:.1f}, {y_m:.1f}){away}, seen {seen}, {certain}"
+    certainty = f"confidence {obj.confidence:.2f}{origin}"
+    return f"{room}at ({x_m:.1f}, {y_m:.1f}){distance}, seen {seen}, {certainty}"
 
 
 def _ago(age_s: float) -> str:

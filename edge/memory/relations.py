@@ -1,7 +1,7 @@
 """Objects that are described by a relation: "chair next to desk", "second door", "mug in kitchen".
 
-A detector knows names, not relations. So it looks for the noun and for the anchor, and the relation
-is decided on the object map.
+A detector knows names, not relations. So it looks for the noun ("chair") and for the anchor
+("desk"). The relation is then decided on the map of objects.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _SPLIT = re.compile(rf"^(?P<noun>.+?)\s+(?P<word>{'|'.join(_PHRASES)})\s+(?P<anc
 
 
 class RelationError(UserError):
-    """A description that cannot be decided on the object map; one line."""
+    """A description that cannot be decided on the object map. The message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +57,10 @@ class DescribedThing:
 
     Attributes:
         noun: name of the thing.
-        relation: to the anchor; "" if there is none.
+        relation: relation of the thing to the anchor; "" if there is none.
         anchor: name of the other thing; "" without a relation.
         room: name of the room that it must be in; "" for any.
-        nth: 2 is the second one that was seen; 0 for any.
+        nth: number in the order in which such things were seen: 2 for the second one; 0 for any.
     """
 
     noun: str
@@ -170,7 +170,7 @@ class DescribedTargets:
         Args:
             label: a target.
             of: returns the instances of a name, best first.
-            last: True to accept the nearest one at any distance, since the search is over.
+            last: True if the search is over. "Nearest to" then accepts any distance.
         """
         thing = self.thing(label)
         if thing is None:
@@ -181,15 +181,15 @@ class DescribedTargets:
         """Return why an instance is the one that a label describes; "" for a plain name."""
         thing = self.thing(label)
         found = () if thing is None else self._ranked(thing, of, last=True)
-        return next((why for one, why in found if one.id == instance.id), "")
+        return next((why for other, why in found if other.id == instance.id), "")
 
     def _ranked(
         self, thing: DescribedThing, of: InstancesOf, last: bool
     ) -> list[tuple[Instance, str]]:
-        found = [one for one in of(thing.noun) if self._is_in(thing.room, one)]
+        found = [instance for instance in of(thing.noun) if self._is_in(thing.room, instance)]
         why = f"in the {thing.room}" if thing.room else ""
         if not thing.relation:
-            pairs = [(one, why) for one in found]
+            pairs = [(instance, why) for instance in found]
         else:
             anchors = list(of(thing.anchor))
             limit_m = NEXT_TO_M if thing.relation in ("next to", "nearest to") else TOUCHING_M
@@ -201,7 +201,8 @@ class DescribedTargets:
         by_age = sorted(pairs, key=lambda pair: pair[0].id)
         ordinal = f"number {thing.nth} in the order of seeing"
         return [
-            (one, f"{ordinal}{', ' * bool(why)}{why}") for one, why in by_age[thing.nth - 1 :][:1]
+            (instance, f"{ordinal}{', ' * bool(why)}{why}")
+            for instance, why in by_age[thing.nth - 1 :][:1]
         ]
 
     def _is_in(self, room: str, one: Instance) -> bool:
@@ -215,20 +216,20 @@ def _related(
 
     For "nearest to" only the nearest one is yielded. For the other relations the order is kept.
     """
-    near: list[tuple[float, Instance, str]] = []
-    for one in found:
+    found_near: list[tuple[float, Instance, str]] = []
+    for instance in found:
         gaps = [
-            (least_gap(one.points_m, other.points_m), other) for other in anchors
-            if other.id != one.id and _is_level(thing.relation, one, other)
+            (least_gap(instance.points_m, other.points_m), other) for other in anchors
+            if other.id != instance.id and _is_level(thing.relation, instance, other)
         ]  # fmt: skip
         if not gaps:
             continue
         gap_m, other = min(gaps, key=lambda pair: (pair[0], pair[1].id))
         if gap_m <= limit_m:
-            near.append((gap_m, one, f"{gap_m:.1f} m from {other.label} {other.id}"))
+            found_near.append((gap_m, instance, f"{gap_m:.1f} m from {other.label} {other.id}"))
     if thing.relation == "nearest to":
-        near = sorted(near, key=lambda each: (each[0], each[1].id))[:1]
-    yield from ((one, why) for _, one, why in near)
+        found_near = sorted(found_near, key=lambda each: (each[0], each[1].id))[:1]
+    yield from ((instance, why) for _, instance, why in found_near)
 
 
 def _is_level(relation: Relation, one: Instance, other: Instance) -> bool:

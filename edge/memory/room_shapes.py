@@ -19,10 +19,10 @@ INSIDE_M = 0.5
 """Distance from the border from which the robot is inside a room."""
 _STAND_M = 0.6  # distance of standing points from the border; more than `INSIDE_M`
 _NARROW = 0.8  # in a narrow room, the share of its largest distance that counts as inside
-_POINTS = 64  # largest number of standing points
+_MAX_POINTS = 64  # largest number of standing points
 _OUTLINE_M = 0.15  # largest error of a simplified outline
-_SAME = 0.3  # smallest overlap, as a share of the smaller room, to be the same room
-_MOST_LOST = 64
+_MIN_OVERLAP = 0.3  # smallest overlap, as a share of the smaller room, to be the same room
+_MAX_LOST = 64  # largest number of rooms without a region that are remembered
 
 
 class Passage(NamedTuple):
@@ -51,7 +51,7 @@ class RoomShape:
         xy_m: the point farthest from the border.
         inside_m: distance from the border from which the robot is inside: `INSIDE_M`, or less in a
             narrow room.
-        points_m: (j, 2) float32, points to stand at, j <= `_POINTS`.
+        points_m: (j, 2) float32, points to stand at, at most `_MAX_POINTS`.
         doors: passages to other rooms.
     """
 
@@ -66,7 +66,13 @@ class RoomShape:
 
 
 class LostRoom(NamedTuple):
-    """A room that is in no region now: it was merged, or its map is not there yet."""
+    """A room that has no region now: it was merged with another, or is not mapped again yet.
+
+    Attributes:
+        id: number of the room.
+        x_m: x of a point of the room in `map`.
+        y_m: y of that point.
+    """
 
     id: int
     x_m: float
@@ -117,15 +123,15 @@ def survey_rooms(regions: RegionMap, before: RoomSurvey) -> RoomSurvey:
     large = cells * regions.grid.resolution_m**2 >= LEAST_ROOM_M2
     large[0] = False
     for region in np.flatnonzero(large & (ids == 0)).tolist():
-        again = next((one for one in reversed(lost) if _holds(regions, region, one)), None)
-        if again is not None:
-            lost.remove(again)
-            ids[region] = again.id
+        lost_room = next((one for one in reversed(lost) if _holds(regions, region, one)), None)
+        if lost_room is not None:
+            lost.remove(lost_room)
+            ids[region] = lost_room.id
         else:
             ids[region] = next_id
             next_id += 1
     lost += [LostRoom(one.id, *one.xy_m) for one in before.shapes if one.id not in ids]
-    return outlined(regions, ids, next_id, tuple(lost[-_MOST_LOST:]))
+    return outlined(regions, ids, next_id, tuple(lost[-_MAX_LOST:]))
 
 
 def _keep_overlapping(regions: RegionMap, before: RoomSurvey, ids: np.ndarray) -> None:
@@ -138,10 +144,10 @@ def _keep_overlapping(regions: RegionMap, before: RoomSurvey, ids: np.ndarray) -
     old_cells = np.bincount(before.regions.label.ravel(), minlength=before.regions.n + 1)
     new_cells = np.bincount(regions.label.ravel(), minlength=regions.n + 1)
     taken: set[int] = set()
-    for at in np.argsort(-count, kind="stable").tolist():
-        a, b = (int(v) for v in pairs[at])
+    for pair in np.argsort(-count, kind="stable").tolist():
+        a, b = (int(v) for v in pairs[pair])
         room = int(before.ids[a])
-        enough = count[at] >= _SAME * min(old_cells[a], new_cells[b])
+        enough = count[pair] >= _MIN_OVERLAP * min(old_cells[a], new_cells[b])
         if room and enough and ids[b] == 0 and room not in taken:
             ids[b] = room
             taken.add(room)
@@ -165,8 +171,8 @@ def _common(a: RegionMap, b: RegionMap) -> tuple[np.ndarray, np.ndarray]:
     return cut[0], cut[1]
 
 
-def _holds(regions: RegionMap, region: int, one: LostRoom) -> bool:
-    cell = regions.grid.cell_of(one.x_m, one.y_m)
+def _holds(regions: RegionMap, region: int, room: LostRoom) -> bool:
+    cell = regions.grid.cell_of(room.x_m, room.y_m)
     return cell is not None and int(regions.label[cell]) == region
 
 
@@ -193,27 +199,29 @@ def _shape(
     grid, label = regions.grid, regions.label
     rows, columns = np.nonzero(label == region)
     y0, y1, x0, x1 = rows.min(), rows.max() + 1, columns.min(), columns.max() + 1
-    mine = label[y0:y1, x0:x1] == region
+    inside = label[y0:y1, x0:x1] == region
     contours, _ = cv2.findContours(
-        mine.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+        inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
     )
     contour = max(contours, key=cv2.contourArea)
     outline = cv2.approxPolyDP(contour, _OUTLINE_M / grid.resolution_m, True)
     if len(outline) < 3:
         return None
     # What was not seen in the middle of a room, such as the floor behind a table, is no border.
-    filled = np.zeros(mine.shape, np.uint8)
+    filled = np.zeros(inside.shape, np.uint8)
     cv2.drawContours(filled, [contour], -1, 1, cv2.FILLED)
     unseen = grid.cells[y0:y1, x0:x1] == UNKNOWN
-    whole = mine | (unseen & (filled > 0))
-    far = cv2.distanceTransform(np.pad(whole, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
-    deep_m = np.maximum(far - 0.5, 0.0) * np.float32(grid.resolution_m)
-    deep_m[~mine] = 0.0
-    depth_m[y0:y1, x0:x1][mine] = deep_m[mine]
-    most_m = float(deep_m.max())
-    stand_m = _STAND_M if most_m >= _STAND_M else _NARROW * most_m
+    filled_in = inside | (unseen & (filled > 0))
+    border_cells = cv2.distanceTransform(np.pad(filled_in, 1).astype(np.uint8), cv2.DIST_L2, 5)[
+        1:-1, 1:-1
+    ]
+    deep_m = np.maximum(border_cells - 0.5, 0.0) * np.float32(grid.resolution_m)
+    deep_m[~inside] = 0.0
+    depth_m[y0:y1, x0:x1][inside] = deep_m[inside]
+    deepest_m = float(deep_m.max())
+    stand_m = _STAND_M if deepest_m >= _STAND_M else _NARROW * deepest_m
     r, c = np.nonzero(deep_m >= stand_m)
-    chosen = np.unique(np.linspace(0, len(r) - 1, _POINTS).astype(int))
+    chosen = np.unique(np.linspace(0, len(r) - 1, _MAX_POINTS).astype(int))
     middle = np.unravel_index(int(deep_m.argmax()), deep_m.shape)
     x_m, y_m = grid.centres_m(np.array(y0 + middle[0]), np.array(x0 + middle[1])).tolist()
     return RoomShape(
@@ -222,7 +230,7 @@ def _shape(
         grid.to_metres(outline[:, 0, :] + (x0, y0) + 0.5),
         len(rows) * grid.resolution_m**2,
         (x_m, y_m),
-        min(INSIDE_M, _NARROW * most_m),
+        min(INSIDE_M, _NARROW * deepest_m),
         grid.centres_m(y0 + r[chosen], x0 + c[chosen]).astype(np.float32),
         _doors(regions, ids, region),
     )

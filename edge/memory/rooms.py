@@ -1,4 +1,4 @@
-"""Rooms of the map: kind of each by the objects seen in it, names that people gave, questions."""
+"""Rooms of the map: kinds by the objects seen, names that people gave, and questions about them."""
 
 from __future__ import annotations
 
@@ -23,21 +23,24 @@ from edge.text import one_line
 SURE = 0.15
 """A sighting of this confidence has full weight, because the mean includes views from afar."""
 SURE_KIND = 0.7
-"""Smallest probability of a kind for a room to count as one."""
+"""Smallest probability of a kind for a room to count as a room of this kind."""
 _VOTE_M = 1.5  # distance at which an object's vote for the kind of a point has fallen to 1/e
-# Largest vote of an object against a kind. The largest votes for one are near 1; the log of a very
-# small chance would outweigh them all.
-_MOST_AGAINST = 1.0
+# Largest vote of an object against a kind. The largest votes for a kind are near 1, and the
+# logarithm of a very small probability would outweigh them all.
+_MAX_AGAINST = 1.0
 PERIOD_NS = 250_000_000
 """Shortest time between two updates by new objects."""
 _REASONS = 2  # number of objects that an explanation names
-_MOST_ROOMS = 1 << 12
+_MAX_ROOMS = 1 << 12
 
 
 RECOGNISED_KINDS = load().kinds
 """Kinds of rooms that the robot recognises by objects; others only a person can name."""
-TYPICAL, _TYPICAL_RATIO = 2, 1.5
+TYPICAL = 2
 """Number of typical things from which the kind of a room should be known."""
+_TYPICAL_RATIO = 1.5
+"""A thing is typical of a kind of room if it is more frequent there by this factor than on average.
+"""
 
 
 @cache
@@ -85,11 +88,11 @@ class SeenObjectIndex:
 
 def objects_by_region(regions: RegionMap, objects: SeenObjects, n_things: int) -> np.ndarray:
     """Return the confidence that each thing is in each region, (n + 1, things) float32."""
-    held = np.zeros((regions.n + 1, n_things), np.float32)
-    at = regions.at(objects.xyz_m)
-    counts = (at > 0) & (objects.row >= 0)
-    np.maximum.at(held, (at[counts], objects.row[counts]), objects.weight[counts])
-    return held
+    confidence = np.zeros((regions.n + 1, n_things), np.float32)
+    region = regions.at(objects.xyz_m)
+    counts = (region > 0) & (objects.row >= 0)
+    np.maximum.at(confidence, (region[counts], objects.row[counts]), objects.weight[counts])
+    return confidence
 
 
 def kinds_by_region(
@@ -113,12 +116,13 @@ class MappedRoom:
     Attributes:
         id: number of the room; it stays while the map grows.
         name: name that a person gave; "" for none.
-        kinds: its kinds that are certain enough. An open-plan room may be kitchen and living room.
-        chance: probability of each kind of the prior's table; of a named kind 1.
-        held: (things,) float32, confidence that each thing of the prior's table is in it.
+        kinds: kinds of the room that are certain enough. An open-plan room may be kitchen and
+            living room.
+        chance: probability of each kind of the prior's table; 1 for a kind that a person named.
+        held: (things,) float32, confidence that each thing of the prior's table is in the room.
         polygon_m: (k, 2) float64, outline in `map`.
-        area_m2: known floor, with furniture.
-        xy_m: the point farthest from the border.
+        area_m2: area of the known floor, with furniture.
+        xy_m: the point of the room that is farthest from the border.
         inside_m: distance from the border from which the robot is inside.
         points_m: (j, 2) float32, points to stand at.
         doors: passages to other rooms.
@@ -140,12 +144,12 @@ class MappedRoom:
 
     @property
     def title(self) -> str:
-        """Its name, or its kinds, or its number."""
+        """Name of the room; without a name its kinds; without kinds its number."""
         return self.name or " and ".join(self.kinds) or f"room {self.id}"
 
     @property
     def phrase(self) -> str:
-        """Its title in a sentence: "the kitchen", or "room 3"."""
+        """Title of the room in a sentence: "the kitchen", or "room 3"."""
         return f"the {self.title}" if self.name or self.kinds else self.title
 
     @property
@@ -155,12 +159,12 @@ class MappedRoom:
 
     @property
     def reason(self) -> str:
-        """Why it has its kinds, for people; "" without one."""
+        """Why the room has its kinds, for people; "" without a reason."""
         return "named by a person" if self.is_named else _reason(self.kinds, self.held)
 
     @property
     def things(self) -> list[str]:
-        """Things of the prior's table that were seen in it."""
+        """Things of the prior's table that were seen in the room."""
         return [load().things[at] for at in np.flatnonzero(self.held)]
 
     def closed_by(self, site: Site) -> str:
@@ -169,7 +173,7 @@ class MappedRoom:
         return closed[0] if all(closed) else ""
 
     def to_json(self) -> dict[str, Any]:
-        """Return it JSON-ready."""
+        """Return the room as a JSON-ready dict."""
         return {
             "id": self.id, "name": self.name, "kinds": list(self.kinds), "reason": self.reason,
             "chance": {kind: round(p, 3) for kind, p in self.chance.items()},
@@ -192,7 +196,7 @@ class RoomMemory:
 
     Attributes:
         survey: shapes of the rooms.
-        version: raised when anything about the rooms changes.
+        version: number that grows when anything about the rooms changes.
         rooms: all rooms, by id.
     """
 
@@ -201,7 +205,7 @@ class RoomMemory:
         self.version = 0
         self.rooms: tuple[MappedRoom, ...] = ()
         self._table, self._chance = table, kinds.object_given_room(table)
-        self._log_ratio = np.log(self._chance / (kinds.room_prior(table) @ self._chance))
+        self._kind_log_ratio = np.log(self._chance / (kinds.room_prior(table) @ self._chance))
         self._index = SeenObjectIndex(words)
         self._confidence = np.zeros((1, len(table.things)), np.float32)
         self._belief = kinds.room_prior(table)[None]
@@ -227,9 +231,12 @@ class RoomMemory:
             self._is_due = True
 
     def update(self, sightings: TrackedObjects, now_ns: int) -> None:
-        """Update kinds and names, if something changed: objects at most every `PERIOD_NS`."""
-        rested = not 0 <= now_ns - self._updated_ns < PERIOD_NS
-        if not self._is_due and (sightings.generation == self._generation or not rested):
+        """Update kinds and names if something changed.
+
+        New objects alone cause an update at most every `PERIOD_NS`.
+        """
+        period_over = not 0 <= now_ns - self._updated_ns < PERIOD_NS
+        if not self._is_due and (sightings.generation == self._generation or not period_over):
             return
         self._is_due, self._generation, self._updated_ns = False, sightings.generation, now_ns
         self.version += 1
@@ -237,10 +244,10 @@ class RoomMemory:
         held = self._confidence = objects_by_region(regions, objects, len(self._table.things))
         self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
         self._belief = kinds_by_region(self._table, self._chance, regions.border, held)
-        shapes, named = self.survey.shapes, self._named()
-        at = [shape.region for shape in shapes]
+        shapes, named = self.survey.shapes, self._names_by_room()
+        region = [shape.region for shape in shapes]
         area_m2 = np.array([shape.area_m2 for shape in shapes])
-        chance = kinds.included_kinds(self._table, self._chance, held[at], area_m2)
+        chance = kinds.included_kinds(self._table, self._chance, held[region], area_m2)
         self.rooms = tuple(
             self._room(shape, held[shape.region], row, named.get(shape.id, ()))
             for shape, row in zip(shapes, chance, strict=True)
@@ -257,7 +264,7 @@ class RoomMemory:
         return next((room for room in self.rooms if room.id == room_id), None)
 
     def room_at(self, x_m: float, y_m: float) -> MappedRoom | None:
-        """Return the room of a point, or of an object at its wall; None if there is none."""
+        """Return the room of a point, or of an object at a wall; None if there is no room."""
         region = int(self.survey.regions.at(np.array([[x_m, y_m]], np.float32))[0])
         return self.room(int(self.survey.ids[region])) if region else None
 
@@ -311,14 +318,14 @@ class RoomMemory:
         """Return P(kind of room | objects seen) / P(kind of room) for the room of each place.
 
         Args:
-            kind: of the prior's table.
+            kind: a kind of room of the prior's table.
             xy_m: (n, 2) float32 in `map`.
 
         Returns:
             (n,) float64; see `edge.perception.prior.rooms.room_posterior_at`.
         """
-        at = self._table.kinds.index(kind)
-        belief, average = self._belief[:, at], kinds.room_prior(self._table)[at]
+        column = self._table.kinds.index(kind)
+        belief, average = self._belief[:, column], kinds.room_prior(self._table)[column]
         if len(belief) != self.survey.regions.n + 1:  # a new survey came after the last update
             return np.ones(len(xy_m))
         return belief[self.survey.regions.at(xy_m)] / average
@@ -331,18 +338,20 @@ class RoomMemory:
 
         Args:
             room: the room.
-            kind: of the prior's table.
+            kind: a kind of room of the prior's table.
         """
         objects, column = self._objects, self._table.kinds.index(kind)
         at = self.survey.ids[self.survey.regions.at(objects.xyz_m)] == room.id
-        mine = np.flatnonzero(at & (objects.row >= 0))
+        inside = np.flatnonzero(at & (objects.row >= 0))
         others = [self._table.kinds.index(k) for k in room.kinds if k in self._table.kinds]
-        rows = [self._log_ratio[other] for other in others if other != column]
-        against = np.maximum(0.0, np.max(rows, axis=0)) if rows else 0.0
-        ratio = np.maximum(self._log_ratio[column] - against, -_MOST_AGAINST)
-        says = ratio[objects.row[mine]] * objects.weight[mine]
-        apart_m = np.hypot(*(room.points_m[:, None] - objects.xyz_m[mine, :2]).transpose(2, 0, 1))
-        return np.exp(-apart_m / _VOTE_M) @ says
+        rows = [self._kind_log_ratio[other] for other in others if other != column]
+        other_kinds = np.maximum(0.0, np.max(rows, axis=0)) if rows else 0.0
+        ratio = np.maximum(self._kind_log_ratio[column] - other_kinds, -_MAX_AGAINST)
+        weights = ratio[objects.row[inside]] * objects.weight[inside]
+        distance_m = np.hypot(
+            *(room.points_m[:, None] - objects.xyz_m[inside, :2]).transpose(2, 0, 1)
+        )
+        return np.exp(-distance_m / _VOTE_M) @ weights
 
     # -- frames and checkpoints ----------------------------------------------------------------
 
@@ -356,11 +365,11 @@ class RoomMemory:
     def state_dict(self) -> Arrays:
         """Return the ids, each with a point inside; the shapes follow from the map."""
         s = self.survey
-        known = [*s.lost, *(LostRoom(shape.id, *shape.xy_m) for shape in s.shapes)]
+        rooms = [*s.lost, *(LostRoom(shape.id, *shape.xy_m) for shape in s.shapes)]
         return {
-            "id": np.array([one.id for one in known], np.int64),
-            "xy_m": np.array([(one.x_m, one.y_m) for one in known], np.float64).reshape(-1, 2),
-            "visited": np.array([one.id in self._visited for one in known], np.bool_),
+            "id": np.array([room.id for room in rooms], np.int64),
+            "xy_m": np.array([(room.x_m, room.y_m) for room in rooms], np.float64).reshape(-1, 2),
+            "visited": np.array([room.id in self._visited for room in rooms], np.bool_),
             "next_id": np.array(s.next_id),
         }
 
@@ -372,7 +381,7 @@ class RoomMemory:
         """
         if not state:
             return
-        rows: dict[tuple[str, ...], int] = {("id", "xy_m", "visited"): _MOST_ROOMS}
+        rows: dict[tuple[str, ...], int] = {("id", "xy_m", "visited"): _MAX_ROOMS}
         check_arrays(state, self.state_dict(), rows, {}, ("id",))
         lost = zip(state["id"].tolist(), state["xy_m"].tolist(), strict=True)
         next_id = max(int(state["next_id"]), 1 + max(state["id"].tolist(), default=0))
@@ -383,16 +392,18 @@ class RoomMemory:
 
     # -- internals ----------------------------------------------------------------------------
 
-    def _named(self) -> dict[int, tuple[str, ...]]:
+    def _names_by_room(self) -> dict[int, tuple[str, ...]]:
         """Return the names of each room that has some, newest last."""
-        found: dict[int, tuple[str, ...]] = {}
+        names: dict[int, tuple[str, ...]] = {}
         if self._names:
-            at = self.survey.regions.at(np.array([one.xy_m for one in self._names], np.float32))
-            for one, region in zip(self._names, at.tolist(), strict=True):
+            at = self.survey.regions.at(
+                np.array([room_name.xy_m for room_name in self._names], np.float32)
+            )
+            for room_name, region in zip(self._names, at.tolist(), strict=True):
                 room_id = int(self.survey.ids[region])
                 if room_id:
-                    found[room_id] = (*found.get(room_id, ()), one.name)
-        return found
+                    names[room_id] = (*names.get(room_id, ()), room_name.name)
+        return names
 
     def _room(
         self, shape: RoomShape, held: np.ndarray, chance: np.ndarray, named: tuple[str, ...]
@@ -413,7 +424,7 @@ def _reason(found: tuple[str, ...], held: np.ndarray) -> str:
     table, named = load(), []
     chance, prior = kinds.object_given_room(table), kinds.room_prior(table)
     for kind in found:
-        says = held * np.log(chance[table.kinds.index(kind)] / (prior @ chance))
-        best = [at for at in np.argsort(-says)[:_REASONS].tolist() if says[at] > 0.0]
+        weights = held * np.log(chance[table.kinds.index(kind)] / (prior @ chance))
+        best = [at for at in np.argsort(-weights)[:_REASONS].tolist() if weights[at] > 0.0]
         named += [table.things[at] for at in best]
     return one_line(f"{' and '.join(dict.fromkeys(named))} seen") if named else ""

@@ -40,7 +40,9 @@ from edge.text import bounded_repr, one_line
 log = logging.getLogger(__name__)
 
 MAX_FEATURES = 500
+"""Largest number of places, zones and room names of a site."""
 MAX_CORNERS = 500
+"""Largest number of corners of a zone."""
 MAX_FILE_BYTES = 16 << 20
 MAX_NAME_CHARS = 60
 START = "start"
@@ -52,7 +54,7 @@ Point = tuple[float, float]
 
 
 class SiteError(UserError):
-    """A place, zone or file that cannot be used; one line."""
+    """A place, zone or file that cannot be used. The message is one line."""
 
 
 def name_of(text: str) -> str:
@@ -98,7 +100,9 @@ class Zone:
     """A polygon that the robot must keep out of, or stay inside of.
 
     Attributes:
-        corners_m: in `map`, in order, the first not repeated; at least three.
+        name: name of the zone.
+        kind: `keep_out` or `stay_inside`.
+        corners_m: corners (x, y) in `map`, in order, at least three; the first is not repeated.
     """
 
     name: str
@@ -160,7 +164,7 @@ class Site:
         return next((place for place in self.places if is_same(place.name, name)), None)
 
     def room_name(self, name: str) -> RoomName | None:
-        """Return the room's name that is the same as this, or None."""
+        """Return the room name that means the same as `name`, or None."""
         return next((room for room in self.room_names if is_same(room.name, name)), None)
 
     def polygons_m(self, kind: str) -> list[np.ndarray]:
@@ -181,12 +185,12 @@ class Site:
         return "" if not stay or any(map(covers, stay)) else stay[0].name
 
     def with_item(self, item: Item) -> Site:
-        """Return the site with an item added; it replaces the one of the same name.
+        """Return the site with an item added. The new item replaces an item of the same name.
 
         Raises:
-            SiteError: there are `MAX_FEATURES` already.
+            SiteError: the site has `MAX_FEATURES` items already.
         """
-        kept = tuple(each for each in self.items if not is_same(each.name, item.name))
+        kept = tuple(other for other in self.items if not is_same(other.name, item.name))
         if len(kept) >= MAX_FEATURES:
             raise SiteError(
                 f"site: {MAX_FEATURES} places and zones, more are not allowed; remove one first"
@@ -197,7 +201,7 @@ class Site:
         """Return the site without the item of this name.
 
         Raises:
-            SiteError: there is none.
+            SiteError: no item has this name.
         """
         kept = tuple(item for item in self.items if not is_same(item.name, name))
         if len(kept) == len(self.items):
@@ -222,30 +226,33 @@ def memory_geojson(
 
     Args:
         site: `Site.geojson`.
-        objects: `KnownObject.to_json` of each; the other fields become properties.
-        rooms: `MappedRoom.to_json` of each; those without an outline are left out.
+        objects: `KnownObject.to_json` of each object. Fields other than name and place become
+            properties.
+        rooms: `MappedRoom.to_json` of each room. Rooms without an outline are left out.
     """
-    found = [
-        _feature(one["name"], "object", "Point", list(one["xyz"]), _without(one, "name", "xyz"))
-        for one in objects
+    features = [
+        _feature(obj["name"], "object", "Point", list(obj["xyz"]), _all_but(obj, "name", "xyz"))
+        for obj in objects
     ]
     for room in rooms:
         if ring := room["polygon"]:
-            more = _without(room, "name", "polygon")
-            found.append(_feature(room["name"], "room", "Polygon", [[*ring, ring[0]]], more))
-    return {**site, "features": [*site["features"], *found]}
+            properties = _all_but(room, "name", "polygon")
+            features.append(
+                _feature(room["name"], "room", "Polygon", [[*ring, ring[0]]], properties)
+            )
+    return {**site, "features": [*site["features"], *features]}
 
 
-def _without(fields: Mapping[str, Any], *names: str) -> dict[str, Any]:
+def _all_but(fields: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {name: value for name, value in fields.items() if name not in names}
 
 
 def _feature(
-    name: str, kind: str, shape: str, coordinates: list, more: Mapping[str, Any] | None = None
+    name: str, kind: str, shape: str, coordinates: list, properties: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     return {
         "type": "Feature",
-        "properties": {"kind": kind, "name": name, **(more or {})},
+        "properties": {"kind": kind, "name": name, **(properties or {})},
         "geometry": {"type": shape, "coordinates": coordinates},
     }
 
@@ -253,14 +260,14 @@ def _feature(
 # -- reading GeoJSON, which is untrusted ----------------------------------------------------------
 
 
-def _named(text: str) -> str:
+def _checked_name(text: str) -> str:
     name = name_of(text)
     if not name or any(not (c.isalnum() or c in " -_'.") for c in name):
         raise ValueError("expected letters, digits, spaces and - _ ' .")
     return name
 
 
-Name = Annotated[str, Field(max_length=MAX_NAME_CHARS), AfterValidator(_named)]
+Name = Annotated[str, Field(max_length=MAX_NAME_CHARS), AfterValidator(_checked_name)]
 Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
 Position = Annotated[list[Metres], Field(min_length=2, max_length=3)]
 
@@ -361,25 +368,25 @@ def item_of(feature: object, where: str = "feature") -> Item:
     """Return the place, zone or room name of a GeoJSON feature.
 
     Raises:
-        SiteError: it is none; `where` begins the message.
+        SiteError: the feature is none of these; `where` begins the message.
     """
     try:
         return _FEATURE.validate_python(feature).item()
     except ValidationError as error:
-        raise SiteError(f"{where}: {_first(error)}") from None
+        raise SiteError(f"{where}: {_first_error(error)}") from None
 
 
 def site_of(geojson: object, where: str = "site") -> Site:
     """Return the site of a GeoJSON `FeatureCollection`.
 
     Raises:
-        SiteError: it is none, or a name is there twice; `where` begins the message.
+        SiteError: it is no such collection, or two items have one name; `where` begins the message.
     """
     try:
-        found = _Collection.model_validate(geojson)
+        collection = _Collection.model_validate(geojson)
     except ValidationError as error:
-        raise SiteError(f"{where}: {_first(error)}") from None
-    items = tuple(feature.item() for feature in found.features)
+        raise SiteError(f"{where}: {_first_error(error)}") from None
+    items = tuple(feature.item() for feature in collection.features)
     seen: set[str] = set()
     for item in items:
         if item.name in seen:
@@ -391,12 +398,12 @@ def site_of(geojson: object, where: str = "site") -> Site:
 def without_mapped(geojson: object) -> object:
     """Return a `FeatureCollection` without the objects and outlines of rooms that `edge` mapped.
 
-    So a file of `memory_geojson` can be imported: the robot maps objects and rooms itself.
+    A file of `memory_geojson` can then be imported: the robot maps objects and rooms itself.
     """
     features = geojson.get("features") if isinstance(geojson, dict) else None
     if not isinstance(features, list):
         return geojson
-    return {**geojson, "features": [one for one in features if not _is_mapped(one)]}
+    return {**geojson, "features": [feature for feature in features if not _is_mapped(feature)]}
 
 
 def _is_mapped(feature: object) -> bool:
@@ -411,11 +418,11 @@ def read_site(path: Path, imported: bool = False) -> Site:
     """Return the site of a GeoJSON file; an empty one if there is no file.
 
     Args:
-        path: of the file.
-        imported: True: leave out what a robot mapped; see `without_mapped`.
+        path: path of the file.
+        imported: True to leave out what a robot mapped; see `without_mapped`.
 
     Raises:
-        SiteError: the file cannot be read, or is no such GeoJSON.
+        SiteError: the file cannot be read, or is not the GeoJSON of a site.
     """
     try:
         content = read_regular(path, MAX_FILE_BYTES)
@@ -434,12 +441,12 @@ def write_site(path: Path, site: Site) -> None:
     """Write a site as GeoJSON: the whole file or nothing.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     write_atomically(path, (json.dumps(site.geojson(), indent=1) + "\n").encode())
 
 
-def _first(error: ValidationError) -> str:
+def _first_error(error: ValidationError) -> str:
     """Return the first error in words, with its place in the data."""
     first = error.errors(include_url=False)[0]
     path = ".".join(str(part) for part in first["loc"] if part not in ("place", "zone", "room"))
@@ -452,16 +459,16 @@ class SiteFile:
     """The site of a running service, saved in the background after each change.
 
     Args:
-        path: of the GeoJSON file; None keeps the site for this run only.
+        path: path of the GeoJSON file; None keeps the site for this run only.
         on_error: called with one line when saving fails, on the thread that saves.
-        site: to begin with; None reads the file.
+        site: the site at the start; None reads the file.
 
     Attributes:
-        site: as it is now.
+        site: the current site.
         start: the first pose of this run; None before there was one.
 
     Raises:
-        SiteError: the file is there and cannot be used.
+        SiteError: the file exists and cannot be used.
     """
 
     path: Path | None = None
@@ -507,7 +514,7 @@ class SiteFile:
 
 
 def merged(site: Site, items: Iterable[Item]) -> Site:
-    """Return a site with items added; each replaces the one of its name."""
+    """Return a site with items added. Each item replaces an item of the same name."""
     for item in items:
         site = site.with_item(item)
     return site

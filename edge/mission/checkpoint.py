@@ -27,8 +27,8 @@ class MissionState:
     """A saved mission.
 
     Attributes:
-        instruction: see `edge.mission.translate.Translation`, as for `backend`, `english`,
-            `reading`, `readings` and `implied`.
+        instruction: see `edge.mission.translate.Translation`, which also describes `backend`,
+            `english`, `reading`, `readings` and `implied`.
         repeat: see `edge.mission.translate.Translation`; `round` is the current round.
         destinations: see `edge.mission.run.MissionRun`; older files call them `places`.
         formula: text of the automaton's formula.
@@ -46,7 +46,8 @@ class MissionState:
         elapsed_s: time that counts towards the time limit.
         path_m: path that counts towards the path limit.
         id: see `edge.mission.run.MissionRun`.
-        exempt_s: see `edge.mission.run.MissionRun`, as for `exempt_m`, `results` and `pursued_s`.
+        exempt_s: see `edge.mission.run.MissionRun`, which also describes `exempt_m`, `results` and
+            `pursued_s`.
         task: True for a task (`edge.tasks`): `trace` has one `NOTHING` for each driven step.
     """
 
@@ -87,6 +88,7 @@ class MissionState:
 OF_TRANSLATION = (
     "instruction", "backend", "english", "reading", "readings", "implied", "destinations", "repeat",
 )  # fmt: skip
+"""Attributes that `MissionState` has from the mission's `Translation`."""
 _OF_RUN = (
     "trace", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id", "exempt_s",
     "exempt_m", "results", "round",
@@ -121,6 +123,7 @@ def _check(state: MissionState) -> None:
 
 @lru_cache(maxsize=4)
 def _letters(formula: str) -> frozenset[str]:
+    """Return the propositions of a formula; raise ValueError if its text cannot be parsed."""
     try:
         return frozenset(propositions(parse(formula)))
     except UserError as error:

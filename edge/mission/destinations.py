@@ -23,6 +23,7 @@ from edge.text import one_line
 CALLER = "caller"
 """The place that a request gives as `from_pose`."""
 LONGEST_S = 24 * 3600.0
+"""Longest duration of a wait, an exploration or a repetition."""
 _UNITS_S = {"s": 1, "sec": 1, "second": 1, "min": 60, "minute": 60, "h": 3600, "hour": 3600}
 DURATION = r"[\w.]+(?:\s+\w+)?\s+(?:s|secs?|seconds?|mins?|minutes?|h|hours?)"
 """Pattern of a text for `duration_s`."""
@@ -86,7 +87,7 @@ class WaitTarget:
 
 @dataclass(frozen=True, slots=True)
 class CheckTarget:
-    """A question if a thing is there, reached with either answer.
+    """A check if a thing is there; either answer fulfils it.
 
     Attributes:
         name: the thing, for the detector.
@@ -105,7 +106,7 @@ class RoomTarget:
     """A room, reached when the robot is inside.
 
     Attributes:
-        name: of a room or kind of room, or "room 3"; for `with` the thing in it.
+        name: name of a room or kind of room, or "room 3"; for `with`, name of the thing in it.
         which: `called` by its name, `largest`, `next` (the nearest unvisited one), or `with` a
             thing.
     """
@@ -250,17 +251,17 @@ def destinations_json(destinations: Mapping[str, Destination]) -> dict[str, Any]
     return _DESTINATIONS.dump_python(dict(destinations), mode="json")
 
 
-def destinations_of_json(said: Any) -> dict[str, Destination]:
+def destinations_of_json(data: Any) -> dict[str, Destination]:
     """Return destinations from JSON, also from that of `of_places`."""
-    return _DESTINATIONS.validate_python(of_places(said))
+    return _DESTINATIONS.validate_python(of_places(data))
 
 
-def of_places(said: Any) -> Any:
+def of_places(data: Any) -> Any:
     """Return the JSON of destinations from that of places, which older recordings hold."""
-    if not isinstance(said, dict):
-        return said
+    if not isinstance(data, dict):
+        return data
 
-    def upgraded(name: str, pose: Any) -> Any:
+    def upgrade(name: str, pose: Any) -> Any:
         if isinstance(pose, dict) and "kind" in pose:
             return pose
         if name == EXPLORED and pose is None:
@@ -269,7 +270,7 @@ def of_places(said: Any) -> Any:
             pose = dict(zip(("x_m", "y_m", "yaw_rad"), pose, strict=True))
         return {"kind": "place", "pose": pose}
 
-    return {name: upgraded(name, pose) for name, pose in said.items()}
+    return {name: upgrade(name, pose) for name, pose in data.items()}
 
 
 def duration_s(text: str) -> float:

@@ -47,7 +47,7 @@ class AmbiguousInstructionError(TranslationError):
         super().__init__(f"instruction: {what}: {listed}")
         self.readings = readings
         self.details = {
-            "readings": [one_line(one.english, _SHOWN) for one in readings],
+            "readings": [one_line(reading.english, _SHOWN) for reading in readings],
             "doubts": list(doubts),
         }
         self.implied = implied

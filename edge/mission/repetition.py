@@ -20,6 +20,7 @@ from edge.mission.logic.ltl import Formula
 from edge.text import bounded_repr
 
 MAX_ROUNDS = 10_000
+"""Largest number of rounds that may be asked for."""
 _PHRASE = re.compile(
     rf"[,;.]?\s*\brepeat\s+(?:(?P<rounds>\w+)\s+times|for\s+(?P<time>{DURATION})|until\s+told)"
     r"[\s.!]*$",
@@ -29,11 +30,13 @@ _PHRASE = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Repetition:
-    """The end of a mission that repeats; without any, it repeats until a person ends it.
+    """The end of a mission that repeats.
+
+    With neither attribute, the mission repeats until a person ends it.
 
     Attributes:
-        rounds: number of rounds.
-        limit_s: time after which the mission ends, in whichever round it is.
+        rounds: number of rounds; None: no limit.
+        limit_s: time after which the mission ends, in whichever round it is; None: no limit.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -122,6 +125,6 @@ def _recurring(part: Formula) -> list[Formula]:
         return []
     inner = part.args[0]
     recurring = inner.args if inner.op == "&" else (inner,)
-    goals = [one.args[0] for one in recurring if one.op == "F"]
+    goals = [operand.args[0] for operand in recurring if operand.op == "F"]
     simple = len(goals) == len(recurring) and all(goal.op == "ap" for goal in goals)
     return goals if simple else []

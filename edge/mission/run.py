@@ -22,7 +22,9 @@ from edge.text import one_line
 from edge.types import MissionEvent, MissionEventKind, MissionPhase, MissionStatus
 
 MAX_STEPS = 1000
-_MOST_RESULTS, _RESULT_CHARS = 20, 400
+"""Largest number of entries in the mission log."""
+_MOST_RESULTS = 20  # results that the reason of the end shows
+_RESULT_CHARS = 400  # longest text of one result
 
 
 class MissionRun:
@@ -107,6 +109,7 @@ class MissionRun:
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
+        # Target → highest id of its known instances, and the same at the time when it failed.
         self._newest_ids: dict[str, int] = dict.fromkeys(known, 0)
         self._stale_ids: dict[str, int] = {}
         self.pursued_s: dict[str, float] = {}
@@ -299,7 +302,7 @@ class MissionRun:
             self._replan(now_ns)
 
     def forget_distances(self) -> None:
-        """Delete the distances because their map frame is gone; the next survey brings new ones."""
+        """Delete the distances, because their map frame is gone; new ones come later."""
         self._distance_m = None
 
     def on_reached(self, evidence: str, now_ns: int, result: str = "") -> None:

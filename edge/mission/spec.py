@@ -46,7 +46,7 @@ from edge.text import one_line
 
 _NO_SITE = Site()
 _MEANS_MORE = re.compile(rf'"(?:{CHECK}|{EXPLORED})\b|, then ')
-_MOST_SHOWN = 600  # of the parts of a contradiction
+_MOST_SHOWN = 600  # characters of the parts of a contradiction
 
 
 class MissionError(UserError):
@@ -132,7 +132,7 @@ def prepare(
         caller: pose of the person who calls the robot, the place `caller`; None if it is not known.
 
     Raises:
-        AmbiguousError: the instruction has several readings, and none was chosen.
+        AmbiguousInstructionError: the instruction has several readings, and none was chosen.
         UserError: the instruction was not understood, or the formula cannot be used: it is
             malformed, too large (also for the configured planner), a contradiction (the error
             names the parts in conflict), or asks for nothing.
@@ -152,7 +152,7 @@ def prepare(
         try:
             translation = translate(config, text, site, reading, ask)
         except TranslationError as error:
-            raise _placed(error, text) from None
+            raise _with_position(error, text) from None
         repeat = repeat or translation.repeat
     else:
         reach = ltl.eventually(ltl.ap(config.target))
@@ -183,31 +183,31 @@ def translate(
     if isinstance(config.translator, TranslatorLtl):
         quoted, repeat = split_repetition(quote_places(text, places))
         return replace(translator.translate(quoted, reading, ask), repeat=repeat)
-    said = understand(text, [item.name for item in site.items])
-    if not isinstance(said, MissionOrder):
-        raise NoMissionError(said)
-    plain = said.speech.restored(spell_out(said.speech.text, places))
+    order = understand(text, [item.name for item in site.items])
+    if not isinstance(order, MissionOrder):
+        raise NoMissionError(order)
+    plain = order.speech.restored(spell_out(order.speech.text, places))
     given = quote_places(text, places)
     # What the grammar reads in the person's own words needs no spelling out, unless it would lose
     # something: a check is no visit, and people mean an order when they say "go there and find".
-    means_more = said.speech.corrected or _MEANS_MORE.search(plain)
-    chosen = given if not means_more and _is_read(given) else plain
+    means_more = order.speech.corrected or _MEANS_MORE.search(plain)
+    chosen = given if not means_more and _is_understood(given) else plain
     chosen, repeat = split_repetition(chosen)
     translation = translator.translate(chosen, reading, ask)
     letters = {name for name in ltl.propositions(translation.formula) if len(name) == 1}
     if letters == {"a"} and '"a"' not in text:
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
-    for reason in said.speech.reasons:
+    for reason in order.speech.reasons:
         if shared := _shared_word(reason, translation.formula):
             hint = (
                 f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
             )
             raise UnclearError(f"instruction: {one_line(reason)!r}: {hint}", reason)
     english = translation.english
-    if unused := "; ".join(f"'{one_line(reason)}'" for reason in said.speech.reasons):
+    if unused := "; ".join(f"'{one_line(reason)}'" for reason in order.speech.reasons):
         english += f" (Not part of the order: {unused}.)"
-    if asks_for_work(said.speech.text):
+    if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)
 
@@ -219,7 +219,7 @@ def _shared_word(remark: str, formula: Formula) -> str:
     return next((word for word in re.findall(r"[a-z]{3,}", targets) if word in spoken), "")
 
 
-def _is_read(instruction: str) -> bool:
+def _is_understood(instruction: str) -> bool:
     """Return True if the grammar understands an instruction."""
     try:
         return bool(readings(instruction))
@@ -227,7 +227,7 @@ def _is_read(instruction: str) -> bool:
         return False
 
 
-def _placed(error: TranslationError, instruction: str) -> TranslationError:
+def _with_position(error: TranslationError, instruction: str) -> TranslationError:
     """Return the error with the position of its part in the instruction as it was given."""
     at = instruction.find(error.part) + 1 if error.part else 0
     if not at or at == error.position:
@@ -302,7 +302,7 @@ def _refuse_closed(name: str, destination: Destination, site: Site) -> None:
 
 def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     """Compile and check a translated formula for the configured planner; see `prepare`."""
-    formula = _unified(translation.formula, translation.destinations)
+    formula = _with_one_name(translation.formula, translation.destinations)
     translation = replace(translation, formula=formula)
     letters = ltl.propositions(formula)
     _check_number(config, len(letters))
@@ -322,7 +322,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
             f"nothing{always}; name something to reach"
         )
     targets = tuple(letter for letter in letters if letter not in diagnosis.unused)
-    automaton = _narrowed(automaton, targets)
+    automaton = _without_unused(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
     alone = automaton.steps_left[0] < 2 or len(automaton.possible) < 2
@@ -418,7 +418,7 @@ def _check_number(config: MissionConfig, targets: int) -> None:
         )
 
 
-def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
+def _without_unused(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
     """Remove propositions that make no difference, so that the planner never searches for them."""
     if letters == automaton.propositions:
         return automaton
@@ -427,7 +427,7 @@ def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
     return replace(automaton, propositions=letters, delta=delta)
 
 
-def _unified(formula: Formula, destinations: Collection[str]) -> Formula:
+def _with_one_name(formula: Formula, destinations: Collection[str]) -> Formula:
     """Return the formula with one name for each object: the first one of its synonyms.
 
     A destination keeps its name: what a person calls a place is no synonym of a thing.

@@ -1,7 +1,7 @@
 """Description of what a mission asks for as orders, such as "Go to the kitchen, then wait.".
 
-`edge.mission.language.english` describes any formula as what is reached; this says the common forms
-as a person would.
+`edge.mission.language.english` describes any formula by what is reached. This module describes the
+common forms as a person would say them.
 """
 
 from __future__ import annotations

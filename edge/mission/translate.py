@@ -124,8 +124,8 @@ class Translator:
 
         Raises:
             UserError: the instruction cannot be translated; a TranslationError names the part.
-            AmbiguousError: there are several readings, or one that is not sure, and none was
-                chosen.
+            AmbiguousInstructionError: there are several readings, or one that is not sure, and
+                none was chosen.
         """
         began_s = time.monotonic()
         read = self.read(instruction)
@@ -150,7 +150,7 @@ class Translator:
         return replace(
             translation,
             reading=1 + readings.index(taken),
-            readings=tuple(one.english for one in readings),
+            readings=tuple(each.english for each in readings),
             implied=reading is None,
         )
 
@@ -182,26 +182,26 @@ def make_translator(config: TranslatorConfig) -> Translator:
             later, at the first instruction that the grammar refuses.
     """
     readers: dict[str, Callable[[], Backend]] = {
-        "grammar": lambda: _by_grammar,
+        "grammar": lambda: _read_by_grammar,
         "ltl": lambda: lambda text: ParsedInstruction((ltl.parse(text),), "ltl"),
-        "llm": lambda: _by_llm(config),
-        "model": lambda: small_model_backend(_small_model(config.card)),
+        "llm": lambda: _llm_backend(config),
+        "model": lambda: small_model_backend(_load_small_model(config.card)),
         # The model is loaded at the first refusal by the grammar: most instructions need none.
         "auto": lambda: combined_backend(
-            lambda text: small_model_backend(_small_model(config.card))(text),
-            config.llm and _by_llm(config.llm),
+            lambda text: small_model_backend(_load_small_model(config.card))(text),
+            config.llm and _llm_backend(config.llm),
         ),
     }
     return Translator(config.kind, readers[config.kind]())
 
 
-def _by_grammar(instruction: str) -> ParsedInstruction:
+def _read_by_grammar(instruction: str) -> ParsedInstruction:
     formulas = grammar.readings(instruction)
     refuse_contradiction(formulas)
     return ParsedInstruction(formulas, "grammar")
 
 
-def _by_llm(config: TranslatorLlm) -> Backend:
+def _llm_backend(config: TranslatorLlm) -> Backend:
     from edge.mission.language.llm import LlmTranslator  # needs the chat client; the others do not
 
     model = LlmTranslator(config)
@@ -209,7 +209,7 @@ def _by_llm(config: TranslatorLlm) -> Backend:
 
 
 @lru_cache(maxsize=1)
-def _small_model(card: str) -> NeuralTranslator:
+def _load_small_model(card: str) -> NeuralTranslator:
     from edge.mission.language.model import (
         NeuralTranslator,  # needs onnxruntime; the grammar does not
     )
@@ -270,16 +270,16 @@ def combined_backend(small: Backend, large: Backend | None) -> Backend:
 
     def read(instruction: str) -> ParsedInstruction:
         try:
-            return _by_grammar(instruction)
+            return _read_by_grammar(instruction)
         except UnclearError:
             raise
         except TranslationError as refusal:
-            return _unread(instruction, refusal, small, large)
+            return _ask_models(instruction, refusal, small, large)
 
     return read
 
 
-def _unread(
+def _ask_models(
     instruction: str, refusal: TranslationError, small: Backend, large: Backend | None
 ) -> ParsedInstruction:
     """Ask the models about an instruction that the grammar refused.

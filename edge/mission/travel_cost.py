@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from edge.perception.tracking.instances import InstanceTracker
 
 PERIOD_NS = 1_000_000_000
+"""Least time between two surveys; a survey computes all distances between the targets once."""
 
 
 class TravelCostEstimator:
@@ -45,8 +46,8 @@ class TravelCostEstimator:
         now_ns: int,
     ) -> None:
         """Pass a finished survey to the mission, and start another one if it is due."""
-        if (found := self.poll()) is not None and not mission.paused:
-            mission.update_distances(found, now_ns)
+        if (distance_m := self.poll()) is not None and not mission.paused:
+            mission.update_distances(distance_m, now_ns)
         if self.is_due(now_ns):
             letters = mission.spec.automaton.propositions
             places = {
@@ -57,7 +58,7 @@ class TravelCostEstimator:
             xy_m = [
                 [(places[letter].x_m, places[letter].y_m)]
                 if letter in places
-                else [one.center_m[:2] for one in tracker.of(letter)]
+                else [instance.center_m[:2] for instance in tracker.of(letter)]
                 for letter in letters
             ]
             known = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
@@ -103,7 +104,7 @@ class TravelCostEstimator:
 def make_travel_cost_estimator(
     planner: PlannerVitl | PlannerInOrder | PlannerPlugin, inline: bool
 ) -> TravelCostEstimator | None:
-    """Return a surveyor if the planner uses distances as weights, else None."""
+    """Return an estimator if the planner uses distances as weights, else None."""
     if not isinstance(planner, PlannerVitl) or planner.weights != "distance":
         return None
     return TravelCostEstimator(inline)

@@ -50,8 +50,8 @@ from edge.text import one_line, redact
 PROGRAM = python_module("edge.models.check")
 _TEXTS = 2
 """Number of text rows, and of marks in an image, for the test inference."""
-_TARGET = "chair"
-_VIEW_HWC = (480, 640, 3)
+_TARGET = "chair"  # target of the test questions
+_VIEW_HWC = (480, 640, 3)  # shape of the test image: height, width, channels
 
 
 def run(args: argparse.Namespace) -> int:
@@ -89,9 +89,9 @@ def _report(models: list[tuple[FileCard | ChoiceCard, Path | None]], limit_s: fl
 
 
 def check_in_subprocess(card: FileCard | ChoiceCard, file: Path | None, limit_s: float) -> str:
-    """Run `check_model` in a process that is killed after `limit_s`; return its line."""
+    """Run `check_model` in a process that is killed after `limit_s`; return its result line."""
     if isinstance(card, FileCard) and card.server is not None and file is None:
-        return check_model(card)  # it runs on a server
+        return check_model(card)  # the model runs on a server, so it cannot harm this process
     request = {
         "kind": type(card).__name__,
         "card": card.model_dump(mode="json"),
@@ -110,11 +110,11 @@ def main() -> int:
     request, _, control, _ = set_up_child()
     try:
         card = getattr(card_types, request["kind"]).model_validate(request["card"])
-        said = check_model(card, None if request["file"] is None else Path(request["file"]))
+        line = check_model(card, None if request["file"] is None else Path(request["file"]))
     except Exception as error:
         control.send(wire.encode_error(as_memory_error(error)))
         return 1
-    control.send(wire.encode(said=said))
+    control.send(wire.encode(said=line))
     return 0
 
 
@@ -140,7 +140,7 @@ def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
     else:
         path, compared = file, verify_file(card, file)
     session = open_session(path, ["CPUExecutionProvider"], threads=2)
-    seen = _TRIALS.get(type(card), _check_encoder)(path, session, card)
+    seen = _CHECKS.get(type(card), _check_encoder)(path, session, card)
     hashed = "hash" if compared else "hash not known"
     return f"{card.name}: ok ({hashed}, interface, {seen})"
 
@@ -163,8 +163,8 @@ def _check_detector(path: Path | str, session: Any, card: DetectCard) -> str:
     images = random.random((1, 3, card.input.height, card.input.width), dtype=np.float32)
     boxes, scores = _infer(path, session, {"images": images, "txt_feats": text})
     a = boxes.shape[1] if boxes.ndim == 3 else 0
-    _hold_shape(path, "boxes", boxes, (1, a, 4))
-    _hold_shape(path, "scores", scores, (1, a, _TEXTS))
+    _check_output(path, "boxes", boxes, (1, a, 4))
+    _check_output(path, "scores", scores, (1, a, _TEXTS))
     folded = np.empty_like(scores[0])
     kernels.best_per_class(scores[0], np.arange(_TEXTS, dtype=np.int32), folded)
     if n := kernels.count_unsound(boxes[0], folded, far_px(card)):  # as in the running service
@@ -200,8 +200,8 @@ def _check_marks(path: Path | str, session: Any, card: MarksCard) -> str:
     others = random.random((1, OTHERS_FIELDS), dtype=np.float32)
     feed = {"images": images, "txt_feats": text, "marks": marks, "others": others}
     directions, scene = _infer(path, session, feed)
-    _hold_shape(path, "directions", directions, (1, MAX_MARKS + 1))
-    _hold_shape(path, "scene", scene, (1, 1))
+    _check_output(path, "directions", directions, (1, MAX_MARKS + 1))
+    _check_output(path, "scene", scene, (1, 1))
     return f"{MAX_MARKS} marks, finite"
 
 
@@ -214,7 +214,7 @@ def _check_encoder(path: Path | str, session: Any, card: FileCard) -> str:
         length, rows = session.get_inputs()[0].shape[1], _TEXTS
         feed = {"tokens": np.zeros((rows, length if isinstance(length, int) else 3), np.int64)}
     (found,) = _infer(path, session, feed)
-    _hold_shape(path, "embeddings", found, (rows, card.dim))
+    _check_output(path, "embeddings", found, (rows, card.dim))
     if not np.linalg.norm(found, axis=1).all():
         raise ModelError(f"{path}: an embedding is all zeros: export the model again")
     return f"embeddings of {card.dim}, finite"
@@ -226,7 +226,7 @@ def _check_mask_encoder(path: Path, session: Any, card: MaskEncoderCard) -> str:
     )
     found = _infer(path, session, {session.get_inputs()[0].name: pixels})
     for value, array in zip(session.get_outputs(), found, strict=True):
-        _hold_shape(path, value.name, array, array.shape)
+        _check_output(path, value.name, array, array.shape)
     return f"features {', '.join(str(array.shape) for array in found)}, finite"
 
 
@@ -248,7 +248,7 @@ def _check_mask_decoder(path: Path, session: Any, card: MaskDecoderCard) -> str:
             f"{path}: {output} of shape {masks.shape}, must be (1, k, rows, columns): export "
             "the model again"
         )
-    _hold_shape(path, output, masks, masks.shape)
+    _check_output(path, output, masks, masks.shape)
     return f"masks {masks.shape}, finite"
 
 
@@ -259,13 +259,13 @@ def _check_translator(path: Path, session: Any, card: TranslateCard) -> str:
         for v in session.get_inputs()
     }  # fmt: skip
     across, logits, present = _infer(path, session, feed)
-    _hold_shape(path, "across", across, across.shape)
-    _hold_shape(path, "present", present, present.shape)
-    _hold_shape(path, "logits", logits, (1, 1, logits.shape[-1]))
+    _check_output(path, "across", across, across.shape)
+    _check_output(path, "present", present, present.shape)
+    _check_output(path, "logits", logits, (1, 1, logits.shape[-1]))
     return f"{logits.shape[-1]} tokens, finite"
 
 
-_TRIALS = {
+_CHECKS = {
     DetectCard: _check_detector,
     MaskEncoderCard: _check_mask_encoder,
     MaskDecoderCard: _check_mask_decoder,
@@ -287,7 +287,8 @@ def _infer(
         raise ModelError(f"{path}: does not run: {reason}: export the model again") from None
 
 
-def _hold_shape(path: Path | str, name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
+def _check_output(path: Path | str, name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raise ModelError if an output has another shape, or is not finite."""
     if array.shape != shape:
         raise ModelError(
             f"{path}: {name} of shape {array.shape}, must be {shape}: export the model again"

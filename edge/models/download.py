@@ -22,9 +22,9 @@ from edge.models.partial_file import MAX_BYTES, FetchError, InterruptedFetchErro
 from edge.text import one_line, redact
 
 _HEADERS = {"User-Agent": f"edge-vln/{__version__}", "Accept-Encoding": "identity"}
-_PASSING = {408, 425, 429, 500, 502, 503, 504}
+_RETRY_STATUS = {408, 425, 429, 500, 502, 503, 504}
 """HTTP errors that are worth another try."""
-_REDIRECTS = 10
+_REDIRECTS = 10  # most redirects of one request
 
 
 @dataclass(frozen=True)
@@ -114,14 +114,14 @@ def _fetch(url: str, part: PartialFile, limits: DownloadLimits) -> None:
     """Download the rest of a partial file.
 
     Raises:
-        Interrupted: another try may succeed.
+        InterruptedFetchError: another try may succeed.
         FetchError: another try will not succeed.
     """
-    wanted = {"Range": f"bytes={part.have}-"} if part.have else {}
+    headers = {"Range": f"bytes={part.have}-"} if part.have else {}
     try:
         with (
             _Watch(limits) as watch,
-            _answer(url, wanted, watch, limits.answer_s) as response,
+            _answer(url, headers, watch, limits.answer_s) as response,
         ):
             total = _agree_on_start(response, part)
             if total is not None and total > MAX_BYTES:
@@ -159,7 +159,7 @@ def _agree_on_start(response: httpx.Response, part: PartialFile) -> int | None:
 class _Watch:
     """Context that cuts the connection of a slow server; enter it before the request.
 
-    If it cut the connection, its exit raises Interrupted with the reason.
+    If it cut the connection, the end of the context raises InterruptedFetchError with the reason.
 
     Args:
         limits: time limits.
@@ -173,28 +173,28 @@ class _Watch:
 
     def __init__(self, limits: DownloadLimits, whole_s: float | None = None) -> None:
         self.connection, self.has_header, self.n_bytes = CuttableConnection(), threading.Event(), 0
-        self._limits, self._whole_s, self._over = limits, whole_s, threading.Event()
+        self._limits, self._whole_s, self._ended = limits, whole_s, threading.Event()
         self._why = ""
 
     def __enter__(self) -> _Watch:
-        threading.Thread(target=self._look, name="download watch", daemon=True).start()
+        threading.Thread(target=self._watch, name="download watch", daemon=True).start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
-        self._over.set()
+        self._ended.set()
         self.has_header.set()
         if self._why and (kind is None or issubclass(kind, InterruptedFetchError)):
             raise InterruptedFetchError(self._why) from None
 
-    def _look(self) -> None:
+    def _watch(self) -> None:
         limits, before = self._limits, 0
         if not self.has_header.wait(limits.answer_s):
             self._cut(f"no answer within {limits.answer_s:g} s")
         elif self._whole_s is not None:
-            if not self._over.wait(self._whole_s):
+            if not self._ended.wait(self._whole_s):
                 self._cut(f"not complete after {self._whole_s:g} s")
         else:
-            while not self._over.wait(limits.slow_s):
+            while not self._ended.wait(limits.slow_s):
                 came, before = self.n_bytes - before, self.n_bytes
                 if came < limits.slow_bytes:
                     return self._cut(f"only {came} bytes came in {limits.slow_s:g} s")
@@ -211,7 +211,7 @@ def _answer(
     """Yield a response of status 2xx, before its content is read.
 
     Raises:
-        Interrupted: another try may succeed; also for errors while the content is read.
+        InterruptedFetchError: another try may succeed; also for errors while the content is read.
         FetchError: another try will not succeed.
     """
     try:
@@ -265,5 +265,5 @@ def _check_status(response: httpx.Response) -> None:
         return
     if response.status_code == 416:
         raise _NoRangeError("the file on the server is shorter than the part already downloaded")
-    kind = InterruptedFetchError if response.status_code in _PASSING else FetchError
+    kind = InterruptedFetchError if response.status_code in _RETRY_STATUS else FetchError
     raise kind(f"HTTP {response.status_code} {one_line(response.reason_phrase)}")

@@ -28,7 +28,7 @@ def as_json(cards: Iterable[Card]) -> str:
     """
     rows = []
     for card in cards:
-        path = _path(card)
+        path = _first_path(card)
         rows.append({**card.model_dump(), "path": None if path is None else str(path)})
     return json.dumps(redact(rows), indent=2)
 
@@ -41,7 +41,8 @@ def as_table(cards: Iterable[Card]) -> str:
     return format_table(rows)
 
 
-def _path(card: Card):  # type: ignore[no-untyped-def]
+def _first_path(card: Card):  # type: ignore[no-untyped-def]
+    """Return the path of a card's first file; None if there is no file, or one is missing."""
     here = [file.path for file in card.files if file.is_here()]
     return here[0] if here and len(here) == len(card.files) else None
 
@@ -50,16 +51,24 @@ def _row(card: Card) -> tuple[str, ...]:
     size = getattr(card, "input", None)
     shape = f"{size.height}x{size.width}" if size else "-"
     precision = getattr(card, "precision", "-")
-    cells = (card.name, card.task, shape, precision, card.license, _file(card), _parity(card))
+    cells = (
+        card.name,
+        card.task,
+        shape,
+        precision,
+        card.license,
+        _describe_file(card),
+        _describe_parity(card),
+    )
     return tuple(map(one_line, cells))
 
 
-def _file(card: Card) -> str:
+def _describe_file(card: Card) -> str:
     if not card.files:
         return "-"
     if served := [file.server.url for file in card.files if file.server is not None]:
         return f"on {redact(served[0])}"
-    if _path(card) is None:
+    if _first_path(card) is None:
         return "missing"
     return _megabytes(sum(path.stat().st_size for file in card.files for path in _paths(file)))
 
@@ -74,8 +83,8 @@ def _megabytes(size: int) -> str:
     return f"{size / 1e6:.0f} MB" if size >= 10e6 else f"{size / 1e6:.1f} MB"
 
 
-def _parity(card: Card) -> str:
-    """Return how the model compares with its reference: from the card, else from its export."""
+def _describe_parity(card: Card) -> str:
+    """Return how the model compares with its reference, from the card, else from the export."""
     p = card.parity or next((p for file in card.files if (p := made_parity(file))), None)
     if p is None:
         return "-"

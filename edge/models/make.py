@@ -27,19 +27,22 @@ TRAINED = {
     "mini-house": "python -m exporters.training.mini --out RUN",
 }
 """Family of models that are not exported from weights → command that trains them."""
+# Modules that the exporters need, by kind of export.
 _QUANTIZE_NEEDS = ("onnx", "onnxruntime")
-_CHOICE_NEEDS, _CHOICE_PRECISION = ("PIL", "tokenizers"), "q4"
+_CHOICE_NEEDS = ("PIL", "tokenizers")
 _EXPORT_NEEDS = ("torch", "torchvision", "ultralytics", "onnxslim", *_QUANTIZE_NEEDS)
 _FOLDER_NEEDS = ("torch", "transformers", "tokenizers", "onnxscript", *_QUANTIZE_NEEDS)
+_CHOICE_PRECISION = "q4"  # default precision of a vision-language model
 _WITHOUT_DEPENDENCIES = ("torchvision", "ultralytics")
-"""Packages without an extra: their dependencies conflict with ours; see `pyproject.toml`."""
+"""Packages to install without dependencies, which conflict with ours; see `pyproject.toml`."""
 
 
 def export(args: argparse.Namespace) -> int:
     """Handle `edge models export`, and return the exit code of the exporter.
 
-    The source is a card, or a model folder of Hugging Face, for which cards are made, too. A given
-    vocabulary is copied to the folder of the models, where `edge run` finds it.
+    The source is the weights of a card's model, or a model folder of Hugging Face, for which cards
+    are made, too. A given vocabulary is copied to the folder of the models, where `edge run` finds
+    it.
 
     Raises:
         ModelError: there are no weights, a package is not installed, or the vocabulary cannot be
@@ -76,7 +79,7 @@ def quantize(args: argparse.Namespace) -> int:
     whose variants get cards. torch is not needed.
 
     Raises:
-        ModelError: the model is not derived from another one, its source file is missing or
+        ModelError: the model is not derived from another one, the source file is missing or
             damaged, or a package is not installed.
         PromptError: there is no vocabulary of text embeddings.
     """

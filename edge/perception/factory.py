@@ -23,8 +23,8 @@ def open_detector(
     """Open the detector of a card, on this computer or on the card's server.
 
     Args:
-        detector: names the card.
-        prompts: what to look for.
+        detector: settings of the detector; `model` names the card.
+        prompts: names of the objects to look for.
         progress: called every few seconds while a TensorRT engine is built.
 
     Raises:
@@ -62,7 +62,7 @@ REGISTRY = {"onnx": _onnx, "sim": _sim}
 
 
 def _on_a_server(detector: config.DetectorOnnx | config.DetectorSim) -> bool:
-    """Return True if a server runs the model: such a model needs no process here."""
+    """Return True if a server runs the model; such a model needs no process on this computer."""
     try:
         return detector.kind == "onnx" and load_detector_card(detector.model).server is not None
     except ModelError:  # the caller that loads the card reports it
@@ -81,7 +81,7 @@ def make_detector(
 
     Args:
         perception: the configuration.
-        prompts: what to look for.
+        prompts: names of the objects to look for.
         progress: called every few seconds while a TensorRT engine is built, which takes minutes.
         cancelled: once set, a model process that is not ready yet is ended, which raises
             ModelError. Without process isolation the model is loaded to the end.

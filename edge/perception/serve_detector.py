@@ -33,10 +33,10 @@ def main(make: Make = make_detector) -> int:
         make: makes the detector.
     """
     request, images, control, frames = set_up_child()
-    speaking = threading.Lock()
+    sending = threading.Lock()
 
     def progress(health: Health) -> None:  # on any thread, but only until `make` returns
-        with speaking:
+        with sending:
             control.send(wire.encode(health=health))
 
     try:
@@ -57,7 +57,7 @@ def main(make: Make = make_detector) -> int:
 
 
 def _run_empty(detector: Detector) -> None:
-    """Detect in one image before the first: compiling kernels would look like a hang."""
+    """Detect in an empty image. Else the first real one would wait for kernels, as in a hang."""
     detector.detect(Observation(0, 0, np.eye(4), rgb=np.zeros((64, 64, 3), np.uint8)))
     detector.invalid_boxes = 0  # this image is not from a camera
 

@@ -43,10 +43,11 @@ def warmup(lifts: Sequence[str] = ("depth", "cloud")) -> None:
         np.ones((16, 16), np.uint16), np.ones((16, 16), np.float32), np.zeros((1, 4), np.int32),
         np.zeros(1, np.int32), np.zeros(1, np.float32),
     )  # fmt: skip
-    _lift(lifts)
+    _warm_up_tracking(lifts)
 
 
-def _lift(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
+def _warm_up_tracking(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
+    """Run the kernels of back-projection and of both trackers; see `warmup`."""
     seen = Observation(
         seq=0,
         stamp_ns=0,
@@ -62,8 +63,8 @@ def _lift(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
         class_id=np.zeros(1, np.int32),
         prompts=("chair",),
     )
-    for way in lifts:
-        perception = config.PerceptionConfig(back_projection=way, detector=config.DetectorSim())
+    for source in lifts:
+        perception = config.PerceptionConfig(back_projection=source, detector=config.DetectorSim())
         lifted, _ = BackProjector(perception).back_project(detections)
     clear = replace(lifted, valid=np.ones(1, np.bool_), n_points=np.ones(1, np.int32))
     sightings = ObjectTracker(perception)
@@ -76,7 +77,8 @@ def _lift(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
     tracker = InstanceTracker(perception)
     tracker.update(lifted, 0)
     tracker.expire(seen, detections.prompts)
-    # Kernels for an instance that is seen again: no detection above is strong enough to make one.
+    # Kernels for an instance that is seen again. The detection above is too weak to make one, so
+    # they are called directly.
     points_m = np.zeros((1, 3), np.float32)
     support = np.ones(1, np.int32)
     instance_kernels.merge_points(points_m, support, points_m, perception.voxel_m, MAX_POINTS)

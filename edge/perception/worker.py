@@ -16,6 +16,7 @@ from edge.types import Detections, Observation
 log = logging.getLogger(__name__)
 
 PAUSE_S = 1.0
+"""Default pause of a scorer after a failure."""
 
 
 class Closable(Protocol):
@@ -55,23 +56,23 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
         self.model = model
         self.on_result: Callable[[Model, Item, Any], object] | None = None
         self._using: Model | None = None
-        self._hand = threading.Lock()
+        self._exchange_lock = threading.Lock()
         super().__init__(what, work, **more)
 
     def exchange(self, model: Model) -> Model:
         """Run another model from the next item on; return the model before it, still open."""
-        with self._hand:
+        with self._exchange_lock:
             before, self.model = self.model, model
         return before
 
     def uses(self, model: Model) -> bool:
         """Return True if a model may be running or will run: it must not be closed yet."""
-        with self._hand:
+        with self._exchange_lock:
             return model is self.model or model is self._using
 
     def _use(self) -> Model:
-        """Return the model to run on the item at hand, until `_used` is called."""
-        with self._hand:
+        """Return the model to run on the current item; it stays in use until `_used` is called."""
+        with self._exchange_lock:
             self._using = self.model
         return self._using
 
@@ -99,7 +100,7 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
         masker: adds masks to detections; None: no masks.
 
     Attributes:
-        spare: the detector before a swap, kept open until the new one has passed its probation;
+        previous: the detector before a swap, kept open until the new one has passed its probation;
             None otherwise.
     """
 
@@ -141,25 +142,26 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
         """Use other prompts from the next image on; see `Detector.set_prompts`.
 
         Raises:
-            PromptError, ModelError: the detector or the spare cannot use them; nothing has changed.
+            PromptError, ModelError: the detector or the previous one cannot use the prompts;
+                nothing has changed.
         """
-        spare = self.previous
-        if spare is None:
+        previous = self.previous
+        if previous is None:
             self.detector.set_prompts(prompts)
             return
-        # First the spare, which does not detect: if it fails, the running detector is unchanged.
-        before = spare.prompts
+        # First the previous detector: if it fails, the running detector is unchanged.
+        before = previous.prompts
         try:
-            spare.set_prompts(prompts)
+            previous.set_prompts(prompts)
         except UserError as error:
             raise type(error)(
-                f"{spare.name}, which is kept until {self.detector.name} passes its probation: "
+                f"{previous.name}, which is kept until {self.detector.name} passes its probation: "
                 f"{error}; try again after the probation"
             ) from None
         try:
             self.detector.set_prompts(prompts)
         except Exception:
-            spare.set_prompts(before)
+            previous.set_prompts(before)
             raise
 
     def _detect(self, observation: Observation) -> Detections:
@@ -194,7 +196,7 @@ A = TypeVar("A")
 
 
 class Scorer(Protocol[Q, A]):
-    """A model in the background, in two steps: a slow server must not hold up a frame.
+    """A model in the background, in two steps: a slow server must not keep an observation's arrays.
 
     Attributes:
         name: shown to people.
@@ -203,11 +205,17 @@ class Scorer(Protocol[Q, A]):
     name: str
 
     def prepare(self, question: Q) -> Any:
-        """Read everything that needs the observation's arrays; may raise anything."""
+        """Read what needs the observation's arrays, and return it for `answer`.
+
+        May raise anything.
+        """
         ...
 
     def answer(self, looked: Any) -> A | None:
-        """Compute the result, which may take long but must end; may raise anything."""
+        """Compute the result from what `prepare` returned. This may take long, but must end.
+
+        May raise anything.
+        """
         ...
 
     def close(self) -> None:
@@ -235,7 +243,7 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
         pause_s: float = PAUSE_S,
     ) -> None:
         super().__init__(
-            kind, self._put, scorer, inline=inline, rest_s=rest_s, pause_s=pause_s,
+            kind, self._ask, scorer, inline=inline, rest_s=rest_s, pause_s=pause_s,
             drop=lambda question: question.observation.release(),
         )  # fmt: skip
 
@@ -245,7 +253,7 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
         return self.model.name
 
     def submit(self, question: Q) -> None:
-        """Put this question, unless the worker is busy or pauses."""
+        """Ask the model this question, unless the worker is busy or pauses."""
         if self.idle:
             question.observation.hold()
             super().submit(question)
@@ -265,7 +273,7 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
             "last_error": s.last_error,
         }  # fmt: skip
 
-    def _put(self, question: Q) -> A | None:
+    def _ask(self, question: Q) -> A | None:
         scorer = self._use()
         outcome: A | Exception | None = None
         try:

@@ -14,18 +14,24 @@ COLOURS = (*_GREYS, "red", "orange", "yellow", "green", "blue", "purple", "pink"
 _HUES = ((8, "red"), (20, "orange"), (34, "yellow"), (85, "green"), (128, "blue"), (148, "purple"),
          (170, "pink"), (180, "red"))  # fmt: skip
 """Upper limit of each colour's hue in OpenCV's half degrees."""
-_DARK, _LIGHT = 55, 165
+_DARK = 55
+"""Value (brightness) below which a pixel is black."""
+_LIGHT = 165
+"""Value from which a grey pixel is white."""
 _PALE = 55
 """Saturation below which a pixel is grey; dark pixels are noisier and need more."""
 _SHADED, _SHADED_SPREAD = 128, 20
-"""Paint in the shade: a dark pixel with this saturation and channel spread is not black."""
+"""Least saturation, and least difference of the channels, of a dark pixel that is not black.
+
+Such a pixel shows paint in the shade."""
 _BROWN_BELOW = 150
+"""Value below which an orange pixel, or a red one near orange, is brown."""
 _INNER = 0.6
 """Share of a box's width and height that shows the object, if there is no mask."""
 _LEAST_SHARE = 0.35
 """Smallest share of an object's pixels for its colour."""
 _PAINT_SHARE = 0.25
-"""A black object has this colour if more than this share of its pixels have it.
+"""An object that is mostly black gets its most frequent other colour above this share of pixels.
 
 The black pixels are then tyres, windows and shadow.
 """
@@ -41,17 +47,19 @@ def colour_names(rgb: np.ndarray) -> np.ndarray:
     hue, saturation, value = (
         plane for plane in np.moveaxis(cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV), 2, 0)
     )
-    ends, which = zip(*_HUES, strict=True)
-    table = np.array([COLOURS.index(name) for name in which], np.uint8)
+    ends, hue_names = zip(*_HUES, strict=True)
+    table = np.array([COLOURS.index(name) for name in hue_names], np.uint8)
     out = table[np.searchsorted(ends, hue, side="right").clip(max=len(table) - 1)]
-    warm = (out == COLOURS.index("orange")) | (out == COLOURS.index("red")) & (hue > 4) & (hue < 90)
+    # Dark orange looks brown, and so does dark red that is near to orange (hue over 4).
+    orange, red = out == COLOURS.index("orange"), out == COLOURS.index("red")
+    warm = orange | (red & (hue > 4) & (hue < 90))
     out[warm & (value < _BROWN_BELOW)] = COLOURS.index("brown")
     pale = saturation < np.where(value < 100, 2 * _PALE, _PALE)
     out[pale] = COLOURS.index("gray")
     out[pale & (value >= _LIGHT)] = COLOURS.index("white")
     spread = saturation.astype(np.int32) * value // 255
-    paint = (saturation >= _SHADED) & (spread >= _SHADED_SPREAD)
-    out[(value < _DARK) & ~paint] = COLOURS.index("black")
+    is_shaded = (saturation >= _SHADED) & (spread >= _SHADED_SPREAD)
+    out[(value < _DARK) & ~is_shaded] = COLOURS.index("black")
     return out
 
 
@@ -81,9 +89,9 @@ def colour_of(rgb: np.ndarray, box: np.ndarray, mask: np.ndarray | None = None) 
     counts = np.bincount(named.ravel(), minlength=len(COLOURS))
     best = int(np.argmax(counts))
     if COLOURS[best] == "black":
-        paint = len(_GREYS) + int(np.argmax(counts[len(_GREYS) :]))
-        if counts[paint] > _PAINT_SHARE * counts.sum():
-            return COLOURS[paint]
+        best_paint = len(_GREYS) + int(np.argmax(counts[len(_GREYS) :]))
+        if counts[best_paint] > _PAINT_SHARE * counts.sum():
+            return COLOURS[best_paint]
     return COLOURS[best] if counts[best] > _LEAST_SHARE * max(counts.sum(), 1) else ""
 
 

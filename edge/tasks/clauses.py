@@ -11,12 +11,12 @@ from typing import NoReturn
 
 from edge.mission.language.tokens import Token, TokenReader
 
-_JOINTS = ("then", "and", "comma", "stop mark")
+_JOINTS = ("then", "and", "comma", "stop mark")  # kinds of tokens that join clauses
 _VERBS = {
     "going": "go", "passing": "pass", "stopping": "stop", "reaching": "reach", "leaving": "leave",
 }  # fmt: skip
 """Kind of a participle → kind of its verb."""
-_SKIPPED = ("filler", "having", "while")
+_SKIPPED = ("filler", "having", "while")  # kinds of tokens before the verb of a clause
 
 
 @dataclass(slots=True)
@@ -24,14 +24,14 @@ class _Clause:
     """Tokens up to the next joint, or up to the next clause that depends on this one.
 
     Attributes:
-        hangs: dependence on another clause: "after", "before", "by" (the manner of driving); "" =
+        depends: dependence on another clause: "after", "before", "by" (the manner of driving); "" =
             none.
-        joints: tokens that join this clause to the one before; empty at the start, and if it
-            follows directly.
-        tokens: the tokens of the clause itself.
+        joints: tokens that join this clause to the one before; empty for the first clause, and for
+            a clause that follows without a joint.
+        tokens: the tokens of the clause, without joints.
     """
 
-    hangs: str
+    depends: str
     joints: list[Token]
     tokens: list[Token] = field(default_factory=list)
 
@@ -49,32 +49,38 @@ def order_clauses(text: str, tokens: list[Token]) -> list[Token]:
     Raises:
         TranslationError: the order is not clear; the error names the clause.
     """
-    clauses = _clauses(tokens)
-    if not any(clause.hangs for clause in clauses):
+    clauses = _split(tokens)
+    if not any(clause.depends for clause in clauses):
         return tokens
     ordered: list[_Clause] = []
     waiting: list[_Clause] = []  # "before …" at the start: driven after the next clause
     for n, clause in enumerate(clauses):
         after = clauses[n + 1] if n + 1 < len(clauses) else None
-        leads = after is not None and not after.hangs and _commas(after.joints)
-        if not clause.hangs:
+        leads = after is not None and not after.depends and _are_commas(after.joints)
+        if not clause.depends:
             ordered += [clause, *waiting]
             waiting = []
-        elif not ordered or (clause.joints and not _commas(clause.joints)):  # before its main one
+        elif not ordered or (
+            clause.joints and not _are_commas(clause.joints)
+        ):  # before its main one
             if not leads or waiting:
                 _refuse(text, tokens, clause)
-            (waiting if clause.hangs == "before" else ordered).append(clause)
+            (waiting if clause.depends == "before" else ordered).append(clause)
         elif (
-            (clause.joints and leads) or ordered[-1].hangs or not _one_after(clauses[n - 1 : n + 1])
+            (clause.joints and leads)
+            or ordered[-1].depends
+            or not _has_clear_order(clauses[n - 1 : n + 1])
         ):
             _refuse(text, tokens, clause)
         else:
-            ordered.insert(len(ordered) - (clause.hangs != "before"), clause)
+            ordered.insert(len(ordered) - (clause.depends != "before"), clause)
     in_text = dict(zip(map(id, clauses[1:]), clauses, strict=False))
     joined: list[Token] = []
     for last, clause in zip([None, *ordered], ordered, strict=False):
-        how = clause.hangs == "by" and last is not None and last.hangs  # may qualify either one
-        if _refers(clause) and (how or in_text.get(id(clause)) is not last):
+        is_ambiguous = (
+            clause.depends == "by" and last is not None and last.depends
+        )  # may qualify either one
+        if _refers(clause) and (is_ambiguous or in_text.get(id(clause)) is not last):
             _refuse(text, tokens, clause)
         first = clause.tokens[0]
         comma = Token("comma", ",", first.start, first.start)
@@ -83,17 +89,17 @@ def order_clauses(text: str, tokens: list[Token]) -> list[Token]:
     return [*joined, tokens[-1]]
 
 
-def _one_after(pair: list[_Clause]) -> bool:
+def _has_clear_order(pair: list[_Clause]) -> bool:
     """Return True if it is clear when the second clause of a pair, a dependent one, is driven.
 
     "With the gate on your left" may describe either of two clauses before it. Two objects that are
     passed at once are passed in either order.
     """
     last, clause = pair
-    if last.hangs:
-        return last.hangs == clause.hangs == "by"
+    if last.depends:
+        return last.depends == clause.depends == "by"
     passes = any(token.kind in ("pass", "past", "around", "leave") for token in last.tokens)
-    return clause.hangs != "by" or not passes
+    return clause.depends != "by" or not passes
 
 
 def _refers(clause: _Clause) -> bool:
@@ -105,20 +111,20 @@ def _refers(clause: _Clause) -> bool:
     )
 
 
-def _clauses(tokens: list[Token]) -> list[_Clause]:
+def _split(tokens: list[Token]) -> list[_Clause]:
     """Split an instruction into its clauses; none is empty."""
     found = [_Clause("", [])]
     at = 0
     while tokens[at].kind != "end":
         token, open_clause = tokens[at], found[-1]
-        hangs, skip = _hangs(tokens, at)
-        if hangs:
+        depends, skip = _dependence(tokens, at)
+        if depends:
             joints = [] if open_clause.tokens else open_clause.joints
-            found.append(_Clause(hangs, joints))
+            found.append(_Clause(depends, joints))
             at = _clause_at(tokens, at + skip)
         elif token.kind in _JOINTS:
             verb = tokens[at + 1]
-            if token.kind == "and" and open_clause.hangs and verb.kind in _VERBS:
+            if token.kind == "and" and open_clause.depends and verb.kind in _VERBS:
                 # "after passing the van and stopping at the gate"
                 open_clause.tokens.append(token)
             elif open_clause.tokens:
@@ -127,18 +133,18 @@ def _clauses(tokens: list[Token]) -> list[_Clause]:
                 open_clause.joints.append(token)
             at += 1
             continue
-        if (hangs or found[-1].hangs) and tokens[at].kind in _VERBS:
+        if (depends or found[-1].depends) and tokens[at].kind in _VERBS:
             fresh = not found[-1].tokens or found[-1].tokens[-1].kind == "and"
             verb = tokens[at]
             found[-1].tokens.append(replace(verb, kind=_VERBS[verb.kind]) if fresh else verb)
             at += 1
-        elif not hangs:
+        elif not depends:
             found[-1].tokens.append(token)
             at += 1
     return [clause for clause in found if clause.tokens]
 
 
-def _hangs(tokens: list[Token], at: int) -> tuple[str, int]:
+def _dependence(tokens: list[Token], at: int) -> tuple[str, int]:
     """Return how a clause that begins here depends on another, and the number of marker tokens.
 
     "Passing", "leaving", "with" and "going past" describe how another clause is driven.
@@ -167,7 +173,7 @@ def _clause_at(tokens: list[Token], at: int) -> int:
     return at
 
 
-def _commas(joints: list[Token]) -> bool:
+def _are_commas(joints: list[Token]) -> bool:
     return bool(joints) and all(joint.kind == "comma" for joint in joints)
 
 

@@ -33,17 +33,21 @@ from edge.text import bounded_repr, one_line
 from edge.trajectory.smoothing import resample
 
 MOST_CAPTION_CHARS = 200
+"""Longest label or caption that a script or a model sees."""
 MOST_SHOWN = 10
+"""Most trajectories that `visual_3d` shows."""
 MOST_PATH_POINTS = 1000
+"""Most points of the path of one call."""
 PASSING_DISTANCE_M = 1.0
 """Default distance from an object's outline when the robot passes it."""
 SIDES_RAD = {"behind": 0.0, "left": math.pi / 2, "right": -math.pi / 2, "in front of": math.pi}
 """Direction of each side from the object's centre, relative to the direction of view."""
 TURNS = {"left": -1.0, "right": 1.0}
 """Sense of rotation around an object that leads past its side: 1.0 is counter-clockwise."""
-_ARC_STEP_RAD, _ARC_OFF_M = math.radians(3), 0.1
-_NEAR_STEP_M = 0.5
-_FARTHEST_BESIDE_M = 50.0
+_ARC_STEP_RAD = math.radians(3)  # angle between two points of an arc, before it is simplified
+_ARC_OFF_M = 0.1  # largest distance of a simplified arc from these points
+_NEAR_STEP_M = 0.5  # largest distance of a reachable end from the requested one
+_FARTHEST_BESIDE_M = 50.0  # largest distance from an object that a script may ask for
 
 Point = tuple[float, float]
 
@@ -59,8 +63,8 @@ class ScriptFunctions:
     Attributes:
         ground: the ground of the scene.
         limits: limits of trajectories.
-        trajectory: the trajectory, once `give_trajectory` received one that may be driven.
-        shown_trajectories: what `visual_3d` was asked to show, (n, 2 or 3) float64 each.
+        trajectory: the trajectory that `give_trajectory` received; None before.
+        shown_trajectories: trajectories that `visual_3d` received, (n, 2 or 3) float64 each.
     """
 
     ground: ReachableGround
@@ -85,16 +89,19 @@ class ScriptFunctions:
         return [describe_object(thing) for thing in found]
 
     def a_star_plan(self, start: Any, end: Any, regions: Any = ()) -> list[Point]:
-        """Return the cheapest path over open ground; the end may be off it by half a metre."""
+        """Return the cheapest path over open ground.
+
+        If the end is not on open ground, the path leads to the nearest such point within 0.5 m.
+        """
         start_m, end_m = self._point(start, "start"), self._point(end, "end")
         chosen = self._regions(regions)
         goal_m = self.ground.nearest(*end_m, within_m=_NEAR_STEP_M)
         if goal_m is None:
-            raise CallError(f"a_star_plan: the end {_text(end_m)} cannot be reached")
+            raise CallError(f"a_star_plan: the end {_point_text(end_m)} cannot be reached")
         found = self.ground.plan(start_m, goal_m, chosen, 0.5 * self.limits.max_jump_m)
         if not found.ok:
-            raise CallError(f"a_star_plan: no path from {_text(start_m)} to {_text(end_m)}: "
-                            f"{found.reason}")  # fmt: skip
+            ends = f"from {_point_text(start_m)} to {_point_text(end_m)}"
+            raise CallError(f"a_star_plan: no path {ends}: {found.reason}")
         if len(found.path_m) > MOST_PATH_POINTS:
             raise CallError(
                 f"a_star_plan: the path has over {MOST_PATH_POINTS} points: choose a nearer end"
@@ -133,7 +140,7 @@ class ScriptFunctions:
         found = self.ground.nearest(*at_m, region=wanted)
         if found is None:
             raise CallError(
-                f"nearest_reachable: the robot can reach no point near {_text(at_m)}"
+                f"nearest_reachable: the robot can reach no point near {_point_text(at_m)}"
                 f"{'' if wanted is None else f' in region {wanted}'}"
             )
         return found
@@ -171,7 +178,7 @@ class ScriptFunctions:
         thing = self._object(id)
         if not isinstance(side, str) or side not in SIDES_RAD:
             raise CallError(f"offset: side: expected {_choices(SIDES_RAD)}, got {shown(side)}")
-        angle_rad = self._looking(thing, seen_from) + SIDES_RAD[side]
+        angle_rad = self._view_direction_rad(thing, seen_from) + SIDES_RAD[side]
         return self.ground.outline(thing).point_at(angle_rad, self._side_distance_m(distance_m))
 
     def arc(
@@ -186,7 +193,7 @@ class ScriptFunctions:
         if not isinstance(side, str) or side not in TURNS:
             raise CallError(f"arc: side: expected {_choices(TURNS)}, got {shown(side)}")
         begin_rad, end_rad = (
-            wrap_angle(self._looking(thing, p) + math.pi)
+            wrap_angle(self._view_direction_rad(thing, p) + math.pi)
             for p in (self._point(start, "start"), self._point(end, "end"))
         )
         turn = TURNS[side]
@@ -241,7 +248,7 @@ class ScriptFunctions:
         x_m, y_m = point(value, name)[:2]
         return x_m, y_m
 
-    def _looking(self, thing: SceneObject, seen_from: Any) -> float:
+    def _view_direction_rad(self, thing: SceneObject, seen_from: Any) -> float:
         """Return the direction of view from a point to an object, by default from the robot."""
         pose = self._scene.pose
         from_m = (pose.x_m, pose.y_m) if seen_from is None else self._point(seen_from, "seen_from")
@@ -293,7 +300,7 @@ def _rounded(values: Any) -> tuple[float, ...]:
     return tuple(round(float(value), 2) for value in values)
 
 
-def _text(at_m: Point) -> str:
+def _point_text(at_m: Point) -> str:
     return f"({at_m[0]:.2f}, {at_m[1]:.2f})"
 
 

@@ -13,8 +13,10 @@ import numpy as np
 from edge import names
 
 REACH_M, REACH_SHARE = 0.4, 0.012
-"""Largest gap between points of one object: `REACH_M` plus this share of the sensor's distance."""
+"""Largest gap between points of one object: `REACH_M` plus `REACH_SHARE` of the sensor's distance.
+"""
 VOXEL_M = 0.1
+"""Side of a voxel; an object has at most one point in each."""
 NEAR_M = 0.3
 """Distance within which a point belongs to an object that was seen before."""
 SAME_SHARE, ALIKE_SHARE = 0.25, 0.6
@@ -27,8 +29,9 @@ was detected twice.
 """
 _CLOSE_M = 0.05
 """Smallest distance from a side that counts, so that points on a side have a finite score."""
-_FIT_POINTS = 400
+_FIT_POINTS = 400  # points from which a box's heading is estimated
 MOST_POINTS = 4096
+"""Most points of an object."""
 AGREED = 3
 """Votes with which a voxel belongs to an object that is in many pictures."""
 MOST_VOTES = 1 << 16
@@ -49,8 +52,8 @@ class MapObject:
         embedding: (d,) float32, mean over pictures; None if there is none.
         score: highest score of its boxes.
         hits: number of its boxes.
-        picture: newest picture that shows it; None if unknown.
-        apart: ids of objects that one picture has shown together with it.
+        picture: number of the newest picture that shows it; None if unknown.
+        seen_with: ids of objects that were in one picture together with it, so they are different.
     """
 
     id: int
@@ -71,8 +74,8 @@ class MapObject:
     @property
     def caption(self) -> str:
         """The most frequent caption under its label, or the label if there is no caption."""
-        said = self.captions.get(self.label)
-        return said.most_common(1)[0][0] if said else self.label
+        counts = self.captions.get(self.label)
+        return counts.most_common(1)[0][0] if counts else self.label
 
 
 def box_around(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -215,10 +218,10 @@ class ObjectMap:
         """Add the part of an object that one picture shows.
 
         Args:
-            label: its name.
+            label: name of the object.
             points_m: (n, 3) float32 in `map`.
-            caption: its description; "" without one.
-            score: of the box, in [0, 1].
+            caption: description of the object; "" without one.
+            score: score of the box, in [0, 1].
             embedding: (d,) embedding of the part of the picture.
             picture: number of the picture, such as `Observation.seq`; None: nothing else was in it.
 
@@ -235,31 +238,37 @@ class ObjectMap:
         if len(points) < LEAST_POINTS:
             return None
         label = names.canonical(label)
-        said = {label: Counter([caption])} if caption else {}
+        captions = {label: Counter([caption])} if caption else {}
         new = MapObject(
-            self._newest + 1, {label: score}, points, said, embedding, score, picture=picture
+            self._newest + 1, {label: score}, points, captions, embedding, score, picture=picture
         )
         likeness = {old.id: _likeness(old, new) for old in self.objects.values()}
         best = max(likeness, key=lambda id: likeness[id], default=0)
-        one = self.objects[best] if likeness.get(best) else None
-        if one is None:
+        thing = self.objects[best] if likeness.get(best) else None
+        if thing is None:
             self._newest += 1
-            one = self.objects[new.id] = new
+            thing = self.objects[new.id] = new
         else:
-            _absorb(one, new)
+            _absorb(thing, new)
         for other in self.objects.values():
-            if picture is not None and other.picture == picture and other is not one:
-                one.seen_with.add(other.id)
-                other.seen_with.add(one.id)
-        return self._united(one)
+            if picture is not None and other.picture == picture and other is not thing:
+                thing.seen_with.add(other.id)
+                other.seen_with.add(thing.id)
+        return self._unite(thing)
 
     def vote(self, label: str, points_m: np.ndarray, by: int) -> None:
-        """Count one picture's vote: 1 for an object with this label at the points, else -1."""
+        """Count one picture's vote about an object with this label at some points.
+
+        Args:
+            label: name of the object.
+            points_m: (n, 3) float32 in `map`.
+            by: 1: the picture shows such an object there; -1: it shows something else.
+        """
         label = names.canonical(label)
         for voxel in np.unique(_voxels(points_m), axis=0).tolist():
             self._votes[(label, *voxel)] = self._votes.pop((label, *voxel), 0) + by
-        for place in list(islice(self._votes, max(0, len(self._votes) - MOST_VOTES))):
-            del self._votes[place]
+        for oldest in list(islice(self._votes, max(0, len(self._votes) - MOST_VOTES))):
+            del self._votes[oldest]
 
     def vote_against(self, thing: MapObject, points_m: np.ndarray) -> None:
         """Count one picture's vote against the points (n, 3) that it shows outside a box."""
@@ -282,11 +291,11 @@ class ObjectMap:
         enough = agreed.sum() >= LEAST_POINTS
         return thing.points_m[agreed] if enough else thing.points_m
 
-    def _united(self, one: MapObject) -> MapObject:
-        """Merge the objects that an object touches after it has grown; the oldest one stays."""
-        alike = [o for o in self.objects.values() if o is one or _likeness(one, o)]
-        first = min(alike, key=lambda thing: thing.id)
-        for other in alike:
+    def _unite(self, grown: MapObject) -> MapObject:
+        """Merge an object that has grown with those that it touches now; the oldest one stays."""
+        same = [o for o in self.objects.values() if o is grown or _likeness(grown, o)]
+        first = min(same, key=lambda thing: thing.id)
+        for other in same:
             if other is not first:
                 _absorb(first, other)
                 del self.objects[other.id]
@@ -311,6 +320,7 @@ def _likeness(a: MapObject, b: MapObject) -> float:
 
 
 def _absorb(one: MapObject, other: MapObject) -> None:
+    """Merge `other` into `one`."""
     hits = one.hits + other.hits
     if one.embedding is None:
         one.embedding = other.embedding

@@ -23,10 +23,10 @@ class Outline:
     or an L-shaped sofa also holds free ground, and a LiDAR sees only two sides of a car.
 
     Attributes:
-        middle_m: (2,) float64, centre of its box in `map`.
-        cells_m: (n, 2) float64, n >= 1: centres of the cells that it covers. If the map has nothing
-            in its box, points along the rim of the box.
-        hull_m: (k, 2) float64 relative to the centre, corners of the convex hull of those cells.
+        middle_m: (2,) float64, centre of the object's box in `map`.
+        cells_m: (n, 2) float64, n >= 1: centres of the cells that the object covers. If the map has
+            nothing in the box, points along the rim of the box.
+        hull_m: (k, 2) float64 relative to the centre, corners of the convex hull of these cells.
         rim_m: distance from the centre of a cell to its rim.
     """
 
@@ -75,7 +75,7 @@ def outline_of(thing: SceneObject, occupancy: Grid) -> Outline:
     c, s = math.cos(thing.heading_rad), math.sin(thing.heading_rad)
     turn = np.array([[c, s], [-s, c]])
     rim_m = 0.5 * occupancy.resolution_m
-    cells_m = _covered(occupancy, middle_m, half_m, turn, rim_m)
+    cells_m = _covered_cells(occupancy, middle_m, half_m, turn, rim_m)
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     if not len(cells_m):
         box_m = (corners * half_m) @ turn
@@ -86,7 +86,7 @@ def outline_of(thing: SceneObject, occupancy: Grid) -> Outline:
     return Outline(middle_m, cells_m, hull_m, rim_m)
 
 
-def _covered(
+def _covered_cells(
     occupancy: Grid, middle_m: np.ndarray, half_m: np.ndarray, turn: np.ndarray, margin_m: float
 ) -> np.ndarray:
     """Return the centres (n, 2) of the cells in a box that are not known to be free."""
@@ -100,5 +100,5 @@ def _covered(
     rows, columns = np.mgrid[r0:r1, c0:c1]
     centres_m = occupancy.centres_m(rows, columns)
     local_m = np.abs((centres_m - middle_m) @ turn.T)
-    mine = (local_m <= half_m + margin_m).all(axis=-1) & (occupancy.cells[r0:r1, c0:c1] != 0)
-    return centres_m[mine]
+    covered = (local_m <= half_m + margin_m).all(axis=-1) & (occupancy.cells[r0:r1, c0:c1] != 0)
+    return centres_m[covered]

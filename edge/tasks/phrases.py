@@ -1,4 +1,7 @@
-"""Words that the rules know, by kind; any other word can only name or describe an object."""
+"""Words that the grammar of tasks knows, by kind, and the tokeniser that finds them.
+
+Any other word can only name or describe an object.
+"""
 
 from __future__ import annotations
 
@@ -115,8 +118,8 @@ NUMBERS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight
 TABLE = {
     tuple(phrase.split()): kind for kind, listed in PHRASES.items() for phrase in listed.split("|")
 }
-LONGEST = max(map(len, TABLE))
-MOST_DIGITS = 9
+LONGEST = max(map(len, TABLE))  # words of the longest phrase
+MOST_DIGITS = 9  # a number with more digits becomes a "mark", which no rule accepts
 
 _TOKEN = re.compile(
     r"""["“](?P<quoted>[^"“”]*\w[^"“”]*)["”]|(?<!\w)['‘](?P<quote>[^'‘’]*\w[^'‘’]*)['’](?!\w)"""

@@ -10,7 +10,8 @@ from edge.tasks.scene import Scene
 
 SHOWN_PX = 960
 """The longer side of a smaller picture is enlarged to this, to make room for the numbers."""
-_RADIUS_SHARE, _LEAST_RADIUS_PX = 0.011, 10
+_RADIUS_SHARE = 0.011  # radius of a number's disc, as a share of the picture's longer side
+_LEAST_RADIUS_PX = 10
 _GOLDEN = 0.618034
 """Step between hues as a share of the colour circle; any number of such hues differ."""
 _BLACK, _WHITE = (0, 0, 0), (255, 255, 255)
@@ -49,7 +50,7 @@ def draw_marks(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
     spots = [_middle(max(outlines, key=cv2.contourArea), size) for outlines in lines.values()]
     for i, spot, at in zip(lines, spots, place(spots, size, radius), strict=True):
         if at is not None:
-            _number(image, i, spot, at, radius)
+            _draw_number(image, i, spot, at, radius)
     return image
 
 
@@ -67,7 +68,7 @@ def _middle(outline: np.ndarray, size: tuple[int, int]) -> tuple[float, float]:
     return x + 0.5 * w, y + 0.5 * h
 
 
-def _number(
+def _draw_number(
     image: np.ndarray,
     number: int,
     spot: tuple[float, float],

@@ -9,9 +9,11 @@ from edge.tasks import scan_kernels as kernels
 from edge.types import MASK_SIDE
 
 BESIDE = 0.25
-"""Share of a box's size by which its window is larger on each side, to see the background there."""
+"""Width of a margin around each box, as a share of the box's size.
+
+The window is the box with this margin, which shows the background next to the object."""
 GAP_M, GAP_SHARE = 0.5, 0.015
-"""Surfaces are separated by a jump in depth of more than `GAP_M` plus this share of the depth.
+"""Surfaces are separated by a jump in depth of more than `GAP_M` plus `GAP_SHARE` of the depth.
 
 Scan lines on one surface are farther apart at a greater distance. A surface at a grazing angle is
 cut where the returns of one column are too far apart: at 20 m below 4 deg with a column every 0.17
@@ -81,9 +83,9 @@ def points_of_masks(
     ends = np.searchsorted(window[order], np.arange(k + 1))
     out = []
     for i in range(k):
-        mine = order[ends[i] : ends[i + 1]]
-        first, last = kernels.best_surface(depth_m[mine], on[mine], GAP_M, GAP_SHARE)
-        taken = mine[first:last]
+        in_window = order[ends[i] : ends[i + 1]]
+        first, last = kernels.best_surface(depth_m[in_window], on[in_window], GAP_M, GAP_SHARE)
+        taken = in_window[first:last]
         points = np.sort(point_of[taken[on[taken]]])
         fits = len(points) and _spans(cloud_m[points], T_camera_cloud, camera, boxes[i])
         out.append(points if fits else points[:0])

@@ -337,12 +337,12 @@ def _passing(
         return InstructionStep(kind, (_only(found, reader, start),), whose)
     end, reader.at = reader.at, begin
     try:
-        named_objects = _things(reader, scene, before)
+        on_that_side = _things(reader, scene, before)
     except TranslationError:
-        named_objects = []  # no such object on that side: the words can only mean the passing side
+        on_that_side = []  # no such object on that side: the words can only mean the passing side
     reader.at = end
     side = OTHER[aside.direction] if aside.of_robot else aside.direction
-    differs = isinstance(scene, Scene) and bool(named_objects) and named_objects[0] is not found[0]
+    differs = isinstance(scene, Scene) and bool(on_that_side) and on_that_side[0] is not found[0]
     if len(found) > 1 or differs:
         reader.refuse(
             f"it may say which one is meant, or on which side to pass it; say '{kind} the {side} "
@@ -544,24 +544,23 @@ _ASIDE = ("on ", "to ", "at ")
 _COUNTS = ("ordinal", "first")
 
 
-def _describing(reader: TokenReader, named: bool) -> Token | None:
+def _describing(reader: TokenReader, has_name: bool) -> Token | None:
     """Read the next word of a noun phrase: part of the name, or a word that chooses an object.
 
-    `named_objects` is True after a word of the name. A word that is also a verb or a unit belongs
-    to the
+    `has_name` is True after a word of the name. A word that is also a verb or a unit belongs to the
     name before another word ("the stop sign"), or if nothing else can be meant ("the shower head",
     "the parking meter").
     """
     token = reader.peek()
     begins = reader.is_at("word", ahead=1)
     if (begins and token.kind in ("go", "stop", "pass", "metres")) or (
-        named_objects and token.kind in ("go", "metres")
+        has_name and token.kind in ("go", "metres")
     ):
         reader.at += 1
         return replace(token, kind="word")
     if token.text in _NO_NAMES:
         return None
-    if named_objects and not begins and reader.is_at("left", "right"):
+    if has_name and not begins and reader.is_at("left", "right"):
         reader.refuse(
             f"say 'the {token.text} …', '… on the {token.text}' or 'the {token.text} of …'"
         )

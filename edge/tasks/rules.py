@@ -1,7 +1,7 @@
 """Planner `rules`: instructions of a small grammar (`edge.tasks.reading`), without a model.
 
-It makes the calls that a model's script would make, and guesses nothing. The sides of an object are
-those that the robot sees when it comes to the object.
+The planner makes the calls that a model's script would make, and guesses nothing. The sides of an
+object are named as the robot sees them when it comes to the object.
 """
 
 from __future__ import annotations
@@ -117,19 +117,19 @@ def _segment(
         case "to":
             points = [functions.stopping_point(step.things[0].id, at)]
         case "beside":
-            points = [_next_to(step.things[0], step.side, at, functions)]
+            points = [_place_next_to(step.things[0], step.side, at, functions)]
         case "between":
-            wanted = _middle(step, functions)
+            wanted = _point_between(step, functions)
             middle = functions.ground.nearest(*wanted, within_m=SNAP_M)
             if middle is None:
-                raise _no_room(str(step), [wanted], functions)
+                raise _no_room_error(str(step), [wanted], functions)
             points = [middle]
         case _:
-            return [_round(step, following, at, functions, part)]
-    return [_through(at, points, functions)]
+            return [_plan_past(step, following, at, functions, part)]
+    return [_plan_through(at, points, functions)]
 
 
-def _round(
+def _plan_past(
     step: InstructionStep,
     following: InstructionStep | None,
     at: Point,
@@ -147,7 +147,7 @@ def _round(
             try:
                 points = _side_points(replace(step, kind=kind), following, at, side, functions)
                 is_past = partial(_is_past, step.things[0], side)
-                ways.append((side, _through(at, points, functions, is_past)))
+                ways.append((side, _plan_through(at, points, functions, is_past)))
             except TrajectoryError as error:
                 why.append(str(error))
         for side, way in sorted(ways, key=lambda one: _length_m(one[1])):
@@ -170,11 +170,11 @@ def _check_side(
 ) -> None:
     """Check that a path keeps to one side of an object, also with the next step.
 
-    The path past a side may be closed behind that side. The path would then touch the side, turn
+    The way past a side may be closed behind that side. Then the robot would touch the side, turn
     back, and pass the object on the other side.
 
     Raises:
-        TrajectoryError: it does not keep to the side.
+        TrajectoryError: the path does not keep to the side.
     """
     thing = step.things[0]
     turned_rad = _turned_rad(thing, side, way)
@@ -202,9 +202,11 @@ def _check_side(
         )
 
 
-_FINE_M = 0.1
+_FINE_M = 0.1  # spacing of the points at which the angle of a path is measured
 DETOUR = 4.0
-"""A path this many times longer than the distance between two neighbours on an arc goes back."""
+"""Largest ratio of the path between two points of an arc to their distance.
+
+A longer path goes back."""
 
 
 def _is_past(thing: SceneObject, side: str, way: Sequence[Point]) -> bool:
@@ -243,7 +245,7 @@ def _side_points(
         end = centre_m(following.things[0])
     arc = functions.arc(thing.id, at, end, side, PASSING_DISTANCE_M)
     looking_rad = functions.heading(at, centre_m(thing))
-    points = [_next_to(thing, side, at, functions)]
+    points = [_place_next_to(thing, side, at, functions)]
     k = min(range(len(arc)), key=lambda i: math.dist(arc[i], abeam))
     for point in arc[k + 1 :]:
         angle_rad = functions.heading(centre_m(thing), point)
@@ -256,7 +258,7 @@ def _side_points(
     return points
 
 
-def _through(
+def _plan_through(
     at: Point,
     points: Sequence[Point],
     functions: ScriptFunctions,
@@ -275,7 +277,9 @@ def _through(
     return way
 
 
-def _next_to(thing: SceneObject, side: str, seen_from: Point, functions: ScriptFunctions) -> Point:
+def _place_next_to(
+    thing: SceneObject, side: str, seen_from: Point, functions: ScriptFunctions
+) -> Point:
     """Return a place for the robot on a side of an object, with a clear view of it.
 
     The place is `PASSING_DISTANCE_M` from the object, or nearer.
@@ -290,10 +294,10 @@ def _next_to(thing: SceneObject, side: str, seen_from: Point, functions: ScriptF
             away = SE2(*centre_m(thing), looking_rad + SIDES_RAD[side])
             if abs(away.bearing_to(*found)) < math.pi / 2:
                 return found
-    raise _no_room(f"{side}{OF.get(side, '')} {object_name(thing)}", wanted[::-1], functions)
+    raise _no_room_error(f"{side}{OF.get(side, '')} {object_name(thing)}", wanted[::-1], functions)
 
 
-def _no_room(where: str, points: Sequence[Point], functions: ScriptFunctions) -> CallError:
+def _no_room_error(where: str, points: Sequence[Point], functions: ScriptFunctions) -> CallError:
     """Return the error for a place where the robot cannot be.
 
     `points` are the places that were tried, the nearest to the object first. An occupied place
@@ -308,7 +312,7 @@ def _no_room(where: str, points: Sequence[Point], functions: ScriptFunctions) ->
     return CallError(f"there is no room for the robot {where}")
 
 
-def _middle(step: InstructionStep, functions: ScriptFunctions) -> Point:
+def _point_between(step: InstructionStep, functions: ScriptFunctions) -> Point:
     """Return the point half way between the outlines of two objects."""
     a, b = step.things
     angle_rad = functions.heading(centre_m(a), centre_m(b))

@@ -89,18 +89,18 @@ def best_surface(depth, on, gap_m, gap_share):
     for i in range(n):
         on_mask += on[i]
     begin, first, last, best = 0, 0, 0, 0.0
-    mine, off_mask = 0, 0
+    in_part, off_mask = 0, 0  # points of the current part on the mask, and off it
     for i in range(n):
         if on[i]:
-            mine += 1
+            in_part += 1
         else:
             off_mask += 1
         if i + 1 < n and depth[i + 1] - depth[i] <= gap_m + gap_share * depth[i]:
             continue
-        fit = mine / max(on_mask + off_mask, 1)
+        fit = in_part / max(on_mask + off_mask, 1)
         if fit > best:
             first, last, best = begin, i + 1, fit
-        begin, mine, off_mask = i + 1, 0, 0
+        begin, in_part, off_mask = i + 1, 0, 0
     return first, last
 
 
@@ -162,7 +162,7 @@ def grow_ground(low, row, column, z_m, step_m, slope, cell_m, reach, ground, kno
                     ground[y, x], known[y, x] = low[y, x], True
                     queue[found] = y * w + x
                     found += 1
-    filled, done = known.copy(), 0
+    filled, done = known.copy(), 0  # second pass: spread the height to all other cells
     while done < found:
         r, c = queue[done] // w, queue[done] % w
         done += 1

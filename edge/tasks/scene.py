@@ -18,8 +18,8 @@ class SceneObject:
         label: canonical name.
         caption: further description: colour, size, place.
         position_m: (3,) float64, centre of its box.
-        size_m: (3,) float64, along its heading, across it, and up.
-        heading_rad: direction of its longer side.
+        size_m: (3,) float64, size of its box along the heading, across it, and up.
+        heading_rad: direction of the longer side of its box.
         points_m: (n, 3) float32 in `map`.
         nearest_m: nearest reachable point (x, y) of each drivable region, by the region's id.
     """
@@ -39,7 +39,7 @@ class Region:
     """Connected ground that may be driven over.
 
     Attributes:
-        id: unique in a scene, from 1; also its value in `Scene.regions_grid`.
+        id: unique in a scene, from 1; value of its cells in `Scene.regions_grid`.
         label: road, sidewalk, floor, ….
         area_m2: area that was seen.
     """
@@ -54,7 +54,7 @@ class Scene:
     """Everything around the robot at one instant, in `map`.
 
     Attributes:
-        stamp_ns: time of the newest observation in it.
+        stamp_ns: time of the newest observation in the scene.
         pose: the robot's pose.
         objects: objects by id.
         regions: drivable regions by id.

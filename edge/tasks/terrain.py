@@ -1,4 +1,4 @@
-"""Terrain: height of the ground, drivable regions, and the points of them nearest to an object."""
+"""Terrain: height of the ground, drivable regions, and their points nearest to an object."""
 
 from __future__ import annotations
 
@@ -16,12 +16,16 @@ from edge.tasks.scene import Region
 CELL_M = 0.5
 """Side of a cell in grids of the ground's height."""
 STEP_M, SLOPE = 0.08, 0.15
-"""Neighbouring ground differs in height by at most `STEP_M` plus this slope; a kerb is higher."""
+"""Neighbouring ground differs in height by at most `STEP_M` plus `SLOPE` times the distance.
+
+A kerb is higher."""
 GAP_M = 4.0
 """Largest gap between scan lines over which the ground is followed."""
 FILL_M, FILL_SHARE = 1.5, 0.06
-"""Ground between scan lines takes the kind that was seen within `FILL_M` plus this share of its
-distance from the robot, because scan lines are farther apart there.
+"""Ground between scan lines takes the nearest kind that was seen within a distance.
+
+The distance is `FILL_M` plus `FILL_SHARE` times the distance from the robot, because scan lines are
+farther apart far away.
 """
 BLIND_M = 4.5
 """Distance within which the robot's own body may hide the ground.
@@ -32,7 +36,9 @@ the kind that is most frequent within twice this distance.
 LEAST_M2 = 3.0
 """Smallest area of a region."""
 MOST_REGIONS = 255
+"""Most regions of a scene; their ids are uint8."""
 GROUND = "ground"
+"""Label of regions if no kinds of ground are known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +47,7 @@ class GroundHeight:
 
     Attributes:
         height_m: float32, in `map`; cells that were not seen have the height of the nearest ground.
-        seen: bool, the same cells.
+        seen: bool, the same cells; True if the ground in the cell was seen.
     """
 
     height_m: Grid
@@ -95,7 +101,7 @@ def with_blind_spot(occupancy: Grid, pose: SE2) -> Grid:
 
     Args:
         occupancy: int8; -1 unknown, 0 free, 100 occupied.
-        pose: the robot's.
+        pose: pose of the robot.
     """
     cells, step_m = occupancy.cells, 0.5 * occupancy.resolution_m
     cell = occupancy.cell_of(pose.x_m, pose.y_m)
@@ -131,7 +137,7 @@ def classify_ground(
 
     Args:
         grid: map with these cells; free cells without points take the nearest kind.
-        pose: the robot's.
+        pose: pose of the robot.
         xy_m: (n, 2) points on the ground in `map`.
         kind: (n,) integers from 1 to `n_kinds`; 0: not ground.
         n_kinds: number of kinds.

@@ -20,8 +20,8 @@ from edge.tasks.ground import ESCAPE_M, ReachableGround
 from edge.text import one_line
 from edge.trajectory.pursuit import CREEP_MPS
 
-MOST_HEIGHT_M = 1000.0
-_SHOWN = 40
+MOST_HEIGHT_M = 1000.0  # largest height of a point, up or down
+_SHOWN = 40  # most characters of a text from a script in a message
 
 MAX_POINTS, MAX_SEGMENTS = 5_000, 50  # of a trajectory that a script hands over
 
@@ -32,11 +32,12 @@ class TrajectoryError(UserError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseTrajectory:
-    """A trajectory as it is meant, before it is refined.
+    """A trajectory as its writer gave it, before it is refined.
 
     Attributes:
-        segments: (n, 2) or (n, 3) float64 each, in `map`, n >= 1; each continues the one before.
-        regions: ids of the drivable regions that it keeps to; empty: any.
+        segments: (n, 2) or (n, 3) float64 each, in `map`, n >= 1; each segment begins near the end
+            of the segment before.
+        regions: ids of the drivable regions in which it should stay; empty: any.
         speed_mps: requested speed; None: the robot's usual speed.
         heading_rad: heading at the end, such as towards the goal object; None: along the path.
     """
@@ -74,13 +75,13 @@ def coarse_of(
         raise TrajectoryError(
             f"the trajectory has {len(segments)} segments; give 1 to {MAX_SEGMENTS}"
         )
-    rows = [_items(points, f"segment {k}", MAX_POINTS) for k, points in _counted(segments)]
+    rows = [_items(points, f"segment {k}", MAX_POINTS) for k, points in _enumerate_from_1(segments)]
     total = sum(map(len, rows))
     if not all(rows) or total > MAX_POINTS:
-        empty = next((k for k, points in _counted(rows) if not points), None)
+        empty = next((k for k, points in _enumerate_from_1(rows) if not points), None)
         what = f"segment {empty} is empty" if empty else f"the trajectory has {total} points"
         raise TrajectoryError(f"{what}; give 1 to {MAX_POINTS} points")
-    arrays = tuple(_segment(points, k) for k, points in _counted(rows))
+    arrays = tuple(_segment(points, k) for k, points in _enumerate_from_1(rows))
     chosen = _items(() if regions is None else regions, "regions", 255)
     for region in chosen:
         if type(region) is not int or not 0 < region <= 255:
@@ -107,7 +108,7 @@ def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryL
     scene = ground.scene
     if not coarse.segments or not all(map(len, coarse.segments)):
         raise TrajectoryError("the trajectory, or one of its segments, has no points")
-    for k, points in _counted(coarse.segments):
+    for k, points in _enumerate_from_1(coarse.segments):
         _check_points(points, k, ground)
     if unknown := [region for region in coarse.regions if region not in scene.regions]:
         there = ", ".join(map(str, scene.regions)) or "none"
@@ -118,18 +119,18 @@ def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryL
         raise TrajectoryError(
             f"speed_mps: {speed_mps:g} is not within {CREEP_MPS:g} to {limits.max_speed_mps:g} m/s"
         )
-    way = np.vstack([(scene.pose.x_m, scene.pose.y_m), coarse.points_m])
-    steps_m = np.hypot(*np.diff(way, axis=0).T)
-    for k, (step_m, a, b) in enumerate(zip(steps_m, way[:-1], way[1:], strict=True)):
+    path_m = np.vstack([(scene.pose.x_m, scene.pose.y_m), coarse.points_m])
+    steps_m = np.hypot(*np.diff(path_m, axis=0).T)
+    for k, (step_m, a, b) in enumerate(zip(steps_m, path_m[:-1], path_m[1:], strict=True)):
         before = "the point before it" if k else "the robot"
         if step_m > limits.max_jump_m:
             raise TrajectoryError(
-                f"{_place(coarse.segments, k)} is {step_m:.1f} m from {before}, at most "
+                f"{_point_name(coarse.segments, k)} is {step_m:.1f} m from {before}, at most "
                 f"{limits.max_jump_m:g} m are allowed; join the two with a_star_plan or line"
             )
-        if not ground.has_line_of_sight(tuple(a), tuple(b)) and math.dist(b, way[0]) > ESCAPE_M:
+        if not ground.has_line_of_sight(tuple(a), tuple(b)) and math.dist(b, path_m[0]) > ESCAPE_M:
             raise TrajectoryError(
-                f"an obstacle is between {_place(coarse.segments, k)} and "
+                f"an obstacle is between {_point_name(coarse.segments, k)} and "
                 f"{before}; join the two with a_star_plan"
             )
     if (length_m := float(steps_m.sum())) > limits.max_length_m:
@@ -143,7 +144,7 @@ def number(value: Any, name: str, largest: float = FARTHEST_M) -> float:
     """Return a finite number from a script as a float.
 
     Raises:
-        TrajectoryError: it is not a number, or it is larger than `largest`.
+        TrajectoryError: the value is not a number, or is larger than `largest`.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise TrajectoryError(f"{name}: expected a number, got {shown(value)}")
@@ -157,7 +158,7 @@ def point(value: Any, name: str) -> tuple[float, ...]:
     """Return a point (x, y) or (x, y, z) in `map` from a script, in metres.
 
     Raises:
-        TrajectoryError: it is not a point.
+        TrajectoryError: the value is not a point.
     """
     if not _is_point(value):
         raise TrajectoryError(f"{name}: expected a point (x, y), got {shown(value)}")
@@ -168,7 +169,7 @@ def point(value: Any, name: str) -> tuple[float, ...]:
 
 def _check_points(points: np.ndarray, segment: int, ground: ReachableGround) -> None:
     scene, occupancy = ground.scene, ground.scene.occupancy
-    for i, (x, y, *z) in _counted(points.tolist()):
+    for i, (x, y, *z) in _enumerate_from_1(points.tolist()):
         where = f"point {i} of segment {segment}, ({x:g}, {y:g})"
         if not all(map(math.isfinite, (x, y, *z))):
             raise TrajectoryError(f"{where}, is not finite")
@@ -180,10 +181,12 @@ def _check_points(points: np.ndarray, segment: int, ground: ReachableGround) -> 
             )
         robots = scene.pose.distance_to(x, y) <= ESCAPE_M and occupancy.cells[cell] <= 0
         if not (robots or ground.reachable[cell]):
-            raise TrajectoryError(f"{where}, {_why_not(ground, cell)}{_instead(ground, x, y)}")
+            raise TrajectoryError(
+                f"{where}, {_reason_not_reachable(ground, cell)}{_advice(ground, x, y)}"
+            )
 
 
-def _why_not(ground: ReachableGround, cell: tuple[int, int]) -> str:
+def _reason_not_reachable(ground: ReachableGround, cell: tuple[int, int]) -> str:
     if ground.costmap.grid.cells[cell]:
         return "cannot be reached from where the robot is"
     occupied = ground.scene.occupancy.cells[cell]
@@ -192,24 +195,26 @@ def _why_not(ground: ReachableGround, cell: tuple[int, int]) -> str:
     return "is occupied" if occupied > 0 else "is too close to what is occupied"
 
 
-def _instead(ground: ReachableGround, x_m: float, y_m: float) -> str:
+def _advice(ground: ReachableGround, x_m: float, y_m: float) -> str:
     nearest = ground.nearest(x_m, y_m)
     if nearest is None:
         return ""
     return f"; the nearest reachable point is ({nearest[0]:.2f}, {nearest[1]:.2f})"
 
 
-def _place(segments: Sequence[np.ndarray], index: int) -> str:
+def _point_name(segments: Sequence[np.ndarray], index: int) -> str:
     """Return the name of a point, from its index over all segments."""
     named = chain.from_iterable(
-        (f"point {i} of segment {k}" for i, _ in _counted(points))
-        for k, points in _counted(segments)
+        (f"point {i} of segment {k}" for i, _ in _enumerate_from_1(points))
+        for k, points in _enumerate_from_1(segments)
     )
     return list(named)[index]
 
 
 def _segment(points: list[Any], segment: int) -> np.ndarray:
-    rows = [point(value, f"point {i} of segment {segment}") for i, value in _counted(points)]
+    rows = [
+        point(value, f"point {i} of segment {segment}") for i, value in _enumerate_from_1(points)
+    ]
     if len(set(map(len, rows))) > 1:
         raise TrajectoryError(f"segment {segment} mixes points (x, y) with points (x, y, z)")
     return np.array(rows, np.float64)
@@ -235,5 +240,6 @@ def shown(value: Any) -> str:
     return str(value) if isinstance(value, (float, bool)) or value is None else type(value).__name__
 
 
-def _counted(values: Any) -> Any:
+def _enumerate_from_1(values: Any) -> Any:
+    """Enumerate from 1, as messages count."""
     return enumerate(values, 1)

@@ -13,12 +13,13 @@ from edge.geometry import Grid
 from edge.trajectory.costmap import OCCUPIED, CostMap, from_weights
 
 TUBE, DRIVABLE, HIGH = 10, 20, 250
-"""Weights of cells; TUBE costs 1 per metre.
+"""Weights of cells; see `value_map`. A cell of weight TUBE costs 1 per metre.
 
-The paper gives their order but no numbers. DRIVABLE is the smallest weight that keeps A* from
-cutting a half circle short (pi / 2 times its chord).
+The paper gives the order of the weights but no numbers. A half circle is pi / 2 times as long as
+its chord. So DRIVABLE must be so much larger than TUBE that A* does not take the chord.
 """
 CLOSED = 0
+"""Weight of a cell that no path may enter."""
 _SUB_PX = 4  # fractional bits of points for OpenCV: 1/16 cell
 
 
@@ -27,7 +28,7 @@ class PathMargins:
     """Clearance of the robot, and width of the tube around the coarse trajectory.
 
     Attributes:
-        clearance_m: see `closed_cells`.
+        clearance_m: least distance of the robot's centre from occupied cells; see `closed_cells`.
         tube_m: radius of the tube; the refined trajectory prefers to stay inside.
     """
 
@@ -109,8 +110,9 @@ def closed_cells(grid: Grid, clearance_m: float) -> np.ndarray:
 def open_cells(occupancy: Grid, regions: Grid, clearance_m: float) -> np.ndarray:
     """Return the cells that the robot's centre may enter, (h, w) bool.
 
-    They are not closed, and they are seen free or part of a region. A region also covers cells that
-    no ray hit, as between the rings of a LiDAR. `regions` has the same cells, 0 = none.
+    A cell is open if it is not closed, and was seen to be free or is part of a region. A region
+    also covers cells that no ray hit, as between the rings of a LiDAR. `regions` has the same
+    cells, 0 = none.
     """
     known = (occupancy.cells >= 0) | (regions.cells > 0)
     return known & ~closed_cells(occupancy, clearance_m)

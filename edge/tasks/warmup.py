@@ -18,7 +18,8 @@ from edge.tasks.write import write_trajectory
 from edge.trajectory.pursuit import MotionLimits
 from edge.types import Detections, Instance, Observation
 
-_WALL_M, _CAMERA_M = 3.0, 0.6
+_WALL_M = 3.0  # distance of the wall
+_CAMERA_M = 0.6  # height of the camera
 _CLEARANCE_M = 0.1
 
 
@@ -61,5 +62,6 @@ def room() -> Observation:
 
 
 def _as_cloud(seen: Observation) -> Observation:
+    """Return an observation of random points in place of the depth image."""
     cloud_m = np.random.default_rng(0).uniform(0.5, _WALL_M, (64, 3)).astype(np.float32)
     return replace(seen, depth_m=None, cloud_m=cloud_m)

@@ -57,6 +57,15 @@ class Workspace:
 
     Between searches every entry of `g` is UNSEEN and every bucket is empty. A search clears only
     the cells that it touched, so a short path on a large map costs as little as on a small one.
+
+    Attributes:
+        g: (n,) int32, twice the cost from the start to each cell; see `kernels.search`.
+        head: (BUCKETS,) int32, newest entry of each bucket in `pool`; -1: the bucket is empty.
+        pool: (m,) int64, entries of the queue; doubled when it is full.
+        path: (k,) int32, flat indices of the path; doubled when it is too short.
+        out: (3,) int64: number of expansions, first and last flat index that was expanded.
+        width: cells in a row of the map, border included.
+        tables: see `kernels.step_tables`.
     """
 
     g: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))

@@ -11,7 +11,9 @@ from edge.geometry import Grid
 from edge.trajectory.kernels import MAX_SIDE
 
 OCCUPIED = 50  # occupancy from which a cell is closed
-H_PAYS = 3.0  # a heuristic below a third of the mean weight costs more time than it saves
+# Largest ratio of the mean weight to the smallest at which A*'s heuristic is used. Above it, the
+# heuristic costs more time than it saves.
+H_PAYS = 3.0
 UNIT = 16  # weight of a free cell far from obstacles; weights are UNIT times the cost factor
 
 

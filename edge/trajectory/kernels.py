@@ -21,18 +21,19 @@ from edge.jit import jit
 # Step lengths in units of 1/29 cell: 41/29 is sqrt(2) within 0.03 %.
 STRAIGHT = 29
 DIAGONAL = 41
-BUCKETS = 1024
-UNSEEN = np.int32(2**31 - 1)
-G_LIMIT = 2**30 - 1 - DIAGONAL * 255
-MAX_SIDE = 1 << 14
+BUCKETS = 1024  # buckets in the ring of the queue; a power of two
+UNSEEN = np.int32(2**31 - 1)  # cost of a cell that the search has not reached
+G_LIMIT = 2**30 - 1 - DIAGONAL * 255  # largest cost to which any step can be added
+MAX_SIDE = 1 << 14  # largest side of a map, border included: x and y take 14 bits each
 
-FOUND, UNREACHABLE, POOL_FULL, TOO_FAR = 0, 1, 2, 3
+FOUND, UNREACHABLE, POOL_FULL, TOO_FAR = 0, 1, 2, 3  # results of `search`
 
 # Directions counter-clockwise from +x: the odd ones are diagonals.
 _DX = (1, 1, 0, -1, -1, -1, 0, 1)
 _DY = (0, 1, 1, 1, 0, -1, -1, -1)
-_XY = (1 << 14) - 1
-_CELL = (1 << 28) - 1
+# A packed cell is, from the lowest bit: x (14 bits), y (14 bits), direction of entry (3 bits).
+_XY = (1 << 14) - 1  # mask of x
+_CELL = (1 << 28) - 1  # mask of x and y
 
 
 def step_tables(width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -49,7 +50,10 @@ def step_tables(width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @jit
 def _heuristic(cell, goal_x, goal_y, h_long, h_short):
-    """Return the octile distance at the smallest weight; it never exceeds the cost to go."""
+    """Return the octile distance times the heuristic's weight.
+
+    The result never exceeds the cost to the goal, so the path that A* finds is the cheapest.
+    """
     dx = abs((cell & _XY) - goal_x)
     dy = abs(((cell >> 14) & _XY) - goal_y)
     return h_long * max(dx, dy) + h_short * min(dx, dy)
@@ -63,11 +67,12 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
     - `width`: cells in a row, border included; at most MAX_SIDE.
     - `start`, `goal`: flat indices.
     - `h_weight`: weight of the heuristic, at most the smallest weight above 0; 0 = Dijkstra.
-    - `shift`: a bucket spans 1 << shift.
-    - `g`: (n,) int32, all UNSEEN on entry; twice the cost from the start, odd while the cell is
-      open.
+    - `shift`: a bucket holds keys that differ by less than 1 << shift.
+    - `g`: (n,) int32, all UNSEEN on entry; twice the cost from the start, plus 1 while the cell
+      waits to be expanded.
     - `head`: (BUCKETS,) int32, newest entry of each bucket, all -1 on entry.
-    - `pool`: (m,) int64, entries: cell and direction in the low half, next entry in the high half.
+    - `pool`: (m,) int64, entries: packed cell and direction in the low half, index of the next
+      entry in the high half.
     - `offset`, `packed`, `length`: `step_tables(width)`.
     - `out`: (3,) int64 output: expansions, first and last flat index expanded.
 

@@ -1,4 +1,7 @@
-"""Pure pursuit for a robot that can turn on the spot: from a path to speeds. No state, no map."""
+"""Pure pursuit for a robot that can turn on the spot: from a path to speeds.
+
+The functions have no state and need no map.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,12 @@ CREEP_MPS = 0.05  # slowest approach: below it, friction and rounding stop the r
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand:
-    """Speeds for the robot: forward, and counter-clockwise."""
+    """Speeds for the robot.
+
+    Attributes:
+        v_mps: forward speed.
+        w_radps: turn rate, positive counter-clockwise.
+    """
 
     v_mps: float = 0.0
     w_radps: float = 0.0
@@ -33,7 +41,14 @@ STOP = VelocityCommand()
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """Highest speeds and accelerations that the robot may be commanded."""
+    """Highest speeds and accelerations that may be commanded.
+
+    Attributes:
+        speed_mps: highest speed.
+        turn_radps: highest turn rate.
+        accel_mps2: highest acceleration, also when braking.
+        turn_accel_radps2: highest change of the turn rate in a second.
+    """
 
     speed_mps: float
     turn_radps: float
@@ -90,7 +105,7 @@ def pursue(
     """Return the speeds on the arc through a point; turn on the spot if it lies far to the side.
 
     Args:
-        pose: the robot's, in `map`.
+        pose: pose of the robot in `map`.
         x_m: x of the point on the path to aim at, in `map`.
         y_m: y of that point.
         remaining_m: length of the path to the goal; the robot slows down to stop there.

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-_FINER = 8
+_CHORDS_PER_SPACING = 8
 """The curve's length is measured with chords this many times shorter than the point spacing."""
-_SHORT = 1.001
-"""Upper bound of the curve's length over the length by chords."""
+_MAX_CHORD_RATIO = 1.001
+"""Largest ratio of the curve's length to the sum of the chords."""
 
 
 def b_spline(control_m: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -32,11 +32,13 @@ def b_spline(control_m: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.nd
     padded = control_m[np.clip(np.arange(-2, n + 2), 0, n - 1)]
     # Between two control points the curve is no longer than the longest leg of its hull.
     longest = np.sqrt((np.diff(control_m, axis=0) ** 2).sum(axis=1).max())
-    pieces = max(1, math.ceil(longest / spacing_m)) * _FINER
+    pieces = max(1, math.ceil(longest / spacing_m)) * _CHORDS_PER_SPACING
     fine = np.linspace(0.0, n + 1.0, (n + 1) * pieces + 1)
     chords = np.sqrt((np.diff(_curve(padded, fine), axis=0) ** 2).sum(axis=1))
     along_m = np.append(0.0, np.cumsum(chords))
-    even_m = np.linspace(0.0, along_m[-1], max(1, math.ceil(_SHORT * along_m[-1] / spacing_m)) + 1)
+    even_m = np.linspace(
+        0.0, along_m[-1], max(1, math.ceil(_MAX_CHORD_RATIO * along_m[-1] / spacing_m)) + 1
+    )
     u = np.interp(even_m, along_m, fine)
     points = _curve(padded, u)
     points[[0, -1]] = control_m[[0, -1]]  # without rounding errors

@@ -30,8 +30,10 @@ from exporters.files import ExportError
 SAME = ("ranks", "frames", "device")
 """Keys that must be equal to continue a run, in addition to the plan's."""
 KEYS = ("model", "averaged", "step", "plan", *SAME, "seconds", "torch", "machine")
+"""Keys that every checkpoint has."""
 
 Run = dict[str, Any]
+"""Identity of a run; see `run_identity`."""
 
 
 def run_identity(plan: Any, frames: int, ranks: int, device: str) -> Run:
@@ -42,18 +44,18 @@ def run_identity(plan: Any, frames: int, ranks: int, device: str) -> Run:
 def load(path: Path, device: str = "cpu") -> dict[str, Any]:
     """Return a checkpoint with at least the keys `KEYS`; raise ExportError if it is none."""
     try:
-        kept = torch.load(path, map_location=device, weights_only=True)
+        checkpoint = torch.load(path, map_location=device, weights_only=True)
     except (OSError, EOFError, RuntimeError, ValueError, pickle.UnpicklingError):
         raise ExportError(
             f"{path}: not a readable checkpoint; remove the file, or use another --out"
         ) from None
-    missing = [key for key in KEYS if key not in kept]
+    missing = [key for key in KEYS if key not in checkpoint]
     if missing:
         raise ExportError(
             f"{path}: a checkpoint of an older version (without {', '.join(missing)}); use "
             "another --out"
         )
-    return kept
+    return checkpoint
 
 
 def resume(path: Path, run: Run, device: str = "cpu") -> dict[str, Any] | None:
@@ -64,23 +66,23 @@ def resume(path: Path, run: Run, device: str = "cpu") -> dict[str, Any] | None:
     """
     if not path.is_file():
         return None
-    kept = load(path, device)
-    stored, wanted = ({**of["plan"], **{key: of[key] for key in SAME}} for of in (kept, run))
+    checkpoint = load(path, device)
+    stored, wanted = ({**of["plan"], **{key: of[key] for key in SAME}} for of in (checkpoint, run))
     for key in {**stored, **wanted}:
         if stored.get(key) != wanted.get(key):
             raise ExportError(
                 f"{path}: the checkpoint of another run: {key} is {stored.get(key)} there and "
                 f"{wanted.get(key)} now; use another --out"
             )
-    return kept
+    return checkpoint
 
 
 def save(path: Path, state: dict[str, Any], run: Run, step: int, seconds: float) -> None:
     """Write a checkpoint atomically; `state` has objects with a `state_dict`."""
     made_by = {"torch": str(torch.__version__), "machine": platform.machine()}
-    kept = {name: thing.state_dict() for name, thing in state.items()}
+    checkpoint = {name: thing.state_dict() for name, thing in state.items()}
     with replace_atomically(path) as part:
-        torch.save({**kept, **run, **made_by, "step": step, "seconds": seconds}, part)
+        torch.save({**checkpoint, **run, **made_by, "step": step, "seconds": seconds}, part)
 
 
 def averaged(path: Path, model: nn.Module) -> dict[str, Any]:
@@ -89,13 +91,13 @@ def averaged(path: Path, model: nn.Module) -> dict[str, Any]:
     Raises:
         ExportError: `path` is no checkpoint.
     """
-    kept = load(path)
-    model.load_state_dict(kept["averaged"])
+    checkpoint = load(path)
+    model.load_state_dict(checkpoint["averaged"])
     model.eval().requires_grad_(False)
-    return kept
+    return checkpoint
 
 
-def made_by(kept: dict[str, Any]) -> dict[str, Any]:
+def made_by(checkpoint: dict[str, Any]) -> dict[str, Any]:
     """Return a card's entries for the training time and the machine."""
-    minutes = round(kept["seconds"] / 60)
-    return {"minutes": minutes, "torch": kept["torch"], "machine": kept["machine"]}
+    minutes = round(checkpoint["seconds"] / 60)
+    return {"minutes": minutes, "torch": checkpoint["torch"], "machine": checkpoint["machine"]}

@@ -60,9 +60,9 @@ class Learner:
             pace: learning rates.
             steps: steps of the whole run.
             checkpoint: file to continue from and to write.
-            run: see `checkpoints.describe`.
+            run: identity of the run, see `checkpoints.run_identity`.
             tables: part of the model without weight decay.
-            betas: of AdamW.
+            betas: decay rates of AdamW's running means.
 
         Raises:
             ExportError: `checkpoint` is of another run, or is no checkpoint.
@@ -79,10 +79,10 @@ class Learner:
             "rates": self._rates,
         }  # fmt: skip
         self._trained_s = 0.0
-        if kept := checkpoints.resume(checkpoint, run, run["device"]):
+        if state := checkpoints.resume(checkpoint, run, run["device"]):
             for name, part in self._state.items():
-                part.load_state_dict(kept[name])
-            self.done, self._trained_s = kept["step"], kept["seconds"]
+                part.load_state_dict(state[name])
+            self.done, self._trained_s = state["step"], state["seconds"]
             log.info("training continues after step %d of %s", self.done, checkpoint)
         self._started_s = time.monotonic()
 
@@ -136,9 +136,9 @@ def average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> No
 def _adamw(
     model: nn.Module, tables: nn.Module | None, pace: LearningRates, betas: tuple[float, float]
 ) -> torch.optim.Optimizer:
-    spared = set() if tables is None else set(tables.parameters())
-    decaying = [p for p in model.parameters() if p.ndim > 1 and p not in spared]
-    rest = [p for p in model.parameters() if p.ndim <= 1 or p in spared]
+    without_decay = set() if tables is None else set(tables.parameters())
+    decaying = [p for p in model.parameters() if p.ndim > 1 and p not in without_decay]
+    rest = [p for p in model.parameters() if p.ndim <= 1 or p in without_decay]
     groups = [
         {"params": decaying, "weight_decay": pace.decay},
         {"params": rest, "weight_decay": 0.0},

@@ -14,6 +14,7 @@ import yaml
 from edge.host.files import replace_atomically
 
 MODELS = Path(__file__).parents[2] / "models"
+"""Folder of the project's own models."""
 
 
 def auc(score: np.ndarray, right: np.ndarray) -> float:

@@ -395,7 +395,7 @@ def test_requests_that_come_faster_than_they_are_received_are_noticed(session, s
 def test_what_stops_the_robot_always_finds_a_place(session, serve):
     server = serve()
     flood = ["pause", "resume"] * 8
-    asked = waiting(server, session, flood[: request_queue._WAITING])
+    asked = waiting(server, session, flood[: request_queue._MAX_WAITING])
     for verb in ("status", "status"):
         assert "busy with other requests" in Asking(session, do=verb).refusal
     asked += waiting(server, session, ["pause", "cancel", "pause", "cancel"])
@@ -403,8 +403,8 @@ def test_what_stops_the_robot_always_finds_a_place(session, serve):
     while (request := server.poll()) is not None:
         done.append(request.do)
         request.answer({"did": request.do})
-    assert done == [*flood[: request_queue._WAITING], "pause", "cancel"]
-    assert [a.answer["did"] for a in asked[request_queue._WAITING :]] == ["pause", "cancel"] * 2
+    assert done == [*flood[: request_queue._MAX_WAITING], "pause", "cancel"]
+    assert [a.answer["did"] for a in asked[request_queue._MAX_WAITING :]] == ["pause", "cancel"] * 2
 
 
 def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(session, serve):

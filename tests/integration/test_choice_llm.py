@@ -81,13 +81,13 @@ def test_what_was_seen_matters(scorer):
 
 def test_the_second_question_reuses_what_was_computed_for_the_first(scorer, monkeypatch):
     timings = []
-    read = scorer._client._likeliest
+    read = scorer._client._parse_log_probabilities
 
     def note(reply):
         timings.append(json.loads(reply.body)["timings"])
         return read(reply)
 
-    monkeypatch.setattr(scorer._client, "_likeliest", note)
+    monkeypatch.setattr(scorer._client, "_parse_log_probabilities", note)
     put_to(scorer, view("piano", 5, (DetectedObject("stove", 0.0, 4.0),)))
     _, second = timings
     assert second["cache_n"] > second["prompt_n"]

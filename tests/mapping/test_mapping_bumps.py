@@ -208,7 +208,7 @@ def test_bumps_leave_with_the_part_of_the_map_that_rolls_out():
 
 
 def test_no_more_are_kept_than_there_is_room_for(monkeypatch):
-    monkeypatch.setattr(bumps, "_MOST", 3)
+    monkeypatch.setattr(bumps, "_MAX_BUMPS", 3)
     grid = seen_around()
     for k in range(5):
         bump(grid, (-1.0 + 0.5 * k, 0.5), k)

@@ -41,7 +41,7 @@ def test_the_field_agrees_with_dijkstra(seed, per_tick):
     assert state[y, x] == 0
     expected = twins.geodesic(state, x, y, STRAIGHT, DIAGONAL)
     n, shift = grid.window.n, grid.window.shift
-    field = grid.travel_cost._waves[grid.travel_cost._current].distance
+    field = grid.travel_cost._waves[grid.travel_cost._complete].distance
     field = np.roll(field, (-shift[1], -shift[0]), axis=(0, 1)).astype(np.int64) - 1
     np.testing.assert_array_equal(field, expected)
     assert n == len(field)

@@ -223,12 +223,12 @@ def test_who_waits_for_a_core_is_given_as_long_again(make, seen, monkeypatch):
 
     monkeypatch.setattr(link, "time", SimpleNamespace(monotonic=lambda: clock_s[0]))
     halt(pid)
-    monkeypatch.setattr(link, "_queued_s", queued(1.5, 0.6))
+    monkeypatch.setattr(link, "_core_wait_s", queued(1.5, 0.6))
     assert len(detector.detect(seen())) == 1
     assert len(looks) >= 4
     clock_s[0] = 0.0
     halt(pid)
-    monkeypatch.setattr(link, "_queued_s", queued(2.0, 100.0))
+    monkeypatch.setattr(link, "_core_wait_s", queued(2.0, 100.0))
     with pytest.raises(ModelProcessError, match=r"no answer within 1 s .*timeout_s.*killed"):
         detector.detect(seen())
 
@@ -237,10 +237,10 @@ def test_only_the_main_thread_waiting_for_a_core_counts(monkeypatch, tmp_path):
     for path, waited_ns in (("8", 5), ("8/task/8", 5), ("8/task/9", 70)):
         (tmp_path / "proc" / path).mkdir(parents=True)
         (tmp_path / "proc" / path / "schedstat").write_text(f"123 {waited_ns}000000000 4\n")
-    assert link._queued_s(os.getpid()) >= 0
+    assert link._core_wait_s(os.getpid()) >= 0
     monkeypatch.setattr(link, "Path", lambda path: tmp_path / path.lstrip("/"))
-    assert link._queued_s(8) == pytest.approx(5.0)
-    assert link._queued_s(7) == 0
+    assert link._core_wait_s(8) == pytest.approx(5.0)
+    assert link._core_wait_s(7) == 0
 
 
 def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_path):
@@ -416,7 +416,7 @@ def test_one_that_cannot_be_ended_while_it_starts_is_left_behind(monkeypatch, ca
     ],
 )
 def test_how_a_process_ended(code, says):
-    assert link._how(code) == says
+    assert link._end_reason(code) == says
 
 
 PARENT = """

@@ -178,7 +178,7 @@ def test_frames_that_wait_for_detections_are_of_limited_size(tmp_path, monkeypat
         now.add_frame(observation, True)
     assert len(now.frames) == len(seen) == 4
     size = replay_source._bytes_of(seen[0])
-    monkeypatch.setattr(replay_source, "_MOST_FRAMES_BYTES", 2 * size)
+    monkeypatch.setattr(replay_source, "_MAX_FRAMES_BYTES", 2 * size)
     now.add_frame(seen[-1], True)
     assert list(now.frames) == [observation.seq for observation in seen[-2:]]
 

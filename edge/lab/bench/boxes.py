@@ -12,6 +12,7 @@ import numpy as np
 from edge.geometry import overlaps
 
 MATCH_IOU = 0.5
+"""Boxes match if their intersection over union is at least this."""
 COVERED = 0.5
 """A box is ignored if this share of it lies in an object that does not count."""
 NO, KIND, NAMED = 0, 1, 2
@@ -55,8 +56,9 @@ class Tally:
 
     Attributes:
         wanted: number of ground-truth objects, or of reference boxes.
-        found: number of boxes that count.
-        hits: number of these that match a wanted one; each wanted one is matched at most once.
+        found: number of detected boxes, without the ignored ones.
+        hits: number of detected boxes that match a wanted one. Each wanted one is matched at most
+            once.
         error: sum over the hits of |score - reference score| / reference score.
     """
 
@@ -84,26 +86,26 @@ def match_to_truth(xyxy_px: np.ndarray, truth: GroundTruthBoxes, how: np.ndarray
     """Match the boxes of one prompt in one image with the ground truth.
 
     A box is a hit if it overlaps a free object with the prompt's name by `MATCH_IOU`; it takes the
-    one with the largest overlap. A box without a hit is ignored if it lies in an object that
-    matches the prompt but does not count, or in one that is a kind of it. Otherwise it is a false
-    detection.
+    one with the largest overlap. A box without a hit is ignored if it lies in an object of the
+    prompt's name that does not count, or in an object that is a kind of the prompt. Otherwise it is
+    a false detection.
 
     Args:
         xyxy_px: (n, 4) float32, highest score first.
         truth: the objects in this image.
-        how: (labels,) of NO, KIND, NAMED.
+        how: (labels,) relation of each label to the prompt: NO, KIND or NAMED.
     """
     named = how[truth.label] == NAMED
     wanted = named & truth.counts
-    spared = (named & ~truth.counts) | (how[truth.label] == KIND)
+    ignored = (named & ~truth.counts) | (how[truth.label] == KIND)
     iou, share = overlaps(xyxy_px, truth.xyxy_px)
     free, hits, counted = wanted.copy(), 0, 0
     for i in range(len(xyxy_px)):
-        mine = free & (iou[i] >= MATCH_IOU)
-        if mine.any():
-            free[np.argmax(np.where(mine, iou[i], -1.0))] = False
+        overlapping = free & (iou[i] >= MATCH_IOU)
+        if overlapping.any():
+            free[np.argmax(np.where(overlapping, iou[i], -1.0))] = False
             hits, counted = hits + 1, counted + 1
-        elif not (spared & (share[i] >= COVERED)).any():
+        elif not (ignored & (share[i] >= COVERED)).any():
             counted += 1
     return Tally(int(wanted.sum()), counted, hits)
 
@@ -160,8 +162,8 @@ def against_truth(
     by_prompt = {
         prompt: sum(
             (
-                match_to_truth(boxes.xyxy_px[boxes.class_id == k], real, answers[:, k])
-                for boxes, real in zip(found, truth, strict=True)
+                match_to_truth(boxes.xyxy_px[boxes.class_id == k], objects, answers[:, k])
+                for boxes, objects in zip(found, truth, strict=True)
             ),
             Tally(),
         )

@@ -1,7 +1,7 @@
-"""Comparison of direction-choice models on the same lettered views, each model in its own process.
+"""Comparison of choice models (VLM frontier selection) on the same views with lettered marks.
 
-A model's choice is compared with the FP32 model of its family. In a simulated world it is also
-compared with the true remaining distance from each mark.
+Each model runs in its own process. A model's choice is compared with the FP32 model of its family.
+In a simulated world it is also compared with the true remaining distance from each mark.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from edge.types import Observation
 
 MEASURE = "edge.lab.bench.measure_choice"
 REFERENCE = "fp32"
-_AT = ((0.2, 0.65, 0.5, 2.0), (0.5, 0.6, 0.0, 4.0), (0.8, 0.65, -0.5, 3.0))
+_MARKS_AT = ((0.2, 0.65, 0.5, 2.0), (0.5, 0.6, 0.0, 4.0), (0.8, 0.65, -0.5, 3.0))
 """Marks of every view: column and row as shares of the image, bearing [rad], distance [m]."""
-_SEEN = 5
+_SEEN = 5  # most objects that a question names as seen
 _TARGETS = ("television", "bed", "sink", "sofa")
-_VIEW_S, _LOAD_S = 60.0, 600.0
+_VIEW_S, _LOAD_S = 60.0, 600.0  # time limits of one view, and of loading a model
 _HEADINGS = (
     "variant", "on", "ready, s", "ms: p50", "p95", "MB", "same choice", "mean |Δp|", "right",
 )  # fmt: skip
 _RIGHT_M = 0.5
 """A mark is right if the remaining distance from it is at most this much above the best mark's."""
-_ROBOT_M, _THERE_M, _STEP_M = 0.2, 1.0, 0.1
+_ROBOT_M, _REACHED_M, _STEP_M = 0.2, 1.0, 0.1
 """Radius of the robot, distance from the target at which it stops, step along a bearing."""
 
 Row = dict[str, Any]
@@ -63,9 +63,9 @@ class ChoiceMeasurement:
     """Result of a measuring process.
 
     Attributes:
-        took_ms: (n,) time of each view, for both questions.
-        p: (n, marks + 2) float32, probability of each letter, of "elsewhere", and of the scene
-            question.
+        took_ms: (n,) time of each view, for preparing the image and for all answers.
+        p: (n, marks + 2) float32, probability of each letter, of "elsewhere", and the
+            scene's score (`FrontierChoice.scene`).
         load_s: time until the model was ready.
         memory_mb: growth of the process's resident memory.
     """
@@ -96,7 +96,7 @@ def run(family: str, args: argparse.Namespace, pictures: BenchFrames) -> int:
     rows = compare(family, args, pictures)
     print(machine.summary(machine.describe()))
     print(as_text(family, rows, pictures))
-    path = _keep(family, rows)
+    path = _save(family, rows)
     if args.json is not None:
         save(args.json, json.dumps(rows, indent=1).encode())
     print(f"saved to {path}")
@@ -121,12 +121,12 @@ def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> lis
     if args.threads is not None:
         settings = settings.model_copy(update={"threads": args.threads})
     results = [
-        (card, on, _measured(card, settings.model_copy(update=_asked(card, on)), views))
+        (card, on, _measure(card, settings.model_copy(update=_changes(card, on)), views))
         for on in providers_here(args.providers)
         for card in cards
         if on in ("cpu", "cuda") and runs_on(card, on)
     ]
-    left_m = np.array(list(map(partial(_left_m, pictures), views))).reshape(-1, len(_AT))
+    left_m = np.array(list(map(partial(_left_m, pictures), views))).reshape(-1, len(_MARKS_AT))
     return [_row(*result, results, right_of(left_m)) for result in results]
 
 
@@ -135,7 +135,7 @@ def any_ran(rows: Sequence[Row]) -> bool:
     return any("why" not in row for row in rows)
 
 
-def _asked(card: DirectionsCard, on: str) -> dict[str, object]:
+def _changes(card: DirectionsCard, on: str) -> dict[str, object]:
     return {"card": card.name, "providers": PROVIDERS[on]}
 
 
@@ -144,7 +144,7 @@ def views_of(pictures: BenchFrames) -> list[MarkedView]:
     views = []
     for k, rgb in enumerate(pictures.rgb):
         h, w = rgb.shape[:2]
-        marks = tuple(Mark(i, u * w, v * h, b, d) for i, (u, v, b, d) in enumerate(_AT))
+        marks = tuple(Mark(i, u * w, v * h, b, d) for i, (u, v, b, d) in enumerate(_MARKS_AT))
         truth = None if pictures.truth is None else pictures.truth[k]
         labels = [] if truth is None else [pictures.labels[i] for i in truth.label[truth.counts]]
         seen = tuple(DetectedObject(label, 0.0, 1.0 + i) for i, label in enumerate(labels[:_SEEN]))
@@ -153,9 +153,9 @@ def views_of(pictures: BenchFrames) -> list[MarkedView]:
         unseen = (t for t in targets if not any(names.same_name(label, t) for label in labels))
         target = next(unseen, targets[0])
         straight_m = np.array([mark.distance_m for mark in marks], np.float32)
-        ways = MarkCosts(straight_m, np.ones_like(straight_m), np.zeros(3, np.float32))
+        costs = MarkCosts(straight_m, np.ones_like(straight_m), np.zeros(3, np.float32))
         views.append(
-            MarkedView(Observation(k, k, np.eye(4), rgb), target, marks, seen, mark_costs=ways)
+            MarkedView(Observation(k, k, np.eye(4), rgb), target, marks, seen, mark_costs=costs)
         )
     return views
 
@@ -171,7 +171,7 @@ def _left_m(pictures: BenchFrames, view: MarkedView) -> list[float]:
     if not things:
         return [math.inf] * len(view.marks)
     plan, pose = world.plan, pictures.poses[view.observation.seq]
-    field = geodesic.distance_field(plan, things, _ROBOT_M, _THERE_M)
+    field = geodesic.distance_field(plan, things, _ROBOT_M, _REACHED_M)
     found = []
     for mark in view.marks:
         yaw_rad, left_m = pose.yaw_rad + mark.bearing_rad, math.inf
@@ -202,7 +202,7 @@ def right_of(left_m: np.ndarray) -> np.ndarray:
     return right & ~right.all(axis=1, keepdims=True)
 
 
-def _measured(
+def _measure(
     card: DirectionsCard, settings: ChoiceOnnx, views: list[MarkedView]
 ) -> ChoiceMeasurement | str:
     """Return the measurement, or one line of text that says why there is none."""
@@ -263,7 +263,11 @@ def against_truth(right: np.ndarray, p: np.ndarray) -> dict[str, float]:
 
 
 def agreement(reference: np.ndarray, p: np.ndarray) -> dict[str, float]:
-    """Return how often both choose the same letter, and the mean difference of their probabilities.
+    """Compare the answers of a model with those of the reference, both as `ChoiceMeasurement.p`.
+
+    Returns:
+        `same`, the share of views with the same choice, and `difference`, the mean difference of
+            the probabilities.
 
     >>> agreement(np.array([[0.7, 0.3, 0.5]]), np.array([[0.6, 0.4, 0.5]]))
     {'same': 1.0, 'difference': 0.0667}
@@ -284,7 +288,7 @@ def as_text(family: str, rows: Sequence[Row], pictures: BenchFrames) -> str:
         for row in ran
     ]  # fmt: skip
     missing = [f"{row['name']} on {row['on']}: {row['why']}" for row in rows if "why" in row]
-    views = f"{len(pictures.rgb)} views of {pictures.source}, {len(_AT)} letters each"
+    views = f"{len(pictures.rgb)} views of {pictures.source}, {len(_MARKS_AT)} letters each"
     scored = next((row for row in ran if "right" in row), None)
     note = [] if scored is None else [
         f"right: a letter with the shortest remaining path, in {scored['of_views']} views "
@@ -294,7 +298,7 @@ def as_text(family: str, rows: Sequence[Row], pictures: BenchFrames) -> str:
     return "\n".join([f"{family}, directions: {views}", table, *missing, *note])
 
 
-def _keep(family: str, rows: list[Row]) -> Path:
+def _save(family: str, rows: list[Row]) -> Path:
     stamp = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S")
     path = resources.cache_dir() / "bench" / f"{family}-{stamp}.json"
     save(path, json.dumps({"machine": machine.describe(), "rows": rows}, indent=1).encode())

@@ -153,7 +153,7 @@ def compare(
     before = machine.describe()
     bench = Bench(DetectorJob(settings, prompts, pictures.rgb, tau_det), limit_s)
     results = _run_all(bench, todo)
-    again = _again(bench, results)
+    again = _measure_again(bench, results)
     return {
         "version": VERSION,
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
@@ -254,7 +254,7 @@ def _agreement(
     return None
 
 
-def _again(bench: Bench, results: Results) -> dict[str, Any] | None:
+def _measure_again(bench: Bench, results: Results) -> dict[str, Any] | None:
     """Measure the first variant again, to see if the machine has become slower or faster."""
     ran = [
         (variant, result) for variant, result in results if isinstance(result, DetectorMeasurement)

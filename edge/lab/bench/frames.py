@@ -23,13 +23,13 @@ from edge.lab.sim.worlds import load_world
 from edge.perception.detection import kernels
 from edge.perception.embedding import text
 
-SEED = 7
+SEED = 7  # of the robot poses
 MIN_SIDE_PX = 12
 """Smaller objects do not count; in pixels of the configured camera."""
 MIN_VISIBLE = 0.5
 """Objects with a smaller visible share do not count; share of the rectangle around the whole
 object."""
-_NEAR_M = 0.05
+_NEAR_M = 0.05  # nearer corners of an object are projected as if they were at this distance
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 
 

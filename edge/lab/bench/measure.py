@@ -20,7 +20,7 @@ from edge.perception.runtime.health import Health
 from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
 
-WARM_FRAMES = 5
+WARM_FRAMES = 5  # frames before the measurement
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +85,14 @@ def measure(job: DetectorJob) -> DetectorMeasurement:
         found=found,
         load_s=load_s,
         memory_mb=resident_mb() - before_mb,
-        gpu_memory_mb=_grown(gpu_before_mb, machine.gpu_memory_mb()),
+        gpu_memory_mb=_growth(gpu_before_mb, machine.gpu_memory_mb()),
         others_cores=others_cores,
         invalid_boxes=getattr(detector, "invalid_boxes", 0),
         gpu=used_gpu(job.detector),
     )
 
 
-def _grown(before: float | None, after: float | None) -> float | None:
+def _growth(before: float | None, after: float | None) -> float | None:
     return None if before is None or after is None else after - before
 
 
@@ -103,7 +103,7 @@ def used_gpu(settings: DetectorOnnx) -> str | None:
 
 
 def usable_boxes(detections: Detections, tau_det: float) -> DetectedBoxes:
-    """Return the boxes that the service would make instances of."""
+    """Return the boxes that the service would use for its objects."""
     kept = (detections.score > tau_det) & detections.not_suppressed()
     return DetectedBoxes(
         detections.xyxy_px[kept], detections.score[kept], detections.class_id[kept]

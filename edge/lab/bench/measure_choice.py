@@ -1,4 +1,4 @@
-"""Speed and memory of one direction-choice model, measured in its own process.
+"""Speed and memory of one choice model (VLM frontier selection), measured in its own process.
 
 `edge.lab.bench.isolated` starts the process.
 """
@@ -18,22 +18,26 @@ from edge.perception.scoring.choice.factory import open_choice
 
 
 def measure(job: ChoiceJob) -> ChoiceMeasurement:
-    """Show all views to a model; the time is from the image to both answers."""
+    """Show all views to a model.
+
+    Each time covers preparing the image and all answers of the model: the probability of each mark,
+    of "elsewhere", and the answer to the scene question.
+    """
     before_mb, began = resident_mb(), time.perf_counter()
     scorer = open_choice(job.choice)
-    load_s, took_ms, p = time.perf_counter() - began, [], []
+    load_s, took_ms, rows = time.perf_counter() - began, [], []
     for view in job.views:
         began = time.perf_counter()
         found = scorer.answer(scorer.prepare(view))
         took_ms.append((time.perf_counter() - began) * 1e3)
-        if found is None:  # no letter fits, so the image cannot be used for a comparison
+        if found is None:  # no mark fits into the image, so it cannot be compared
             raise UserError(
                 f"image {view.observation.seq}: too small for the letters that mark the "
                 "frontiers; use larger --images"
             )
-        p.append([*found.p, found.elsewhere, found.scene])
+        rows.append([*found.p, found.elsewhere, found.scene])  # see `ChoiceMeasurement.p`
     memory_mb = resident_mb() - before_mb
-    return ChoiceMeasurement(np.array(took_ms), np.array(p, np.float32), load_s, memory_mb)
+    return ChoiceMeasurement(np.array(took_ms), np.array(rows, np.float32), load_s, memory_mb)
 
 
 if __name__ == "__main__":

@@ -20,8 +20,9 @@ from edge.perception.runtime.cards import card_path
 from edge.perception.runtime.health import UNSOUND
 
 Report = dict[str, Any]
-_CARD_WIDTH = 110
+_CARD_WIDTH = 110  # of a line in a model card
 
+# Title of a group of columns, and the number of its columns.
 _GROUPS = (
     ("", 2),
     ("latency, ms: p50 (p95)", 4),
@@ -33,9 +34,9 @@ _HEADINGS = (
     "variant", "on", "pre", "session", "post", "all", "MB", "recall", "prec.", "score", "recall",
     "prec.",
 )  # fmt: skip
-_LEFT = 2
-_WIDTH = 110
-_GAP = "  "
+_LEFT = 2  # number of left-aligned columns
+_WIDTH = 110  # of the table, in characters
+_GAP = "  "  # between two columns
 _QUIET_CORES = 0.2
 """Below this load, other processes do not change the times much."""
 

@@ -31,9 +31,9 @@ from edge.loop import stages
 log = logging.getLogger("edge.lab.bench.service")
 
 RECORDING_S = 60.0
-_VERSION = 1
+_VERSION = 1  # of the built-in recording; a new number makes it again
 _LOG_EVERY_S = 10.0
-_PLAYER_S = 60.0  # longest wait for the first observation
+_PLAYER_S = 60.0  # longest wait for the first observation of a recording
 
 Message = tuple[Topic, int, bytes]
 
@@ -115,16 +115,16 @@ def run_bench(
         playback = stack.enter_context(Playback(recording, config, 1.0, stop))
         began += playback.read_s
         playback.check()
-        own = playback.as_on_the_bus
-        for line in () if own else playback.opening():
+        has_topics = playback.as_on_the_bus
+        for line in () if has_topics else playback.opening():
             log.info("%s", line)
-        make_source = None if own else playback.open
+        make_source = None if has_topics else playback.open
         running = stack.enter_context(open_service(config, [], stop=stop, make_source=make_source))
         ready_s = time.perf_counter() - began
         log.info(
             "service ready after %.1f s; playing %s for %g s", ready_s, recording.name, seconds
         )
-        if own:
+        if has_topics:
             process = stack.enter_context(player(config, recording, loop=True))
             over = partial(_is_over, process)
         else:
@@ -138,14 +138,14 @@ def run_bench(
         counters = dict(running.source.counters)
         memory_mb = resident_mb()
         failing = "; ".join(check.message for check in running.service.plausibility.failed)
-        if not own:
+        if not has_topics:
             for line in playback.outcome():
                 log.info("%s", line)
     tick = report.tick
     slowdown = 1.0 if report.calibration is None else report.calibration.slowdown
     if tick.n == 0 or report.stage("detect").n == 0:
         detections = report.stage("detect").n
-        why = failing or ("use more --seconds" if own else "see the log")
+        why = failing or ("use more --seconds" if has_topics else "see the log")
         raise UserError(
             f"bench: measured {tick.n} ticks and {detections} detections in {seconds:g} s, needs "
             f"at least 1 of each: {why} (counters: {counters})"

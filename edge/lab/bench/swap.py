@@ -46,7 +46,7 @@ class SwapBench:
         self._period_ns = int(1e9 / running.config.loop.hz)
         self._first_ns = self._last_ns = self._since_ns = 0
         self._longest_ns = self._lost = 0
-        self._at: tuple[int, int, int] = (0, 0, 0)
+        self._counts_before: tuple[int, int, int] = (0, 0, 0)
         self._before: dict[str, Any] = {}
         self._during: dict[str, Any] = {}
 
@@ -57,18 +57,18 @@ class SwapBench:
         now_ns = time.monotonic_ns()
         if not self._first_ns:
             self._first_ns = self._last_ns = now_ns
-            self._begin(now_ns)
+            self._begin_span(now_ns)
         gap_ns, self._last_ns = now_ns - self._last_ns, now_ns
         self._longest_ns = max(self._longest_ns, gap_ns)
         self._lost += max(0, gap_ns // self._period_ns - 1)
         swapper = self._running.service.detector_swap
         if not self._before:
             if now_ns - self._first_ns >= self._half_s * 1e9:
-                self._before = self._end(now_ns)
-                self._begin(now_ns)
+                self._before = self._end_span(now_ns)
+                self._begin_span(now_ns)
                 swapper.request(self._model, False, now_ns)
         elif swapper.state in FINAL_STATES:
-            self._during = self._end(now_ns)
+            self._during = self._end_span(now_ns)
 
     def figures(self) -> dict[str, Any]:
         """Return the swap's outcome and both time spans, ready for JSON.
@@ -84,13 +84,13 @@ class SwapBench:
             )
         return {**swap, "before": self._before, "during": self._during}
 
-    def _begin(self, now_ns: int) -> None:
-        self._since_ns, self._at = now_ns, self._counts()
+    def _begin_span(self, now_ns: int) -> None:
+        self._since_ns, self._counts_before = now_ns, self._counts()
         self._longest_ns = self._lost = 0
 
-    def _end(self, now_ns: int) -> dict[str, Any]:
+    def _end_span(self, now_ns: int) -> dict[str, Any]:
         ticks, let_go, images = (
-            now - was for now, was in zip(self._counts(), self._at, strict=True)
+            now - was for now, was in zip(self._counts(), self._counts_before, strict=True)
         )
         tick = self._running.service.latency.report(last=ticks).tick
         return {
@@ -100,6 +100,7 @@ class SwapBench:
         }  # fmt: skip
 
     def _counts(self) -> tuple[int, int, int]:
+        """Return the numbers of observations used, of observations replaced, and of images."""
         counters: Mapping[str, int] = self._running.source.counters
         return (
             counters.get("observations", 0), counters.get("superseded", 0),

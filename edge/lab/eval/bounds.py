@@ -1,7 +1,7 @@
 """Oracle policies: upper bounds that use the simulator's ground truth.
 
 An evaluation passes them the simulator's `world`. A robot refuses a configuration that names one.
-They spin (`policy.spin`) if that shows anything: SPL counts only the path, and a spin
+They spin (`policy.spin`) if a spin shows anything: SPL counts only the path, and a spin
 adds none.
 """
 
@@ -23,7 +23,7 @@ from edge.policies.search import SearchPolicy
 FAR_M = 1e3
 """Distance if there is no path."""
 ELSEWHERE = 1e-6
-"""Factor on scores outside the target's rooms: below all scores inside, they only lead there."""
+"""Factor on scores outside the target's rooms. They are then below all scores inside."""
 
 
 class KnownPlace:
@@ -46,15 +46,15 @@ class KnownPlace:
         """See `Policy.score`."""
         candidates, target = context.candidates, context.target
         if target not in self._left_m:
-            self._left_m[target] = self._to_go_m(target)
-        way_m = _path_m(candidates) + _at(self._world, self._left_m[target], candidates)
+            self._left_m[target] = self._distance_field_m(target)
+        way_m = _path_m(candidates) + _values_at(self._world, self._left_m[target], candidates)
         way_m[candidates.kind[: candidates.n] == SPIN] = 0.0  # a spin adds no path
         return _instances_first(self._world, context, 1.0 / (1.0 + way_m))
 
     def reset(self, why: Why) -> None:
         """Do nothing: the policy has no state."""
 
-    def _to_go_m(self, target: str) -> np.ndarray:
+    def _distance_field_m(self, target: str) -> np.ndarray:
         """Return the distance to the nearest place that is near a target and in its room.
 
         Returns:
@@ -95,26 +95,32 @@ class KnownRoom:
         """See `Policy.score`."""
         candidates, target = context.candidates, context.target
         if target not in self._left_m:
-            self._left_m[target] = self._to_go_m(target)
-        left_m = _at(self._world, self._left_m[target], candidates)
-        leads = ELSEWHERE / (1.0 + _path_m(candidates) + left_m)
+            self._left_m[target] = self._distance_field_m(target)
+        left_m = _values_at(self._world, self._left_m[target], candidates)
+        outside_score = ELSEWHERE / (1.0 + _path_m(candidates) + left_m)
         kind = candidates.kind[: candidates.n]
-        leads[kind == SPIN] = ELSEWHERE  # a spin adds no path
-        score = np.where(left_m == 0.0, self._search.score(replace(context, prior=None)), leads)
+        outside_score[kind == SPIN] = ELSEWHERE  # a spin adds no path
+        score = np.where(
+            left_m == 0.0, self._search.score(replace(context, prior=None)), outside_score
+        )
         return _instances_first(self._world, context, score)
 
     def reset(self, why: Why) -> None:
         """Do nothing: the policy has no state."""
 
-    def _to_go_m(self, target: str) -> np.ndarray:
+    def _distance_field_m(self, target: str) -> np.ndarray:
         """Return the distance to the nearest room with a target.
 
         Returns:
             (rows, columns) float64 in metres on the plan's raster.
         """
-        held = {room_of(self._world, thing) for thing in named(self._world, target)} - {None}
+        target_rooms = {room_of(self._world, thing) for thing in named(self._world, target)} - {
+            None
+        }
         free = self._world.plan.clearance_m > self._radius_m
-        return cost_to_goal_m(self._world, inside(self._world, sorted(held)) & free, self._radius_m)
+        return cost_to_goal_m(
+            self._world, inside(self._world, sorted(target_rooms)) & free, self._radius_m
+        )
 
 
 def cost_to_goal_m(world: World, goal: np.ndarray | None, robot_radius_m: float) -> np.ndarray:
@@ -178,7 +184,7 @@ def _path_m(candidates: Candidates) -> np.ndarray:
     return np.where(np.isfinite(path_m), path_m, FAR_M)
 
 
-def _at(world: World, left_m: np.ndarray, candidates: Candidates) -> np.ndarray:
+def _values_at(world: World, left_m: np.ndarray, candidates: Candidates) -> np.ndarray:
     """Return the field at each candidate, (n,) float64; outside the plan, at its edge."""
     cells = world.plan.grid.to_cells(candidates.xy_m[: candidates.n].astype(np.float64))
     col, row = np.floor(cells).astype(int).T

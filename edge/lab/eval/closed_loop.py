@@ -177,9 +177,11 @@ def wants_colour(config: Config) -> bool:
     perception = config.perception
     scored = perception.similarity is not None or perception.choice.kind in ("openai", "onnx")
     # A plugin may use the image. The policies of `edge` (`edge.lab.eval.bounds`) do not.
-    own = isinstance(config.policy, PolicyPlugin) and not config.policy.kind.startswith("edge.")
+    is_user_plugin = isinstance(config.policy, PolicyPlugin) and not config.policy.kind.startswith(
+        "edge."
+    )
     masked = perception.segmenter.kind != "none"
-    return scored or masked or own or perception.detector.kind != "sim"
+    return scored or masked or is_user_plugin or perception.detector.kind != "sim"
 
 
 def blank_observation(seq: int, stamp_ns: int, pose: SE2, loop: ClosedLoop) -> Observation:

@@ -64,10 +64,10 @@ def make_arms(config: Config, columns: Mapping[str, Data]) -> list[ExperimentArm
         ConfigError: an arm's settings do not give a valid configuration.
     """
     columns = columns or {config.policy.kind: {}}
-    return [_column(name, config, dict(settings)) for name, settings in columns.items()]
+    return [_make_arm(name, config, dict(settings)) for name, settings in columns.items()]
 
 
-def _column(name: str, config: Config, settings: Data) -> ExperimentArm:
+def _make_arm(name: str, config: Config, settings: Data) -> ExperimentArm:
     other = settings.pop("config", None)
     base = config if other is None else load(str(other))
     data, path = data_of(base), base.path

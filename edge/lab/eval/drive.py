@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 TIME_LIMIT_FACTOR = 1.1  # factor on the mission's time limit after which every episode ends
 _LATE_S = 5.0  # longest wait for the simulator's ground truth, over Zenoh
 _POLL_S = 0.001
-_KEPT = 64
+_KEPT = 64  # newest ground truths to keep
 
 EpisodeDriver = Callable[
     [Config, World, Episode, Path | None, threading.Event],
@@ -71,8 +71,8 @@ def run_episode(
     try:
         config = config_of(column, episode)
         world = world_list.load(config)
-        witness, latency = drive(config, world, episode, page, stop or threading.Event())
-        return outcome_of(column, episode, config, world, witness, latency, began_s)
+        logger, latency = drive(config, world, episode, page, stop or threading.Event())
+        return outcome_of(column, episode, config, world, logger, latency, began_s)
     except Stopped:
         raise
     except Exception as error:
@@ -117,19 +117,19 @@ def in_process(
     warm_up_once(config)
     site = site_of(episode.site) if episode.site else Site()
     keep_out_m = site.polygons_m("keep_out")
-    witness = GroundTruthLogger(config, world, lambda stamp_ns: truth_of(loop), keep_out_m)
+    logger = GroundTruthLogger(config, world, lambda stamp_ns: truth_of(loop), keep_out_m)
     recorder = None if page is None else ReportRecorder(config)
-    sinks = [witness] if recorder is None else [witness, recorder]
+    sinks = [logger] if recorder is None else [logger, recorder]
     colour = recorder is not None or wants_colour(config)
     loop = ClosedLoop(config, sinks=sinks, world=world, colour=colour, site=site)
     service = loop.service
     try:
         step_to_end(loop, stop)
         now_ns = loop.drive.motion.stamp_ns
-        witness.answers = answers_of(service, world, episode.asks, now_ns)
+        logger.answers = answers_of(service, world, episode.asks, now_ns)
         if page is not None and recorder is not None:
             write_report(recorder.record(service.result(), {}), page)
-        return witness, service.latency.report()
+        return logger, service.latency.report()
     finally:
         loop.close()
 
@@ -149,15 +149,15 @@ def step_to_end(loop: ClosedLoop, stop: threading.Event) -> None:
         loop.step()
 
 
-_ready: set[str] = set()
+_warm_policies: set[str] = set()
 
 
 def warm_up_once(config: Config) -> None:
     """Compile the loop's kernels, once a process and policy, so that no timed tick includes it."""
     policy = config.policy.model_dump_json()
-    if policy not in _ready:
+    if policy not in _warm_policies:
         warm_up(config)
-        _ready.add(policy)
+        _warm_policies.add(policy)
 
 
 def truth_of(loop: ClosedLoop) -> GroundTruth:
@@ -183,9 +183,9 @@ def over_zenoh(
             "omit --processes"
         )
     config = with_free_port(config)
-    witness = GroundTruthLogger(config, world, lambda stamp_ns: truth.at(stamp_ns))
+    logger = GroundTruthLogger(config, world, lambda stamp_ns: truth.at(stamp_ns))
     recorder = ReportRecorder(config)
-    with open_service(config, [witness, recorder], stop=stop) as running:
+    with open_service(config, [logger, recorder], stop=stop) as running:
         truth = GroundTruthReader(running.session, config)
         over = threading.Event()  # also set if a child ends by itself
 
@@ -200,7 +200,7 @@ def over_zenoh(
         if page is not None:
             record = recorder.record(running.service.result(), running.source.counters)
             write_report(record, page)
-        return witness, running.service.latency.report()
+        return logger, running.service.latency.report()
 
 
 class GroundTruthReader:
@@ -248,7 +248,7 @@ def outcome_of(
     episode: Episode,
     config: Config,
     world: World,
-    witness: GroundTruthLogger,
+    logger: GroundTruthLogger,
     latency: LatencyReport,
     began_s: float,
 ) -> EpisodeOutcome:
@@ -258,51 +258,51 @@ def outcome_of(
         Exception: the error that stopped the ground-truth logger. The run cannot be judged without
             it.
     """
-    if witness.fault is not None:
-        raise witness.fault
-    status, now = witness.status, witness.now
+    if logger.fault is not None:
+        raise logger.fault
+    status, now = logger.status, logger.now
     if status is None or now is None:
         raise UserError("the service got no image and pose from the simulator; see the log above")
-    failure, sight = witness.failure(status.target), witness.first_sight()
+    failure, sight = logger.failure(status.target), logger.first_sight()
     away_m = left_m = None
     if episode.target is not None:
-        away_m = witness.distance_to_target_m(episode.target, now.x_m, now.y_m)
+        away_m = logger.distance_to_target_m(episode.target, now.x_m, now.y_m)
         left_m = remaining_m(config, world, episode.target, now.x_m, now.y_m)
     score = latency.stage("score")
     return EpisodeOutcome(
         episode.id, column.name, column.id, world.name, str(episode.world["kind"]),
         episode.target, episode.instruction, episode.start, episode.shortest_m,
-        failure is None, _reason(witness, config), failure,
+        failure is None, _reason(logger, config), failure,
         path_m=now.path_m,
-        elapsed_s=witness.seconds,
+        elapsed_s=logger.seconds,
         wall_s=time.monotonic() - began_s,
         distance_m=away_m,
         left_m=left_m,
         collisions=now.collisions,
         first_sight_s=None if sight is None else sight.seconds,
         first_sight_path_m=None if sight is None else sight.path_m,
-        wrong_stops=len(witness.wrong_stops),
-        false_confirmations=len(witness.false_confirmed),
-        revisited_m2=witness.revisited_m2,
-        goals=len(witness.goals),
+        wrong_stops=len(logger.wrong_stops),
+        false_confirmations=len(logger.false_confirmed),
+        revisited_m2=logger.revisited_m2,
+        goals=len(logger.goals),
         tick_ms={key: getattr(latency.tick, f"{key}_ms") for key in ("p50", "p95", "max")},
         score_ms=score.p95_ms,
-        trail=witness.trail,
-        goal_xy=[[goal.pose.x_m, goal.pose.y_m, goal.kind] for goal in witness.goals],
+        trail=logger.trail,
+        goal_xy=[[goal.pose.x_m, goal.pose.y_m, goal.kind] for goal in logger.goals],
         ways=episode.ways,
-        zone_entries=witness.zone_entries,
-        answers=witness.answers,
+        zone_entries=logger.zone_entries,
+        answers=logger.answers,
     )  # fmt: skip
 
 
-def _reason(witness: GroundTruthLogger, config: Config) -> str:
-    status = witness.status
+def _reason(logger: GroundTruthLogger, config: Config) -> str:
+    status = logger.status
     if status is None or not status.done:
         return f"no end after {TIME_LIMIT_FACTOR * config.mission.time_limit_s:g} s"
-    for label, away_m in witness.wrong_stops[:1]:
+    for label, away_m in logger.wrong_stops[:1]:
         return f"declared reached {away_m:.1f} m from the nearest {label}"
-    if status.phase == "reached" and len(witness.stops) == 1:
-        return f"{status.reason} ({witness.stops[0][1]:.1f} m from it)"
+    if status.phase == "reached" and len(logger.stops) == 1:
+        return f"{status.reason} ({logger.stops[0][1]:.1f} m from it)"
     return status.reason
 
 
@@ -311,16 +311,16 @@ def remaining_m(config: Config, world: World, target: str, x_m: float, y_m: floa
 
     Call `forget_distances` after objects of the world have moved.
     """
-    field = _field(world, target, config.robot.radius_m)
+    field = _distance_field(world, target, config.robot.radius_m)
     left_m = geodesic.value_at(world.plan, field, x_m, y_m)
     return left_m if np.isfinite(left_m) else None
 
 
 @lru_cache(maxsize=8)
-def _field(world: World, target: str, radius_m: float) -> np.ndarray:
+def _distance_field(world: World, target: str, radius_m: float) -> np.ndarray:
     return geodesic.distance_field(world.plan, named(world, target), radius_m, REACHED_M)
 
 
 def forget_distances() -> None:
     """Forget the distance fields that `remaining_m` keeps."""
-    _field.cache_clear()
+    _distance_field.cache_clear()

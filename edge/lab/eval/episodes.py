@@ -108,7 +108,7 @@ def make_episode(
     Args:
         world: `sim.world` of the configuration.
         name: the world's name.
-        start: see `Episode`, as the rest.
+        start: see `Episode`.
         shortest_m: see `Episode`.
         sensing: see `Episode`.
         target: see `Episode`.
@@ -179,7 +179,7 @@ def plan(
         except WorldError as error:
             log.warning("evaluation goes on without this world: %s", error)
             continue
-        episodes += _drawn(found, per_world, seed, where.world.name)
+        episodes += _draw(found, per_world, seed, where.world.name)
     if targets and not episodes:
         raise UserError(
             f"no world has a start {min_distance_m:g} m or more of driving from one of the "
@@ -281,8 +281,8 @@ def _in_world(
     return episodes
 
 
-def _drawn(episodes: list[Episode], count: int | None, seed: int, name: str) -> list[Episode]:
-    """Draw at most `count` of a world's episodes at random, and keep their order."""
+def _draw(episodes: list[Episode], count: int | None, seed: int, name: str) -> list[Episode]:
+    """Draw at most `count` of a world's episodes at random; return them in the given order."""
     if count is None or len(episodes) <= count:
         return episodes
     rng = np.random.default_rng([seed, *name.encode()])

@@ -66,7 +66,7 @@ _LEARN = (
     (r"zone", ("stay_inside",)),
     (r"remember|\b(?:name|call|mark|save|store|label|learn|place|room|is)\b", ("place", "room")),
 )  # fmt: skip
-"""Words of `meaning`, else of `said`, and the orders that mean it; the first such row counts."""
+"""Words of `meaning`, else of `said`, and the orders that they mean; the first match counts."""
 _CONTROL = {
     "pause": "stop|wait|pause|halt|hold", "resume": "go on|continue|resume",
     "cancel": "cancel|abort|give up",
@@ -114,14 +114,14 @@ def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> Everyd
     try:
         found = translate(MissionConfig(translator=translator), case["said"], SITE)
         formula, patrol_s = found.formula, found.repeat.limit_s if found.repeat else 0.0
-        asks = not compile_formula(formula).accepting[0]
+        asks_for_anything = not compile_formula(formula).accepting[0]
     except NoMissionError as error:
         said = error.said
         right = _kind(said) in accepted and _is_right(case, said)
         return EverydayScore(case, "right" if right else "wrong", str(said))
     except TranslationError as error:
         return EverydayScore(case, unclear, str(error))
-    if not asks:
+    if not asks_for_anything:
         return EverydayScore(case, unclear, f"asks for nothing: {to_text(formula)}")
     right = "mission" in accepted and (
         "formula" not in case or _same_mission(case, formula, patrol_s)
@@ -134,22 +134,27 @@ def _kind(said: MemoryQuestion | SiteOrder | Control) -> str:
 
 
 def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) -> bool:
-    meaning, about = case.get("meaning", ""), _plain(case.get("about", ""))
+    meaning, about = case.get("meaning", ""), _normalise(case.get("about", ""))
     if isinstance(said, Control):
         return bool(re.search(_CONTROL[said.do], meaning)) and _seconds(case) == (said.seconds or 0)
     if isinstance(said, SiteOrder):
-        fits = next(
-            (do for of in (meaning, case["said"]) for words, do in _LEARN if re.search(words, of)),
+        orders = next(
+            (
+                do
+                for text in (meaning, case["said"])
+                for words, do in _LEARN
+                if re.search(words, text)
+            ),
             (),
         )
-        name = _plain(said.name or "this room")
-        return said.do in fits and name in (about, _plain(f"{about} room"))
+        name = _normalise(said.name or "this room")
+        return said.do in orders and name in (about, _normalise(f"{about} room"))
     named = f"{said.about} in {said.room}" if said.room and said.about else said.about or said.room
-    return _plain(named) == about if named else about not in ("",) and said.topic != "where"
+    return _normalise(named) == about if named else about not in ("",) and said.topic != "where"
 
 
-def _plain(name: str) -> str:
-    """Return a name without articles: "lamp next to sofa"."""
+def _normalise(name: str) -> str:
+    """Return a name without articles, in canonical words: "lamp next to sofa"."""
     text = _ARTICLES.sub("", f"{name.lower()} ").strip()
     text = re.sub(r"^(?:nearest|closest) (.+?) to ", r"\1 nearest to ", text)
     for word, same in (("beside", "next to"), ("close to", "near"), ("inside", "in")):
@@ -178,14 +183,14 @@ def _same_mission(case: dict[str, Any], got: Formula, patrol_s: float | None) ->
     spans = [m[0] for name in propositions(got) for m in re.finditer(SPAN, name)]
     if sum(map(seconds_of, spans)) + (patrol_s or 0.0) != _seconds(case):
         return False
-    timeless = renamed(got, lambda name: _plain(re.sub(rf" (?:for )?{SPAN}$", "", name)))
-    plain = renamed(expected, _plain)
+    timeless = renamed(got, lambda name: _normalise(re.sub(rf" (?:for )?{SPAN}$", "", name)))
+    plain = renamed(expected, _normalise)
     if "wait" in propositions(timeless) and "wait" not in propositions(plain):
         timeless = _without_waits(timeless)
     plain, _ = recurrence(plain, patrol_s != 0.0)
     stops = propositions(plain)
     strict = conj(plain, *(weak_until(neg(ap(b)), ap(a)) for a, b in pairwise(stops) if a != b))
-    return any(distinguishing_trace(timeless, each) is None for each in (plain, strict))
+    return any(distinguishing_trace(timeless, right) is None for right in (plain, strict))
 
 
 def _without_waits(formula: Formula) -> Formula:
@@ -216,7 +221,7 @@ def everyday_counts(scores: Sequence[EverydayScore]) -> dict[str, dict[str, int]
 def everyday_table(title: str, counts: Mapping[str, Mapping[str, int]]) -> str:
     """Return the counts of `everyday_counts` as aligned text."""
     rows: list[list[object]] = [[title, "cases", *OUTCOMES]]
-    rows += [[part, sum(of.values()), *of.values()] for part, of in counts.items()]
+    rows += [[part, sum(n.values()), *n.values()] for part, n in counts.items()]
     return format_table(rows, left=1)
 
 

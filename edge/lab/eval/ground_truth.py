@@ -21,11 +21,11 @@ from edge.memory import Site
 from edge.mission.destinations import destination_of
 from edge.types import Goal, Instance, MissionStatus, Observation
 
-TRAIL_M = 0.25
+TRAIL_M = 0.25  # least distance between two points of the saved trail
 MIN_PX = 40  # pixels of an object from which it counts as seen
 CONFIRMED_STATES = ("confirmed", "reached")
 SAME_M = 0.5  # an instance within this distance of an object is that object
-STANDING_M, STANDING_S = 1.0, 60.0  # a robot within this radius for this time is stuck
+STANDING_M, STANDING_S = 1.0, 60.0  # a robot that stays within this radius for this time is stuck
 
 
 class GroundTruth(NamedTuple):
@@ -72,12 +72,16 @@ class GroundTruthLogger:
 
     Attributes:
         fault: the first error in this sink. The service ignores errors of its sinks.
-        things: by target, the objects of the world.
         now: the latest ground truth; None before the first.
-        sights: by target that was seen, the first time.
+        seconds: time of `now` since the first observation [s].
+        things: by target, the objects of the world.
+        trail: [x, y] of the robot [m], `TRAIL_M` apart.
+        goals: goals that the service sent.
+        status: the newest status of the mission.
+        first_sights: by target, the first time that it was seen; without targets never seen.
         stops: for each `reached` report, the label and the true distance [m].
         confirmed: by target, the ids of instances that were confirmed correctly.
-        mistaken: ids of instances that were confirmed but are not the target.
+        false_confirmed: ids of instances that were confirmed but are not the target.
         revisited_m2: floor that a search saw again after an earlier leg of the mission; None for a
             single target.
         answers: see `EpisodeOutcome`; the caller sets them.
@@ -135,7 +139,7 @@ class GroundTruthLogger:
         if self.now is None:
             self._begin(result.targets, truth, observation.stamp_ns)
         self.now, self.seconds = truth, 1e-9 * (observation.stamp_ns - self._began_ns)
-        self._follow(truth)
+        self._extend_trail(truth)
         if self._zones is not None:
             self._zones.update(truth.x_m, truth.y_m)
         self._record_sights(truth, observation.depth_m)
@@ -144,7 +148,7 @@ class GroundTruthLogger:
         instances = result.instances()
         self._judge_instances(instances)
         if len(result.targets) > 1:
-            self._follow_leg(result.status.target, instances, truth)
+            self._add_revisits(result.status.target, instances, truth)
 
     def _begin(self, targets: Sequence[str], truth: GroundTruth, stamp_ns: int) -> None:
         self.things = {target: named(self._world, target) for target in targets}
@@ -158,7 +162,7 @@ class GroundTruthLogger:
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
 
-    def _follow(self, truth: GroundTruth) -> None:
+    def _extend_trail(self, truth: GroundTruth) -> None:
         place = [round(truth.x_m, 3), round(truth.y_m, 3)]
         if not self.trail or math.dist(self.trail[-1], place) >= TRAIL_M:
             self.trail.append(place)
@@ -189,7 +193,7 @@ class GroundTruthLogger:
             right = self.distance_to_target_m(instance.label, x, y) <= SAME_M
             (known if right else self.false_confirmed).add(instance.id)
 
-    def _follow_leg(self, target: str, instances: Sequence[Instance], truth: GroundTruth) -> None:
+    def _add_revisits(self, target: str, instances: Sequence[Instance], truth: GroundTruth) -> None:
         """Count revisited floor. A leg ends if the target changes or is reached."""
         known = [
             i.center_m[:2] for i in instances if i.label == target and i.state in CONFIRMED_STATES
@@ -245,12 +249,14 @@ class GroundTruthLogger:
             return "wrong thing"
         if self.status is not None and self.status.phase == "reached":
             return None
-        out_of = self.status is None or not self.status.done or "limit of" in self.status.reason
+        over_budget = (
+            self.status is None or not self.status.done or "limit of" in self.status.reason
+        )
         if self.stuck_s >= STANDING_S:
             return "stuck"
         if pursued in self.first_sights and not self.confirmed.get(pursued):
             return "seen, not confirmed"
-        if out_of:
+        if over_budget:
             return "budget"
         return "never seen" if pursued not in self.first_sights else "stuck"
 
@@ -279,18 +285,18 @@ def mask_of(things: Sequence[WorldObject], most: int) -> np.ndarray:
 
 
 @jit
-def visible_px(ids: np.ndarray, depth_m: np.ndarray, mine: np.ndarray, range_m: float) -> int:
+def visible_px(ids: np.ndarray, depth_m: np.ndarray, mask: np.ndarray, range_m: float) -> int:
     """Count the pixels that show one of the objects within a range.
 
     Args:
         ids: (h, w) uint16 object ids.
         depth_m: (h, w) float32, NaN = no return.
-        mine: (n,) bool by object id.
+        mask: (n,) bool by object id, True for the objects.
         range_m: the range.
     """
     count = 0
     for v in range(ids.shape[0]):
         for u in range(ids.shape[1]):
-            if mine[ids[v, u]] and depth_m[v, u] <= range_m:
+            if mask[ids[v, u]] and depth_m[v, u] <= range_m:
                 count += 1
     return count

@@ -16,7 +16,7 @@ from edge.lab.sim.sensors import CameraRig, odometry_message
 from edge.lab.sim.worlds import load_world
 
 _START_NS = 1_000_000_000
-_STOPS = 40
+_STOPS = 40  # random poses to drive to
 
 
 def house_drive(config: Config, seconds: float) -> Iterator[tuple[Topic, int, bytes]]:

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
-Z = 1.959963984540054
-RESAMPLES = 10_000
+Z = 1.959963984540054  # quantile of the normal distribution for 95 %
+RESAMPLES = 10_000  # of the bootstrap
 _CHUNK = 500  # resamples at a time, which limits the memory of their weights
 
 
@@ -92,11 +92,14 @@ def bootstrap(
     totals = sums.sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         values = totals[:k] / totals[k:]
-        draws = _draws(sums, k, resamples, seed)
-    return [_expanded(*row) for row in zip(values, draws.T, counted.sum(axis=0), strict=True)]
+        draws = _resampled_ratios(sums, k, resamples, seed)
+    return [
+        _expanded_percentiles(*row)
+        for row in zip(values, draws.T, counted.sum(axis=0), strict=True)
+    ]
 
 
-def _draws(sums: np.ndarray, k: int, resamples: int, seed: int) -> np.ndarray:
+def _resampled_ratios(sums: np.ndarray, k: int, resamples: int, seed: int) -> np.ndarray:
     """Return (resamples, k) ratios of sums over clusters that are drawn with replacement."""
     rng, clusters = np.random.default_rng(seed), len(sums)
     draws = np.empty((resamples, k))
@@ -109,7 +112,7 @@ def _draws(sums: np.ndarray, k: int, resamples: int, seed: int) -> np.ndarray:
     return draws
 
 
-def _expanded(value: float, draws: np.ndarray, clusters: int) -> Interval:
+def _expanded_percentiles(value: float, draws: np.ndarray, clusters: int) -> Interval:
     value = float(value)
     draws = draws[np.isfinite(draws)] if clusters > 1 else draws[:0]
     if not math.isfinite(value) or not len(draws):

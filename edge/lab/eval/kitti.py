@@ -46,10 +46,14 @@ MOVING = 250
 PLANT, TRUNK, TREE_M = 70, 71, 3.0
 """Vegetation is a tree if it is `TREE_M` high or over a trunk: a scan of a near tree ends low."""
 REACH_M = {50: 1.5, 51: 1.0, 70: 0.8}
-"""Gap that separates two objects of a label without instances; else `REACH_ELSE_M`."""
+"""Label → gap that separates two of its objects if their instances are not known.
+
+Other labels have `REACH_ELSE_M`.
+"""
 REACH_ELSE_M = 0.6
 LEAST_POINTS = 12
 LEAST_PX = 6
+"""An object with fewer points, or a smaller side in the picture, is ignored."""
 _SKEW = 0.01
 """Tolerance for rounded numbers of a rotation."""
 _DOTS_PX = 5, 9
@@ -182,11 +186,13 @@ def things_in(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
     found = []
     for label, name in THINGS.items():
         for instance in np.unique(frame.instance[frame.semantic == label]):
-            mine = np.flatnonzero((frame.semantic == label) & (frame.instance == instance))
+            labelled = np.flatnonzero((frame.semantic == label) & (frame.instance == instance))
             reach_m = REACH_M.get(label, REACH_ELSE_M)
-            groups = clusters(cloud[mine], reach_m) if instance == 0 else [np.arange(len(mine))]
+            groups = (
+                clusters(cloud[labelled], reach_m) if instance == 0 else [np.arange(len(labelled))]
+            )
             for group in groups:
-                points = mine[group]
+                points = labelled[group]
                 if len(points) < LEAST_POINTS:
                     continue
                 tree = label == PLANT and _is_tree(cloud[points], trunks)
@@ -301,8 +307,8 @@ def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> 
         KittiError: see `read_frame`; or `numbers` is empty.
     """
     if not numbers:
-        there = frames_in(folder, labelled)
-        raise KittiError(f"{folder}: no frame chosen; choose some of {there}")
+        available = frames_in(folder, labelled)
+        raise KittiError(f"{folder}: no frame chosen; choose some of {available}")
     return [read_frame(folder, number, labelled) for number in numbers]
 
 
@@ -317,10 +323,10 @@ def scene_of(
         radius_m: radius of the robot that drives there; see `SceneBuilder`.
         by_labels: see `kitti_scene`.
     """
-    survey = SceneBuilder(chain, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
+    builder = SceneBuilder(chain, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
     for frame in frames:
-        survey.add(frame.observation, frame.ground_kind if by_labels else None)
-    return survey.scene()
+        builder.add(frame.observation, frame.ground_kind if by_labels else None)
+    return builder.scene()
 
 
 def _mask(dots: np.ndarray, box: np.ndarray) -> np.ndarray:
@@ -345,8 +351,8 @@ def _rigid(rows: np.ndarray, where: object) -> np.ndarray:
     T[:3] = rows
     R = T[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
-        turns = np.allclose(R @ R.T, np.eye(3), atol=_SKEW) and np.linalg.det(R) > 0.0
-    if not (turns and np.abs(T[:3, 3]).max() <= FARTHEST_M):
+        is_rotation = np.allclose(R @ R.T, np.eye(3), atol=_SKEW) and np.linalg.det(R) > 0.0
+    if not (is_rotation and np.abs(T[:3, 3]).max() <= FARTHEST_M):
         raise KittiError(
             f"{where}: expected a rotation, and a translation of at most {FARTHEST_M / 1000:g} km"
         )
@@ -363,14 +369,14 @@ def _bytes(path: Path) -> bytes:
         ) from None
 
 
-def _array(path: Path, of: type, columns: int) -> np.ndarray:
+def _array(path: Path, dtype: type, columns: int) -> np.ndarray:
     data = _bytes(path)
-    if len(data) % (columns * np.dtype(of).itemsize):
+    if len(data) % (columns * np.dtype(dtype).itemsize):
         raise KittiError(
-            f"{path}: {len(data)} bytes are not a multiple of {columns} {np.dtype(of)} values; "
+            f"{path}: {len(data)} bytes are not a multiple of {columns} {np.dtype(dtype)} values; "
             "fetch the file again"
         )
-    return np.frombuffer(data, of)
+    return np.frombuffer(data, dtype)
 
 
 def _table(path: Path, columns: int) -> np.ndarray:

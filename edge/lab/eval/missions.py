@@ -34,8 +34,8 @@ FAMILIES = (
     Family("branches", 0.15, branches=(2, 2), length=(1, 2)),
     Family("any-order-until", 0.1, any_order=True, untils=(1, 1)),
 )
-_MOST_DRAWS = 10_000
-_POSES = 20
+_MOST_DRAWS = 10_000  # templates to draw for the missions of a world
+_POSES = 20  # starts to try for a mission
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,8 +190,8 @@ def cost_to_go_cells(
     while queue:
         after = queue.popleft()
         for s, letter in before[after]:
-            steps_off = free if letter == NOTHING else near[letter] & free
-            shorter = steps_off & (left[after] < left[s])
+            can_step = free if letter == NOTHING else near[letter] & free
+            shorter = can_step & (left[after] < left[s])
             if shorter.any():
                 left[s][shorter] = left[after][shorter]
                 while geodesic.relax(free, left[s]):

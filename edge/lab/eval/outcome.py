@@ -136,14 +136,14 @@ def crashed_outcome(
 
 def to_json_line(outcome: EpisodeOutcome) -> bytes:
     """Encode an outcome as one line of JSON. A number that is not finite becomes null."""
-    return json.dumps(_plain(asdict(outcome)), separators=(",", ":")).encode() + b"\n"
+    return json.dumps(_finite(asdict(outcome)), separators=(",", ":")).encode() + b"\n"
 
 
-def _plain(value: Any) -> Any:
+def _finite(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [_finite(item) for item in value]
     if isinstance(value, float):
         return round(value, 4) if math.isfinite(value) else None
     return value
@@ -165,7 +165,7 @@ class OutcomeFile:
 
     def __init__(self, folder: Path) -> None:
         self._file = JsonLinesFile(
-            folder / NAME, lambda data: EpisodeOutcome(**_tupled(data)), "an outcome", MAX_BYTES
+            folder / NAME, lambda data: EpisodeOutcome(**_fields_of(data)), "an outcome", MAX_BYTES
         )
         self.known = {outcome.key: outcome for outcome in self._file.found}
 
@@ -188,5 +188,5 @@ def present_names(data: dict[str, Any]) -> dict[str, Any]:
     return {RENAMED.get(name, name): value for name, value in data.items()}
 
 
-def _tupled(data: dict[str, Any]) -> dict[str, Any]:
+def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
     return {**present_names(data), "start": tuple(data["start"])}

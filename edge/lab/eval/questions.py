@@ -19,7 +19,8 @@ from edge.loop.memory_requests import handle_memory
 from edge.loop.service import Service
 
 log = logging.getLogger("edge.lab.eval.questions")
-PLACE_M = 1.0
+PLACE_M = 1.0  # largest error of a right place
+# Verdicts on an answer.
 RIGHT, NOT_SEEN = "right", "not seen"
 WRONG_PLACE, WRONG_ROOM = "wrong place", "wrong room"
 EXPLORE = "explore the house"
@@ -65,8 +66,8 @@ def answers_of(service: Service, world: World, asks: Sequence[str], now_ns: int)
 
     Returns:
         By name: `RIGHT`; `WRONG_PLACE` if the place is over `PLACE_M` from the footprints of such
-        objects; `WRONG_ROOM` if the answer does not name the kind of the true room, or another
-        kind too that is not there; `NOT_SEEN` if the answer has no place. Rooms are judged in
+        objects; `WRONG_ROOM` if the answer does not name the kind of the true room, or names
+        a kind that is not there; `NOT_SEEN` if the answer has no place. Rooms are judged in
         worlds that have their kinds.
     """
     rooms = judge_rooms(world, service.map.rooms) if asks and world.room_kinds else []
@@ -81,13 +82,15 @@ def _verdict(
     if not objects:
         return NOT_SEEN
     x_m, y_m = objects[0]["xyz"][:2]
-    item = min(named(world, name), key=lambda one: one.distance_m(x_m, y_m))
+    item = min(named(world, name), key=lambda obj: obj.distance_m(x_m, y_m))
     if item.distance_m(x_m, y_m) > PLACE_M:
         return WRONG_PLACE
     at = int(true_room_at(world, np.array([item.center_m[:2]]))[0])
     if at < 0 or not world.room_kinds:
         return RIGHT
     room, truth = service.map.rooms.room_at(x_m, y_m), world.room_kinds[at]
-    there = {truth} if room is None or room.id not in judged else {truth} | judged[room.id].also
-    named_right = room is not None and truth in room.kinds and there.issuperset(room.kinds)
+    true_kinds = (
+        {truth} if room is None or room.id not in judged else {truth} | judged[room.id].also
+    )
+    named_right = room is not None and truth in room.kinds and true_kinds.issuperset(room.kinds)
     return RIGHT if named_right else WRONG_ROOM

@@ -16,8 +16,8 @@ from edge.config import Config
 from edge.jit import jit
 from edge.lab.sim.base import FloorPlan, World
 
-PLACE_M = 0.1
-SAME_M = 0.5  # an instance within this distance of an object is that object
+PLACE_M = 0.1  # side of a cell
+SAME_M = 0.5  # a known place within this distance of an object is that of the object
 NEW, BEFORE, NOW = 0, 1, 2
 """Bits of a cell: never seen; seen before this leg; seen in this leg."""
 
@@ -31,7 +31,7 @@ class RevisitCounter:
         range_m: range of the detector.
 
     Attributes:
-        again_m2: area seen in searches that earlier legs had already seen [m²].
+        revisited_m2: area seen in searches that earlier legs had already seen [m²].
     """
 
     def __init__(self, config: Config, world: World, range_m: float) -> None:
@@ -39,8 +39,8 @@ class RevisitCounter:
         self.revisited_m2 = 0.0
         self._world = world
         self._floor = SeenFloor(world.plan, math.radians(camera.hfov_deg), range_m)
-        self._turn: Hashable | None = None
-        self._known = False
+        self._leg: Hashable | None = None
+        self._is_place_known = False
 
     def update(
         self, turn: Hashable, target: str, known_xy_m: np.ndarray, x_m: float, y_m: float,
@@ -56,12 +56,12 @@ class RevisitCounter:
             y_m: y of the robot.
             yaw_rad: viewing direction of the camera.
         """
-        if turn != self._turn:
-            self._turn, self._known = turn, False
+        if turn != self._leg:
+            self._leg, self._is_place_known = turn, False
             self._floor.begin()
         _, again_m2 = self._floor.look(x_m, y_m, yaw_rad)
-        self._known = self._known or self._is_there(target, known_xy_m)
-        if not self._known:
+        self._is_place_known = self._is_place_known or self._is_there(target, known_xy_m)
+        if not self._is_place_known:
             self.revisited_m2 += again_m2
 
     def _is_there(self, target: str, known_xy_m: np.ndarray) -> bool:

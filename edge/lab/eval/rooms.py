@@ -1,4 +1,4 @@
-"""Evaluation of rooms: are their kinds right, and does the robot reach a named one.
+"""Evaluation of rooms: the kinds of mapped rooms, and drives to a named room.
 
 `edge eval rooms` explores houses with known kinds of rooms, and drives to a room of each kind.
 """
@@ -26,9 +26,9 @@ from edge.text import format_table
 EXPLORE_S = 180.0
 """Simulated time for exploring a house."""
 _SAME_ROOM = 0.5
-"""Smallest share of a mapped room's floor in one true room to be judged."""
+"""A mapped room is judged if at least this share of its floor lies in one true room."""
 _PART = 0.2
-"""Smallest share of a mapped room's floor in a true room for its kind to count, too."""
+"""The kind of a true room counts, too, if at least this share of the mapped floor lies in it."""
 _LOCKSTEP: Data = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
 
 

@@ -25,7 +25,7 @@ from edge.lab.eval.zones import with_zones
 from edge.lab.report.page import prepare
 
 EPISODES_NAME = "episodes.jsonl"
-TARGETS = "trash can,sofa,chair,bed,desk"
+TARGETS = "trash can,sofa,chair,bed,desk"  # without `--targets` and `--worlds`
 
 OnOutcome = Callable[[int, int, EpisodeOutcome], None]
 """Called with each outcome as it comes: its number, the total number to come, and the outcome."""
@@ -64,7 +64,7 @@ def run_all(
     file = None if out is None else OutcomeFile(out)
     known = {} if file is None else file.known
     if out is not None:
-        _keep(out / EPISODES_NAME, episodes)
+        _save_new(out / EPISODES_NAME, episodes)
     have = {key: o for key, o in known.items() if o.failure != "crashed"}
     pairs = [(episode, column) for episode in episodes for column in columns]
     keys = [(part, column.id) for episode, column in pairs for part in episode.parts]
@@ -93,7 +93,7 @@ def changed(columns: Sequence[ExperimentArm], out: Path) -> dict[str, int]:
     return counts
 
 
-def _keep(path: Path, episodes: Sequence[Episode]) -> None:
+def _save_new(path: Path, episodes: Sequence[Episode]) -> None:
     """Add the episodes to a folder's file of episodes, if they are not there yet."""
     known = eps.read(path) if path.exists() else []
     ids = {episode.id for episode in known}

@@ -78,7 +78,7 @@ def plan_sessions(
         pose = (round(start.x_m, 3), round(start.y_m, 3), round(start.yaw_rad, 3))
         fields = MissionCostFields(world, radius_m)
         rng = np.random.default_rng([seed, *world.name.encode()])
-        goals = _chain(fields, pose, [targets[k] for k in rng.permutation(len(targets))],
+        goals = _choose_goals(fields, pose, [targets[k] for k in rng.permutation(len(targets))],
                        count, min_distance_m)  # fmt: skip
         if len(goals) < count:
             log.warning(
@@ -99,26 +99,28 @@ def plan_sessions(
     return sessions
 
 
-def _chain(
+def _choose_goals(
     fields: MissionCostFields,
     start: tuple[float, float, float],
     names: list[str],
     count: int,
     min_distance_m: float,
 ) -> tuple[str, ...]:
-    """Return different goals, each so far from the last; fewer than `count` if there are no more.
+    """Return different goals, each at least `min_distance_m` from the last.
+
+    There are fewer than `count` if no further name is far enough.
 
     Of the names that are left, the first that is far enough comes next. A name that has narrower
     kinds in the world is left out: an armchair is a chair, but not the chair that is meant.
     """
     names = [name for name in names if fields.has(name) and not fields.has_kinds(name)]
-    ways = {name: fields.distance_m(name) for name in names}
+    distances_m = {name: fields.distance_m(name) for name in names}
     cell = fields.plan.grid.cell_of(*start[:2])
     here = np.zeros(fields.plan.grid.cells.shape, bool)
     here[cell] = True
     goals: list[str] = []
     while len(goals) < count:
-        far = (n for n in names if min_distance_m <= ways[n][here].min() < math.inf)
+        far = (n for n in names if min_distance_m <= distances_m[n][here].min() < math.inf)
         name = next(far, None)
         if name is None:
             break
@@ -181,7 +183,7 @@ class _Session:
         """Search for a goal, counted from 1, and judge it."""
         began_s, loop, config = time.monotonic(), self.loop, self._config
         if number > 1:
-            self._before(number)
+            self._begin_goal(number)
         goal, base = self._episode.goals[number - 1], truth_of(loop)
         start = base.x_m, base.y_m, base.yaw_rad
         shortest_m = self._shortest_m(goal, base.x_m, base.y_m)
@@ -199,19 +201,19 @@ class _Session:
             outcome = replace(outcome, first_sight_path_m=None)
         return replace(outcome, goal=number)
 
-    def _before(self, number: int) -> None:
+    def _begin_goal(self, number: int) -> None:
         """Move things, forget if the arm forgets, and begin the mission of a goal."""
         loop, goals = self.loop, self._episode.goals
         now_ns = loop.drive.motion.stamp_ns
         if self._episode.moved:
-            self._move(number)
+            self._move_objects(number)
         if self._column.forgets:
             loop.service.on_pose_jump(now_ns)
         mission = self._config.mission.model_copy(update={"target": goals[number - 1]})
         config = self._config.model_copy(update={"mission": mission})
         loop.service.begin(prepare_mission(config), now_ns)
 
-    def _move(self, number: int) -> None:
+    def _move_objects(self, number: int) -> None:
         if not isinstance(self._world, BoxWorld):
             raise UserError(
                 f"--moved: objects of the world {self._world.name} cannot be moved; use houses "

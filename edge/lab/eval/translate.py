@@ -48,9 +48,9 @@ from edge.mission.translate import (
 from edge.perception.runtime.cards import load_card
 from edge.text import format_table, one_line
 
-_TASKS = 2000
-_SHOWN_FAILURES = 5
-_SHOWN_CHARS = 400
+_TASKS = 2000  # tasks of the task-level benchmark
+_SHOWN_FAILURES = 5  # failures on the screen, for each set and translator
+_SHOWN_CHARS = 400  # of a failure on the screen
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +89,8 @@ def score(case: TranslationCase, translator: Translator) -> TranslationScore:
         return TranslationScore(case, "asked", str(error))
     except (TranslationError, FormulaError) as error:
         return TranslationScore(case, "refused", str(error))
-    witness = distinguishing_trace(formula, case.formula, case.endless)
-    if witness is None or any(
+    difference = distinguishing_trace(formula, case.formula, case.endless)
+    if difference is None or any(
         distinguishing_trace(formula, other) is None for other in case.others
     ):
         return TranslationScore(case, "right", to_text(formula))
@@ -98,7 +98,7 @@ def score(case: TranslationCase, translator: Translator) -> TranslationScore:
     outcome = "wrong"
     if weak != case.formula and distinguishing_trace(formula, weak, case.endless) is None:
         outcome = "right if weak"
-    return TranslationScore(case, outcome, to_text(formula), witness)
+    return TranslationScore(case, outcome, to_text(formula), difference)
 
 
 def summary(scores: Sequence[TranslationScore], left_out: Counter[str]) -> dict[str, Any]:
@@ -170,16 +170,18 @@ def run(args: argparse.Namespace) -> int:
         sets.items(), translators.items()
     ):
         began = time.perf_counter()
-        scores, stopped_by = _scored(f"{title}, {name}", _sample(cases, args.limit), translator)
+        scores, stopped_by = _score_all(f"{title}, {name}", _sample(cases, args.limit), translator)
         seconds = time.perf_counter() - began
         counts = summary(scores, left_out)
         result.setdefault(title, {})[name] = {**counts, "seconds": round(seconds, 2)}
         lines = list(failure_lines(scores, name))
         failed += lines
-        print(table(f"{title}, {name}", counts), *_shown(lines), sep="\n", end="\n\n")
+        print(table(f"{title}, {name}", counts), *_first_failures(lines), sep="\n", end="\n\n")
         if stopped_by is not None:
             break
-    print(overview(result, _not_seen() if set(args.backend) & set(_OF_THE_CARD) else {}))
+    print(
+        overview(result, _counts_not_seen() if set(args.backend) & set(_CARD_TRANSLATORS) else {})
+    )
     if args.failures is not None:
         save(args.failures, "".join(f"{line}\n" for line in failed).encode())
     if args.out is not None:
@@ -200,7 +202,10 @@ def _run_everyday(args: argparse.Namespace) -> int:
         failed += lines
         result[name] = everyday_counts(scores)
         print(
-            everyday_table(f"Everyday, {name}", result[name]), *_shown(lines), sep="\n", end="\n\n"
+            everyday_table(f"Everyday, {name}", result[name]),
+            *_first_failures(lines),
+            sep="\n",
+            end="\n\n",
         )
     if args.failures is not None:
         save(args.failures, "".join(f"{line}\n" for line in failed).encode())
@@ -218,7 +223,7 @@ SEEN = {
 """Set → note on its figures."""
 NOT_SEEN = "not seen by this model; seen while grammar and composer were written"
 """Note on figures of a model that was not trained on the set."""
-_OF_THE_CARD = ("model", "auto")
+_CARD_TRANSLATORS = ("model", "auto")
 
 
 def overview(result: dict[str, Any], not_seen: dict[str, dict[str, dict[str, int]]]) -> str:
@@ -248,17 +253,19 @@ def _shares(title: str, name: str, counts: dict[str, Any], note: str) -> list[st
     return [title, name, str(cases), *shares, note]
 
 
-def _not_seen() -> dict[str, dict[str, dict[str, int]]]:
+def _counts_not_seen() -> dict[str, dict[str, dict[str, int]]]:
     """Return the outcomes of models that were not trained on a set, from the small model's card."""
     measured = load_card(SMALL_TRANSLATOR).measured
     found = {
-        title: {name: measured.get(f"{title.lower()}, not seen, {name}") for name in _OF_THE_CARD}
+        title: {
+            name: measured.get(f"{title.lower()}, not seen, {name}") for name in _CARD_TRANSLATORS
+        }
         for title in (LANG2LTL, CLEAN_UP)
     }
     return {title: {n: c for n, c in by.items() if c} for title, by in found.items()}
 
 
-def _scored(
+def _score_all(
     title: str, cases: Sequence[TranslationCase], translator: Translator
 ) -> tuple[list[TranslationScore], BaseException | None]:
     """Score cases until one fails; return the scores and the error that stopped it.
@@ -277,7 +284,7 @@ def _scored(
     return scores, None
 
 
-def _shown(lines: Sequence[str]) -> Iterator[str]:
+def _first_failures(lines: Sequence[str]) -> Iterator[str]:
     """Yield the first failures, for the screen."""
     for line in lines[:_SHOWN_FAILURES]:
         yield f"  {one_line(line, _SHOWN_CHARS)}"

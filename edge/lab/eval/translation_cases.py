@@ -34,7 +34,9 @@ from edge.mission.logic.ltl import (
     renamed,
 )
 
+# Parts of a user's own sentences.
 TO_READ, MAY_REFUSE = "to be read", "may be refused or asked about"
+# Letters of the rooms in the formulas of the clean-up table, and their colours.
 _ROOMS = {"B": "blue", "R": "red", "C": "green", "Y": "yellow"}
 _ROOM = re.compile(
     r"\b(?:(?:large|small|big|little) )*(blue|red|green|yellow)"

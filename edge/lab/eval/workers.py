@@ -29,8 +29,8 @@ from edge.lab.eval.sessions import run_session
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
-_LOOK_S = 0.5
-_END_S = 5.0
+_LOOK_S = 0.5  # time between two checks for a stop
+_END_S = 5.0  # longest wait for the end of a worker process
 
 
 class EpisodeJob(NamedTuple):
@@ -133,12 +133,12 @@ def run_in_workers(
 
 def _start() -> _Worker:
     context = get_context("spawn")
-    mine, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(theirs,), name="episodes", daemon=False)
+    pipe, child_pipe = context.Pipe()
+    process = context.Process(target=_serve, args=(child_pipe,), name="episodes", daemon=False)
     with _environment(ONE_THREAD):
         process.start()
-    theirs.close()
-    return _Worker(process, mine)
+    child_pipe.close()
+    return _Worker(process, pipe)
 
 
 @contextmanager

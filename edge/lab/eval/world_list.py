@@ -21,7 +21,7 @@ WorldSection = dict[str, Any]
 WORLD_FORMS = "FILE.jsonl.gz[0:75], generated[1000:1050], house:NAME, MESH.glb,OBJECTS.json"
 _SPEC = re.compile(r"^(?P<name>.+?)(?:\[(?P<first>\d*)(?P<to>:(?P<end>\d*))?\])?$")
 _MAX_SEEDS = 100_000
-_LOADED = 2
+_KEPT_WORLDS = 2  # in the cache
 
 
 def world_sections(specs: Sequence[str]) -> list[WorldSection]:
@@ -61,7 +61,7 @@ def _sections_of(spec: str) -> list[WorldSection]:
 
 
 def _range(spec: str, matched: re.Match[str], length: int | None) -> range:
-    """Return the numbers of `[first:end]` or `[one]`; without brackets, all up to `length`."""
+    """Return the numbers of `[first:end]` or `[number]`; without brackets, all up to `length`."""
     if matched["first"] is None:
         return range(length or 0)
     first = int(matched["first"] or 0)
@@ -80,12 +80,12 @@ def load(config: Config) -> World:
         edge.lab.sim.base.WorldError: see `load_world`.
     """
     # All that a world depends on: its file, and also the robot's height and the camera's depths.
-    about = config.model_dump(mode="json", include={"robot", "sensors", "sim", "perception"})
-    about["sim"] = {"world": about["sim"]["world"]}
-    about["perception"] = {"detector": {"kind": "sim"}}
-    return _loaded(json.dumps(about, sort_keys=True), config.path)
+    cache_key = config.model_dump(mode="json", include={"robot", "sensors", "sim", "perception"})
+    cache_key["sim"] = {"world": cache_key["sim"]["world"]}
+    cache_key["perception"] = {"detector": {"kind": "sim"}}  # any valid one: worlds do not use it
+    return _load_cached(json.dumps(cache_key, sort_keys=True), config.path)
 
 
-@lru_cache(maxsize=_LOADED)
-def _loaded(about: str, path: str) -> World:
-    return load_world(parse(json.loads(about), path))
+@lru_cache(maxsize=_KEPT_WORLDS)
+def _load_cached(cache_key: str, path: str) -> World:
+    return load_world(parse(json.loads(cache_key), path))

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-_STEP_M = 0.01
-_TOUCH_M = 1e-3
+_STEP_M = 0.01  # distance of the checked points of a path
+_TOUCH_M = 1e-3  # a footprint that overlaps a zone by less only touches it
 
 
 class ZoneEntryCounter:
@@ -33,15 +33,15 @@ class ZoneEntryCounter:
         here_m = np.array([x_m, y_m])
         last_m, self._last_m = self._last_m, here_m
         if last_m is None:
-            self._inside = self._holds(here_m[None])[0]
+            self._inside = self._is_in_zone(here_m[None])[0]
             return
         steps = 1 + int(math.dist(last_m, here_m) / _STEP_M)
-        way_m = last_m + np.linspace(0.0, 1.0, steps + 1)[1:, None] * (here_m - last_m)
-        for inside in self._holds(way_m):
+        path_m = last_m + np.linspace(0.0, 1.0, steps + 1)[1:, None] * (here_m - last_m)
+        for inside in self._is_in_zone(path_m):
             self.entries += inside and not self._inside
             self._inside = inside
 
-    def _holds(self, xy_m: np.ndarray) -> list[bool]:
+    def _is_in_zone(self, xy_m: np.ndarray) -> list[bool]:
         """Return True for each place at which the footprint is in a zone."""
         near_m = np.min([distance_m(zone, xy_m) for zone in self._zones_m], axis=0)
         return (near_m < self._radius_m - _TOUCH_M).tolist()

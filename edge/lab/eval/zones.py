@@ -22,11 +22,12 @@ ALONG = (0.15, 0.85)
 SIZE_M = (0.3, 1.0)
 """Distance of a zone's corners from its centre."""
 CORNERS = (3, 7)
+"""Fewest and most corners of a zone."""
 MARGIN_M = 0.3
 """A path past a zone must leave this much room beyond the robot's radius to count as a detour."""
 START_M = 0.4
 """Room between the robot at its start and a zone."""
-_DRAWS = 20
+_DRAWS = 20  # zones to try for an episode
 
 
 def with_zones(config: Config, episodes: Sequence[Episode], seed: int) -> list[Episode]:
@@ -51,15 +52,15 @@ def with_zones(config: Config, episodes: Sequence[Episode], seed: int) -> list[E
 
 
 def _with_zone(episode: Episode, setup: WorldSetup, rng: np.random.Generator) -> list[Episode]:
-    """Return the episode with a zone, or nothing if no zone fits; a list."""
+    """Return a list with the episode and its zone; [] if no zone fits."""
     if episode.target is None:
         raise UserError("--zones: possible only for episodes with one target; omit --zones")
     plan, radius_m = setup.world.plan, setup.radius_m
     things = objects_of(setup.world, episode.target)
     field = geodesic.distance_field(plan, things, radius_m, REACHED_M)
-    way_m = shortest_path(plan, field, *episode.start[:2])
+    path_m = shortest_path(plan, field, *episode.start[:2])
     for _ in range(_DRAWS):
-        middle_m = way_m[int(rng.uniform(*ALONG) * len(way_m))]
+        middle_m = path_m[int(rng.uniform(*ALONG) * len(path_m))]
         corners_m = _polygon(middle_m, rng)
         if distance_m(corners_m, np.array([episode.start[:2]]))[0] < radius_m + START_M:
             continue

@@ -33,36 +33,37 @@ from edge.types import GoalStatus
 
 log = logging.getLogger("edge.lab.motion")
 
-GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD = 0.12, 0.15
+GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD = 0.12, 0.15  # a goal within both is reached
 NEAR_M = 0.4  # cells within this distance of an obstacle cost more
-LOOKAHEAD_M = 0.45
-REPLAN_S = 0.5
+LOOKAHEAD_M = 0.45  # distance along the path to the point that the robot aims at
+REPLAN_S = 0.5  # longest time between two plans
 GIVE_UP_NS = 3_000_000_000  # a goal without a path for longer fails
 CONTACT_M = 0.3  # commanded distance without movement after which the robot pushes an obstacle
-AIM_FRACTIONS = (1.0, 0.6, 0.35)  # of the look-ahead, tried until the straight line is free
+AIM_FRACTIONS = (1.0, 0.6, 0.35)  # of `LOOKAHEAD_M`, tried until the straight line is free
 SAFE_M = 0.3  # length of path ahead that must be free in the newest map
 DRIFT_M = 0.4  # farther off the path than this: plan again
 BETTER = 0.85  # a new path must cost less than this share of the old path's rest
 SNAP_M = 0.25  # a goal that a newer map has closed moves at most this far
 CLEAR_S = (0.15, 0.3, 0.45)  # times along a command's arc at which cells must be free
 CAREFUL_MPS = 0.15  # speed if no arc is free, for example if the robot is inside an obstacle
-FACING_RAD = 0.2
+FACING_RAD = 0.2  # with a larger bearing of the path, a careful robot turns on the spot
 ARRIVE = 0.7  # share of the goal tolerance within which the robot stops and turns
 # A standstill, or a contact, this far from the last recovery gets a new recovery.
 AGAIN_M, AGAIN_CONTACT_M = 1.0, 0.3
-STILL_MPS, STILL_RADPS = 0.03, 0.1
+STILL_MPS, STILL_RADPS = 0.03, 0.1  # a robot that is not faster stands still
 MIN_CELL_M, MAX_CELL_M = 0.001, 10.0  # limits of a usable map's resolution
 RESTART_NS = 1_000_000_000  # a larger step back in time is a new run, a larger step on is a gap
-REPLACED = 64  # replaced goals to remember
+REPLACED = 64  # number of replaced goals to remember
 
 
 class Controller:
     """State machine that drives to one goal at a time.
 
-    The newest goal replaces the one before. Stamps do not decide: those of two services, or of one
-    service whose clock was set, cannot be compared. Each goal is answered `accepted`, then
-    `reached` or `failed` with a reason. If a goal is sent again, its current status is sent again.
-    If the robot was commanded to drive but was held up, the answer has the place (`blocked`).
+    The goal that came last replaces the one before. The stamps of goals do not decide which is
+    newer: two services, or one service whose clock was set, give stamps that cannot be compared.
+    Each goal is answered `accepted`, then `reached` or `failed` with a reason. If a goal is sent
+    again, its current status is sent again. If the robot was commanded to drive but was held up,
+    the answer has the place (`blocked`).
 
     Example:
         >>> from edge.config import parse
@@ -84,7 +85,7 @@ class Controller:
         self._now_ns: int | None = None
         self._last = STOP
         self._goal: SE2 | None = None
-        self._order: tuple[int, SE2] | None = None  # the newest goal as received
+        self._received: tuple[int, SE2] | None = None  # stamp and pose of the newest goal
         self._replaced: deque[tuple[int, SE2]] = deque(maxlen=REPLACED)
         self._status: GoalStatus | None = None
         self._blocked: tuple[float, float] | None = None
@@ -137,16 +138,16 @@ class Controller:
 
     def on_goal(self, stamp_ns: int, goal: SE2) -> list[GoalStatus]:
         """Start a new goal, or answer again for a repeated one."""
-        order = (stamp_ns, goal)
-        if order == self._order:
+        received = (stamp_ns, goal)
+        if received == self._received:
             return [self._status]
-        if order in self._replaced:
+        if received in self._replaced:
             return [GoalStatus(stamp_ns, "failed", "replaced by a newer goal")]
         if not _is_finite(goal):
             return [GoalStatus(stamp_ns, "failed", "goal pose is not finite")]
-        if self._order is not None:
-            self._replaced.append(self._order)
-        self._order = order
+        if self._received is not None:
+            self._replaced.append(self._received)
+        self._received = received
         self._start_goal(goal)
         self._status = GoalStatus(stamp_ns, "accepted")
         return [self._status]
@@ -194,7 +195,7 @@ class Controller:
         last = now_ns if self._now_ns is None else self._now_ns
         if now_ns < last - RESTART_NS:
             self._start_goal(None)
-            self._order = self._status = self._map = None
+            self._received = self._status = self._map = None
             self._replaced.clear()
         elif now_ns > last + RESTART_NS:
             self.pause()  # the robot's motion during the gap is unknown

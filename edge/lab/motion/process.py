@@ -33,11 +33,12 @@ from edge.types import GoalStatus
 log = logging.getLogger("edge.lab.motion")
 T = TypeVar("T")
 
-ODOMETRY_LOST_S = 1.0
-MAP_LOST_S = 3.0  # at least; three map periods if maps come less often
+ODOMETRY_LOST_S = 1.0  # without odometry for longer, the robot stops
+MAP_LOST_S = 3.0  # without a map for longer, the robot stops; or three map periods, if that is more
 _PAUSE_S = 0.0003  # between two reads of the rings, in lockstep
+# Number of newest messages to keep, by topic.
 _RINGS = {topics.MAP: 1, topics.GOAL: 8, topics.ODOMETRY: 64, topics.TICK: 16}
-_MAX_JSON = 4096
+_MAX_JSON = 4096  # bytes of a message
 
 
 def main(config: Config, stop: threading.Event) -> int:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from edge.geometry import SE2
 
-NEARER_M = 0.1
-DETOURS = 8
+NEARER_M = 0.1  # a path that is shorter by this is progress
+DETOURS = 8  # most detours that restart the wait
+_DETOUR_M = 1.0  # a path that is longer by more than this is a detour
 
 
 class ProgressMonitor:
@@ -28,23 +29,23 @@ class ProgressMonitor:
         """Return False if `wait_s` is over and the robot has not come `NEARER_M` nearer."""
         if self._best_m is None or remaining_m <= self._best_m - NEARER_M:
             self._best_m, self._since_ns = remaining_m, now_ns
-        elif remaining_m > self._best_m + 1.0 and self._detours < DETOURS:
+        elif remaining_m > self._best_m + _DETOUR_M and self._detours < DETOURS:
             self._detours += 1
             self._best_m, self._since_ns = remaining_m, now_ns
         return now_ns - self._since_ns < self._wait_ns
 
 
 class ContactDetector:
-    """Checks if the robot pushes against something: commanded to drive, it does not move.
+    """Detects that the robot pushes against something: it is commanded to drive, but does not move.
 
     Args:
-        commanded_m: commanded distance after which this counts as contact. It must be longer than a
-            slow base needs to start moving.
+        commanded_m: commanded distance without movement that counts as contact. It must be longer
+            than what a slow base is commanded until it starts to move.
         moved_m: distance that counts as having moved.
     """
 
     def __init__(self, commanded_m: float, moved_m: float) -> None:
-        self._enough_m, self._moved_m = commanded_m, moved_m
+        self._contact_m, self._moved_m = commanded_m, moved_m
         self.reset()
 
     def reset(self) -> None:
@@ -61,8 +62,8 @@ class ContactDetector:
             dt_s: length of the step.
         """
         last = self._start
-        left = last is None or pose.distance_to(last.x_m, last.y_m) >= self._moved_m
-        if left or v_mps == 0.0 or v_mps * self._commanded_m < 0.0:
+        has_moved = last is None or pose.distance_to(last.x_m, last.y_m) >= self._moved_m
+        if has_moved or v_mps == 0.0 or v_mps * self._commanded_m < 0.0:
             self._start, self._commanded_m = pose, 0.0
         self._commanded_m += v_mps * dt_s
-        return abs(self._commanded_m) >= self._enough_m
+        return abs(self._commanded_m) >= self._contact_m

@@ -9,13 +9,14 @@ from edge.geometry import SE2, wrap_angle
 from edge.trajectory.costmap import CostMap
 from edge.trajectory.pursuit import TURN_GAIN, MotionLimits, VelocityCommand, turn_by
 
-BACK_MPS = 0.12
-BACK_M = 0.3
-HELD_M = 0.05
-TURN_RAD = 0.6
-TIME_NS = 5_000_000_000
+BACK_MPS = 0.12  # speed on the way back
+BACK_M = 0.3  # length of the way back
+HELD_M = 0.05  # a robot that moved less was held
+TURN_RAD = 0.6  # angle to turn, if there is no way back
+TIME_NS = 5_000_000_000  # longest time of an attempt
 FACING_RAD = 0.5  # if the trail lies farther to the side, turn to it before driving
-STEP_M, JUMP_M, STEPS = 0.05, 0.5, 40
+STEP_M, JUMP_M = 0.05, 0.5  # distance of trail points; a longer step is a jump of the pose
+STEPS = 40  # number of trail points
 
 
 class BacktrackPath:
@@ -88,7 +89,7 @@ class Recovery:
         self._drove_back = False  # in reverse
 
     def is_held(self, pose: SE2) -> bool:
-        """Return True if it drove in reverse and the robot has not moved."""
+        """Return True if the attempt drove in reverse and the robot has not moved."""
         return self._drove_back and pose.distance_to(self._start.x_m, self._start.y_m) < HELD_M
 
     def step(self, pose: SE2, now_ns: int) -> VelocityCommand | None:

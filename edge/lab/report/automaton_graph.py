@@ -22,12 +22,13 @@ from edge.live.automaton_graph import AutomatonGraph, Role, StateArrow, StateNod
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-RADIUS = 15.0
-MARGIN = 14.0
+# Lengths and font sizes in px.
+RADIUS = 15.0  # of a state
+MARGIN = 14.0  # around the page
 ENTRY = 26.0  # length of the entry arrow into the initial state
-LABEL, CAPTION, NOTE = 11.0, 9.2, 10.0
-LEADING = 1.25
-MIN_WIDTH = 430.0
+LABEL, CAPTION, NOTE = 11.0, 9.2, 10.0  # font sizes: on arrows, under states, under the graph
+LEADING = 1.25  # height of a line, in font sizes
+MIN_WIDTH = 430.0  # of the page
 GAP = 40.0  # space next to a label, where arrows bend
 FAN = 0.3  # slope of arrows that leave a state in different directions
 FORBIDDEN, CURRENT, DEAD, STATE = "#a61e4d", "#1864ab", "#e3e6eb", "#f4f6f9"
@@ -101,17 +102,19 @@ def lay_out(scene: AutomatonGraph) -> GraphLayout:
     for k, arrow in enumerate(scene.arrows):
         first, last = column[arrow.source], column[arrow.target]
         step = 1 if first < last else -1
+        # An arrow takes a slot in each column that it passes, so that nothing lies on it.
         passed = [(k, c) for c in range(first + step, last, step)]
         column.update((slot, slot[1]) for slot in passed)
         chains.append([arrow.source, *passed, arrow.target])
-        for one, other in pairwise(chains[-1]):
-            near[one].append(other)
-            near[other].append(one)
+        for a, b in pairwise(chains[-1]):
+            near[a].append(b)
+            near[b].append(a)
     captions = [line for node in scene.nodes for line, _ in _captions(node)]
     lines = max((len(_captions(node)) for node in scene.nodes), default=0)
-    most = max((len(arrow.lines) for arrow in scene.arrows), default=1)
-    row = max(2 * RADIUS + 16.0 + lines * CAPTION * LEADING, most * LABEL * LEADING + 7.0)
+    label_lines = max((len(arrow.lines) for arrow in scene.arrows), default=1)
+    row = max(2 * RADIUS + 16.0 + lines * CAPTION * LEADING, label_lines * LABEL * LEADING + 7.0)
     columns = [[s for s in column if column[s] == c] for c in range(1 + max(column.values()))]
+    # Sort each column by the mean height of the neighbours: forwards, backwards, forwards.
     y: dict[Slot, float] = {}
     for sweep in (columns, columns[::-1], columns):
         for slots in sweep:

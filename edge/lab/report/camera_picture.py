@@ -14,6 +14,7 @@ from edge.tasks.speeds import headings_rad
 
 COARSE_RGB, REFINED_RGB = (240, 140, 0), (214, 34, 91)
 NEAREST_M = 0.3
+"""Nearer parts of the trajectory are cut off."""
 COVER, HIDDEN_COVER = 0.5, 0.16
 """Opacity of the strip; `HIDDEN_COVER` if an object stands in front of it."""
 LEAST_PX = 1280
@@ -44,30 +45,30 @@ def drawn(
     size = round(scene.camera.width_px * scale), round(scene.camera.height_px * scale)
     image = scene.rgb.copy() if scale == 1.0 else cv2.resize(scene.rgb, size)
     if poses_m is not None and len(poses_m) > 1:
-        _strip(image, scene, poses_m, half_m, scale)
+        _draw_strip(image, scene, poses_m, half_m, scale)
     if coarse_m is not None and len(coarse_m) > 1:
         for a, b in _pieces(coarse_m, 0.5)[::2]:
             ends = _pixels(scene, np.stack([a, b]), scale)
             if len(ends) == 2:
                 cv2.line(image, *ends.tolist(), COARSE_RGB, 2, cv2.LINE_AA)
     if poses_m is not None and len(poses_m):
-        _end(image, scene, poses_m[-1], half_m, scale)
+        _draw_end_ring(image, scene, poses_m[-1], half_m, scale)
     return image
 
 
-def _strip(
+def _draw_strip(
     image: np.ndarray, scene: Scene, poses_m: np.ndarray, half_m: float, scale: float
 ) -> None:
     """Draw the strip from far to near, so that nearer parts lie on top."""
     heading = headings_rad(poses_m[:, :2])
-    aside = half_m * np.stack([-np.sin(heading), np.cos(heading), 0 * heading], axis=1)
+    side_m = half_m * np.stack([-np.sin(heading), np.cos(heading), 0 * heading], axis=1)
     seams = np.unique(np.append(np.arange(0, len(poses_m), _STEP), len(poses_m) - 1))
     eye = scene.T_map_camera[:3, 3]
     flat, faint = np.zeros(image.shape[:2], np.uint8), np.zeros(image.shape[:2], np.uint8)
     for i, k in zip(seams[:-1].tolist(), seams[1:].tolist(), strict=True):
         corners = np.stack(
-            [poses_m[i] + aside[i], poses_m[k] + aside[k], poses_m[k] - aside[k],
-             poses_m[i] - aside[i]]
+            [poses_m[i] + side_m[i], poses_m[k] + side_m[k], poses_m[k] - side_m[k],
+             poses_m[i] - side_m[i]]
         )  # fmt: skip
         outline = _pixels(scene, corners, scale)
         if len(outline) < 3:
@@ -79,7 +80,9 @@ def _strip(
     image[:] = (image * (1.0 - cover) + np.array(REFINED_RGB) * cover).astype(np.uint8)
 
 
-def _end(image: np.ndarray, scene: Scene, end_m: np.ndarray, half_m: float, scale: float) -> None:
+def _draw_end_ring(
+    image: np.ndarray, scene: Scene, end_m: np.ndarray, half_m: float, scale: float
+) -> None:
     """Draw a ring on the ground at the end of the trajectory."""
     turn = np.linspace(0.0, 2.0 * np.pi, 33)
     ring = end_m + half_m * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
@@ -108,7 +111,7 @@ def _pixels(scene: Scene, points_m: np.ndarray, scale: float) -> np.ndarray:
     """Return (k, 2) int32: a polygon's pixels, clipped in front of the camera."""
     camera: CameraModel = scene.camera
     T = invert(scene.T_map_camera)
-    seen = _before(points_m @ T[:3, :3].T + T[:3, 3])
+    seen = _clip_to_front(points_m @ T[:3, :3].T + T[:3, 3])
     if not len(seen):
         return np.zeros((0, 2), np.int32)
     u = camera.fx_px * seen[:, 0] / seen[:, 2] + camera.cx_px + 0.5
@@ -117,7 +120,7 @@ def _pixels(scene: Scene, points_m: np.ndarray, scale: float) -> np.ndarray:
     return np.rint(scale * np.clip(np.stack([u, v], axis=1), -limit, limit)).astype(np.int32)
 
 
-def _before(polygon: np.ndarray) -> np.ndarray:
+def _clip_to_front(polygon: np.ndarray) -> np.ndarray:
     """Return the part of a polygon (n, 3) in the optical frame that lies in front of the camera.
 
     Clips at one plane (Sutherland & Hodgman 1974).

@@ -18,21 +18,21 @@ from edge.perception.scoring.choice.question import LETTERS
 from edge.policies.base import FRONTIER
 
 JPEG_QUALITY = 85
-MAX_VALUE_PX = 640
-_FIRST_NS = 2_000_000_000
+MAX_VALUE_PX = 640  # longest side of a drawn value map
+_FIRST_INTERVAL_NS = 2_000_000_000  # least time between two kept answers, at first
 
 
 class ChoiceFrameBuffer:
     """At most `capacity` answers, spread over the run.
 
-    When the buffer is full, every second answer is dropped, and the least time between answers
-    doubles.
+    If the buffer is full, every second answer is dropped, and the least time between two kept
+    answers doubles.
     """
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
         self._kept: list[ChoiceFrame] = []
-        self._apart_ns, self._last_ns = _FIRST_NS, 0
+        self._interval_ns, self._last_ns = _FIRST_INTERVAL_NS, 0
 
     def offer(self, result: TickResult) -> None:
         """Keep the image with the letters of the newest answer, if the last one is old enough."""
@@ -40,12 +40,12 @@ class ChoiceFrameBuffer:
         if self._capacity == 0 or choice is None or observation is None or observation.rgb is None:
             return
         if choice.stamp_ns == self._last_ns or (
-            self._kept and 0 <= choice.stamp_ns - self._last_ns < self._apart_ns
+            self._kept and 0 <= choice.stamp_ns - self._last_ns < self._interval_ns
         ):
             return
-        there = result.candidates()
-        mine = np.isin(there.id, choice.ids) & (there.kind == FRONTIER)
-        marks = visible_marks(observation, there.xy_m[mine], there.id[mine])
+        candidates = result.candidates()
+        asked = np.isin(candidates.id, choice.ids) & (candidates.kind == FRONTIER)
+        marks = visible_marks(observation, candidates.xy_m[asked], candidates.id[asked])
         if not marks:  # the robot has turned away since then
             return
         image, lettered = draw(observation.rgb, marks, MAX_FRAME_PX)
@@ -59,7 +59,7 @@ class ChoiceFrameBuffer:
         )
         if len(self._kept) > self._capacity:
             del self._kept[1::2]
-            self._apart_ns *= 2
+            self._interval_ns *= 2
 
     def kept(self) -> tuple[ChoiceFrame, ...]:
         """Return the answers in order of time."""
@@ -70,8 +70,8 @@ def section(record: RunRecord) -> str:
     """Return letters, answers and value maps as HTML; empty if no model was asked."""
     if not record.asked and not record.values:
         return ""
-    figures = "".join(_figure(one, record) for one in record.asked)
-    figures += "".join(_value(name, grid) for name, grid in record.values.items())
+    figures = "".join(_figure(frame, record) for frame in record.asked)
+    figures += "".join(_value_map(name, grid) for name, grid in record.values.items())
     return (
         f"<section><h2>Directions: questions to the model, and the final value map</h2>"
         f'<div class="frames">{figures}</div><p class="note">Letters: the frontiers in view; '
@@ -89,7 +89,7 @@ def _figure(asked: ChoiceFrame, record: RunRecord) -> str:
     return _svg(_jpeg(asked.rgb), w, h, words)
 
 
-def _value(name: str, grid: Grid) -> str:
+def _value_map(name: str, grid: Grid) -> str:
     """Return the known part of a value map as HTML; the highest value is brightest."""
     known = grid.cells > 0
     if not known.any():

@@ -34,7 +34,7 @@ def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] =
             attributes.update(color="gray60", fontcolor="gray60", style="dashed")
         if s == state:
             attributes.update(style="filled", fillcolor=CURRENT, fontcolor="white")
-        lines.append(f"  {s} [{_looks(attributes)}];")
+        lines.append(f"  {s} [{_attribute_text(attributes)}];")
     for s in range(automaton.n_states):
         for to, letters in transitions_from(automaton, s).items():
             attributes = {"label": in_words(letters, automaton.propositions)}
@@ -42,11 +42,11 @@ def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] =
                 attributes.update(color="gray60", fontcolor="gray60", style="dashed")
             if (s, to) in planned:
                 attributes.update(color=STYLES["plan"].colour, penwidth="2.5")
-            lines.append(f"  {s} -> {to} [{_looks(attributes)}];")
+            lines.append(f"  {s} -> {to} [{_attribute_text(attributes)}];")
     return "\n".join([*lines, "}", ""])
 
 
-def _looks(attributes: dict[str, str]) -> str:
+def _attribute_text(attributes: dict[str, str]) -> str:
     """Return attributes as Graphviz strings, in which a backslash starts an escape."""
     return ", ".join(
         '{}="{}"'.format(key, value.replace("\\", "\\\\").replace('"', '\\"'))

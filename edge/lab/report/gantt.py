@@ -14,9 +14,10 @@ from edge.types import MissionEvent
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-WIDTH = 1100.0
-LEFT, RIGHT, TOP, ROW, FOOT = 170.0, 24.0, 14.0, 28.0, 62.0
-BAR = 0.5  # of a row
+# Lengths and font sizes in px.
+WIDTH = 1100.0  # of the page
+LEFT, RIGHT, TOP, ROW, FOOT = 170.0, 24.0, 14.0, 28.0, 62.0  # margins, and height of a row
+BAR = 0.5  # height of a bar, in rows
 TEXT = 11.0
 MAX_ROWS = 40
 LINE, ZEBRA = "#dde2ea", "#f6f8fb"
@@ -27,13 +28,14 @@ MARKS = {
     "failed": ("X", palette.OUTCOME["failed"], "#ffffff", 15.0, "failed"),
     "reached": ("o", palette.OUTCOME["reached"], "#ffffff", 18.0, "reached, in this order"),
 }
+# Possible distances between two labels of the time axis.
 TICKS_S = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 18000, 36000)
 
 
 class PursuitInterval(NamedTuple):
     """Time in which one target was pursued.
 
-    `settled` is True if the target was reached or failed in that time, and for the last span.
+    `settled` is True if the target was reached or failed in that time, and for the last interval.
     """
 
     label: str
@@ -44,52 +46,52 @@ class PursuitInterval(NamedTuple):
 
 
 def spans(record: RunRecord) -> list[PursuitInterval]:
-    """Return the spans of the pursued targets, in order of time."""
+    """Return the intervals of the pursued targets, in order of time."""
     done: list[PursuitInterval] = []
     pursued: MissionEvent | None = None
     settled = False
-    for step in record.steps:
-        if step.kind in ("target", "end"):
-            done += _span(record, pursued, record.seconds(step.stamp_ns), settled)
-            pursued, settled = (step if step.kind == "target" else None), False
-        elif pursued is not None and step.label == pursued.label:
-            settled |= step.kind in ("reached", "failed")
-    return done + _span(record, pursued, _last_s(record), True)
+    for event in record.steps:
+        if event.kind in ("target", "end"):
+            done += _interval(record, pursued, record.seconds(event.stamp_ns), settled)
+            pursued, settled = (event if event.kind == "target" else None), False
+        elif pursued is not None and event.label == pursued.label:
+            settled |= event.kind in ("reached", "failed")
+    return done + _interval(record, pursued, _last_s(record), True)
 
 
-def _span(
-    record: RunRecord, step: MissionEvent | None, end_s: float, settled: bool
+def _interval(
+    record: RunRecord, event: MissionEvent | None, end_s: float, settled: bool
 ) -> list[PursuitInterval]:
-    if step is None:
+    if event is None:
         return []
-    start_s = record.seconds(step.stamp_ns)
-    return [PursuitInterval(step.label, start_s, max(start_s, end_s), settled, step.text)]
+    start_s = record.seconds(event.stamp_ns)
+    return [PursuitInterval(event.label, start_s, max(start_s, end_s), settled, event.text)]
 
 
 def _last_s(record: RunRecord) -> float:
     """Return the time of the newest event in the record."""
     times = [t_s for t_s, _ in record.events[-1:]]
     times += record.trajectory_t_s[-1:].tolist()
-    times += [record.seconds(step.stamp_ns) for step in record.steps[-1:]]
+    times += [record.seconds(event.stamp_ns) for event in record.steps[-1:]]
     return max(times, default=0.0)
 
 
 def draw(record: RunRecord) -> Axes | None:
     """Draw bars for pursued targets and marks for events; None if there is nothing to show."""
-    steps = record.steps
-    labels = list(dict.fromkeys(s.label for s in steps if s.label))
+    events = record.steps
+    labels = list(dict.fromkeys(s.label for s in events if s.label))
     if not labels:
         return None
     rows = {label: k for k, label in enumerate(labels[:MAX_ROWS])}
-    begin_s = min(0.0, record.seconds(steps[0].stamp_ns))
+    begin_s = min(0.0, record.seconds(events[0].stamp_ns))
     end_s = max(_last_s(record), begin_s + 1.0)
     height = TOP + ROW * len(rows) + FOOT
     page = canvas.page(WIDTH, height)
     box = (LEFT / WIDTH, FOOT / height, (WIDTH - LEFT - RIGHT) / WIDTH, ROW * len(rows) / height)
     chart = page.figure.add_axes(box, xlim=(begin_s, end_s), ylim=(len(rows) - 0.5, -0.5))
-    _frame(chart, rows, record.targets)
-    _bars(chart, [span for span in spans(record) if span.label in rows], rows, record.targets)
-    _marks(chart, record, rows)
+    _draw_axes(chart, rows, record.targets)
+    _draw_bars(chart, [span for span in spans(record) if span.label in rows], rows, record.targets)
+    _draw_events(chart, record, rows)
     handles = _legend(chart)
     place = ((LEFT - 14) / WIDTH, 0.0)
     page.figure.legend(handles=handles, loc="lower left", bbox_to_anchor=place, ncols=len(handles),
@@ -106,7 +108,7 @@ def in_words(record: RunRecord) -> str:
     return "; ".join(["The mission over time", *parts])
 
 
-def _frame(chart: Axes, rows: dict[str, int], targets: Sequence[str]) -> None:
+def _draw_axes(chart: Axes, rows: dict[str, int], targets: Sequence[str]) -> None:
     """Draw a row for each target, and round numbers along the time axis."""
     for k in range(0, len(rows), 2):
         chart.axhspan(k - 0.5, k + 0.5, color=ZEBRA, zorder=0)
@@ -125,7 +127,7 @@ def _frame(chart: Axes, rows: dict[str, int], targets: Sequence[str]) -> None:
     chart.spines[:].set_visible(False)
 
 
-def _bars(
+def _draw_bars(
     chart: Axes, pursued: Sequence[PursuitInterval], rows: dict[str, int], targets: Sequence[str]
 ) -> None:
     """Draw the bars; a switch before the target was reached is an arrow to the next bar."""
@@ -145,25 +147,25 @@ def _bars(
             chart.annotate("", (after.start_s, tip), (after.start_s, y0), arrowprops=arrow)
 
 
-def _marks(chart: Axes, record: RunRecord, rows: dict[str, int]) -> None:
+def _draw_events(chart: Axes, record: RunRecord, rows: dict[str, int]) -> None:
     """Draw the mission's end, and the targets' events; reached targets are numbered."""
-    steps = record.steps
-    for step in steps:
-        if step.kind == "end":
+    events = record.steps
+    for event in events:
+        if event.kind == "end":
             colour = palette.outcome_colour(record.mission.phase)
-            chart.axvline(record.seconds(step.stamp_ns), color=colour, lw=2.0, clip_on=False)
+            chart.axvline(record.seconds(event.stamp_ns), color=colour, lw=2.0, clip_on=False)
     for order, (kind, look) in enumerate(MARKS.items(), start=5):
-        same_kind = [s for s in steps if s.kind == kind]
-        for number, step in enumerate(same_kind, start=1):
-            if step.label in rows:
-                at = (max(record.seconds(step.stamp_ns), chart.get_xlim()[0]), rows[step.label])
-                chart.plot(*at, **_look(look), zorder=order, clip_on=False)
+        same_kind = [s for s in events if s.kind == kind]
+        for number, event in enumerate(same_kind, start=1):
+            if event.label in rows:
+                at = (max(record.seconds(event.stamp_ns), chart.get_xlim()[0]), rows[event.label])
+                chart.plot(*at, **_marker_style(look), zorder=order, clip_on=False)
                 if kind == "reached":
                     canvas.write(chart, f"{number}", *at, 10.0, ha="center", color="#ffffff",
                                  zorder=order)  # fmt: skip
 
 
-def _look(mark: tuple[str, str, str, float, str]) -> dict:
+def _marker_style(mark: tuple[str, str, str, float, str]) -> dict:
     marker, fill, rim, size, _ = mark
     return {"marker": marker, "ms": size, "mfc": fill, "mec": rim, "mew": 1.4, "ls": "none"}
 
@@ -171,6 +173,6 @@ def _look(mark: tuple[str, str, str, float, str]) -> dict:
 def _legend(chart: Axes) -> list:
     from matplotlib.lines import Line2D
 
-    handles = [Line2D([], [], **_look(mark), label=mark[-1]) for mark in MARKS.values()]
+    handles = [Line2D([], [], **_marker_style(mark), label=mark[-1]) for mark in MARKS.values()]
     switch = {"marker": r"$\downarrow$", "color": palette.INK, "ls": "none", "ms": 8}
     return [*handles, Line2D([], [], **switch, label="switched to another target")]

@@ -1,4 +1,4 @@
-"""Legend next to the map."""
+"""Legend of the report's map, which lies next to the map."""
 
 from __future__ import annotations
 

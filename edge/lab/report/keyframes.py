@@ -10,57 +10,63 @@ from edge import names
 from edge.lab.report.record import Keyframe
 from edge.types import Detections
 
-FRAMES = 8
-FRAME_NS = 1_000_000_000
-BETTER_SCORE = 0.05
-MAX_FRAME_PX = 640
+FRAMES = 8  # most frames in a report
+FRAME_NS = 1_000_000_000  # least time between two frames
+BETTER_SCORE = 0.05  # a frame with a score that is higher by more replaces the last one
+MAX_FRAME_PX = 640  # longest side of a kept image
 
 
 class KeyframeBuffer:
     """At most `capacity` frames: half are the best views of the targets, the rest are the newest.
 
-    Several targets take turns for the best views. Frames with boxes come before frames without.
+    Several targets take turns for the best views. Frames without boxes are dropped first.
     """
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
-        self._best = (capacity + 1) // 2
+        self._n_best = (capacity + 1) // 2
         self._frames: list[Keyframe] = []
         self._taken_ns: int | None = None
 
     def offer(self, detections: Detections, targets: Sequence[str]) -> None:
-        """Copy the frame if the last one is a second old, or shows the targets less well."""
+        """Copy the frame if the last one is `FRAME_NS` old.
+
+        A newer frame that shows the targets better replaces the last one.
+        """
         if self._capacity == 0 or detections.observation.rgb is None:
             return
         stamp_ns = detections.observation.stamp_ns
-        soon = self._taken_ns is not None and 0 <= stamp_ns - self._taken_ns < FRAME_NS
-        if soon:
+        is_soon = self._taken_ns is not None and 0 <= stamp_ns - self._taken_ns < FRAME_NS
+        if is_soon:
             if not self._better_than_last(detections, targets):
                 return
             self._frames = [f for f in self._frames if f.stamp_ns != self._taken_ns]
         self._frames.append(_copy(detections, targets))
         self._taken_ns = stamp_ns
         if len(self._frames) > self._capacity:
-            self._frames.remove(self._least())
+            self._frames.remove(self._next_to_drop())
 
     def _better_than_last(self, detections: Detections, targets: Sequence[str]) -> bool:
         last = [f.target_score for f in self._frames if f.stamp_ns == self._taken_ns]
         return _target_score(detections, targets) > (last[0] if last else 0.0) + BETTER_SCORE
 
-    def _least(self) -> Keyframe:
+    def _next_to_drop(self) -> Keyframe:
         best = self._best_views()
         others = [f for f in self._frames if not any(f is b for b in best)]
         return min(others, key=lambda f: (len(f.labels) > 0, f.stamp_ns))
 
     def _best_views(self) -> list[Keyframe]:
-        """Return the best view of each target, then the second best of each, …: `_best` in all."""
+        """Return the best view of each target, then the second best of each, and so on.
+
+        At most `_n_best` frames are returned.
+        """
         ranks: list[tuple[int, float, int, Keyframe]] = []
         for label in dict.fromkeys(label for f in self._frames for label in f.best):
             views = [f for f in self._frames if label in f.best]
             views.sort(key=lambda f: (-f.best[label], -f.stamp_ns))
             ranks += [(k, -f.best[label], -f.stamp_ns, f) for k, f in enumerate(views)]
         ranks.sort(key=lambda rank: rank[:3])
-        return list({id(f): f for *_, f in ranks}.values())[: self._best]
+        return list({id(f): f for *_, f in ranks}.values())[: self._n_best]
 
     def frames(self) -> tuple[Keyframe, ...]:
         return tuple(sorted(self._frames, key=lambda f: f.stamp_ns))

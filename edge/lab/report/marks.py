@@ -17,9 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.markers import MarkerStyle
 
-MAX_LABELS = 24
-MAX_PROMINENT = 3
-MAX_LABEL = 60
+MAX_LABELS = 24  # most labels of objects
+MAX_PROMINENT = 3  # most targets with a large label, not counting those reached
+MAX_LABEL = 60  # characters
+# Kind of a goal: colour, marker, size.
 GOAL_STYLES = {
     "frontier": (palette.FRONTIER, "D", 120),
     "instance": (palette.TARGET, "*", 190),
@@ -95,11 +96,11 @@ def places(axes: Axes, record: RunRecord, taken: list[raster.Box]) -> None:
 def objects(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Box]) -> None:
     """Draw remembered objects of other names than the instances, and labels if there is room."""
     named = {instance.label for instance in record.instances}
-    for one in [each for each in record.objects if each.name not in named][:MAX_LABELS]:
-        xy_m = one.xyz_m[:2]
+    for obj in [obj for obj in record.objects if obj.name not in named][:MAX_LABELS]:
+        xy_m = obj.xyz_m[:2]
         style = {"color": "white", "edgecolor": palette.INSTANCE, "linewidth": 1.2, "zorder": 4.5}
         axes.scatter(*xy_m, s=24 * scale, marker="s", **style)
-        _label(axes, shorten(one.name, MAX_LABEL), xy_m, palette.MUTED, taken, False)
+        _label(axes, shorten(obj.name, MAX_LABEL), xy_m, palette.MUTED, taken, False)
 
 
 def instances(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Box]) -> None:
@@ -136,7 +137,9 @@ def instances(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Bo
 
 
 def _order_reached(record: RunRecord) -> dict[int, str]:
-    """Map instances to their places in the order of reaching, for a mission with several targets.
+    """Map ids of reached instances to "1", "2", … in the order of reaching.
+
+    The result is empty for a mission with a single target.
 
     If several instances of a name were reached, the one nearest to the robot at that time counts.
     """
@@ -144,15 +147,15 @@ def _order_reached(record: RunRecord) -> dict[int, str]:
     if record.has_single_target:
         return numbers
     for number, step in enumerate(record.reached, start=1):
-        there = [i for i in record.instances if i.state == "reached" and _named(i, step.label)]
-        if there:
-            nearest = min(there, key=lambda i: _distance_m(record, step, i))
+        reached = [i for i in record.instances if i.state == "reached" and _has_name(i, step.label)]
+        if reached:
+            nearest = min(reached, key=lambda i: _distance_m(record, step, i))
             before = numbers.get(nearest.id)
             numbers[nearest.id] = f"{before}, {number}" if before else f"{number}"
     return numbers
 
 
-def _named(instance: Instance, label: str) -> bool:
+def _has_name(instance: Instance, label: str) -> bool:
     return names.same_name(instance.label, label)
 
 
@@ -165,7 +168,7 @@ def _distance_m(record: RunRecord, step: MissionEvent, instance: Instance) -> fl
 
 
 def _number(axes: Axes, number: str, xy_m: tuple[float, float]) -> None:
-    """Draw a disc with the place in the order of reaching."""
+    """Draw a disc with the number in the order of reaching."""
     style = {"color": palette.OUTCOME["reached"], "edgecolor": "white", "lw": 1.4, "zorder": 11}
     axes.scatter(*xy_m, s=260, **style)
     size = 10 if len(number) < 3 else 7

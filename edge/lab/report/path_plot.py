@@ -16,11 +16,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Rect = tuple[float, float, float, float]
+"""(left, bottom, width, height), in fractions of the figure."""
 
 
 def is_coloured_by_target(record: RunRecord) -> bool:
-    """Return True if the path is coloured by target: several were pursued, each with a colour.
+    """Return True if the path is coloured by target.
 
+    Then several targets were pursued, and there is a colour for each.
     A task's path is coloured by time: the objects that a task names are not its goals.
     """
     if record.task is not None:
@@ -48,11 +50,11 @@ def draw(figure: Figure, axes: Axes, record: RunRecord, place: Rect) -> None:
     lines = LineCollection(list(segments), cmap="viridis", lw=2.6, zorder=4, capstyle="round")
     if is_coloured_by_target(record):
         lines.set_color(_colours(record))
-        _targets(figure, record, place)
+        _draw_target_legend(figure, record, place)
     else:
         lines.set_array(record.trajectory_t_s[1:])
         lines.set_clim(0.0, max(float(record.trajectory_t_s[-1]), 1e-3))
-        _time(figure, lines, place)
+        _draw_time_bar(figure, lines, place)
     axes.add_collection(lines)
 
 
@@ -69,7 +71,7 @@ def _colours(record: RunRecord) -> list[str]:
     ]
 
 
-def _targets(figure: Figure, record: RunRecord, place: Rect) -> None:
+def _draw_target_legend(figure: Figure, record: RunRecord, place: Rect) -> None:
     from matplotlib.lines import Line2D
 
     handles = []
@@ -92,7 +94,7 @@ def _targets(figure: Figure, record: RunRecord, place: Rect) -> None:
         text.set_color(palette.INK)
 
 
-def _time(figure: Figure, lines: LineCollection, place: Rect) -> None:
+def _draw_time_bar(figure: Figure, lines: LineCollection, place: Rect) -> None:
     bar = figure.colorbar(lines, cax=figure.add_axes(place))
     bar.set_label("time of the path, s", color=palette.MUTED, fontsize=9)
     bar.ax.tick_params(labelsize=8, colors=palette.MUTED)

@@ -16,10 +16,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Rect = tuple[float, float, float, float]
+"""(left, bottom, width, height), in fractions of the figure."""
 DPI = 110
-MAP_IN = (9.1, 8.3)
-LEFT_IN, TOP_IN, BOTTOM_IN, SIDE_IN, MIN_HEIGHT_IN = 0.4, 1.0, 0.45, 3.0, 6.8
-INCHES_PER_M = 0.55
+MAP_IN = (9.1, 8.3)  # largest width and height of the map
+LEFT_IN, TOP_IN, BOTTOM_IN = 0.4, 1.0, 0.45  # margins of the map
+SIDE_IN = 3.0  # width of the legend, right of the map
+MIN_HEIGHT_IN = 6.8  # of the picture, so that the legend has room
+INCHES_PER_M = 0.55  # scale of a map whose marks have full size
 LINE_IN = 0.275
 """Height of a line of the legend."""
 
@@ -58,9 +61,9 @@ def png(record: RunRecord) -> bytes:
     figure = Figure(figsize=(layout.width, layout.height), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.add_axes(layout.place(LEFT_IN, TOP_IN, layout.map_width, layout.map_height))
-    _frame(axes, box)
-    _map(axes, record)
-    _frontiers(axes, record, layout.marks)
+    _set_view(axes, box)
+    _draw_map(axes, record)
+    _draw_frontiers(axes, record, layout.marks)
     marks.rooms(axes, record)
     marks.zones(axes, record)
     tasks.draw(axes, record)
@@ -72,8 +75,8 @@ def png(record: RunRecord) -> bytes:
     marks.places(axes, record, taken)
     marks.objects(axes, record, layout.marks, taken)
     marks.poses(axes, record)
-    _scale_bar(axes, box)
-    _title(figure, record, layout)
+    _draw_scale_bar(axes, box)
+    _draw_title(figure, record, layout)
     key.draw(figure, record, layout.place(right + 0.1, TOP_IN - 0.1, 0.0, 0.0)[:2])
     return content(figure, "png")
 
@@ -107,7 +110,10 @@ def _view(record: RunRecord) -> raster.Box:
         x_min, x_max, y_min, y_max = known.extent_m
         xs.append(np.array([x_min, x_max]))
         ys.append(np.array([y_min, y_max]))
-    (x_min, x_max), (y_min, y_max) = _span(np.concatenate(xs)), _span(np.concatenate(ys))
+    (x_min, x_max), (y_min, y_max) = (
+        _with_margin(np.concatenate(xs)),
+        _with_margin(np.concatenate(ys)),
+    )
     return (x_min, x_max, y_min, y_max)
 
 
@@ -115,14 +121,14 @@ def _footprints(record: RunRecord) -> list[np.ndarray]:
     return [instance.points_m for instance in record.instances if len(instance.points_m)]
 
 
-def _span(values: np.ndarray) -> tuple[float, float]:
+def _with_margin(values: np.ndarray) -> tuple[float, float]:
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
     margin = max(0.4, 2.0 - (high - low) / 2)
     return low - margin, high + margin
 
 
-def _frame(axes: Axes, box: raster.Box) -> None:
+def _set_view(axes: Axes, box: raster.Box) -> None:
     axes.set_xlim(box[0], box[1])
     axes.set_ylim(box[2], box[3])
     axes.set_aspect("equal", anchor="N")
@@ -133,7 +139,7 @@ def _frame(axes: Axes, box: raster.Box) -> None:
         spine.set_color("#b8c0cc")
 
 
-def _map(axes: Axes, record: RunRecord) -> None:
+def _draw_map(axes: Axes, record: RunRecord) -> None:
     known = raster.crop(record.map) if record.map is not None else None
     if known is None:
         axes.text(
@@ -145,12 +151,12 @@ def _map(axes: Axes, record: RunRecord) -> None:
     axes.imshow(image, origin="lower", extent=extent, interpolation="nearest", zorder=0)
 
 
-def _frontiers(axes: Axes, record: RunRecord, scale: float) -> None:
+def _draw_frontiers(axes: Axes, record: RunRecord, scale: float) -> None:
     style = {"s": 22 * scale, "marker": "s", "color": palette.FRONTIER, "zorder": 2}
     axes.scatter(record.frontiers_m[:, 0], record.frontiers_m[:, 1], **style)
 
 
-def _scale_bar(axes: Axes, box: raster.Box) -> None:
+def _draw_scale_bar(axes: Axes, box: raster.Box) -> None:
     """Draw a scale bar of a round length below the map, where it covers nothing."""
     from matplotlib.transforms import ScaledTranslation
 
@@ -165,7 +171,7 @@ def _scale_bar(axes: Axes, box: raster.Box) -> None:
     axes.annotate(f"{length_m:g} m", (ends[1], y_m), offset, textcoords="offset points", **style)
 
 
-def _title(figure: Figure, record: RunRecord, layout: MapLayout) -> None:
+def _draw_title(figure: Figure, record: RunRecord, layout: MapLayout) -> None:
     def y(from_top: float) -> float:
         return 1.0 - from_top / layout.height
 
@@ -177,12 +183,12 @@ def _title(figure: Figure, record: RunRecord, layout: MapLayout) -> None:
     x = (right_px / DPI + 0.25) / layout.width
     style = {"fontsize": 16, "fontweight": "bold", "va": "center", "color": palette.INK}
     room_in = layout.width * (1.0 - x) - 0.1
-    figure.text(x, y(0.38), marks.plain(_cut(record.title, room_in / 0.148)), **style)
+    figure.text(x, y(0.38), marks.plain(_shorten(record.title, room_in / 0.148)), **style)
     style = {"fontsize": 10, "va": "center", "color": palette.MUTED}
-    figure.text(x, y(0.67), marks.plain(_cut(subtitle(record), room_in / 0.082)), **style)
+    figure.text(x, y(0.67), marks.plain(_shorten(subtitle(record), room_in / 0.082)), **style)
 
 
-def _cut(text: str, length: float) -> str:
+def _shorten(text: str, length: float) -> str:
     return text if len(text) <= length else f"{text[: int(length) - 1]}…"
 
 

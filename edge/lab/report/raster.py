@@ -1,4 +1,4 @@
-"""Occupancy cells to image pixels: crop to the known part, colour."""
+"""Image of an occupancy grid: cut it to its known part, and colour its cells."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from edge.geometry import Grid
 from edge.lab.report import palette
 
-MAX_SIDE_PX = 1600
+MAX_SIDE_PX = 1600  # longest side of the image; larger maps are downsampled
 Box = tuple[float, float, float, float]
 """(x_min, x_max, y_min, y_max) in metres of `map`, like matplotlib's `extent`."""
 

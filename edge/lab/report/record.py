@@ -63,7 +63,7 @@ class ChoiceFrame:
         stamp_ns: time at which the image was taken.
         rgb: (h, w, 3) uint8, the image with letters drawn on it.
         target: object that the question was about.
-        letters: (letter, P of ViTL eq. 4) of the marks that still exist.
+        letters: (letter, P of ViTL eq. 4) of each mark whose frontier still exists.
         elsewhere: see `FrontierChoice`.
         scene: see `FrontierChoice`.
     """
@@ -93,7 +93,7 @@ class RunRecord:
         objects: remembered objects, the most confident first.
         rooms: rooms of the map.
         site: places and zones.
-        asked: questions to the direction model with its answers, in order of time.
+        asked: questions to the choice model with its answers, in order of time.
         values: value maps by name, uint8, 0 for no value.
         events: (t_s, text) in order of time.
         config: the whole configuration as JSON types, without the secrets of its URLs.
@@ -147,7 +147,7 @@ class RunRecord:
         if last is None or last.refined is None:
             return self.task_at_trajectory_start
         begun = self.task_at_trajectory_start
-        return (*(one for one in begun if one.refined is not last.refined), last)
+        return (*(task for task in begun if task.refined is not last.refined), last)
 
     @property
     def reached(self) -> tuple[MissionEvent, ...]:

@@ -29,17 +29,21 @@ T = TypeVar("T")
 
 
 class HeadTailBuffer(Generic[T]):
-    """The first and the last items of a sequence of any length."""
+    """The first and the last items of a sequence of any length.
+
+    Attributes:
+        count: number of items so far, with those that were left out.
+    """
 
     def __init__(self, first: int = 100, last: int = 400) -> None:
         self._first: list[T] = []
-        self._room = first
+        self._n_first = first
         self._last: deque[T] = deque(maxlen=last)
         self.count = 0
 
     def append(self, item: T) -> None:
         self.count += 1
-        if len(self._first) < self._room:
+        if len(self._first) < self._n_first:
             self._first.append(item)
         else:
             self._last.append(item)
@@ -57,12 +61,12 @@ class ReportRecorder:
 
     def __init__(self, config: Config, frames: int = FRAMES) -> None:
         self._config = config
-        self._trail = DrivenPath()
-        self._album = KeyframeBuffer(frames)
+        self._path = DrivenPath()
+        self._keyframes = KeyframeBuffer(frames)
         self._choices = ChoiceFrameBuffer(frames)
         self._goals: HeadTailBuffer[Goal] = HeadTailBuffer()
         self._events: HeadTailBuffer[Event] = HeadTailBuffer()
-        self._driven: HeadTailBuffer[TaskStatus] = HeadTailBuffer(20, 80)
+        self._begun_tasks: HeadTailBuffer[TaskStatus] = HeadTailBuffer(20, 80)
         self._refined: RefinedTrajectory | None = None
         self._start_ns: int | None = None
 
@@ -72,7 +76,7 @@ class ReportRecorder:
         if self._start_ns is None:
             self._start_ns = _first_ns(result)
         if seen is not None:
-            self._album.offer(seen, result.targets)
+            self._keyframes.offer(seen, result.targets)
         self._choices.offer(result)
         for event in result.events:
             self._events.append(event)
@@ -81,13 +85,13 @@ class ReportRecorder:
         for goal in result.goals:
             self._goals.append(goal)
         if observation is not None:
-            self._trail.append(observation.stamp_ns, observation.pose)
+            self._path.append(observation.stamp_ns, observation.pose)
 
     def _keep_trajectory(self, task: TaskStatus | None) -> None:
         """Keep a task's trajectory if it is a new one."""
         refined = None if task is None else task.refined
         if task is not None and refined is not None and refined is not self._refined:
-            self._driven.append(task)
+            self._begun_tasks.append(task)
         self._refined = refined
 
     def close(self) -> None:
@@ -102,14 +106,14 @@ class ReportRecorder:
         """
         self.tick(end)
         start_ns = self._start_ns or 0
-        poses, stamps_ns = self._trail.arrays()
+        poses, stamps_ns = self._path.arrays()
         events = [((stamp - start_ns) * _NS, text) for stamp, text in self._events.items()]
-        more = {"goals": self._goals.count}
+        counts = {"goals": self._goals.count}
         if self._events.left_out:
-            more["events not shown"] = self._events.left_out
-        story = end.mission()
+            counts["events not shown"] = self._events.left_out
+        facts = end.mission()
         return RunRecord(
-            title=_title(story.spec.translation, end.status),
+            title=_title(facts.spec.translation, end.status),
             config_path=self._config.path,
             robot=self._config.robot_name,
             detector=detector_name(self._config),
@@ -126,16 +130,16 @@ class ReportRecorder:
             objects=tuple(end.objects()),
             rooms=end.rooms,
             site=end.site,
-            frames=self._album.frames(),
+            frames=self._keyframes.frames(),
             asked=self._choices.kept(),
             values={n: make() for n, make in end.layers().items() if n.startswith(VALUE_LAYER)},
             events=tuple(sorted(events, key=lambda event: event[0])),
-            counters={**more, **counters},
+            counters={**counts, **counters},
             config=redact(self._config.model_dump(mode="json")),
             machine=machine(),
-            mission_facts=story,
+            mission_facts=facts,
             task=end.task(),
-            task_at_trajectory_start=self._driven.items(),
+            task_at_trajectory_start=self._begun_tasks.items(),
         )
 
 

@@ -15,10 +15,10 @@ MAX_TEXT = 4000
 
 def section(record: RunRecord) -> str:
     """Return the mission's HTML; empty if the run was only asked to find one target."""
-    story = record.mission_facts
-    if story is None:
+    facts = record.mission_facts
+    if facts is None:
         return ""
-    translation, automaton = story.spec.translation, story.spec.automaton
+    translation, automaton = facts.spec.translation, facts.spec.automaton
     if record.has_single_target and translation.backend == "target":
         return ""
     pairs = [
@@ -27,18 +27,18 @@ def section(record: RunRecord) -> str:
         ("formula", str(automaton.formula)),
         ("reached", ", then ".join(step.label for step in record.reached) or "nothing"),
     ]
-    if to_come := _to_come(story):
+    if to_come := _to_come(facts):
         pairs.append(("left to reach", ", then ".join(a or "nothing" for a in to_come)))
     rows = "".join(
         f"<dt>{escape(k)}</dt><dd{_class(k)}>{escape(shorten(v, MAX_TEXT))}</dd>" for k, v in pairs
     )
-    drawings = "" if record.has_single_target else _timeline(record) + _automaton(story)
+    drawings = "" if record.has_single_target else _timeline(record) + _automaton(facts)
     return f'<section><h2>Mission</h2><dl class="story">{rows}</dl>{drawings}</section>'
 
 
-def _to_come(story: MissionFacts) -> tuple[str, ...]:
-    """Return the plan's letters; empty when the mission is fulfilled, since the last one stays."""
-    return () if story.spec.automaton.accepting[story.state] else story.plan.steps
+def _to_come(facts: MissionFacts) -> tuple[str, ...]:
+    """Return the plan's targets; empty if the mission is fulfilled, as the last plan is kept."""
+    return () if facts.spec.automaton.accepting[facts.state] else facts.plan.steps
 
 
 def _class(key: str) -> str:
@@ -52,10 +52,10 @@ def _timeline(record: RunRecord) -> str:
     return f'<div class="drawing">{canvas.img(axes, gantt.in_words(record))}</div>'
 
 
-def _automaton(story: MissionFacts) -> str:
-    automaton = story.spec.automaton
-    scene = make_automaton_graph(automaton, story.state, _to_come(story), story.trace)
-    title = f"Automaton with {automaton.n_states} states, now in state {story.state}"
+def _automaton(facts: MissionFacts) -> str:
+    automaton = facts.spec.automaton
+    scene = make_automaton_graph(automaton, facts.state, _to_come(facts), facts.trace)
+    title = f"Automaton with {automaton.n_states} states, now in state {facts.state}"
     words = "; ".join([title, *(part.title for part in (*scene.arrows, *scene.nodes))])
     drawing = canvas.img(automaton_graph.draw(scene), words)
     return (

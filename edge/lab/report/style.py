@@ -1,4 +1,4 @@
-"""Style sheet of the page; colours follow the reader's light or dark setting."""
+"""Style sheet of the HTML report; colours follow the reader's light or dark setting."""
 
 from __future__ import annotations
 

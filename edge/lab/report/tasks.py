@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 SCENE_NAME = "trajectory.html"
 COARSE, REFINED = "#b35309", "#7048e8"
 MAX_TEXT, MAX_CODE, MAX_PROMPT = 4000, 20_000, 100_000  # characters
-_TOO_CLOSE = (1, 99)  # of the map's values
+_TOO_CLOSE = (1, 99)  # map values of free cells that are too near to an obstacle
 
 
 def section(record: RunRecord, linked: bool) -> str:
@@ -40,29 +40,34 @@ def section(record: RunRecord, linked: bool) -> str:
     if task is None:
         return ""
     pairs = [("asked", task.instruction), ("written by", task.writer), ("outcome", task.phase)]
-    trajectories = _written(record)
+    trajectories = _by_coarse_trajectory(record)
     if task.understood and len(trajectories) < 2:
         pairs.append(("understood as", task.understood))
     if len(task.steps) > 1:
         pairs += [(step.state, step.said) for step in task.steps]
     if task.missing:
         pairs.append(("not seen", ", ".join(task.missing)))
-    pairs += _described(trajectories)
+    pairs += _descriptions(trajectories)
     rows = "".join(
         f"<dt>{escape(k)}</dt><dd>{escape(one_line(v, MAX_TEXT))}</dd>" for k, v in pairs
     )
     link = f'<p><a href="{SCENE_NAME}">The trajectory in three dimensions</a></p>' if linked else ""
-    rounds = "".join(_round(number, said) for number, said in enumerate(task.rounds, start=1))
+    rounds = "".join(
+        _attempt(number, attempt) for number, attempt in enumerate(task.rounds, start=1)
+    )
     prompt = ""
     if task.prompt:
-        prompt = _folded("Prompt", f"<pre>{escape(bounded_lines(task.prompt, MAX_PROMPT))}</pre>")
+        prompt = _details("Prompt", f"<pre>{escape(bounded_lines(task.prompt, MAX_PROMPT))}</pre>")
     return (
         f'<section><h2>Task</h2><dl class="story">{rows}</dl>{link}{rounds}{prompt}</section>'
     )  # fmt: skip
 
 
-def _written(record: RunRecord) -> list[list[TaskStatus]]:
-    """Return the coarse trajectories in order of time: each with all its refinements."""
+def _by_coarse_trajectory(record: RunRecord) -> list[list[TaskStatus]]:
+    """Group the statuses by coarse trajectory, in order of time.
+
+    Each group has one coarse trajectory with all its refinements.
+    """
     found: list[list[TaskStatus]] = []
     for one in record.trajectories:
         if found and found[-1][-1].coarse_m is one.coarse_m:
@@ -72,7 +77,7 @@ def _written(record: RunRecord) -> list[list[TaskStatus]]:
     return found
 
 
-def _described(written: Sequence[Sequence[TaskStatus]]) -> list[tuple[str, str]]:
+def _descriptions(written: Sequence[Sequence[TaskStatus]]) -> list[tuple[str, str]]:
     """Return each trajectory as text, and its notes, as (name, text)."""
     pairs = []
     for number, refined in enumerate(written, start=1):
@@ -100,21 +105,25 @@ def _in_words(written: Sequence[TaskStatus]) -> str:
     return words
 
 
-def _round(number: int, said: PlanAttempt) -> str:
+def _attempt(number: int, attempt: PlanAttempt) -> str:
     """Return one answer of a model as HTML; its text if it has no code."""
-    outcome = '<span class="over">refused</span>' if said.error else '<span class="ok">used</span>'
+    outcome = (
+        '<span class="over">refused</span>' if attempt.error else '<span class="ok">used</span>'
+    )
     parts = []
-    if said.error:
-        parts.append(f'<p class="over">{escape(one_line(said.error, MAX_TEXT))}</p>')
-    text = said.code or said.answer
-    parts.append(f"<pre>{escape(bounded_lines(text, MAX_CODE if said.code else MAX_TEXT))}</pre>")
-    if said.printed:
-        printed = escape(bounded_lines(said.printed, MAX_TEXT))
+    if attempt.error:
+        parts.append(f'<p class="over">{escape(one_line(attempt.error, MAX_TEXT))}</p>')
+    text = attempt.code or attempt.answer
+    parts.append(
+        f"<pre>{escape(bounded_lines(text, MAX_CODE if attempt.code else MAX_TEXT))}</pre>"
+    )
+    if attempt.printed:
+        printed = escape(bounded_lines(attempt.printed, MAX_TEXT))
         parts.append(f'<p class="note">printed</p><pre>{printed}</pre>')
-    return _folded(f"Answer {number}: {outcome}", "".join(parts))
+    return _details(f"Answer {number}: {outcome}", "".join(parts))
 
 
-def _folded(summary: str, body: str) -> str:
+def _details(summary: str, body: str) -> str:
     return f"<details><summary>{summary}</summary>{body}</details>"
 
 
@@ -135,7 +144,7 @@ def draw(axes: Axes, record: RunRecord) -> None:
             x_m, y_m = one.refined.poses[:, :2].T
             style = {"solid_capstyle": "round", "solid_joinstyle": "round"}
             axes.plot(x_m, y_m, color=REFINED, lw=7.5, alpha=0.45, zorder=2.6, **style)
-    for one, *_ in _written(record):
+    for one, *_ in _by_coarse_trajectory(record):
         if one.coarse_m is not None:
             axes.plot(*one.coarse_m.T, color=COARSE, lw=1.6, ls=(0, (1.2, 1.6)), zorder=4.5)
 
@@ -146,7 +155,9 @@ def page(record: RunRecord) -> str | None:
     None if there is no trajectory or no map.
     """
     task, known = record.task, None if record.map is None else raster.crop(record.map)
-    trajectories = [again for again in _written(record) if again[0].coarse_m is not None]
+    trajectories = [
+        again for again in _by_coarse_trajectory(record) if again[0].coarse_m is not None
+    ]
     if task is None or not trajectories or known is None:
         return None
     lines: list[Line] = []
@@ -159,7 +170,7 @@ def page(record: RunRecord) -> str | None:
         (name, one_line(text, MAX_TEXT))
         for name, text in (
             ("asked", task.instruction), ("understood", task.understood), ("by", task.writer),
-            *_described(trajectories),
+            *_descriptions(trajectories),
         )
         if text
     ]  # fmt: skip
@@ -189,7 +200,7 @@ def _scene(record: RunRecord, known: Grid) -> Scene:
 def _thing(found: Instance) -> SceneObject:
     position_m, size_m, heading_rad = box_around(found.points_m)
     label = shorten(found.label, 60)
-    said = f"{found.state}, score {found.score:.2f}"
+    caption = f"{found.state}, score {found.score:.2f}"
     return SceneObject(
-        found.id, label, said, position_m, size_m, heading_rad, found.points_m, {}
+        found.id, label, caption, position_m, size_m, heading_rad, found.points_m, {}
     )  # fmt: skip

@@ -24,13 +24,14 @@ if TYPE_CHECKING:
 COARSE, REFINED = "#e67700", palette.TARGET
 MARGIN_M, LEAST_M = 5.0, 24.0
 """Margin around the trajectory, and least side of the shown area."""
-WIDTH_IN, MOST_HIGH_IN, DPI = 8.4, 6.0, 120
+WIDTH_IN, MOST_HIGH_IN, DPI = 8.4, 6.0, 120  # largest width of the figure, height of a panel
 _KEY_IN = 0.27
 """Distance of the legend below a panel."""
 _KEY_COLUMNS = {1: 7, 2: 2}
 """Columns of the legend, by the number of panels side by side. A wider legend would shrink its
 panel."""
 _KEY_ROW_IN = 0.17
+# Weight of a cell in the cost map: its meaning and its colour.
 _VALUES = {
     TUBE: ("near the coarse trajectory", "#8ce99a"),
     DRIVABLE: ("chosen ground", "#d3f9d8"),
@@ -57,13 +58,13 @@ def png(
         refined: the refined trajectory; None for none.
         costmap: map that it was refined on; None draws the scene only.
     """
-    box = _shown(scene, coarse_m, refined)
+    box = _shown_area(scene, coarse_m, refined)
     wide, high = box[1] - box[0], box[3] - box[2]
     panels = 1 if costmap is None else 2
     rows, columns = (panels, 1) if wide >= high else (1, panels)
     width_in = WIDTH_IN / columns
     high_in = min(MOST_HIGH_IN, width_in * high / wide)
-    keys = _keys(scene, coarse_m, refined, box)
+    keys = _legend_handles(scene, coarse_m, refined, box)
     key_rows = math.ceil(max(map(len, keys[:panels])) / _KEY_COLUMNS[columns])
     high_in += 0.41 + _KEY_ROW_IN * max(key_rows, 2)
     figure, axes = canvas.plots((WIDTH_IN, rows * high_in), DPI, columns, rows)
@@ -74,19 +75,21 @@ def png(
         one.grid(False)
         one.xaxis.set_major_formatter("{x:g} m")
         one.yaxis.set_major_formatter("{x:g} m")
-    _scene(axes[0], scene)
+    _draw_scene(axes[0], scene)
     if costmap is not None:
-        _values(axes[1], costmap)
+        _draw_values(axes[1], costmap)
     for one in axes:
-        _lines(one, scene, coarse_m, refined)
+        _draw_lines(one, scene, coarse_m, refined)
     for thing in scene.objects.values():
-        _thing(axes[0], thing, box)
+        _draw_object(axes[0], thing, box)
     for one, handles in zip(axes, keys, strict=False):
-        _key(one, handles, _KEY_COLUMNS[columns])
+        _draw_legend(one, handles, _KEY_COLUMNS[columns])
     return canvas.content(figure, "png")
 
 
-def _shown(scene: Scene, coarse_m: np.ndarray | None, refined: RefinedTrajectory | None) -> _Box:
+def _shown_area(
+    scene: Scene, coarse_m: np.ndarray | None, refined: RefinedTrajectory | None
+) -> _Box:
     """Return the shown area (x_min, x_max, y_min, y_max): the trajectory with a margin.
 
     Without a trajectory it is all objects around the robot.
@@ -104,23 +107,23 @@ def _shown(scene: Scene, coarse_m: np.ndarray | None, refined: RefinedTrajectory
     return float(x0), float(x1), float(y0), float(y1)
 
 
-def _scene(axes: Axes, scene: Scene) -> None:
+def _draw_scene(axes: Axes, scene: Scene) -> None:
     cells, colours = ground_colours(scene)
     axes.set_facecolor(tuple(v / 255 for v in UNKNOWN_RGB))
-    _image(axes, scene.occupancy, colours[cells])
+    _draw_image(axes, scene.occupancy, colours[cells])
     axes.set_title("Scene", loc="left", color=palette.INK, fontsize=10)
 
 
-def _values(axes: Axes, costmap: CostMap) -> None:
+def _draw_values(axes: Axes, costmap: CostMap) -> None:
     table = np.zeros((256, 3), np.uint8)
     for weight, (_, hexed) in _VALUES.items():
         table[weight] = np.frombuffer(bytes.fromhex(hexed[1:]), np.uint8)
     axes.set_facecolor(_VALUES[0][1])  # outside of the map nothing was seen
-    _image(axes, costmap.grid, table[costmap.weight])
+    _draw_image(axes, costmap.grid, table[costmap.weight])
     axes.set_title("Cost of each cell", loc="left", color=palette.INK, fontsize=10)
 
 
-def _image(axes: Axes, grid: Grid, rgb: np.ndarray) -> None:
+def _draw_image(axes: Axes, grid: Grid, rgb: np.ndarray) -> None:
     if grid.cells.size:
         axes.imshow(
             rgb, origin="lower", extent=grid.extent_m, interpolation="nearest", aspect="equal",
@@ -128,7 +131,7 @@ def _image(axes: Axes, grid: Grid, rgb: np.ndarray) -> None:
         )  # fmt: skip
 
 
-def _lines(
+def _draw_lines(
     axes: Axes, scene: Scene, coarse_m: np.ndarray | None, refined: RefinedTrajectory | None
 ) -> None:
     if coarse_m is not None:
@@ -137,18 +140,18 @@ def _lines(
         x, y, _, heading = refined.poses.T
         axes.plot(x, y, color="white", lw=4.4, solid_capstyle="round", zorder=5)
         axes.plot(x, y, color=REFINED, lw=2.4, solid_capstyle="round", zorder=6)
-        _arrow(axes, (x[-1], y[-1]), heading[-1], REFINED)
-    _arrow(axes, (scene.pose.x_m, scene.pose.y_m), scene.pose.yaw_rad, palette.START)
+        _draw_arrow(axes, (x[-1], y[-1]), heading[-1], REFINED)
+    _draw_arrow(axes, (scene.pose.x_m, scene.pose.y_m), scene.pose.yaw_rad, palette.START)
 
 
-def _arrow(axes: Axes, at: tuple[float, float], heading_rad: float, face: str) -> None:
+def _draw_arrow(axes: Axes, at: tuple[float, float], heading_rad: float, face: str) -> None:
     """Draw a dart that points along a heading."""
     marker = (3, 0, math.degrees(heading_rad) - 90.0)
     style = {"markeredgecolor": "white", "markeredgewidth": 1.2, "zorder": 8, "ls": ""}
     axes.plot(*at, marker=marker, markersize=12, markerfacecolor=face, **style)
 
 
-def _thing(axes: Axes, thing: SceneObject, box: _Box) -> None:
+def _draw_object(axes: Axes, thing: SceneObject, box: _Box) -> None:
     """Draw an object's outline on the ground and its number, in its colour of the camera image."""
     own = tuple(0.8 * v / 255 for v in colour(thing.id))
     along, across = 0.5 * np.maximum(thing.size_m[:2], 0.15)
@@ -165,7 +168,7 @@ def _thing(axes: Axes, thing: SceneObject, box: _Box) -> None:
         )  # fmt: skip
 
 
-def _keys(
+def _legend_handles(
     scene: Scene, coarse_m: np.ndarray | None, refined: RefinedTrajectory | None, box: _Box
 ) -> tuple[list[Artist], list[Artist]]:
     """Return the legend's handles of each panel."""
@@ -177,18 +180,18 @@ def _keys(
     centres = scene.occupancy.centres_m(rows, columns)
     inside = (centres[..., 0] > box[0]) & (centres[..., 0] < box[1])
     inside &= (centres[..., 1] > box[2]) & (centres[..., 1] < box[3])
-    there = np.unique(cells[inside])
-    named = {region.label: region.id for region in scene.regions.values() if region.id in there}
+    shown = np.unique(cells[inside])
+    named = {region.label: region.id for region in scene.regions.values() if region.id in shown}
     known = {**named, "other ground": 0, "not seen": 254, "occupied": 255}
     patches = [
         Patch(facecolor=colours[value] / 255, label=label, edgecolor="#b8c0cc", lw=0.6)
         for label, value in known.items()
-        if value in there
+        if value in shown
     ]
     lines = [Line2D([], [], color=COARSE, lw=1.4, ls=(0, (3, 1.5)), label="coarse")]
     lines += [Line2D([], [], color=REFINED, lw=2.4, label="refined")]
     drawn = [
-        line for line, what in zip(lines, (coarse_m, refined), strict=True) if what is not None
+        line for line, data in zip(lines, (coarse_m, refined), strict=True) if data is not None
     ]
     values = [
         Patch(facecolor=shade, label=label, edgecolor="#b8c0cc", lw=0.6)
@@ -197,7 +200,7 @@ def _keys(
     return [*patches, *drawn], values
 
 
-def _key(axes: Axes, handles: Sequence[Artist], columns: int) -> None:
+def _draw_legend(axes: Axes, handles: Sequence[Artist], columns: int) -> None:
     """Draw the legend below a panel."""
     from matplotlib.transforms import ScaledTranslation
 

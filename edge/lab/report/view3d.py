@@ -1,7 +1,7 @@
 """Interactive 3-D view of a scene and its trajectories: one page, which fetches nothing.
 
-A page of 60,000 points is 0.2 MB. Plotly's export is 5.4 MB (4.8 MB of it the library), pyvista's
-1.6 MB (1.4 MB).
+The page has its own small viewer: with 60,000 points it has 0.2 MB. Plotly's page has 5.4 MB, of
+which 4.8 MB are the library; pyvista's has 1.6 MB, of which 1.4 MB are the library.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def scene_page(
         ground_m: height of the ground in `map`.
     """
     kinds = list(dict.fromkeys(item.label for item in scene.objects.values()))
-    poses, when = _drive(refined)
+    poses, when = _poses_with_text(refined)
     data = {
         "start": [scene.pose.x_m, scene.pose.y_m, scene.pose.yaw_rad],
         "ground": _ground(scene, ground_m),
@@ -164,14 +164,14 @@ def _cloud(scene: Scene, kinds: Sequence[str], cloud_m: np.ndarray | None) -> di
     if cloud_m is not None:
         points.append(cloud_m)
         kind.append(np.zeros(len(cloud_m), np.uint8))
-    xyz, of = np.concatenate(points), np.concatenate(kind)
-    near = (np.abs(xyz) < FARTHEST_M).all(axis=1)  # a NaN is not
-    xyz, of = xyz[near], of[near]
+    xyz, kinds_of = np.concatenate(points), np.concatenate(kind)
+    near = (np.abs(xyz) < FARTHEST_M).all(axis=1)  # False for NaN
+    xyz, kinds_of = xyz[near], kinds_of[near]
     # Objects come first, and the first point of each voxel is kept.
     _, first = np.unique(np.floor(xyz / VOXEL_M).astype(np.int32), axis=0, return_index=True)
     return {
         "xyz_cm": _packed(np.rint(100.0 * xyz[first]).astype("<i2")),
-        "kind": _packed(of[first]),
+        "kind": _packed(kinds_of[first]),
         "colours": [_POINT_RGB, *(_rgb(colour) for colour in _DARK)],
     }
 
@@ -201,7 +201,7 @@ def _line(line: Line, ground_m: float) -> dict[str, object]:
     }
 
 
-def _drive(refined: RefinedTrajectory | None) -> tuple[list[list[float]], list[str]]:
+def _poses_with_text(refined: RefinedTrajectory | None) -> tuple[list[list[float]], list[str]]:
     if refined is None:
         return [], []
     when = [

@@ -35,7 +35,7 @@ FIXED: dict[str, RGB] = {
 }
 
 
-def build(category: str, size_m: RGB, color: RGB) -> list[Primitive]:
+def build(category: str, size_m: tuple[float, float, float], color: RGB) -> list[Primitive]:
     """Return the primitives of an object that stands at the origin and faces +x.
 
     Raises:

@@ -11,8 +11,8 @@ from edge.geometry import SE2, CameraModel, Grid
 from edge.lab.sim import kernels, shading
 from edge.lab.sim.base import FLOOR_CLEARANCE_M, FloorPlan, LidarRays, Room, WorldError, WorldObject
 
-CELL_M = 0.025
-_MARGIN_M = 0.5
+CELL_M = 0.025  # of the floor plan
+_MARGIN_M = 0.5  # of the floor plan around all primitives
 _SKY = np.array([205, 222, 238], np.uint8)
 
 
@@ -108,9 +108,9 @@ class BoxWorld:
         if k is None:
             raise KeyError(f"world {self.name}: no object has the id {object_id}")
         item = self.objects[k]
-        mine = self.owner == object_id
-        self.pose[mine, 0] += x_m - item.center_m[0]
-        self.pose[mine, 1] += y_m - item.center_m[1]
+        moving = self.owner == object_id
+        self.pose[moving, 0] += x_m - item.center_m[0]
+        self.pose[moving, 1] += y_m - item.center_m[1]
         self.objects[k] = replace(item, center_m=(x_m, y_m, item.center_m[2]))
         grid = self.plan.grid
         grid.cells[:] = 0

@@ -8,6 +8,7 @@ from edge.lab.sim import kernels as k
 
 B, C, E = k.BOX, k.CYLINDER, k.ELLIPSOID
 RGB = tuple[float, float, float]
+"""Red, green and blue, 0 to 255."""
 
 WOODS: tuple[RGB, ...] = ((150, 104, 62), (112, 74, 46), (196, 156, 104), (90, 60, 42))
 CLOTHS: tuple[RGB, ...] = ((86, 108, 142), (150, 66, 58), (122, 132, 98), (168, 150, 126))
@@ -26,7 +27,7 @@ class Category:
         rows: the assembly; see `edge.lab.sim.assemblies`.
     """
 
-    size_m: RGB
+    size_m: tuple[float, float, float]
     colors: tuple[RGB, ...]
     rows: tuple[tuple, ...]
 

@@ -1,7 +1,7 @@
 """3-D shapes of furniture for the simulator.
 
 Each piece is a list of boxes (`B`), cylinders (`C`) and ellipsoids (`E`).
-`edge.lab.sim.assemblies` explains the columns.
+`edge.lab.sim.assemblies` explains the entries of a row.
 """
 
 from __future__ import annotations

@@ -168,7 +168,7 @@ def _wall_parts(wall: Wall, house: House) -> list[Primitive]:
     length, yaw = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
     parts: list[Primitive] = []
 
-    def stretch(a: float, b: float, z0: float, z1: float) -> None:
+    def add_part(a: float, b: float, z0: float, z1: float) -> None:
         if b - a < 1e-6 or z1 - z0 < 1e-6:
             return
         mid = (0.5 * (a + b), 0.0, 0.5 * (z0 + z1))
@@ -182,11 +182,11 @@ def _wall_parts(wall: Wall, house: House) -> list[Primitive]:
     at = -0.5 * house.wall_thickness_m
     for opening in sorted(wall.openings, key=lambda o: o.at_m):
         left, right = opening.at_m - 0.5 * opening.width_m, opening.at_m + 0.5 * opening.width_m
-        stretch(at, left, 0.0, house.wall_height_m)
-        stretch(left, right, 0.0, opening.sill_m)
-        stretch(left, right, opening.sill_m + opening.height_m, house.wall_height_m)
+        add_part(at, left, 0.0, house.wall_height_m)
+        add_part(left, right, 0.0, opening.sill_m)
+        add_part(left, right, opening.sill_m + opening.height_m, house.wall_height_m)
         at = right
-    stretch(at, length + 0.5 * house.wall_thickness_m, 0.0, house.wall_height_m)
+    add_part(at, length + 0.5 * house.wall_thickness_m, 0.0, house.wall_height_m)
     return [part.placed(x0, y0, 0.0, yaw) for part in parts]
 
 

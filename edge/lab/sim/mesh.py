@@ -19,8 +19,8 @@ from edge.host.files import read_regular
 from edge.lab.sim import kernels, mesh_kernels
 from edge.lab.sim.base import FLOOR_CLEARANCE_M, FloorPlan, LidarRays, Room, WorldError, WorldObject
 
-CELL_M = 0.025
-_MARGIN_M = 0.5
+CELL_M = 0.025  # of the floor plan
+_MARGIN_M = 0.5  # of the floor plan around the mesh
 # Such houses often have no ceiling: the sky gets a ceiling's colour.
 _SKY = np.array([236, 236, 233], np.uint8)
 # The building itself: visible and solid, but never a target.
@@ -29,7 +29,21 @@ STRUCTURE = frozenset({"wall", "floor", "house wall", "room wall", "ceiling"})
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Faces:
-    """All triangles of a scene in the map frame, with the arrays that `shade_hits` needs."""
+    """All triangles of a scene in the map frame, with the arrays that `shade_hits` needs.
+
+    Attributes:
+        triangles: (n, 3, 3) float32, corners [m].
+        normals: (n, 3, 3) float32, normals at the corners, of any length.
+        uvs: (n, 3, 2) float32, texture coordinates of the corners.
+        tint: (n, 3) float32, factors on red, green and blue.
+        first_level: (n,) int64, see `edge.lab.sim.mesh_kernels`.
+        level_count: (n,) int64, see `edge.lab.sim.mesh_kernels`.
+        texel_density: (n,) float32, texels per metre of the largest copy of the texture.
+        node: (n,) int32, index into `node_names`.
+        node_names: names of the nodes of the scene.
+        texels: (t, 3) uint8, see `edge.lab.sim.mesh_kernels`.
+        levels: (m, 3) int64, see `edge.lab.sim.mesh_kernels`.
+    """
 
     triangles: np.ndarray
     normals: np.ndarray
@@ -172,7 +186,9 @@ def _faces_of(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.nd
     factor = getattr(material, "baseColorFactor", None)
     tint = np.ones(3) if factor is None else np.asarray(factor[:3]) / 255.0
     _, height, width = atlas.levels[first]
-    density = np.sqrt(_area2(uvs * (width, height)) / np.maximum(_area3(triangles), 1e-12))
+    density = np.sqrt(
+        _twice_area_2d(uvs * (width, height)) / np.maximum(_twice_area_3d(triangles), 1e-12)
+    )
     return (
         np.ascontiguousarray(triangles, np.float32),
         np.ascontiguousarray(normals, np.float32),
@@ -197,12 +213,12 @@ def _vertex_normals(triangles: np.ndarray, faces: np.ndarray, count: int) -> np.
     )
 
 
-def _area2(t: np.ndarray) -> np.ndarray:
+def _twice_area_2d(t: np.ndarray) -> np.ndarray:
     a, b = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
     return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def _area3(t: np.ndarray) -> np.ndarray:
+def _twice_area_3d(t: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1)
 
 
@@ -227,7 +243,7 @@ class MeshWorld:
         self._mesh = TriangleMesh(self._scene, faces.triangles)
         self.objects, self._owner = _objects_of(faces, items, config.robot.height_m)
         self.plan = self._floor_plan(config.robot.height_m)
-        self.start = self._roomiest()
+        self.start = self._roomiest_pose()
         self._rays: tuple[CameraModel | None, np.ndarray] = (None, np.empty((0, 3)))
         self._buffers: dict[tuple[int, int], np.ndarray] = {}
 
@@ -291,7 +307,7 @@ class MeshWorld:
         mesh_kernels.rasterise_triangles(triangles, *heights, low, CELL_M, occupied)
         return FloorPlan(Grid(occupied, (float(low[0]), float(low[1])), CELL_M))
 
-    def _roomiest(self) -> SE2:
+    def _roomiest_pose(self) -> SE2:
         """Return the place inside the house that is farthest from all obstacles."""
         plan = self.plan
         inside = plan.clearance_m * _over_floor(self._scene, plan)
@@ -329,8 +345,8 @@ def _objects_of(
         low, high = np.array(item["aabb_min"], float), np.array(item["aabb_max"], float)
         object_id = len(objects) + 1
         if item["name"] in by_name:
-            mine = np.array([n.partition(".")[0] == item["name"] for n in faces.node_names])
-            owner[mine[faces.node]] = object_id
+            is_node = np.array([n.partition(".")[0] == item["name"] for n in faces.node_names])
+            owner[is_node[faces.node]] = object_id
         else:
             boxed.append((float(np.prod(high - low + 0.01)), object_id, low - 0.01, high + 0.01))
         objects.append((item, label, low, high))

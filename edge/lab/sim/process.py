@@ -27,12 +27,12 @@ from edge.lab.sim.worlds import load_world
 
 log = logging.getLogger("edge.lab.sim")
 
-COMMAND_TIMEOUT_S = 0.5
-WARN_AFTER_S = 10.0
-REPEAT_S = 0.5
-FIRST_STAMP_NS = 1_000_000_000
-_TRUTH_HZ = 10.0
-_DESCRIPTION_HZ = 1.0
+COMMAND_TIMEOUT_S = 0.5  # without a command for longer, the robot stops (in real time)
+WARN_AFTER_S = 10.0  # of waiting for a command, in lockstep
+REPEAT_S = 0.5  # time after which unanswered sensor data is sent again, in lockstep
+FIRST_STAMP_NS = 1_000_000_000  # start of the simulated clock, in lockstep
+_TRUTH_HZ = 10.0  # rate of the ground truth
+_DESCRIPTION_HZ = 1.0  # rate of camera intrinsics and labels
 _POLL_S = 0.0005
 
 

@@ -21,8 +21,8 @@ from edge.lab.sim import kernels, shading
 from edge.lab.sim.base import WorldError, WorldObject
 from edge.lab.sim.boxworld import BoxWorld, Primitive
 
-_WALL_M = 0.1
-_SLAB_M = 0.1
+_WALL_M = 0.1  # thickness of a wall
+_SLAB_M = 0.1  # thickness of floor and ceiling
 _FLOORS = {
     "bathroom": ((196.0, 200.0, 204.0), shading.TILES),
     "kitchen": ((206.0, 198.0, 184.0), shading.TILES),

@@ -16,8 +16,8 @@ from edge.lab.sim.boxworld import BoxWorld
 _FLOOR_M = 0.1  # the bottom of what stands on the floor is lower than this
 _GAP_M = 0.05  # kept between a moved object and others
 _PASS_M = 0.1  # room on each side in a passage that must stay open
-_APART_M = 2.0  # an object moves by this at least
-_PLACES = 40
+_APART_M = 2.0  # an object moves by at least this
+_PLACES = 40  # random places to try for an object
 
 
 def rearrange(

@@ -11,7 +11,7 @@ from edge.config import RobotConfig, SimConfig
 from edge.geometry import SE2, wrap_angle
 from edge.lab.sim.base import World, WorldError
 
-SUBSTEP_S = 0.02
+SUBSTEP_S = 0.02  # longest time between two collision checks
 # Contact with the same obstacle is one collision until the robot has been this far away.
 AWAY_M = 0.05
 

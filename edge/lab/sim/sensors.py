@@ -21,7 +21,7 @@ CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
 Message = tuple[Topic, bytes]
 
 
-def _over_the_floor(config: Config, key: str, z_m: float) -> None:
+def _check_above_floor(config: Config, key: str, z_m: float) -> None:
     """Raise WorldError for a sensor in the floor: the simulated robot's base is on the floor."""
     if z_m <= 0.0:
         raise WorldError(
@@ -41,7 +41,7 @@ class CameraRig:
 
     def __init__(self, config: Config, world: World, colour: bool = True) -> None:
         camera, self._world = config.sensors.camera, world
-        _over_the_floor(config, "sensors.camera.z_m", camera.z_m)
+        _check_above_floor(config, "sensors.camera.z_m", camera.z_m)
         self.model = camera.intrinsics()
         self.T_base_camera = camera.T_base_camera()
         shape = (camera.height_px, camera.width_px)
@@ -82,7 +82,7 @@ class LidarRig:
     def __init__(self, config: Config, world: World) -> None:
         lidar = config.sensors.lidar
         assert lidar is not None
-        _over_the_floor(config, "sensors.lidar.z_m", lidar.z_m)
+        _check_above_floor(config, "sensors.lidar.z_m", lidar.z_m)
         self._world, self._fan, self._noise_m = world, LidarRays.of(lidar), lidar.noise_m
         self.rate_hz = lidar.rate_hz
         self.T_base_lidar = lidar.T_base_mount()

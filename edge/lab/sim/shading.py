@@ -9,6 +9,7 @@ import numpy as np
 from edge.jit import jit
 from edge.lab.sim.kernels import BOX, CYLINDER, ELLIPSOID, into_local
 
+# Textures of a primitive.
 PLAIN, PLANKS, TILES, FABRIC, GRAIN, PAINT, SCREEN, BOOKS, FOLIAGE, PICTURE = range(10)
 
 

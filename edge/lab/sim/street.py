@@ -20,9 +20,9 @@ from edge.lab.sim.boxworld import BoxWorld, Primitive
 from edge.lab.sim.generator.rng import PortableRng, Rect
 
 RGB = tuple[float, float, float]
-BEHIND_M, AHEAD_M = 14.0, 50.0
-SLAB_M = 0.1
-_KEY = 16
+BEHIND_M, AHEAD_M = 14.0, 50.0  # length of the street behind and ahead of the origin
+SLAB_M = 0.1  # thickness of the ground
+_KEY = 16  # of the random numbers
 _APART_M = 0.6  # least distance between objects, except between parked cars
 
 CAR_COLOURS: dict[str, RGB] = {
@@ -41,6 +41,7 @@ GROUND_COLOURS: dict[str, RGB] = {
     "road": (78, 80, 86), "sidewalk": (176, 174, 168), "parking": (116, 116, 122),
 }  # fmt: skip
 _LAWN, _LEAF, _BARK, _STEEL = (96, 132, 74), (62, 128, 56), (104, 78, 54), (120, 124, 130)
+# Smallest and largest length, width and height.
 _CAR_M = (4.0, 1.7, 1.4), (4.7, 1.85, 1.6)
 _VAN_M = (4.8, 1.95, 2.1), (5.4, 2.05, 2.4)
 _WINDOW, _TYRE, _WOOD = (58, 70, 82), (28, 28, 32), (150, 104, 62)
@@ -143,12 +144,12 @@ def street(*key: int) -> Street:
         if not any(park.meets(ground.rect.grown(1.0)) for ground in grounds[3:]):
             grounds.append(GroundArea(4, "parking", park))
             breaks.append((side, x_m, x_m + 9.0))
-    start = _start(dice, half_m, walk_m)
+    start = _draw_start(dice, half_m, walk_m)
     things = _Things(dice, start, breaks)
     for side in (-1, 1):
-        _houses(things, side, outer_m + yard_m)
-        _kerb(things, side, half_m - 1.1)
-        _walk(things, side, half_m, outer_m)
+        _place_houses(things, side, outer_m + yard_m)
+        _place_parked_cars(things, side, half_m - 1.1)
+        _place_at_sidewalk(things, side, half_m, outer_m)
     if dice.chance(0.6):
         things.stand(_car(dice, dice.between(11.0, 24.0), -0.5 * half_m, 0.0))
     name = "street-" + "-".join(map(str, key))
@@ -216,10 +217,11 @@ class _Things:
         self._taken = [Rect(start.x_m - 2.0, start.y_m - 1.5, start.x_m + 4.0, start.y_m + 1.5)]
 
     def stand(self, thing: StreetObject, apart_m: float = _APART_M) -> bool:
+        """Place an object if it is allowed there; return True if it was placed."""
         side = 1 if thing.y_m > 0 else -1
         rect = thing.rect
-        gone = any(s == side and rect.x0 < x1 and rect.x1 > x0 for s, x0, x1 in self.breaks)
-        if gone or any(rect.grown(apart_m).meets(taken) for taken in self._taken):
+        in_break = any(s == side and rect.x0 < x1 and rect.x1 > x0 for s, x0, x1 in self.breaks)
+        if in_break or any(rect.grown(apart_m).meets(taken) for taken in self._taken):
             return False
         self._taken.append(rect)
         self.stood.append(thing)
@@ -231,13 +233,13 @@ def _strip(side: int, x0: float, x1: float, inner_m: float, outer_m: float) -> R
     return Rect(x0, low, x1, high)
 
 
-def _start(dice: PortableRng, half_m: float, walk_m: float) -> SE2:
+def _draw_start(dice: PortableRng, half_m: float, walk_m: float) -> SE2:
     lane = dice.chance(0.6)
     y_m = -0.5 * half_m if lane else dice.pick((-1, 1)) * (half_m + 0.5 * walk_m)
     return SE2(0.0, y_m, math.radians(dice.between(-12.0, 12.0)))
 
 
-def _houses(things: _Things, side: int, y_m: float) -> None:
+def _place_houses(things: _Things, side: int, y_m: float) -> None:
     dice, x_m = things.dice, -BEHIND_M
     while x_m < AHEAD_M - 8.0:
         size = dice.between(8.0, 13.0), dice.between(7.0, 9.5), dice.between(4.5, 8.0)
@@ -254,7 +256,7 @@ def _houses(things: _Things, side: int, y_m: float) -> None:
         x_m += size[0] + dice.between(3.0, 7.0)
 
 
-def _kerb(things: _Things, side: int, y_m: float) -> None:
+def _place_parked_cars(things: _Things, side: int, y_m: float) -> None:
     """Place parked cars in a row, with gaps."""
     dice, x_m = things.dice, -BEHIND_M + 4.0
     while x_m < AHEAD_M - 6.0:
@@ -263,7 +265,7 @@ def _kerb(things: _Things, side: int, y_m: float) -> None:
         x_m += dice.between(5.8, 8.0)
 
 
-def _walk(things: _Things, side: int, half_m: float, outer_m: float) -> None:
+def _place_at_sidewalk(things: _Things, side: int, half_m: float, outer_m: float) -> None:
     """Place poles at the kerb, and trees, bins and benches on the far side of the sidewalk."""
     dice = things.dice
     for x_m in np.arange(-6.0, AHEAD_M - 4.0, 14.0).tolist():

@@ -22,6 +22,7 @@ from edge.mission.language.routes import PASSING, lead, pass_by, take_exception
 from edge.mission.language.tokens import REASONS, Token, TokenReader
 
 UP = ("up", "down", "over", "on")
+"""Particles after "back" that say nothing about the goal: "back up to the roof"."""
 _MOTION = ("go", "come", "walk", "move", "head", "run", "drive", "travel", "return", "proceed")
 
 
@@ -31,7 +32,7 @@ def is_passing(reader: TokenReader, ahead: int = 0, any_way: bool = False) -> bo
     Args:
         reader: the token reader.
         ahead: position of the token.
-        any_way: True also accepts it without an object.
+        any_way: True also accepts the particle without an object.
     """
     token = reader.peek(ahead)
     if token.text == "back":
@@ -51,13 +52,13 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
     Raises:
         TranslationError: no object of the verb follows.
     """
-    doubly = False
+    was_negated = False
     if clause.negated and reader.is_at("avoid") and "anywhere" in reader.peek().text:
         reader.refuse_finally(
             "say what to visit, and what to avoid"
         )  # "don't go anywhere but to a"
     if avoid := reader.take("avoid"):
-        doubly = clause.negated  # "do not skip a or b"
+        was_negated = clause.negated  # "do not skip a or b"
         clause.negated = not clause.negated
         clause.verb = avoid.text
         if reader.is_at("you"):  # "go anywhere but you finish at the bed"
@@ -82,7 +83,7 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
         reader.at += 2
     if reader.take("neither"):
         clause.negated = True
-    elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
+    elif reader.tokens[reader.at - 1].text in _MOTION and not _is_plain_name(reader):
         reader.refuse("not a known object; if it is one, say 'to the …'")
     last = reader.tokens[reader.at - 1]
     warns = clause.verb in ("watch", "look") and reader.tokens[reader.at - 2].text == "out"
@@ -108,7 +109,7 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
             lead(reader, memory, clause, take_noun_phrase(reader, memory), token)
     elif starts_noun_phrase(reader):
         take_passed(reader, memory, clause, passes, last)
-        if doubly and clause.things:
+        if was_negated and clause.things:
             clause.things = each_of(clause.things)
         if clause.negated and reader.is_at("or") and reader.is_at("verb", ahead=1):
             reader.refuse_finally("unclear what is forbidden; use a separate sentence")
@@ -120,17 +121,19 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
         clause.elsewhere = clause.mood != "can"
 
 
+# Beginnings of verbs that carry an object to another one.
 _CARRIES = ("bring", "fetch", "take", "put", "carry", "grab", "collect", "load", "pick", "get ")
 _INTO = ("into", "onto", "in to")
+# Verbs that mean leaving or going along before "off", "out" or "with".
 _LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
-_PASSES = ("cross", "follow", "traverse", "pass")
+_PASSES = ("cross", "follow", "traverse", "pass")  # beginnings of verbs whose object is passed
 _STREETS = ("road", "street", "lane")
-_ALONG = ("path", "route", "road", "way", *PASSING)
-_GOES_ON = ("proceed", "continue")
+_ALONG = ("path", "route", "road", "way", *PASSING)  # ends of verbs with a path to follow
+_GOES_ON = ("proceed", "continue")  # beginnings of verbs that another verb may follow
+# Beginnings of verbs after which a place is passed: "take the stairs to a".
 _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
 _ANYWHERE = ("go anywhere", "visit anywhere")
-
-
+# First words of verbs for a manner of going, which a ban cannot forbid.
 _MANNERS = [
     [verb] for verb in ("rush", "hurry", "race", "run", "running", "rushing", "zoom", "turn")
 ]
@@ -171,7 +174,7 @@ def take_passed(
         reader.refuse_finally("'across …' is unclear; say only where to go, or 'through …'", verb)
     if verb and verb.text == "from":
         reader.refuse_finally(REASONS["origin"], verb)
-    while _onward(reader, clause):
+    while _may_go_onward(reader, clause):
         token = reader.peek()
         if not _take_onward(reader):
             break
@@ -189,10 +192,11 @@ def take_passed(
 
 
 def _onto_thing(reader: TokenReader) -> bool:
+    """Return True if "to the table" comes."""
     return reader.is_at("to") and starts_noun_phrase(reader, 1)
 
 
-def _onward(reader: TokenReader, clause: Clause) -> bool:
+def _may_go_onward(reader: TokenReader, clause: Clause) -> bool:
     """Return True if "to b" may follow here."""
     ahead = 1 if reader.is_at("and") else 0
     onto = reader.peek(ahead + (reader.peek(ahead).text == "out")).text in _INTO
@@ -206,21 +210,22 @@ LEADING = nouns.listed(
     """door doorway gate gateway entrance entry exit key path road street way stair stairs staircase
     ladder ramp bridge tunnel passage passageway hatch archway driveway"""
 )
+"""Things that lead to a place: "the door to the kitchen" is one thing."""
 
 
 def _refuse_leading(reader: TokenReader, clause: Clause, ahead: int) -> None:
     """Refuse `go to the door to the kitchen` and `move the cup to the table` as ambiguous."""
-    said = reader.tokens[: reader.at]
-    verb = max((i for i, token in enumerate(said) if token.text == clause.verb), default=0)
+    before = reader.tokens[: reader.at]
+    verb = max((i for i, token in enumerate(before) if token.text == clause.verb), default=0)
     moves = clause.verb in (*_MOTION, "get")
-    moved = moves and said[verb + 1].kind in ("article", "word", "quoted")
+    moved = moves and before[verb + 1].kind in ("article", "word", "quoted")
     carried = moved or clause.verb.startswith(_CARRIES)
     if carried and not all(map(nouns.is_place, clause.things.names)):
         reader.refuse_finally("the robot can only go to objects", reader.peek(ahead))
     if clause.things.names[-1].split()[-1] in LEADING:
         reader.refuse_finally(
             "unclear: one thing that leads to the other, or both in turn? say 'then to …'",
-            said[verb],
+            before[verb],
         )
 
 
@@ -249,7 +254,7 @@ def take_until(reader: TokenReader, memory: Antecedents, clause: Clause) -> None
     clause.verb, clause.things = "continue", happening.things
 
 
-def _plainly_named(reader: TokenReader) -> bool:
+def _is_plain_name(reader: TokenReader) -> bool:
     """Return True unless an unknown word without an article follows ("upstairs")."""
     token = reader.peek()
     if token.kind != "word" or len(token.text) == 1 or token.text in PASSING:

@@ -115,7 +115,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
     elif _condition_ahead(reader, clause):
         begin = reader.at
         condition = take_condition(reader, memory, clause)
-        joined = any(said.kind == "and" for said in reader.tokens[start:begin])
+        joined = any(skipped.kind == "and" for skipped in reader.tokens[start:begin])
         if joined and reader.is_at("verb", "you", "comma", "word", "article"):
             reader.at = start
             return False  # "…, and only if you see b, go to c"
@@ -159,6 +159,7 @@ def _whichever(reader: TokenReader) -> bool:
 
 
 def _of_every(clause: Clause) -> bool:
+    """Return True if the clause is about all places: "visit each place only once"."""
     return clause.things is not None and clause.things.every != ""
 
 
@@ -260,6 +261,7 @@ def _avoided_aside(reader: TokenReader, memory: Antecedents, clause: Clause) -> 
     return True
 
 
+# Words after an avoidance that make it permanent.
 _EVER = ("ever", "at any point", "at any time", "at any point in time", "at all")
 
 
@@ -294,8 +296,8 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
     if token.text == "with no" and not says.verb:
         reader.refuse_finally("say 'without …'", token)  # "the room with no window"
     things = take_noun_phrase(reader, memory, banned=not clause.negated, way=True)
-    said = [t.kind for t in reader.tokens[begin : reader.at]]
-    if len(things.groups) == 2 and ("comma", "and") in itertools.pairwise(said):
+    kinds = [t.kind for t in reader.tokens[begin : reader.at]]
+    if len(things.groups) == 2 and ("comma", "and") in itertools.pairwise(kinds):
         reader.refuse_finally("unclear if this is to be avoided too; use two sentences", token)
     while denied and reader.is_at("or", "and") and another_participle(reader):
         skip_particles(reader, says)
@@ -326,7 +328,7 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
     if things.every == "places":
         reader.refuse("say what to avoid", token)
     ever = token.text == "without ever" or any(
-        said.text in _EVER for said in reader.tokens[begin : reader.at]
+        t.text in _EVER for t in reader.tokens[begin : reader.at]
     )
     if reader.peek().text in _EVER:
         reader.at += 1

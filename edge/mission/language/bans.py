@@ -10,7 +10,7 @@ from edge.mission.language.tokens import TranslationError
 from edge.mission.logic.automaton import CompileError, compile_formula, implies
 from edge.mission.logic.ltl import Formula
 
-_MAX_STATES, _MAX_STEPS = 500, 300_000
+_MAX_STATES, _MAX_STEPS = 500, 300_000  # limits of one compilation, see `compile_formula`
 _SENTENCE = re.compile(r"[,.;:!?]|\b(?:but|then)\b", re.IGNORECASE)
 _CLAUSE = re.compile(r"\b(?:and|or)\b|\b(?=without\b|while\b)", re.IGNORECASE)
 _ASIDE = re.compile(r"(?:without|while)\b", re.IGNORECASE)
@@ -18,9 +18,9 @@ _ANYTHING = 'visit "anything"'
 
 
 def bans_in(instruction: str) -> tuple[Formula, ...]:
-    """Return the bans (`G !x`, `!x W y`) that the rules read in an instruction.
+    """Return the bans (`G !x`, `!x W y`) that the grammar reads in an instruction.
 
-    If they refuse it as a whole, its parts are read one by one.
+    If the grammar refuses the whole instruction, it reads the parts one by one.
     """
     found = _bans_of(instruction)
     if found is None:
@@ -32,7 +32,7 @@ def bans_in(instruction: str) -> tuple[Formula, ...]:
 
 
 def does_imply(formula: Formula, ban: Formula) -> bool:
-    """Return whether a formula implies a ban; False if it is too large to compile."""
+    """Return True if a formula implies a ban; False if the formula is too large to compile."""
     try:
         return implies(*(compile_formula(f, _MAX_STATES, _MAX_STEPS) for f in (formula, ban)))
     except CompileError:

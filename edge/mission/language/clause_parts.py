@@ -14,11 +14,12 @@ from edge.mission.language.noun_phrases import (
 from edge.mission.language.tokens import Token, TokenReader
 
 MAX_VISITS = 20
-_MARKERS = (
+"""Largest number of visits to one object that a count may ask for."""
+_MARKERS = (  # kinds of token that say how a number is meant
     "at least", "at most", "exactly", "more than", "less than", "more or less", "or more",
     "or less", "only",
 )  # fmt: skip
-_NUMBERS = ("number", "times n", "once")
+_NUMBERS = ("number", "times n", "once")  # kinds of token that have a number
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,12 +112,22 @@ def _joins(reader: TokenReader) -> bool:
 
 
 def _goes_on(reader: TokenReader) -> bool:
+    """Return True if the count continues after "or" or "and"."""
     return reader.is_at(*_NUMBERS, *_MARKERS, ahead=1)
 
 
 def _range(
     reader: TokenReader, markers: set[str], numbers: list[int], negated: bool, begin: int
 ) -> Count:
+    """Return the count that markers and numbers mean; see `take_count`.
+
+    Args:
+        reader: the token reader.
+        markers: kinds of the tokens that say how the numbers are meant.
+        numbers: the numbers, at least one.
+        negated: True if the clause is negated.
+        begin: index of the count's first token.
+    """
     n = numbers[-1]
     if 0 in numbers and markers & {"or more", "at least"}:
         reader.refuse("this number is always fulfilled; leave it out", reader.tokens[begin])
@@ -132,8 +143,8 @@ def _range(
         count = Count(n + 1)
     else:
         count = Count(min(numbers))
-        said = reader.tokens[begin : reader.at]
-        once = next((t for t in said if t.kind == "once" or (n == 1 and t.kind == "times")), None)
+        tokens = reader.tokens[begin : reader.at]
+        once = next((t for t in tokens if t.kind == "once" or (n == 1 and t.kind == "times")), None)
         if once and not (markers or negated) and reader.pick(once, 2) == 1:
             count = Count(1, 1)  # "visit a once" may mean: no second time
     if not negated:
@@ -145,11 +156,14 @@ def _range(
 
 
 CONDITIONS = ("before", "after", "until", "unless", "when", "once")
+"""Kinds of token that begin a condition."""
 ORDERS = ("any order", "in order", "strict order")
+"""Kinds of token that order the objects of a clause."""
 MOOD = (
     "you", "ensure", "must", "can", "do", "not", "filler", "only", "first", "be", "always",
     "in the end",
 )  # fmt: skip
+"""Kinds of token that may stand before the verb of a clause."""
 AUXILIARIES = frozenset({"be", "must", "can"})
 _LIMITING = (
     "just", "simply", "always", "also", "now", "only", "directly", "already", "straight",
@@ -170,7 +184,7 @@ class Condition:
 
     Attributes:
         kind: "before", "after", "until", "unless" or "when" ("once" is "when").
-        token: its first token.
+        token: first token of the condition.
         things: objects of the event.
         only: "only after …".
         denied: "not before …", or an event that is negated.
@@ -196,46 +210,46 @@ class Clause:
     """The content of one clause.
 
     Attributes:
-        token: its first token.
+        token: first token of the clause.
         mood: "do" (an order), "must" (a duty) or "can" (a permission).
         negated: "do not", "never", "avoid".
         only: "only" before the verb.
-        things: its objects; None for "do not stop (until …)".
-        conditions: its conditions.
+        things: objects of the clause; None for "do not stop (until …)".
+        conditions: conditions of the clause.
         avoiding: objects to avoid on the way ("while avoiding", "without").
         during: the avoidance has "while", so it ends with this clause.
         never: objects to avoid permanently ("while always avoiding").
         not_first: objects to avoid only until then ("without visiting x first").
         not_again: objects not to visit again on the way ("without returning to x").
-        order: kind of order among its objects, or "".
+        order: kind of order among the objects, or "".
         count: number of visits.
         count_aside: the count stood after a comma.
         next_step: "right after", "immediately".
         instant: token of "in the next step", exactly.
         soon: "as soon as", which applies to duties only.
         again: "again", "any more", "revisit".
-        first: it comes first.
-        trails: it comes after the clause before it ("… after that").
-        returns: "return to", "go back to": after all before it.
+        first: the clause comes first.
+        trails: the clause comes after the clause before it ("… after that").
+        returns: "return to", "go back to": the clause comes after all clauses before it.
         bound: destination given first: "to reach x, go through y".
         bound_by: token of a destination given last: "go through y to reach x".
-        through: its objects are on the way to something.
-        by_way: they can only be on the way ("go by way of x").
-        route: objects that are reached before its objects, in order.
+        through: the objects are on the way to something.
+        by_way: the objects can only be on the way ("go by way of x").
+        route: objects that are reached before `things`, in order.
         several_ways: the route has "a and b" in one part.
         only_way: no other route is allowed.
-        enroute: it is "on the way" to an earlier goal.
+        enroute: the clause is "on the way" to an earlier goal.
         always: token of "always".
-        ends: it comes at the end.
-        elsewhere: it names only exceptions ("any room but a"), so another goal is needed.
+        ends: the clause comes at the end.
+        elsewhere: the clause names only exceptions ("any room but a"), so another goal is needed.
         each: limit of visits to each place ("no revisiting").
         out_of_turn: a ban on another order than the given one.
-        done: its verb is in the past: "you must have visited a (before b)".
-        leads: "then" stands between its conditions and the rest.
-        subject: it names who must act ("you must …").
-        in_future: it describes the future ("will", "can not").
-        agent: its name for the robot ("the drone").
-        verb: its verb; "" in a bare clause.
+        done: the verb is in the past: "you must have visited a (before b)".
+        leads: "then" stands between the conditions and the rest.
+        subject: the clause names who must act ("you must …").
+        in_future: the clause describes the future ("will", "can not").
+        agent: name for the robot ("the drone").
+        verb: the verb; "" in a bare clause.
     """
 
     token: Token
@@ -286,18 +300,18 @@ def names_one_robot(reader: TokenReader) -> bool:
     return letter and reader.peek().text in ("robot", "the robot")
 
 
-def _refuse_scope(reader: TokenReader, said: Token) -> None:
+def _refuse_scope(reader: TokenReader, denial: Token) -> None:
     """Refuse `do not just go to a`, `you don't always have to visit a`: unclear what is denied."""
     ahead = 0
     while reader.is_at("filler", "always", "only", "immediately", ahead=ahead):
         if set(_LIMITING) & set(reader.peek(ahead).text.split()):
-            reader.refuse_finally("say directly what not to do", said)
+            reader.refuse_finally("say directly what not to do", denial)
         ahead += 1
     if reader.is_at("must", ahead=ahead) and reader.peek(ahead).text in _NEEDS:
-        reader.refuse_finally(_NOT_NEEDED, said)
+        reader.refuse_finally(_NOT_NEEDED, denial)
 
 
-def _is_statement(reader: TokenReader, who: str) -> bool:
+def _is_statement(reader: TokenReader) -> bool:
     """Return True if "I go to a" or "we never use a" comes; "we have to go to a" is an order."""
     return reader.is_at("verb", "must", "can", "not", "do", "be", "filler", ahead=1)
 
@@ -327,7 +341,7 @@ def take_mood(reader: TokenReader, clause: Clause, kinds: tuple[str, ...] = MOOD
         answers = reader.is_at("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
         if token.text == "no" and answers:
             reader.refuse_finally("give the whole instruction again", token)  # "…, no, the bed"
-        if token.kind == "you" and token.text in ("i", "we") and _is_statement(reader, token.text):
+        if token.kind == "you" and token.text in ("i", "we") and _is_statement(reader):
             reader.refuse_finally("not an instruction for the robot", token)
         if token.text == "did" and reader.is_at("not", ahead=1):
             reader.refuse_finally("this describes the past; say what to do", token)

@@ -51,6 +51,7 @@ from edge.mission.language.routes import lead
 from edge.mission.language.tokens import Token, TokenReader
 
 Bare = Literal["yes", "known", "no"]
+"""Permission of a clause without a verb; see `take_clause`."""
 _PERFORM = ("make", "complete", "perform", "have")
 _OPENINGS = ("no return", "quota", "onward", "opener", "origin", "on the way", "bound", "around")
 
@@ -103,12 +104,13 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
     if before.text in ("do", "does", "did") and reader.is_at("pronoun"):
         reader.refuse("say what to visit", reader.peek())  # "do that again"
     main: Token | None = reader.peek()
-    told = reader.tokens[begin : reader.at]
-    clause.subject = any(t.kind in ("you", "ensure") for t in told)
-    clause.in_future = any(t.text == "will" or (t.kind == "can" and clause.negated) for t in told)
-    clause.agent = next((t.text for t in told if t.kind == "you" and " " in t.text), "")
-    said = reader.tokens[begin : reader.at]
-    if said and said[-1].kind == "must" and starts_noun_phrase(reader):
+    opening = reader.tokens[begin : reader.at]  # the tokens before the verb
+    clause.subject = any(t.kind in ("you", "ensure") for t in opening)
+    clause.in_future = any(
+        t.text == "will" or (t.kind == "can" and clause.negated) for t in opening
+    )
+    clause.agent = next((t.text for t in opening if t.kind == "you" and " " in t.text), "")
+    if opening and opening[-1].kind == "must" and starts_noun_phrase(reader):
         reader.refuse_finally(
             "say what to do, as in 'visit the bed'", clause.token
         )  # "I have a sofa"
@@ -151,8 +153,8 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
     else:
         reader.refuse("expected something to do or to avoid here")
-    if said and any(t.text == "been" for t in said[-2:]):
-        refuse_past_tense(reader, begin, said[-1], clause)
+    if opening and any(t.text == "been" for t in opening[-2:]):
+        refuse_past_tense(reader, begin, opening[-1], clause)
     if main is not None and main.kind == "verb":
         refuse_past_tense(reader, begin, main, clause)
     if clause.things:
@@ -181,8 +183,8 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         others = [name for name in asked.names if name not in own] if asked else []
         if not others:
             reader.refuse("say 'do not visit … before …'", clause.token)
-        one = NounPhrase((tuple(others),))
-        clause.conditions.append(Condition("before", clause.token, one))  # "not b first"
+        any_other = NounPhrase((tuple(others),))
+        clause.conditions.append(Condition("before", clause.token, any_other))  # "not b first"
         clause.first = False
     return clause
 
@@ -190,7 +192,8 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
 _PLACED = ("in", "inside", "at", "on", "near")
 
 
-def _is_over(reader: TokenReader) -> bool:
+def _ends_here(reader: TokenReader) -> bool:
+    """Return True if the clause ends here."""
     return reader.is_at("comma", "stop", "end", "and", "but", "then")
 
 
@@ -282,35 +285,35 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
     if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
         return
     says = Clause(start)
-    said = take_mood(reader, says, PREDICATE)
-    said_before = [token.text for token in reader.tokens[begin : reader.at]]
-    if says.first and _is_over(reader):  # "the bank must be first"
+    mood_kinds = take_mood(reader, says, PREDICATE)
+    texts = [token.text for token in reader.tokens[begin : reader.at]]
+    if says.first and _ends_here(reader):  # "the bank must be first"
         clause.first, clause.negated = True, clause.negated != says.negated
         clause.verb, clause.things = "be", things
         return
-    done = "been" in said_before and not {"must", "should", "shall"} & set(said_before)
-    if "been" in said_before and any(c.kind == "when" for c in clause.conditions):
+    done = "been" in texts and not {"must", "should", "shall"} & set(texts)
+    if "been" in texts and any(c.kind == "when" for c in clause.conditions):
         reader.refuse_finally("say 'visit … before …'", start)
     if done and not clause.conditions:
         reader.refuse_finally(
             "this describes the past; say what to do", start
         )  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
-    if things.listed and bare == "yes" and (barred or said & AUXILIARIES):
+    if things.listed and bare == "yes" and (barred or mood_kinds & AUXILIARIES):
         reader.at = begin  # "…, then a, the hallway is off limits"
         clause.things = take_noun_phrase(reader, memory)
         return
     avoid = reader.take("avoid")
     if start.kind == "either" and (avoid or says.negated):
         reader.refuse_finally("say which to avoid", start)
-    if "be" in said and reader.peek().text in STATES:
+    if "be" in mood_kinds and reader.peek().text in STATES:
         reader.refuse_finally(
             "the state of an object cannot be used, only that it is reached", start
         )
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is not None:  # "the cat is forbidden to enter the kitchen"
         reader.refuse_finally("an instruction is for one robot only", start)
-    if "be" in said and reader.peek().text in _PLACED:
+    if "be" in mood_kinds and reader.peek().text in _PLACED:
         reader.refuse_finally("the robot can only go to objects", start)  # "the dog must be in b"
     if barred and verb is None:  # "the hallway is off limits"
         clause.negated, clause.verb = clause.negated != says.negated, "be"
@@ -318,7 +321,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         return
     if avoid and says.mood == "can" and not says.negated:
         reader.refuse_finally("this is optional and asks for nothing; leave it out", start)
-    if verb is not None and (said & AUXILIARIES or verb.kind == "happen"):
+    if verb is not None and (mood_kinds & AUXILIARIES or verb.kind == "happen"):
         clause.mood = says.mood if says.mood != "do" else clause.mood
         clause.negated = clause.negated != (says.negated != bool(avoid))
         clause.only, clause.first = clause.only or says.only, clause.first or says.first

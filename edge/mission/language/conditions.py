@@ -48,9 +48,9 @@ def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> 
 def take_happening(reader: TokenReader, memory: Antecedents, condition: Condition) -> None:
     """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`."""
     says = Clause(reader.peek())
-    said = take_mood(reader, says)
+    mood_kinds = take_mood(reader, says)
     inside = reader.peek().text in ("in", "inside", "at", "on") and starts_noun_phrase(reader, 1)
-    if inside and ("be" in said or (condition.kind == "when" and not said)):
+    if inside and ("be" in mood_kinds or (condition.kind == "when" and not mood_kinds)):
         reader.at += 1  # "once you are in the kitchen", "once in the kitchen"
         _refuse_denied(reader, condition, says)
         condition.things = take_noun_phrase(reader, memory)
@@ -75,7 +75,7 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
     elif reader.is_at("pronoun"):
         pronoun = reader.take("pronoun")
         assert pronoun is not None
-        condition.things = _asked(reader, memory, pronoun)
+        condition.things = _objects_of_pronoun(reader, memory, pronoun)
         condition.referred = not _take_predicate(reader, says)
     elif starts_noun_phrase(reader):
         condition.things = take_noun_phrase(reader, memory, subject=True)
@@ -120,7 +120,8 @@ def _ends(reader: TokenReader) -> bool:
     return reader.is_at("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
 
 
-def _asked(reader: TokenReader, memory: Antecedents, token: Token) -> NounPhrase:
+def _objects_of_pronoun(reader: TokenReader, memory: Antecedents, token: Token) -> NounPhrase:
+    """Return the objects of the last goal, which a pronoun means; refuse it without a goal."""
     things = memory.asked
     if things is None:
         reader.refuse(f"{token.text!r} refers to nothing that was named before", token)
@@ -130,15 +131,15 @@ def _asked(reader: TokenReader, memory: Antecedents, token: Token) -> NounPhrase
 def _take_predicate(reader: TokenReader, says: Clause) -> bool:
     """Skip `has been visited` or `occurs`; return False, and take nothing, if it does not come."""
     begin, negated = reader.at, says.negated
-    said = take_mood(reader, says, PREDICATE)
+    mood_kinds = take_mood(reader, says, PREDICATE)
     if reader.take("happen"):
         return True
-    if said & AUXILIARIES and reader.is_at("verb"):
-        if said <= {"be", "not"} and reader.peek().text in STATES:
+    if mood_kinds & AUXILIARIES and reader.is_at("verb"):
+        if mood_kinds <= {"be", "not"} and reader.peek().text in STATES:
             reader.refuse_finally("the state of an object cannot be used, only that it is reached")
         reader.take("verb")
         return True
-    if "be" in said and not _ends(reader):
+    if "be" in mood_kinds and not _ends(reader):
         reader.refuse_finally("the state of an object cannot be used, only that it is reached")
     reader.at, says.negated = begin, negated
     return False

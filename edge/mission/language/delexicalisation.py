@@ -19,11 +19,15 @@ MOST_PIECES = 250
 """Largest number of words and marks in an instruction."""
 LONGEST_NAME = 6  # words
 ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
+# Words after which any known noun is a name.
 _SINGLING = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
-_PLACES = tuple(sorted(PHRASES["place"], key=len, reverse=True))
-_OF_NO_NAME = {"of", "between", "against"}
+_PLACES = tuple(sorted(PHRASES["place"], key=len, reverse=True))  # prepositions, longest first
+_OF_NO_NAME = {"of", "between", "against"}  # prepositions that join no two names
+# An ordinal before these is a part of the name.
 _STORIES = {"floor", "floors", "story", "level", "room", "landmark", "door", "street", "building"}
+# Words after an `a` that is a name: "go to a then b".
 _AFTER_LETTER = {*AFTER_VERB, ",", ".", "and", "or", "then", "before", "after", "until"}
+# First words of the lexicon's phrases.
 _PHRASE_STARTS = {
     words[0] for words, kind in TABLE.items() if kind not in ("filler", "addressed", "word")
 }
@@ -35,15 +39,17 @@ _VERBS_TOO = """
 """
 _ALSO_VERBS = frozenset(_VERBS_TOO.split())
 """Words that name an object only after an article; else they are verbs."""
+# Marks of an instruction → the words that stand for them.
 _MARKS = {",": ",", ":": ",", ".": ".", ";": ".", "!": ".", "?": ".", "&": "and"}
 _NEVER_NAMES = {*ARTICLES, *_MARKS.values(), "robot", "robots", "spot", "spots"}
-_NEVER_ALONE = {"can"}
-_OWN, _WAYS = ("your", "our", "its", "my"), ("path", "way", "route", "road", "trip")
+_NEVER_ALONE = {"can"}  # a name only together with other words: "trash can"
+_OWN = ("your", "our", "its", "my")
+_WAYS = ("path", "way", "route", "road", "trip")  # after `_OWN`, no object to go to
 _VEHICLES = """
     bus car train taxi cab bike bicycle motorcycle boat ship ferry plane airplane truck van tram
     subway elevator lift escalator wheelchair scooter foot
 """
-_RIDING = ("by", "via", "per")
+_RIDING = ("by", "via", "per")  # a vehicle after them is a means of transport
 _RIDDEN = frozenset(names.canonical(name) for name in _VEHICLES.split())
 """Objects that are a means of transport after "by" without an article."""
 _PIECE = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
@@ -66,6 +72,8 @@ class DelexicalisedText:
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
+    """A word, a mark or a quoted name of the instruction, and the offset of its first character."""
+
     text: str
     start: int
     quoted: bool = False
@@ -118,6 +126,7 @@ def delexicalise_text(text: str) -> DelexicalisedText:
 
 
 def _pieces(text: str) -> list[_Piece]:
+    """Return the words, marks and quoted names of a text; errors as in `delexicalise_text`."""
     if len(text) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"
         raise not_understood(text[MAX_CHARS:], MAX_CHARS + 1, hint)

@@ -60,7 +60,10 @@ def _size(formula: Formula) -> int:
 
 
 def _does_besides(reader: TokenReader) -> bool:
-    """Return True if ", visiting b" comes without its time; ", ending at b" has one."""
+    """Return True if ", visiting b" comes, which may be on the way or in addition.
+
+    ", ending at b" is clear.
+    """
     verb = reader.peek().text
     if not reader.is_at("verb") or verb.startswith((*ENDING, "swing", "bring ")):
         return False
@@ -70,7 +73,8 @@ def _does_besides(reader: TokenReader) -> bool:
     return not any(token.kind == "on the way" for token in rest)
 
 
-def _both(first: ClauseMeaning | None, second: ClauseMeaning) -> ClauseMeaning:
+def _joined(first: ClauseMeaning | None, second: ClauseMeaning) -> ClauseMeaning:
+    """Add the second meaning to the first, if there is one, and return it."""
     if first is None:
         return second
     first.add(second)
@@ -146,9 +150,9 @@ class Discourse:
                 self._sentence(joint)
             reader.skip("comma", "stop")
         if self.first and self.clauses > 1:
-            said = [token for token in reader.tokens if token.kind in ("first", "opener")]
+            firsts = [token for token in reader.tokens if token.kind in ("first", "opener")]
             reader.refuse(
-                "say in the same sentence what comes after it", said[-1] if said else None
+                "say in the same sentence what comes after it", firsts[-1] if firsts else None
             )
         parts = [] if self.goal is None else [self.goal]
         parts += [sequence_goal([rule], reader) for rule in self.rules]
@@ -156,7 +160,7 @@ class Discourse:
             reader.refuse("say what is to be reached", self.elsewhere)
         if not self.ordered:
             parts += self._asked_after_all()
-        parts += self._of_all(AllOf(tuple(part for part in parts if letters(part))))
+        parts += self._rules_for_all(AllOf(tuple(part for part in parts if letters(part))))
         formula = formula_of(AllOf(tuple(parts)))
         if _size(formula) > MAX_NODES:
             reader.refuse("the formula would be too large; ask for less at once", reader.tokens[0])
@@ -180,25 +184,25 @@ class Discourse:
             asked += [NounPhrase(tuple((n,) for n in names)) for names, _ in self.waits]
         return [visits(things) for things in asked]
 
-    def _of_all(self, goal: AllOf) -> list[Goal]:
+    def _rules_for_all(self, goal: AllOf) -> list[Goal]:
         """Return the rules that apply to all goals of the instruction."""
         rules: list[Formula] = []
-        said = self.strictly or (self.each and self.each[1])
-        if said and not goal.goals:
-            self.reader.refuse("say first what to visit", said)
+        token = self.strictly or (self.each and self.each[1])
+        if token and not goal.goals:
+            self.reader.refuse("say first what to visit", token)
         if self.strictly:
             rules += in_strict_order(goal, self.strictly, self.reader)
         if self.each:
             rules += each_at_most(goal, *self.each, self.reader)
         return [AllOf((), tuple(rules))] if rules else []
 
-    def _ends(self, clause: Clause) -> None:
+    def _note_end(self, clause: Clause) -> None:
         """Note that this clause is the end: it comes after all other goals."""
         if clause.negated:
             self.reader.refuse("say it in one sentence, with 'then'", clause.token)
         self.halted = clause.token
 
-    def _halts(self) -> bool:
+    def _take_halt(self) -> bool:
         """Skip "and stay there" at the end: a mission ends where its last goal is reached.
 
         Return False if it does not come.
@@ -240,14 +244,14 @@ class Discourse:
                 sequences[-1].append(loose)
             sequence, loose = self._sequence(Token("or", "or", 0, 0))
             sequences.append(sequence)
-        said = reader.tokens[reader.tokens.index(either) : reader.at]
-        if either.text == "either" and not any(token.kind == "or" for token in said):
+        tokens = reader.tokens[reader.tokens.index(either) : reader.at]
+        if either.text == "either" and not any(token.kind == "or" for token in tokens):
             reader.refuse("'either' needs a second choice", either)
         if loose:
             self.rules.append(loose)
         single = all(len(sequence) == 1 for sequence in sequences[:-1])
         pause = any(
-            (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(said)
+            (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(tokens)
         )
         tight = tight or (pause and (short or (either.text == "either" and len(sequences) > 1)))
         if tight and single and len(sequences[-1]) > 1:
@@ -285,16 +289,20 @@ class Discourse:
         return ahead if starts_clause(self.reader, ahead) else None
 
     def _sequence(self, joint: Token | None) -> tuple[list[ClauseMeaning], ClauseMeaning | None]:
-        """Parse a sequence of steps with "then" between them; return it and its final rules."""
+        """Parse a sequence of steps with "then" between them.
+
+        Returns:
+            The steps, and the rules at the end that belong to no step; None if there are none.
+        """
         sequence: list[ClauseMeaning] = []
         loose: ClauseMeaning | None = None
         ordered: Token | None = None
         while True:
-            self._numbered(joint)
+            self._check_number(joint)
             clause, meaning = self._clause(joint, sequence)
             kind = joint.kind if joint else ""
             if meaning.loose and kind != "but" and not meaning.follows:
-                loose = _both(loose, meaning)
+                loose = _joined(loose, meaning)
             else:
                 if loose is not None:
                     forbidden = {name for names in loose.bans for name in names}
@@ -305,9 +313,9 @@ class Discourse:
                         loose.limit_for_good()
                     (sequence[-1] if sequence else meaning).add(loose)
                     loose = None
-                self._place(clause, meaning, kind, sequence)
-            said = clause.order if clause.order in ("in order", "strict order") else ""
-            if said and clause.things and len(clause.things.groups) + len(clause.route) < 2:
+                self._add_to_sequence(clause, meaning, kind, sequence)
+            has_order = clause.order in ("in order", "strict order")
+            if has_order and clause.things and len(clause.things.groups) + len(clause.route) < 2:
                 ordered = clause.token
             joint = self._joint()
             if joint is None:
@@ -321,11 +329,11 @@ class Discourse:
         known = set(self.times) | set(self.last.names if self.last else ())
         return clause.things is not None and set(clause.things.names) <= known
 
-    def _numbered(self, joint: Token | None) -> None:
+    def _check_number(self, joint: Token | None) -> None:
         """Check that a numbered step ("second", "third") comes in its turn, and note its number."""
-        said = joint.text.split() if joint else []
-        number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in said), None)
-        if joint and self.number == 1 and not self.clauses and said[-1] in ("lastly", "finally"):
+        words = joint.text.split() if joint else []
+        number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in words), None)
+        if joint and self.number == 1 and not self.clauses and words[-1] in ("lastly", "finally"):
             number = len(nouns.NUMERALS)
         if number is None or joint is None:
             if self.number > 1 and self.reader.is_at("first", "opener"):
@@ -336,7 +344,7 @@ class Discourse:
             self.reader.refuse_finally("unclear which step this is; say 'then the …'", joint)
         self.number = number
 
-    def _returned(
+    def _count_return(
         self, clause: Clause, meaning: ClauseMeaning, sequence: list[ClauseMeaning]
     ) -> None:
         """Turn "…, and later visit it again" into a second visit."""
@@ -365,7 +373,7 @@ class Discourse:
         self.listed = self.listed or self.flow.lists(clause, joint)
         then = self._comes_after(clause, joint, sequence)
         self.flow.refuse_joined(clause, joint, bool(self.clauses), self.reader)
-        self._settle(clause, joint.kind if joint else "", then, sequence)
+        self._resolve(clause, joint.kind if joint else "", then, sequence)
         meaning = meaning_of(clause, self.reader, self.times)
         meaning.follows, meaning.returns = then, clause.returns
         self._relate(clause, meaning, sequence)
@@ -375,7 +383,7 @@ class Discourse:
         if then and self.flow.barred and meaning.goals and not sequence and joint:
             self.reader.refuse_finally("unclear what is forbidden; use two sentences", clause.token)
         self.flow.note(clause, meaning)
-        self._note(clause, meaning)
+        self._remember(clause, meaning)
         return clause, meaning
 
     def _comes_after(
@@ -392,7 +400,7 @@ class Discourse:
         if clause.again and clause.things and not (clause.negated or clause.count):
             then = then or bool(self.times.keys() & set(clause.things.names))
         if clause.ends:
-            self._ends(clause)
+            self._note_end(clause)
             then = then or bool(sequence) or asked
         stays = clause.returns and then and not clause.negated
         if stays and clause.things == self.last:
@@ -401,14 +409,14 @@ class Discourse:
             )
         return then
 
-    def _settle(
+    def _resolve(
         self, clause: Clause, joint: str, then: bool, sequence: list[ClauseMeaning]
     ) -> None:
         """Resolve what a clause leaves open, from the clauses before it."""
         if clause.elsewhere:
             self.elsewhere = clause.token
-        one = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
-        if one and sequence and clause.order == "strict order" and not clause.negated:
+        single = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
+        if single and sequence and clause.order == "strict order" and not clause.negated:
             clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
         if clause.count_aside and sequence:
             self.reader.refuse_finally(
@@ -451,9 +459,9 @@ class Discourse:
         meaning.repeats = plain and bool(meaning.goals) and clause.things == self.last
         if meaning.repeats and then:  # "a, then b, then b and c": is b meant twice?
             meaning.repeats = self.reader.pick(clause.token, 2) == 1
-        self._returned(clause, meaning, sequence)
+        self._count_return(clause, meaning, sequence)
 
-    def _note(self, clause: Clause, meaning: ClauseMeaning) -> None:
+    def _remember(self, clause: Clause, meaning: ClauseMeaning) -> None:
         """Store what later clauses may refer to."""
         if meaning.each:
             self.each = (meaning.each, clause.token)
@@ -469,7 +477,7 @@ class Discourse:
                 self.times |= dict.fromkeys(visit.options, visit.times)
                 self.memory.note([visit.options])
 
-    def _place(
+    def _add_to_sequence(
         self, clause: Clause, meaning: ClauseMeaning, joint: str, sequence: list[ClauseMeaning]
     ) -> None:
         """Add a clause as a new step, or as a part of the last step."""
@@ -519,7 +527,7 @@ class Discourse:
         if last and reader.is_at("stop", "end", ahead=1):
             reader.at += 1  # "…, please.", "…, but the order is up to you."
             return None
-        if self.clauses and self._halts():
+        if self.clauses and self._take_halt():
             return None
         if reader.at > begin:
             if joint.kind == "comma" and _does_besides(reader):

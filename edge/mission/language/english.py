@@ -21,6 +21,7 @@ from edge.mission.language.tokens import TokenReader, TranslationError
 from edge.mission.logic.ltl import Formula, conj, postorder, propositions, to_text
 
 MAX_ALTERNATIVES = 32
+"""Largest number of alternatives of a formula; one with more is read out literally."""
 
 
 # A formula as alternatives of sets of chains: F(a & (F b | F c) & F d) asks for "a, then d", and
@@ -49,10 +50,12 @@ def alternatives_of(f: Formula) -> Alternatives | None:
 
 
 def _capped(found: Alternatives) -> Alternatives | None:
+    """Return the alternatives; None if there are more than `MAX_ALTERNATIVES`."""
     return found if len(found) <= MAX_ALTERNATIVES else None
 
 
 def _all_of(parts: tuple[Formula, ...]) -> Alternatives | None:
+    """Return the alternatives of a conjunction; None if a part has none, or if too many."""
     found: Alternatives = [()]
     for part in parts:
         more = alternatives_of(part)
@@ -104,8 +107,8 @@ def _once_more(first: Formula, rest: list[Formula]) -> Formula | None:
 MAX_NODES = 600
 """Longer formulas are shown as formulas, because such long sentences do not help."""
 
-_MAX_DEPTH = 60
-_SHOWN = 2000
+_MAX_DEPTH = 60  # levels of operators in a formula that is put into words
+_SHOWN = 2000  # characters of a formula that is too long for words
 _TIMES = {1: "once", 2: "twice"}
 _NUMBERS = ["zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
 
@@ -221,6 +224,7 @@ def _merged(chains: tuple[Chain, ...]) -> list[_Merged]:
 
 
 def _chain(merged: _Merged) -> str:
+    """Return `the bed, then the sofa` for a chain with its last stops."""
     shared, last = merged
     stops = [*(_stop(s.options, s.times) for s in shared), _any_order(list(last))]
     each = [*(s.options for s in shared), last[0].options if len(last) == 1 else ()]
@@ -230,6 +234,7 @@ def _chain(merged: _Merged) -> str:
 
 
 def _any_order(stops: list[Visit]) -> str:
+    """Return `the bed and the sofa in any order`."""
     if len(stops) == 1:
         return _stop(stops[0].options, stops[0].times)
     *most, last = (_things(stop.options) for stop in stops)
@@ -237,6 +242,7 @@ def _any_order(stops: list[Visit]) -> str:
 
 
 def _stop(options: tuple[str, ...], times: int = 1, word: str = "at least") -> str:
+    """Return `the bed`, or `the bed at least twice`."""
     if times == 1 and word == "at least":
         return _things(options)
     return f"{_things(options)} {word} {_often(times)}"
@@ -247,6 +253,7 @@ def _often(n: int) -> str:
 
 
 def _things(options: tuple[str, ...], joint: str = "or") -> str:
+    """Return `either the bed or the sofa`; without "either" if `joint` is "nor"."""
     *most, last = map(_thing, options)
     if not most:
         return last
@@ -298,6 +305,7 @@ def _banned(f: Formula) -> tuple[str, ...] | None:
 
 
 def _always(f: Formula) -> str | None:
+    """Return words for G f: a ban, or a reaction to something reached; None for other formulas."""
     if banned := _banned(f):
         return f"never reach {_things(banned, 'nor')}"
     if f.op != "->" or (when := options_of(f.args[0])) is None:

@@ -16,16 +16,19 @@ THEN = ("then", "only then")
 JOINTS = ("comma", "and", "but", *THEN)
 """Kinds of token between clauses, in increasing strength: of several, the strongest applies."""
 
-_MOVES = (
+_MOVES = (  # verbs of a plain order to go somewhere
     "go", "move", "walk", "drive", "head", "travel", "come", "proceed", "enter", "continue", "pass",
     "navigate", "cross", "fly", "climb", "follow", "traverse", "return",
 )  # fmt: skip
+# Beginnings of phrases for taking a path: "take the road through".
 _WAYS = ("take the ", "use the ", "take a ", "use a ", "follow the ", "choose the ")
-_ARRIVES = ("arrive", "reach", "get")
+_ARRIVES = ("arrive", "reach", "get")  # beginnings of verbs for arriving
 ENDING = ("conclude ", "end ", "ends ", "ending ", "finish")
-_ENDING = (*ENDING, "your ", "the ")
+"""Beginnings of verbs that end a mission: "end at the bed"."""
+_ENDING = (*ENDING, "your ", "the ")  # also "your last stop is …"
+# Beginnings of verbs that continue an order.
 _ONWARD = ("proceed", "continue", "keep ", "go on", "carry on", *_ENDING)
-_ALSO = ("also", "too", "as well", "at some point")
+_ALSO = ("also", "too", "as well", "at some point")  # words for a goal at any time
 
 
 @dataclass(slots=True)
@@ -33,14 +36,15 @@ class Flow:
     """Facts about the last clause that decide where the next clause belongs.
 
     Attributes:
-        moved: it was a plain order to go somewhere: "go to a go to b" is in order.
-        passed: it only passed through somewhere.
-        verb: its verb.
-        denied: it forbade something, so a bare "then the bed" is ambiguous.
-        barred: it was a plain "do not visit a".
-        until: the objects that end its ban.
-        hanging: its token if it began with "if …" or "you may …": the next part may belong to it.
-        permitted: what it allowed, if it asked for nothing.
+        moved: True if the clause was a plain order to go somewhere: "go to a go to b" is in order.
+        passed: True if the clause only passed through somewhere.
+        verb: verb of the clause.
+        denied: True if the clause forbade something, so that a bare "then the bed" is ambiguous.
+        barred: True if the clause was a plain "do not visit a".
+        until: objects that end the clause's ban.
+        hanging: token of a clause that began with "if …" or "you may …": the next clause may belong
+            to it.
+        permitted: objects that the clause allowed, if it asked for nothing.
         agent: name that the instruction has used for the robot so far.
     """
 
@@ -64,7 +68,8 @@ class Flow:
     ) -> bool:
         """Return True if a clause comes after all clauses before it.
 
-        Otherwise the clause may be marked as on the way there (`clause.enroute`).
+        Otherwise the clause may be marked as on the way there (`clause.enroute`). Also stores facts
+        about this clause for the next one.
 
         Args:
             clause: the clause.
@@ -75,9 +80,9 @@ class Flow:
         """
         kind = joint.kind if joint else None
         also = clause.token.text in _ALSO
-        # "go to a. go to b." is in order, unless other words contradict it
-        loose = also or any(token.text in _ALSO for token in _sentence(reader))
-        loose = loose or any(token.kind in (*THEN, "any order") for token in reader.tokens)
+        # "go to a. go to b." is in order, unless other words contradict it.
+        any_order = also or any(token.text in _ALSO for token in _sentence(reader))
+        any_order = any_order or any(token.kind in (*THEN, "any order") for token in reader.tokens)
         ensures = clause.token.kind == "ensure"
         moves = _moves(clause)
         through = clause.through and not clause.route
@@ -93,7 +98,7 @@ class Flow:
                 onward and sequence and not (sequence[-1].loose or passes),
                 onward and asked and clause.verb.startswith(_ENDING),
                 moves and self.moved and kind == "" and not ensures,
-                moves and self.moved and kind is None and asked and not (loose or through),
+                moves and self.moved and kind is None and asked and not (any_order or through),
                 reaches and self.passed and joint and not also,
                 # "via b, go to a"
                 self.passed and not self.verb and not clause.negated and kind in ("", "comma"),
@@ -111,8 +116,8 @@ class Flow:
             pass
         elif moves and self.moved and not (after or also) and joint and kind == "and":
             after = reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order
-        on = bool(clause.things) and bare and self.passed  # "through a, then b, to c"
-        self.moved, self.passed = moves, (through or on) and not clause.negated
+        still_passing = bool(clause.things) and bare and self.passed  # "through a, then b, to c"
+        self.moved, self.passed = moves, (through or still_passing) and not clause.negated
         self.verb = clause.verb
         return after
 
@@ -144,7 +149,7 @@ class Flow:
         if clause.agent and self.agent not in ("", clause.agent):
             reader.refuse_finally("an instruction is for one robot only", clause.token)
         several = clause.things is not None and len(clause.things.groups) > 1
-        joins = several and any(token.kind == "and" for token in _said(clause, reader))
+        joins = several and any(token.kind == "and" for token in _tokens_of(clause, reader))
         if bare and clause.negated and joins:
             reader.refuse_finally(
                 "unclear what 'not' applies to; use a separate sentence", clause.token
@@ -180,7 +185,7 @@ def _sentence(reader: TokenReader) -> Sequence[Token]:
     return reader.tokens[begin:until]
 
 
-def _said(clause: Clause, reader: TokenReader) -> Sequence[Token]:
+def _tokens_of(clause: Clause, reader: TokenReader) -> Sequence[Token]:
     """Return the tokens of the clause that was just parsed."""
     begin = next(i for i, token in enumerate(reader.tokens) if token is clause.token)
     return reader.tokens[begin : reader.at]

@@ -34,7 +34,12 @@ Goal = Union["Visit", "InSequence", "AllOf", "AnyOf"]
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """A number of separate visits to one of several objects."""
+    """A number of separate visits to one of several objects.
+
+    Attributes:
+        options: names of the objects.
+        times: number of visits.
+    """
 
     options: tuple[str, ...]
     times: int = 1
@@ -130,9 +135,10 @@ def achieved(goal: Goal, tail: Formula, starts: frozenset[str]) -> Formula:
 
 
 def _visited(goal: Visit, tail: Formula, starts: frozenset[str]) -> Formula:
+    """Return the formula of visits, and then `tail`; see `achieved`."""
     here = any_of(goal.options)
     if tail != TRUE and starts & set(goal.options):
-        tail = next_(tail)
+        tail = next_(tail)  # otherwise one visit could fulfil both
     formula = eventually(here if tail == TRUE else conj(here, tail))
     for _ in range(goal.times - 1):
         formula = eventually(conj(here, eventually(conj(neg(here), formula))))

@@ -6,7 +6,7 @@
     step        = clause { (",", "and", "but", nothing) clause }
 
 Clauses, adjuncts, noun phrases, counts and moods, and the vocabulary have their own modules
-(`clauses`, `adjuncts`, `things`, `spoken`, `lexicon`). Clauses have these meanings:
+(`clauses`, `adjuncts`, `noun_phrases`, `clause_parts`, `lexicon`). Clauses have these meanings:
 
 - An order ("visit x") is a goal. Every verb of the lexicon means "reach", including "see"; other
   verbs are refused. After an article, any words are a name; without an article, only known names.
@@ -32,7 +32,7 @@ Clauses, adjuncts, noun phrases, counts and moods, and the vocabulary have their
 - "Go to a. drive to b." is in order, unless "then", "also" or "any order" occurs anywhere.
 
 Staying, leaving, places in a house, relations between objects, and times are refused before
-parsing (`beyond`). Other unknown parts are refused with a message that names them. No word is
+parsing (`unsupported`). Other unknown parts are refused with a message that names them. No word is
 skipped or guessed.
 """
 
@@ -46,7 +46,7 @@ from edge.mission.language.tokens import TokenReader, TranslationError, not_unde
 from edge.mission.language.unsupported import refuse_unsupported
 from edge.mission.logic.ltl import Formula
 
-_GROUPED = re.compile(r"\d,\d{3}\b")
+_GROUPED = re.compile(r"\d,\d{3}\b")  # "1,000"
 
 __all__ = ["TranslationError", "readings"]
 
@@ -74,8 +74,8 @@ def readings(text: str) -> tuple[Formula, ...]:
     tokens = tokenise(text)
     refuse_unsupported(TokenReader(text, tokens))
     found: list[Formula] = []
-    todo: list[dict[int, int]] = [{}]
-    for picks in todo:
+    todo: list[dict[int, int]] = [{}]  # combinations of choices, by offset of the token
+    for picks in todo:  # grows in the loop
         reader = TokenReader(text, tokens, picks)
         try:
             found.append(Discourse(reader).formula())
@@ -86,6 +86,7 @@ def readings(text: str) -> tuple[Formula, ...]:
                 hint = "instructions are read in English only"
                 raise not_understood(text, 1, hint) from None
             raise
+        # Add choices only at later tokens, so that each combination comes once.
         last = max(picks, default=-1)
         todo += [
             {**picks, start: way}

@@ -331,7 +331,7 @@ _ROWS: dict[str, str] = {
         is where you (finish|end|end up|need to be|have to be|should be|must be|must go|need to
         go|have to go|are going|should go|should finish|should end up)
     """,
-    # Only known to be refused with a reason, see `words.REASONS`.
+    # Only known to be refused with a reason, see `tokens.REASONS`.
     "endless": """
         keep visiting; continuously; repeatedly; infinitely; endlessly; perpetually; again and
         again; over and over again; over and over; patrol; cycle through; back and forth;
@@ -437,7 +437,7 @@ def spelled_out(phrases: str) -> list[str]:
     return done
 
 
-_CHOICE = re.compile(r"\(([^()]*)\)")
+_CHOICE = re.compile(r"\(([^()]*)\)")  # a choice without another one inside
 PHRASES = {kind: tuple(spelled_out(row)) for kind, row in _ROWS.items()}
 """Kind → its phrases."""
 AVOIDING = frozenset(PHRASES["avoid"])
@@ -445,6 +445,11 @@ AVOIDING = frozenset(PHRASES["avoid"])
 
 
 def _forms(verb: str) -> list[str]:
+    """Return the forms of a regular verb.
+
+    The order is: infinitive, third person, participle, past; and the last two with a doubled last
+    letter ("stopping").
+    """
     stem = verb[:-1] if verb.endswith("e") else verb
     third = verb + ("es" if verb.endswith(("ch", "sh", "ss", "x")) else "s")
     past, doubled = f"{stem}ed", verb + verb[-1]
@@ -463,6 +468,7 @@ PAST = frozenset(_forms(verb)[3] for verb in _REGULAR_VERBS.split()) | frozenset
 
 
 def _table() -> dict[tuple[str, ...], str]:
+    """Return `TABLE`."""
     phrases = {
         tuple(phrase.split()): kind
         for kind, listed in PHRASES.items()
@@ -475,8 +481,8 @@ def _table() -> dict[tuple[str, ...], str]:
     for phrase in AVOIDING:
         phrases[tuple(phrase.split())] = "avoid"
     known = {word for phrase in phrases for word in phrase}
-    listed = [name for entry in names.ALIASES.items() for name in (entry[0], *entry[1])]
-    for name in (*listed, *nouns.NOUNS):  # "can" in "trash can" is no auxiliary
+    aliases = [name for entry in names.ALIASES.items() for name in (entry[0], *entry[1])]
+    for name in (*aliases, *nouns.NOUNS):  # "can" in "trash can" is no auxiliary
         phrase = name.split()
         if len(phrase) > 1 and known & set(phrase):
             phrases[tuple(phrase)] = "word"
@@ -488,6 +494,7 @@ TABLE = _table()
 """Words of a phrase → its kind."""
 
 LONGEST = max(map(len, TABLE))
+"""Number of words of the longest phrase."""
 
 CONTRACTIONS = {
     "can't": "can not",
@@ -508,7 +515,7 @@ ENDINGS = {"n't": " not", "'ve": " have", "'re": " are", "'ll": " will", "'d": "
 
 
 def expanded(word: str) -> list[str]:
-    """Return a word without its contraction: `don't` becomes do, not."""
+    """Return the words that a word stands for: `don't` is do, not; `2nd` is second."""
     if word in CONTRACTIONS:
         return CONTRACTIONS[word].split()
     if (numeral := _NUMERAL.fullmatch(word)) and 0 < int(numeral[1]) < len(nouns.NUMERALS):
@@ -528,3 +535,4 @@ NUMBERS = {
 }  # fmt: skip
 
 WORD = re.compile(r"[^\W_]+(?:['\-_][^\W_]+)*")
+"""Letters and digits, with single apostrophes, hyphens or underscores between them."""

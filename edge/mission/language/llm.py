@@ -22,10 +22,10 @@ from edge.mission.language.tokens import TranslationError
 from edge.mission.logic.ltl import Formula, FormulaError, ap, parse, propositions, renamed, to_text
 from edge.text import one_line
 
-MOST_NAMES = 100
+MOST_NAMES = 100  # names that the grammar lists; with more, it allows any quoted name
 MOST_NESTING = 8  # depth of parentheses; a sequence of n objects needs n - 1
-MOST_OPERANDS = 12
-SPARE = 3  # added to the number of names for both, because an object may occur several times
+MOST_OPERANDS = 12  # operands of one & or |
+SPARE = 3  # an object may occur several times: nesting and operands may exceed the number of names
 
 UNARY = ("!", "F ", "G ", "X ")
 BINARY = (" W ", " U ")  # they can express the other operators
@@ -60,9 +60,8 @@ def _level(n: int, operands: int) -> dict[str, str]:
     """Return the rules of formulas with at most `n` nested parentheses and `operands` per & or |.
 
     One pair of parentheses has only one kind of &, | or ->, so precedence does not matter. One step
-    reaches one object, so only the first part of a conjunction may be a bare name, and no part may
-    be
-    a conjunction: `a & b` contradicts itself, and small models tend to continue it without end.
+    reaches one object, so `a & b` contradicts itself, and small models tend to continue it without
+    end. Only the first part of a conjunction may be a bare name, and no part may be a conjunction.
     """
     times = f"{{1,{operands - 1}}}"
     rules = {
@@ -153,7 +152,7 @@ log = logging.getLogger(__name__)
 MAX_TOKENS = 256  # six objects in three branches with two conditions need about 120
 MAX_FORMULA_CHARACTERS = 4000
 SHOWN_TO_MODEL = 500  # characters of a wrong answer
-SHOWN_TO_USER = 80
+SHOWN_TO_USER = 80  # characters of a wrong answer
 
 SYSTEM = """\
 Translate the instruction to a home robot into one formula of linear temporal logic. Answer with \

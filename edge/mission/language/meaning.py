@@ -34,16 +34,17 @@ class ClauseMeaning:
         things: objects of the goals; "while avoiding" lasts until they are reached.
         rules: formulas that hold from the start.
         bans: names not to be reached; their duration is decided when the sequence is complete.
-        withouts: (names, things, token) of "things without names", if more follows. Unless the
-            sequence later asks for the names, the user is asked if this is for good.
+        withouts: (names, things, token) of "go to the things without the names", if more follows.
+            Unless the sequence later asks for the names, the user is asked if the ban is permanent.
         waits: (names, things): none of the names before the things; also in `rules`.
-        limits: (names, n, token): at most n separate visits, in a sequence until its next step.
-            The token is the place of "not again", which may apply only on the way to `things`.
-        listed: True if its goals are a list without "and".
-        follows: True if it comes after the step before it.
-        repeats: True if it is the same visit as the last one.
-        commas: True if its orders are joined only by commas.
-        returns: True if it goes back to an earlier goal.
+        limits: (names, n, token): at most n separate visits to the names, in a sequence until the
+            next step. The token is that of "not again", which may apply only on the way to
+            `things`; else None.
+        listed: True if the goals are a list without "and".
+        follows: True if the clause comes after the step before it.
+        repeats: True if the clause asks for the same visit as the last one.
+        commas: True if the orders are joined only by commas.
+        returns: True if the clause goes back to an earlier goal.
         anchors: objects after which the goals come.
         each: limit of visits to each place in the whole instruction.
         strictly: True if the order of the whole instruction is strict.
@@ -67,16 +68,16 @@ class ClauseMeaning:
 
     @property
     def loose(self) -> bool:
-        """True if it has rules only, no goal."""
+        """True if there are rules only, no goal."""
         return not self.goals
 
     def ban_after(self, things: NounPhrase) -> None:
-        """Let its bans begin when the objects are reached."""
+        """Let the bans begin when the objects are reached."""
         self.rules += [f for names in self.bans for f in never_after(names, things)]
         self.bans = []
 
     def limit_for_good(self) -> None:
-        """Make its limits permanent: given before a step, they are not part of that step."""
+        """Make the limits permanent: given before a step, they are not part of that step."""
         self.rules += [at_most(names, n) for names, n, again in self.limits if not again]
         self.limits = [limit for limit in self.limits if limit[2]]
 
@@ -113,7 +114,7 @@ def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) ->
             "'only' needs a number or a condition; say what to avoid", clause.token
         )
     if clause.things is None:
-        return _until_done(clause, reader)
+        return _goal_of_until(clause, reader)
     if clause.instant and not clause.conditions:
         reader.refuse("'in the next step' is not possible here", clause.instant)
     again = clause.again and not (clause.negated or clause.count or clause.conditions)
@@ -128,8 +129,8 @@ def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) ->
         reader.refuse("an order goes with a list: 'visit a, b and c in this order'", clause.token)
     if clause.out_of_turn:
         reader.refuse("say for which places", clause.token)
-    said = _forbidden if clause.negated else _asked
-    meaning = said(clause, clause.things, reader, times)
+    meaning_of_kind = _forbidden if clause.negated else _asked
+    meaning = meaning_of_kind(clause, clause.things, reader, times)
     meaning.each = clause.each or meaning.each
     meaning.bans += [things.names for things in clause.never]
     return meaning
@@ -155,7 +156,7 @@ def permission_of(clause: Clause) -> NounPhrase | None:
     return clause.conditions[-1].things if clause.conditions else clause.things
 
 
-def _until_done(clause: Clause, reader: TokenReader) -> ClauseMeaning:
+def _goal_of_until(clause: Clause, reader: TokenReader) -> ClauseMeaning:
     """Return the meaning of `do not stop until a and b are visited`."""
     if len(clause.conditions) != 1 or clause.conditions[0].kind != "until":
         reader.refuse("say until when, as in 'do not stop until the bed is reached'", clause.token)
@@ -175,8 +176,8 @@ def _forbidden(
     for avoided in clause.avoiding:  # "do not visit b without visiting a"
         meaning.rules += held_until(things.names, avoided)
     if clause.count:
-        _counted(clause, things, clause.count, meaning, times)
-        _no_conditions(clause, reader)
+        _add_count(clause, things, clause.count, meaning, times)
+        _refuse_conditions(clause, reader)
     elif _is_again(clause, things, times) and not (
         clause.conditions or set(things.names) <= set(times)
     ):
@@ -209,8 +210,9 @@ def _is_again(clause: Clause, things: NounPhrase, times: Mapping[str, int]) -> b
 def _forbidden_when(
     clause: Clause, things: NounPhrase, condition: Condition, reader: TokenReader
 ) -> list[Formula]:
+    """Return the rules of `do not visit x before y`, `never visit x after y` and the like."""
     if condition.things.names != things.names:
-        _one_time(condition, reader)
+        _refuse_count_in_condition(condition, reader)
     elif condition.only:
         reader.refuse_finally("nothing comes before or after itself", condition.token)
     if condition.kind in ("before", "until", "unless") or condition.denied:
@@ -229,17 +231,17 @@ def _forbidden_when(
     return never_after(things.names, condition.things)
 
 
-def _one_time(condition: Condition, reader: TokenReader) -> None:
+def _refuse_count_in_condition(condition: Condition, reader: TokenReader) -> None:
     if condition.count and condition.count != Count(1):
         reader.refuse("a condition cannot count visits", condition.token)
 
 
-def _no_conditions(clause: Clause, reader: TokenReader) -> None:
+def _refuse_conditions(clause: Clause, reader: TokenReader) -> None:
     for condition in clause.conditions:
         reader.refuse("a count and a condition cannot be combined", condition.token)
 
 
-def _counted(
+def _add_count(
     clause: Clause,
     things: NounPhrase,
     count: Count,
@@ -271,7 +273,7 @@ def _asked(
             meaning.each = 1
         meaning.things = things
     elif clause.count:
-        _counted(clause, things, clause.count, meaning, times)
+        _add_count(clause, things, clause.count, meaning, times)
     elif clause.mood != "can" or any(c.only and c.denied for c in clause.conditions):
         meaning.goals.append(steps([visits(step) for step in _steps_of(clause, things)]))
         meaning.things = things
@@ -306,7 +308,7 @@ def _asked(
             for end in things.groups
         ]
     for condition in clause.conditions:
-        _conditioned(clause, things, condition, reader, meaning)
+        _add_condition(clause, things, condition, reader, meaning)
     several = len(things.groups) > 1
     meaning.listed = (things.listed or not several) and not clause.order
     return meaning
@@ -320,8 +322,8 @@ def _steps_of(clause: Clause, things: NounPhrase) -> list[NounPhrase]:
     return steps_of
 
 
-_ENDS = ("end ", "ends ", "ending ", "finish")
-_RULES = ("make sure", "making sure", "ensur", "be sure", "see to it")
+_ENDS = ("end ", "ends ", "ending ", "finish")  # beginnings of verbs that end a mission
+_RULES = ("make sure", "making sure", "ensur", "be sure", "see to it")  # beginnings of duties
 _BEFORE = ("both", "first only", "in order")
 """Readings of "x before y" as a rule: both, and no y before x; x, and no y before it; x, then y.
 As a plain order it asks for both, which implies the others and is driven like "x, then y".
@@ -340,7 +342,7 @@ def _counted_until(
     if len(clause.conditions) != 1 or most is None:
         reader.refuse("only 'at most … times' can have an 'until'", clause.token)
     if not asked:
-        _counted(clause, things, Count(count.least), meaning, times)
+        _add_count(clause, things, Count(count.least), meaning, times)
     meaning.rules += [
         at_most_before(group, most, end)
         for group in things.groups
@@ -349,7 +351,7 @@ def _counted_until(
     return meaning
 
 
-def _conditioned(
+def _add_condition(
     clause: Clause,
     things: NounPhrase,
     condition: Condition,
@@ -361,7 +363,7 @@ def _conditioned(
     answers = (condition.recurring and clause.mood != "can") or clause.mood == "must"
     if kind == "after" and clause.verb.startswith(_ENDS) and not condition.recurring:
         answers = False  # the end of the mission is no reaction
-    _one_time(condition, reader)
+    _refuse_count_in_condition(condition, reader)
     if clause.next_step and kind in ("before", "until"):
         reader.refuse("'right before' is not possible", condition.token)
     if clause.next_step and not answers:
@@ -404,7 +406,7 @@ def _conditioned(
     elif condition.denied:
         reader.refuse("say 'do not …, once …'", condition.token)
     elif answers:
-        _reaction(clause, things, condition, reader, meaning)
+        _add_reaction(clause, things, condition, reader, meaning)
     elif clause.mood != "can":
         meaning.anchors.append(when)
 
@@ -427,11 +429,11 @@ def _is_rule(clause: Clause, condition: Condition, reader: TokenReader) -> bool:
         return True
     if kinds.count("before") > 1 and "then" in kinds:
         return True
-    said = itertools.takewhile(lambda t: t.kind not in ("stop", "comma"), reader.tokens[begin:])
-    return any(token.kind == "can" or token.text == "ever" for token in said)
+    rest = itertools.takewhile(lambda t: t.kind not in ("stop", "comma"), reader.tokens[begin:])
+    return any(token.kind == "can" or token.text == "ever" for token in rest)
 
 
-def _reaction(
+def _add_reaction(
     clause: Clause,
     things: NounPhrase,
     condition: Condition,

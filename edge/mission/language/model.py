@@ -1,8 +1,10 @@
 """Translator `model`: a small network for sentences that the grammar refuses.
 
-A translation is carried out without a question only if two checks pass. Back-translation: no other
-candidate explains the sentence better. Coverage: it leaves no word of the sentence unexplained.
-A doubtful translation becomes a question. It is refused if an unexplained word changes the meaning.
+The network writes formulas. Formulas that mean the same make one reading of the sentence. A reading
+is carried out without a question only if it is likely enough, uses every name, and passes two
+checks. Back-translation: no other reading explains the sentence better. Coverage: the reading
+leaves no word of the sentence unexplained. Other readings become a question; a reading with an
+unexplained word that changes the meaning is dropped.
 """
 
 from __future__ import annotations
@@ -25,18 +27,25 @@ from edge.mission.logic.ltl import Formula, propositions
 from edge.text import one_line
 
 TRUSTED_P = 0.95
-"""Least share of one language in the probability of all hypotheses."""
+"""Least share of a trusted reading in the probability of all hypotheses."""
 TRUSTED_MARGIN = 1.0
-"""Largest advantage of another language in back-translation [nats], as it is much less likely."""
-TRUSTED_START, TRUSTED_WORD = -2.0, -2.8
-"""Least log probability of the back-translation: a constant, plus a part for each word [nats]. The
-constant is for the choice of the first verb and phrase."""
-OFFERED_P, OFFERED_WORD, OFFERED_IN_ALL, MOST_OFFERED = 0.15, -6.0, 0.9, 4
-"""Conditions to offer a meaning in a question: least share of the probability, least log
-probability per word, least share of all offered meanings together, and their largest number."""
+"""Another reading may explain the sentence better than the trusted one by at most this much [nats].
+A little better is no doubt: with `TRUSTED_P`, the other reading is much less likely."""
+TRUSTED_START = -2.0
+"""Least log probability of the back-translation of a trusted reading: the constant part [nats]."""
+TRUSTED_WORD = -2.8
+"""The part of this least log probability for each word of the sentence [nats]."""
+OFFERED_P = 0.15
+"""Least share of an offered reading in the probability of all hypotheses."""
+OFFERED_WORD = -6.0
+"""Least log probability of the back-translation of an offered reading, for each word [nats]."""
+OFFERED_IN_ALL = 0.9
+"""Least share of all offered readings together in the probability of all hypotheses."""
+MOST_OFFERED = 4
+"""Largest number of offered readings."""
 OFFERED_LOSS = 4.0
-"""Largest loss of an unexplained word in an offered meaning: the gain in log probability of the
-back-translation without the word [nats]. A trusted meaning has no unexplained word."""
+"""A reading is not offered if leaving out one of its unexplained words makes the sentence more
+likely by more than this [nats]."""
 LONGEST_PHRASE = 3
 """Largest number of words that are deleted together: "every time" is one phrase."""
 _FUNCTION_WORDS = """
@@ -44,7 +53,7 @@ _FUNCTION_WORDS = """
     go move head drive walk visit reach get into through throught up
 """
 FUNCTION_WORDS = frozenset(_FUNCTION_WORDS.split())
-"""The only words that a trusted meaning may leave unexplained."""
+"""The only words that a trusted reading may leave unexplained."""
 _LIGHT_KINDS = (
     "filler", "verb", "you", "to", "article", "be", "must", "can", "ensure", "do", "goal",
     "addressed", "happen", "pronoun",
@@ -64,22 +73,23 @@ _LOOKED_AROUND = re.compile(
     r"\b(look|looks|looking|search|searching|peek|wander|stroll) around <\d>"
 )
 MOST_SLIPS = 3
-_MAX_STATES, _MAX_STEPS = 500, 300_000
-_BEFORE_VERB = (",", ".", "and", "then", "please", "you", "not")
+"""Largest number of corrected or unknown words in a sentence."""
+_MAX_STATES, _MAX_STEPS = 500, 300_000  # limits of one compilation, see `compile_formula`
+_BEFORE_VERB = (",", ".", "and", "then", "please", "you", "not")  # a verb may follow them
 _REFUSED = "instruction: it could not be translated to a mission; say it in other words"
 
 
 @dataclass(frozen=True, slots=True)
 class CandidateReading:
-    """One formal language that a sentence may ask for.
+    """One meaning that a sentence may have.
 
     Attributes:
-        formula: a formula of the language.
-        p: its share of the probability of all hypotheses.
-        back_translation_log_p: log probability of the sentence given the formula, by the best token
-            sequence.
-        tokens: that token sequence.
-        idle: True if it asks for no object, such as a ban alone.
+        formula: one of the formulas with this meaning.
+        p: share of all formulas with this meaning in the probability of all hypotheses.
+        back_translation_log_p: log probability of the sentence given `tokens` [nats].
+        tokens: the formula in prefix notation, as the hypothesis writes it that explains the
+            sentence best.
+        idle: True if the formula asks for no object, as a ban alone does.
     """
 
     formula: Formula
@@ -119,26 +129,26 @@ class NeuralTranslator:
         """
         if nouns.is_foreign(instruction):
             raise not_understood(instruction, 1, "instructions are read in English only")
-        said, words, doubts = self._known(instruction)
-        if not said.names:
+        text, words, doubts = self._correct(instruction)
+        if not text.names:
             raise TranslationError(
                 "instruction: no known object in it; write the object's name in double quotes"
             )
-        if unclear := _unclear(words):
-            raise TranslationError(f"instruction: {unclear}")
-        written = self._network.formulas(words, len(said.names))
-        total = sum(math.exp(one.log_p) for one in written)
-        refused = sum(math.exp(one.log_p) for one in written if one.tokens == (REFUSED,))
-        if not written or refused > 0.5 * total:
+        if ambiguity := _ambiguity(words):
+            raise TranslationError(f"instruction: {ambiguity}")
+        hypotheses = self._network.formulas(words, len(text.names))
+        total = sum(math.exp(hypothesis.log_p) for hypothesis in hypotheses)
+        refused = sum(math.exp(h.log_p) for h in hypotheses if h.tokens == (REFUSED,))
+        if not hypotheses or refused > 0.5 * total:
             raise TranslationError(_REFUSED)
-        meanings = self._meanings(written, words, said)
-        if meanings and not doubts and self._trusts(meanings, words, said):
-            return NeuralReading((meanings[0].formula,), True)
-        offered = self._offered(meanings, words, said)
+        readings = self._readings(hypotheses, words, text)
+        if readings and not doubts and self._trusts(readings, words, text):
+            return NeuralReading((readings[0].formula,), True)
+        offered = self._offered_formulas(readings, words, text)
         if offered:
             return NeuralReading(tuple(offered), False, doubts)
-        if meanings and (left := self._left_over(meanings[0], words)):
-            worst = [words[at] for at in sorted(left) if 2 * left[at] >= max(left.values())]
+        if readings and (gains := self._unexplained(readings[0], words)):
+            worst = [words[at] for at in sorted(gains) if 2 * gains[at] >= max(gains.values())]
             part = one_line(" ".join(worst), 60)
             raise TranslationError(
                 f"instruction: did not understand {part!r}; say it in other words", part
@@ -146,54 +156,57 @@ class NeuralTranslator:
         raise TranslationError(_REFUSED)
 
     def _trusts(
-        self, meanings: Sequence[CandidateReading], words: Sequence[str], said: DelexicalisedText
+        self, readings: Sequence[CandidateReading], words: Sequence[str], text: DelexicalisedText
     ) -> bool:
-        """Return True if the most likely meaning may be carried out without a question.
+        """Return True if the most likely reading may be carried out without a question.
 
-        It must be likely enough, use every name, have the best back-translation, and leave no word
-        unexplained.
+        The reading must be likely enough, use every name, explain the sentence well and at least
+        about as well as any other, and leave no word unexplained.
         """
-        first, *others = meanings
+        first, *others = readings
         return (
             first.p >= TRUSTED_P
-            and set(propositions(first.formula)) == set(said.names)
+            and set(propositions(first.formula)) == set(text.names)
             and first.back_translation_log_p >= TRUSTED_START + TRUSTED_WORD * len(words)
             and all(
                 first.back_translation_log_p >= other.back_translation_log_p - TRUSTED_MARGIN
                 for other in others
             )
-            and not self._left_over(first, words)
+            and not self._unexplained(first, words)
         )
 
-    def _offered(
-        self, meanings: Sequence[CandidateReading], words: Sequence[str], said: DelexicalisedText
+    def _offered_formulas(
+        self, readings: Sequence[CandidateReading], words: Sequence[str], text: DelexicalisedText
     ) -> list[Formula]:
         """Return the formulas to ask about; none if the right one is probably not among them.
 
         Each asks for an object, uses every name, and explains all words that change the meaning.
         """
         likely = [
-            meaning
-            for meaning in meanings
-            if meaning.p >= OFFERED_P
-            and meaning.back_translation_log_p >= OFFERED_WORD * len(words)
-            and set(propositions(meaning.formula)) == set(said.names)
-            and not meaning.idle
-            and is_plain(meaning.formula)
+            reading
+            for reading in readings
+            if reading.p >= OFFERED_P
+            and reading.back_translation_log_p >= OFFERED_WORD * len(words)
+            and set(propositions(reading.formula)) == set(text.names)
+            and not reading.idle
+            and is_plain(reading.formula)
             and not any(
-                self._changes(words[at], loss)
-                for at, loss in self._left_over(meaning, words).items()
+                self._changes_meaning(words[at], gain)
+                for at, gain in self._unexplained(reading, words).items()
             )
         ]
-        if sum(meaning.p for meaning in likely) < OFFERED_IN_ALL:
+        if sum(reading.p for reading in likely) < OFFERED_IN_ALL:
             return []
-        return [meaning.formula for meaning in likely[:MOST_OFFERED]]
+        return [reading.formula for reading in likely[:MOST_OFFERED]]
 
-    def _left_over(self, meaning: CandidateReading, words: Sequence[str]) -> dict[int, float]:
-        """Return the unexplained words of a meaning, by position, with their loss.
+    def _unexplained(self, reading: CandidateReading, words: Sequence[str]) -> dict[int, float]:
+        """Return the words that a reading does not explain.
 
         A word, or a phrase of up to `LONGEST_PHRASE` words, is unexplained if the back-translation
-        is more likely without it. The loss is the difference of log probabilities [nats].
+        is more likely without it.
+
+        Returns:
+            Position of the word → gain of log probability without the word or its phrase [nats].
         """
         counts = [not (w in FUNCTION_WORDS or w in NAMES or w in ",.") for w in words]
         phrases = [
@@ -203,15 +216,15 @@ class NeuralTranslator:
             if all(counts[start:end])
         ]
         without = [_without(words, start, end) for start, end in phrases]
-        whole, *scores = self._network.back_translation_log_p(meaning.tokens, [words, *without])
-        left: dict[int, float] = {}
+        whole, *scores = self._network.back_translation_log_p(reading.tokens, [words, *without])
+        gains: dict[int, float] = {}
         for (start, end), score in zip(phrases, scores, strict=True):
             if score > whole:
                 for at in range(start, end):
-                    left[at] = max(left.get(at, 0.0), score - whole)
-        return left
+                    gains[at] = max(gains.get(at, 0.0), score - whole)
+        return gains
 
-    def _known(
+    def _correct(
         self, instruction: str
     ) -> tuple[DelexicalisedText, tuple[str, ...], tuple[str, ...]]:
         """Return the delexicalised instruction, its words with slips corrected, and the doubts.
@@ -219,88 +232,97 @@ class NeuralTranslator:
         Raises:
             TranslationError: it is too long, or has more slips than `MOST_SLIPS`.
         """
-        said, doubts = delexicalise_text(instruction), []
-        for _ in range(MOST_SLIPS):  # a corrected name is replaced by a placeholder, too
-            unknown = (i for i, word in enumerate(said.words) if not self._is_known(word))
-            slips = ((i, _name_meant(said.words, i)) for i in unknown)
-            at, name = next(((i, name) for i, name in slips if name), (0, None))
-            if name is None:
-                break
-            word, start = said.words[at], said.starts[at]
-            doubts.append(f"{one_line(word, 40)}: {name}?")
-            instruction = f"{instruction[:start]}{name}{instruction[start + len(word) :]}"
-            said = delexicalise_text(instruction)
-        if len(said.words) > MOST_WORDS:
-            late = said.starts[MOST_WORDS]
+        instruction, text, doubts = self._correct_names(instruction)
+        if len(text.words) > MOST_WORDS:
+            late = text.starts[MOST_WORDS]
             raise not_understood(instruction[late:], late + 1, "too long for one sentence")
-        words = list(said.words)
+        words = list(text.words)
         for i, word in enumerate(words):
             if self._network.knows(word):
                 continue
             is_word = (word,) in TABLE or nouns.is_word(word)
             slip = None if is_word else nouns.slip_of(word[:40], self._network.words)
             doubts.append(f"{one_line(word, 40)}: {slip or 'not known'}?")
+            if slip is None:
+                _refuse_unknown(words, i, text)
             words[i] = slip or word
-            acts = i + 1 < len(words) and words[i + 1] in NAMES
-            if not slip and acts and (i == 0 or words[i - 1] in _BEFORE_VERB):
-                raise not_understood(word, said.starts[i] + 1, "unknown verb")
-            if not slip and i and words[i - 1] == "by":
-                raise not_understood(
-                    word, said.starts[i] + 1, "say where to go, without the means of transport"
-                )
             if word in _CHANGING_WORDS or word in nouns.PLAIN_WORDS:
-                raise not_understood(word, said.starts[i] + 1, "unknown word")
+                raise not_understood(word, text.starts[i] + 1, "unknown word")
             if len(doubts) > MOST_SLIPS:
-                start = said.starts[i]
+                start = text.starts[i]
                 raise not_understood(instruction[start:], start + 1, "unknown word")
-        return said, tuple(words), tuple(doubts)
+        return text, tuple(words), tuple(doubts)
 
-    def _changes(self, word: str, loss: float) -> bool:
-        """Return True if an unexplained word with this loss changes the meaning.
+    def _correct_names(self, instruction: str) -> tuple[str, DelexicalisedText, list[str]]:
+        """Correct the slips in names.
+
+        Returns:
+            The corrected instruction, its delexicalised text, and a doubt for each correction.
+        """
+        text, doubts = delexicalise_text(instruction), []
+        for _ in range(MOST_SLIPS):  # a corrected name is replaced by a placeholder, too
+            unknown = (i for i, word in enumerate(text.words) if not self._is_known(word))
+            slips = ((i, _name_meant(text.words, i)) for i in unknown)
+            at, name = next(((i, name) for i, name in slips if name), (0, None))
+            if name is None:
+                break
+            word, start = text.words[at], text.starts[at]
+            doubts.append(f"{one_line(word, 40)}: {name}?")
+            instruction = f"{instruction[:start]}{name}{instruction[start + len(word) :]}"
+            text = delexicalise_text(instruction)
+        return instruction, text, doubts
+
+    def _changes_meaning(self, word: str, gain: float) -> bool:
+        """Return True if an unexplained word changes the meaning.
 
         An unknown word does not count: the question shows it.
+
+        Args:
+            word: the word.
+            gain: gain of log probability of the sentence without the word [nats].
         """
         if word in _CHANGING_WORDS or word in NUMBERS or word.isdecimal():
             return True
         light = TABLE.get((word,)) in _LIGHT_KINDS or not self._network.knows(word)
-        return loss > OFFERED_LOSS and not light
+        return gain > OFFERED_LOSS and not light
 
     def _is_known(self, word: str) -> bool:
         return self._network.knows(word) or (word,) in TABLE
 
-    def _meanings(
-        self, written: Sequence[FormulaHypothesis], words: Sequence[str], said: DelexicalisedText
+    def _readings(
+        self, hypotheses: Sequence[FormulaHypothesis], words: Sequence[str], text: DelexicalisedText
     ) -> list[CandidateReading]:
-        """Return one meaning for each language among the hypotheses, the most likely first."""
-        total = sum(math.exp(one.log_p) for one in written)
-        kinds: list[tuple[Automaton, list[FormulaHypothesis]]] = []
-        for one in written:
-            if one.tokens == (REFUSED,):
+        """Return one reading for each meaning among the hypotheses, the most likely first."""
+        total = sum(math.exp(hypothesis.log_p) for hypothesis in hypotheses)
+        groups: list[tuple[Automaton, list[FormulaHypothesis]]] = []  # hypotheses of one meaning
+        for hypothesis in hypotheses:
+            if hypothesis.tokens == (REFUSED,):
                 continue
             try:
-                formula = formula_of(one.tokens, said.names)
+                formula = formula_of(hypothesis.tokens, text.names)
                 automaton = compile_formula(formula, _MAX_STATES, _MAX_STEPS)
             except CompileError:
                 continue
             if automaton.steps_left[0] < 0:
                 continue  # it cannot be fulfilled, so it is not meant
-            same = next((ones for kind, ones in kinds if _equal(kind, automaton)), None)
+            same = next((members for kind, members in groups if _equal(kind, automaton)), None)
             if same is None:
-                kinds.append((automaton, [one]))
+                groups.append((automaton, [hypothesis]))
             else:
-                same.append(one)
-        meanings = []
-        for automaton, ones in kinds:
-            told = [
-                self._network.back_translation_log_p(one.tokens, [words])[0] for one in ones[:2]
+                same.append(hypothesis)
+        readings = []
+        for automaton, members in groups:
+            log_ps = [
+                self._network.back_translation_log_p(member.tokens, [words])[0]
+                for member in members[:2]
             ]
-            best = max(range(len(told)), key=told.__getitem__)
-            p = sum(math.exp(one.log_p) for one in ones) / total
+            best = max(range(len(log_ps)), key=log_ps.__getitem__)
+            p = sum(math.exp(member.log_p) for member in members) / total
             idle = bool(automaton.accepting[0])
-            meanings.append(
-                CandidateReading(automaton.formula, p, told[best], ones[best].tokens, idle)
+            readings.append(
+                CandidateReading(automaton.formula, p, log_ps[best], members[best].tokens, idle)
             )
-        return sorted(meanings, key=lambda meaning: -meaning.p)
+        return sorted(readings, key=lambda reading: -reading.p)
 
 
 def _without(words: Sequence[str], start: int, end: int) -> tuple[str, ...]:
@@ -313,12 +335,25 @@ def _without(words: Sequence[str], start: int, end: int) -> tuple[str, ...]:
     return (*words[:start], *words[end:])
 
 
-def _unclear(words: Sequence[str]) -> str:
-    """Return the question that "<0> by <1>", "look around <0>" or "in the." leaves open, or ""."""
-    said = " ".join(words)
-    if _ATTACHED.search(said):
+def _refuse_unknown(words: Sequence[str], at: int, text: DelexicalisedText) -> None:
+    """Refuse an unknown word that is a verb before a name, or a vehicle after "by"."""
+    word, start = words[at], text.starts[at]
+    before_name = at + 1 < len(words) and words[at + 1] in NAMES
+    if before_name and (at == 0 or words[at - 1] in _BEFORE_VERB):
+        raise not_understood(word, start + 1, "unknown verb")
+    if at and words[at - 1] == "by":
+        raise not_understood(word, start + 1, "say where to go, without the means of transport")
+
+
+def _ambiguity(words: Sequence[str]) -> str:
+    """Return what is unclear in a sentence; "" if nothing is.
+
+    Three forms are unclear: "<0> by <1>", "look around <0>", and "in the." without a name.
+    """
+    text = " ".join(words)
+    if _ATTACHED.search(text):
         return "unclear: is one object at the other, or on the way to it? use two sentences"
-    if _LOOKED_AROUND.search(said):
+    if _LOOKED_AROUND.search(text):
         return "'around' can mean inside it or past it; say which"
     if any(a in ARTICLES and _ends_name(b) for a, b in pairwise((*words, "."))):
         return "there is an article without a name; complete the name"
@@ -326,7 +361,7 @@ def _unclear(words: Sequence[str]) -> str:
 
 
 def _ends_name(word: str) -> bool:
-    """Return whether no name may begin with a word."""
+    """Return True if no name may begin with this word."""
     return word in (".", ",") or (TABLE.get((word,)) == "verb" and not nouns.is_noun(word))
 
 
@@ -340,4 +375,5 @@ def _name_meant(words: Sequence[str], at: int) -> str | None:
 
 
 def _equal(a: Automaton, b: Automaton) -> bool:
+    """Return True if two automata accept the same language."""
     return implies(a, b) and implies(b, a)

@@ -16,6 +16,7 @@ from edge.mission.language.lexicon import AFTER_VERB
 from edge.mission.language.tokens import Token, TokenReader, not_understood
 from edge.text import one_line
 
+# Words that no name has.
 _NOT_NAMES = """
     anywhere nowhere everywhere somewhere none nothing everything more less most leave leaving
     among exit mean means if than which who whose whom what how why where about because not very
@@ -23,7 +24,7 @@ _NOT_NAMES = """
     soon fast quickly slowly carefully today tomorrow tonight exactly really maybe perhaps
     instead another spot spots position point
     """
-_TURNS = (
+_REVERSING = (
     "except", "instead", "otherwise", "unlike", "than", "because", "if", "not", "another",
     "nowhere",
 )  # fmt: skip
@@ -46,7 +47,7 @@ def take_name(reader: TokenReader) -> str:
     if is_letter(reader.peek()):
         if _hardly_a_name(reader):
             reader.refuse("not a known object", start)
-        return reader.tokens[_advance(reader)].text
+        return _next_token(reader).text
     words = _words(reader, article)
     if not words:
         refuse_missing_name(reader, start)
@@ -69,12 +70,11 @@ def _words(reader: TokenReader, article: bool) -> list[Token]:
     """Take the words of a name; after an article it may begin with a verb."""
     words: list[Token] = []
     while reader.is_at("word", "group") and not is_letter(reader.peek()):
-        particle = reader.peek().text in AFTER_VERB and not (
-            article and not words and nouns.is_noun(reader.peek(1).text)
-        )  # "the back door"
-        if particle or _says_number(reader):
+        # A particle ends the name, except directly after an article before a noun: "the back door".
+        is_quality = article and not words and nouns.is_noun(reader.peek(1).text)
+        if (reader.peek().text in AFTER_VERB and not is_quality) or _says_number(reader):
             break
-        words.append(reader.tokens[_advance(reader)])
+        words.append(_next_token(reader))
     if words:
         words += _take_number(reader)
     return words
@@ -82,7 +82,7 @@ def _words(reader: TokenReader, article: bool) -> list[Token]:
 
 def _take_number(reader: TokenReader) -> list[Token]:
     """Take the number after a name, which may have two words: `12`, `twenty one`."""
-    reader.at += _says_number(reader)
+    reader.at += _says_number(reader)  # skip the word "number"
     begin = reader.at
     pair = [reader.peek().text, reader.peek(1).text]
     if names.number(pair) is not None and is_number(reader, 1):
@@ -93,7 +93,7 @@ def _take_number(reader: TokenReader) -> list[Token]:
 
 
 def _says_number(reader: TokenReader) -> bool:
-    """Return True if the word "number" of "room number 12" comes."""
+    """Return True if the next token is "number" before a number, as in "room number 12"."""
     return reader.peek().text == "number" and is_number(reader, 1)
 
 
@@ -112,9 +112,10 @@ def _spelled(words: list[Token]) -> str:
     return " ".join(texts)
 
 
-def _advance(reader: TokenReader) -> int:
+def _next_token(reader: TokenReader) -> Token:
+    """Take the next token, of any kind."""
     reader.at += 1
-    return reader.at - 1
+    return reader.tokens[reader.at - 1]
 
 
 def is_indefinite(reader: TokenReader) -> bool:
@@ -131,7 +132,10 @@ def _goes_on(reader: TokenReader) -> bool:
 
 
 def _hardly_a_name(reader: TokenReader) -> bool:
-    """Return True if `a` is probably an article, as in "a walk": no other letter is a name."""
+    """Return True if `a` is probably an article, as in "a walk".
+
+    It is one if the instruction has no other one-letter name.
+    """
     if reader.peek(-1).text == "be":  # "be a dear"
         return True
     if not reader.is_at("verb", "times", "immediately", "filler", "addressed", ahead=1):
@@ -142,16 +146,19 @@ def _hardly_a_name(reader: TokenReader) -> bool:
 
 
 def is_letter(token: Token) -> bool:
+    """Return True if a token is a single letter, which may be a name: "visit a"."""
     return token.kind == "word" and len(token.text) == 1 and token.text.isalpha()
 
 
 def _check(reader: TokenReader, words: list[Token]) -> None:
-    """Refuse words that are no name of known words."""
+    """Refuse a name with a word that no name has, or that is not known."""
     texts = [token.text for token in words]
     odd = next((i for i, text in enumerate(texts) if text in _NEVER_IN_NAMES), None)
     if odd is not None:
         hint = "unknown word, and not an object"
-        (reader.refuse_finally if texts[odd] in _TURNS else reader.refuse)(hint, words[odd])
+        if texts[odd] in _REVERSING:
+            reader.refuse_finally(hint, words[odd])
+        reader.refuse(hint, words[odd])
     odd = nouns.unknown_in(texts)
     if odd is None:
         return
@@ -179,20 +186,29 @@ def _canonical(reader: TokenReader, text: str, token: Token) -> str:
 
 
 def number_ahead(reader: TokenReader, last: Sequence[Sequence[str]]) -> Token | None:
-    """Return the token that joins "1" and "2" in "landmarks 1 and 2"; None for no such list."""
+    """Return the token that joins "1" and "2" in "landmarks 1 and 2"; None for no such list.
+
+    Args:
+        reader: the token reader.
+        last: groups of the list's element before this token; here it has one name.
+    """
     head = _numbered_head(last[-1][-1])
     ahead = 1 if reader.is_at("comma") else 0
     if reader.is_at("and", "or", ahead=ahead):
         ahead += 1
-    goes_on = head and len(last) == 1 and ahead
-    return reader.peek(ahead - 1) if goes_on and is_number(reader, ahead) else None
+    is_list = head and len(last) == 1 and ahead
+    return reader.peek(ahead - 1) if is_list and is_number(reader, ahead) else None
 
 
 def next_numbered(reader: TokenReader, last: Sequence[Sequence[str]]) -> str:
-    """Parse `2` after "landmark 1", and return "landmark two"."""
+    """Parse `2` after "landmark 1", and return "landmark two".
+
+    Args:
+        reader: the token reader.
+        last: as in `number_ahead`.
+    """
     reader.skip("comma", "and", "or")
-    token = reader.tokens[_advance(reader)]
-    reader.at -= 1
+    token = reader.peek()
     number = " ".join(said.text for said in _take_number(reader))
     return _canonical(reader, f"{_numbered_head(last[-1][-1])} {number}", token)
 
@@ -204,7 +220,10 @@ def _numbered_head(name: str) -> str:
 
 
 def is_number(reader: TokenReader, ahead: int = 0) -> bool:
-    """Return True if that token is a number that counts no visits."""
+    """Return True if the token `ahead` is a number that belongs to a name.
+
+    In "two times" and "one or two times" it counts visits.
+    """
     if not reader.is_at("number", ahead=ahead) or reader.is_at("times", "or more", ahead=ahead + 1):
         return False
     if reader.is_at("or", ahead=ahead + 1) and reader.is_at("times", ahead=ahead + 3):
@@ -212,4 +231,4 @@ def is_number(reader: TokenReader, ahead: int = 0) -> bool:
     pair = [reader.peek(ahead).text, reader.peek(ahead + 1).text]
     if names.number(pair) is not None and reader.is_at("times", ahead=ahead + 2):
         return False  # "twenty one times"
-    return not reader.is_at("group", ahead=ahead + 1)
+    return not reader.is_at("group", ahead=ahead + 1)  # "two places" counts places

@@ -28,6 +28,7 @@ MOST_WORDS = 90
 MOST_TOKENS = 60
 """Largest number of tokens in a formula."""
 BEAM = 6
+"""Number of hypotheses that the search keeps."""
 PAD, END, UNKNOWN, TO_FORMULA, TO_WORDS = SPECIAL = (
     "<pad>", "<end>", "<unknown>", "<formula>", "<words>",
 )  # fmt: skip
@@ -68,8 +69,8 @@ class TranslationNetwork:
         self._session = open_session(
             path, ["CPUExecutionProvider"], 1, key="mission.translator.card"
         )
-        listed = self._session.get_modelmeta().custom_metadata_map.get(VOCABULARY, "")
-        self.tokens = _vocabulary(path, listed)
+        text = self._session.get_modelmeta().custom_metadata_map.get(VOCABULARY, "")
+        self.tokens = _parse_vocabulary(path, text)
         self._ids = {token: i for i, token in enumerate(self.tokens)}
         past = next(i for i in self._session.get_inputs() if i.name == "past")
         parts, _, heads, _, width = past.shape
@@ -99,20 +100,21 @@ class TranslationNetwork:
             n_names: number of names in the instruction; each is a placeholder in the formula.
             beam: most hypotheses to keep.
         """
-        across = self._read(words)
+        across = self._encode(words)
         target = np.array([[self._ids[TO_FORMULA]]], np.int64)
-        logits, past = self._write(target, self._no_past, across)
+        logits, past = self._decode(target, self._no_past, across)
         live: list[tuple[list[str], float]] = [([], 0.0)]
         done: list[FormulaHypothesis] = []
         while live and len(live[0][0]) < MOST_TOKENS:
             grown: list[tuple[float, int, str]] = []
             for row, (tokens, log_p) in enumerate(live):
                 options = list(allowed(tokens, n_names, MOST_TOKENS))
-                each = _log_softmax(logits[row, -1, [self._ids[token] for token in options]])
+                log_ps = _log_softmax(logits[row, -1, [self._ids[token] for token in options]])
                 grown += [
-                    (log_p + p, row, token) for p, token in zip(each.tolist(), options, strict=True)
+                    (log_p + p, row, token)
+                    for p, token in zip(log_ps.tolist(), options, strict=True)
                 ]
-            grown.sort(key=lambda one: -one[0])
+            grown.sort(key=lambda candidate: -candidate[0])
             following: list[tuple[list[str], float]] = []
             rows: list[int] = []
             for log_p, row, token in grown[:beam]:
@@ -126,8 +128,8 @@ class TranslationNetwork:
             if not live or (len(done) >= beam and max(d.log_p for d in done) > live[0][1]):
                 break
             target = np.array([[self._ids[tokens[-1]]] for tokens, _ in live], np.int64)
-            logits, past = self._write(target, past[:, rows], across)
-        return sorted(done, key=lambda one: -one.log_p)[:beam]
+            logits, past = self._decode(target, past[:, rows], across)
+        return sorted(done, key=lambda hypothesis: -hypothesis.log_p)[:beam]
 
     def back_translation_log_p(
         self, tokens: Sequence[str], sentences: Sequence[Sequence[str]]
@@ -140,21 +142,22 @@ class TranslationNetwork:
             tokens: the formula in prefix notation.
             sentences: words of each sentence.
         """
-        across = self._read(tokens)
+        across = self._encode(tokens)
         ids = [[self._ids.get(word, self._ids[UNKNOWN]) for word in words] for words in sentences]
         longest = max(map(len, ids))
         target = np.full((len(ids), longest + 1), self._ids[PAD], np.int64)
         target[:, 0] = self._ids[TO_WORDS]
-        for row, one in enumerate(ids):
-            target[row, 1 : len(one) + 1] = one
-        logits, _ = self._write(target, self._no_past.repeat(len(ids), axis=1), across)
-        each = _log_softmax(logits)
+        for row, sentence in enumerate(ids):
+            target[row, 1 : len(sentence) + 1] = sentence
+        logits, _ = self._decode(target, self._no_past.repeat(len(ids), axis=1), across)
+        log_ps = _log_softmax(logits)
         return [
-            float(each[row, np.arange(len(one) + 1), [*one, self._ids[END]]].sum())
-            for row, one in enumerate(ids)
+            float(log_ps[row, np.arange(len(sentence) + 1), [*sentence, self._ids[END]]].sum())
+            for row, sentence in enumerate(ids)
         ]
 
-    def _read(self, tokens: Sequence[str]) -> np.ndarray:
+    def _encode(self, tokens: Sequence[str]) -> np.ndarray:
+        """Return the encoder's output for a text, for all steps of the decoder."""
         ids = [self._ids.get(token, self._ids[UNKNOWN]) for token in tokens]
         feeds = {
             "source": np.array([ids], np.int64), "target": self._nothing,
@@ -162,17 +165,23 @@ class TranslationNetwork:
         }  # fmt: skip
         return self._session.run(["across"], feeds)[0]
 
-    def _write(
+    def _decode(
         self, target: np.ndarray, past: np.ndarray, across: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
+        """Run the decoder; return the logits of the next tokens, and the new `past`."""
         feeds = {"source": self._nothing, "target": target, "past": past, "across_in": across}
         logits, present = self._session.run(["logits", "present"], feeds)
         return logits, present
 
 
-def _vocabulary(path: Path, listed: str) -> tuple[str, ...]:
+def _parse_vocabulary(path: Path, text: str) -> tuple[str, ...]:
+    """Return the tokens of the metadata `VOCABULARY` of a file.
+
+    Raises:
+        ModelError: a token that formulas need is missing.
+    """
     try:
-        tokens = json.loads(listed)
+        tokens = json.loads(text)
     except ValueError:
         tokens = None
     needed = {*SPECIAL, *NAMES, REFUSED, *OPERATORS}

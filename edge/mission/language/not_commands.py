@@ -6,6 +6,7 @@ from edge.mission.language.clause_parts import Clause
 from edge.mission.language.lexicon import AVOIDING, PAST
 from edge.mission.language.tokens import Token, TokenReader
 
+# First words of questions, pronouns of "may I", verbs of reproach, and forms of "have".
 _ASKING = ("did", "does", "has", "had", "is", "are", "am", "was", "were")
 _MAY_I = ("i", "we")
 _REPROACH = ("should", "could", "would", "might", "may", "supposed", "are supposed")

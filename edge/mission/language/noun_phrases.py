@@ -25,9 +25,9 @@ from edge.mission.language.tokens import Token, TokenReader
 
 COUNTING = ("number", "once", "times n", "at least", "at most", "exactly", "only")
 """Kinds of token that can begin a count."""
-LEAVE = ("leave", "leaving", "exit", "exiting")
+LEAVE = ("leave", "leaving", "exit", "exiting")  # never names
 ONE_OF_A_KIND = "the robot can go to one object of a kind; say 'the …'"
-_ELEMENT = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
+_ELEMENT_KINDS = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
 _STARTS_PREDICATE = ("be", "must", "can", "happen", "banned")
 
 
@@ -38,9 +38,10 @@ class NounPhrase:
     ((chair, sofa), (bed,)) is "either a chair or a sofa, and a bed".
 
     Attributes:
-        groups: the groups.
-        listed: True for two or more, without "and" or "or" between them.
-        every: "them" ("any of them") or "places" ("each place") for all goals so far; "" else.
+        groups: names, by group; one name of each group must be reached.
+        listed: True for two or more groups without "and" or "or" between them.
+        every: "them" ("any of them") or "places" ("each place") if the phrase means all goals so
+            far; "" for other phrases.
     """
 
     groups: tuple[tuple[str, ...], ...]
@@ -84,11 +85,11 @@ class Antecedents:
 
 
 def starts_noun_phrase(reader: TokenReader, ahead: int = 0) -> bool:
-    """Return True if a noun phrase can begin at that token."""
+    """Return True if a noun phrase can begin at the token `ahead`."""
     token = reader.peek(ahead)
     if token.kind in ("number", "article") and reader.is_at("group", ahead=ahead + 1):
         return True
-    return token.kind in _ELEMENT and not (token.kind == "word" and token.text in AFTER_VERB)
+    return token.kind in _ELEMENT_KINDS and not (token.kind == "word" and token.text in AFTER_VERB)
 
 
 def take_noun_phrase(
@@ -115,7 +116,7 @@ def take_noun_phrase(
         if every == "them" and not memory.every and len(memory.mentioned) == 2:
             return NounPhrase(tuple((name,) for name in memory.mentioned), every=every)
         return NounPhrase(memory.every, every=every)
-    elements = [_element(reader, memory)]
+    elements = [_take_element(reader, memory)]
     between: list[Token] = []
     commas: set[str] = set()
     while True:
@@ -140,7 +141,7 @@ def take_noun_phrase(
         joint = next((i for i in range(ahead) if reader.is_at("and", "or", ahead=i)), 0)
         between.append(reader.peek(joint))
         reader.at += ahead
-        elements.append(_element(reader, memory))
+        elements.append(_take_element(reader, memory))
     groups = [group for element in elements for group in element]
     memory.mentioned |= {name: None for group in groups for name in group}
     joints = {token.kind for token in between} & {"and", "or"}
@@ -190,8 +191,8 @@ def _has_its_own_time(reader: TokenReader, ahead: int) -> bool:
     own = reader.is_at("after", "before", ahead=ahead)
     own = own and not reader.is_at("comma", "stop", "end", "and", ahead=ahead + 1)
     before = reversed(reader.tokens[: reader.at])
-    said = itertools.takewhile(lambda token: token.kind not in ("stop", "then"), before)
-    return own and any(token.kind in ("after", "before") for token in said)  # "a after b, and …"
+    same = itertools.takewhile(lambda token: token.kind not in ("stop", "then"), before)
+    return own and any(token.kind in ("after", "before") for token in same)  # "a after b, and …"
 
 
 def _is_subject(reader: TokenReader, ahead: int) -> bool:
@@ -236,7 +237,7 @@ def _take_collective(reader: TokenReader, memory: Antecedents) -> str:
     if starts_noun_phrase(reader, ahead + 1) or is_number(reader, ahead + 1):
         return ""  # "each of the places a and b"
     reader.at += ahead + 1
-    while phrase := next((said for said in _BEEN if _says(reader, said)), None):
+    while phrase := next((words for words in _BEEN if _says(reader, words)), None):
         reader.at += len(phrase)
     return "them" if of_them else "places"
 
@@ -249,7 +250,7 @@ PLURALS = ("them", "these", "those")
 SINGULARS = ("it", "this", "that", "that one", "this one")
 
 
-def _meant_by(token: Token, reader: TokenReader, memory: Antecedents) -> NounPhrase:
+def _objects_of(token: Token, reader: TokenReader, memory: Antecedents) -> NounPhrase:
     """Return the objects of a pronoun; "them" after a single object means all goals so far."""
     meant = (token.text == "there" and memory.asked) or memory.named
     if token.text in SINGULARS and meant and len(meant.groups) > 1:
@@ -261,7 +262,7 @@ def _meant_by(token: Token, reader: TokenReader, memory: Antecedents) -> NounPhr
     return meant
 
 
-def _element(reader: TokenReader, memory: Antecedents) -> tuple[tuple[str, ...], ...]:
+def _take_element(reader: TokenReader, memory: Antecedents) -> tuple[tuple[str, ...], ...]:
     """Parse one element of a list and return its groups."""
     if reader.is_at("all of") and reader.peek(1).text in PLURALS and reader.peek(2).text == ":":
         reader.at += 3  # "all of these: a, b and c"
@@ -270,12 +271,12 @@ def _element(reader: TokenReader, memory: Antecedents) -> tuple[tuple[str, ...],
     if not _is_singled(reader):
         reader.skip("group")
     if token := reader.take("pronoun"):
-        meant = _meant_by(token, reader, memory).groups
+        meant = _objects_of(token, reader, memory).groups
         if reader.is_at("all of") and reader.is_at("comma", "stop", "end", "and", ahead=1):
             reader.at += 1  # "them both"
         return meant
     if token := reader.take("either"):
-        return (_choice(reader, every=token.text != "either"),)
+        return (_take_choice(reader, every=token.text != "either"),)
     name = take_name(reader)
     last = reader.tokens[reader.at - 1]
     memory.several.pop(name, None)
@@ -290,7 +291,7 @@ def _is_singled(reader: TokenReader) -> bool:
     return reader.is_at("group", ahead=ahead) and is_number(reader, ahead + 1)
 
 
-def _choice(reader: TokenReader, every: bool) -> tuple[str, ...]:
+def _take_choice(reader: TokenReader, every: bool) -> tuple[str, ...]:
     """Parse `either x, y or z`, which ends after "or z", or `one of x, y and z`, the whole list."""
     if reader.take("all of"):
         reader.skip("group")

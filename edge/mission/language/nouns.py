@@ -198,7 +198,18 @@ ROOMS = listed(
 )
 NUMERALS = (*names.ORDINALS, "last")
 ORDINALS = frozenset(NUMERALS)
-_KEPT = ("shop", "store", "station", "stop", "room", "market", "museum", "lot", "stand", "park")
+_NAMED_BY_CONTENT = (
+    "shop",
+    "store",
+    "station",
+    "stop",
+    "room",
+    "market",
+    "museum",
+    "lot",
+    "stand",
+    "park",
+)
 """Places that are named after their content: "coffee shop", "printer room"."""
 _WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")
 _LONGEST = 6
@@ -214,8 +225,8 @@ def is_noun(phrase: str) -> bool:
 
 def is_plural(word: str) -> bool:
     """Return True if a word names several objects and is not itself in a list, as "glasses" is."""
-    one = names.singular(word)
-    return one != word and is_noun(one) and not (word in NOUNS or names.is_alias(word))
+    singular = names.singular(word)
+    return singular != word and is_noun(singular) and not (word in NOUNS or names.is_alias(word))
 
 
 def is_place(name: str) -> bool:
@@ -237,13 +248,13 @@ def unknown_in(words: list[str]) -> int | None:
         end -= 1
     start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
     if start is None:
-        return _not_known(words, end)
+        return _first_wrong(words, end)
     twice = next((i for i in range(1, end) if words[i] == words[i - 1]), None)
     if twice is not None:
         return twice
     if words[start] in ("path", "way") and start and is_noun(words[start - 1]):
         return start  # "the red room path": the room, or a path?
-    if start and words[start] in _KEPT and _compound(*words[start - 1 : start + 1]):
+    if start and words[start] in _NAMED_BY_CONTENT and _compound(*words[start - 1 : start + 1]):
         start -= 1  # "coffee shop"
     while begin < start:
         word = words[begin]
@@ -256,7 +267,7 @@ def unknown_in(words: list[str]) -> int | None:
             begin = place
         elif word in ORDINALS and begin and words[begin - 1] in _LEADING:
             return begin  # "first floor third floor"
-        elif word in QUALITIES or _is_ordinal(word) or _owns(word):
+        elif word in QUALITIES or _is_ordinal(word) or _is_owner(word):
             begin += 1
         else:
             return start if is_noun(word) else begin
@@ -268,7 +279,7 @@ def _compound(first: str, second: str) -> bool:
     return is_noun(first) and not is_noun(first + second)
 
 
-def _not_known(words: list[str], end: int) -> int:
+def _first_wrong(words: list[str], end: int) -> int:
     """Return the index of the wrong word in a name without a known noun at its end.
 
     It is the word after a known noun, or the first unknown word.
@@ -285,7 +296,7 @@ def _is_ordinal(word: str) -> bool:
     return word in ORDINALS or names.ordinal(word) is not None
 
 
-def _owns(word: str) -> bool:
+def _is_owner(word: str) -> bool:
     return word.endswith("'s") and is_noun(word[:-2])
 
 
@@ -299,7 +310,7 @@ def _is_mark(word: str) -> bool:
 
 @lru_cache(maxsize=1)
 def _all_words() -> tuple[str, ...]:
-    others = (word for listed in names.ALIASES.values() for word in listed)
+    others = (alias for aliases in names.ALIASES.values() for alias in aliases)
     phrases = (*names.ALIASES, *others, *NOUNS, *QUALITIES)
     return tuple(dict.fromkeys(word for phrase in phrases for word in phrase.split()))
 
@@ -331,10 +342,10 @@ def slip_of(word: str, known: Sequence[str]) -> str | None:
     """
     most = 2 if len(word) >= _LONG else 1
     close = difflib.get_close_matches(word, known, n=5, cutoff=0.7)
-    slips = [one for one in close if one != word and one[0] == word[0]]
+    slips = [other for other in close if other != word and other[0] == word[0]]
     if len(word) < _SHORT:
-        slips = [one for one in slips if len(one) != len(word) or sorted(one) == sorted(word)]
-    return next((one for one in slips if _edits(word, one) <= most), None)
+        slips = [s for s in slips if len(s) != len(word) or sorted(s) == sorted(word)]
+    return next((slip for slip in slips if _edits(word, slip) <= most), None)
 
 
 _SHORT, _LONG = 5, 8  # letters; two slips are allowed from `_LONG` on

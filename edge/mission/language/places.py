@@ -8,8 +8,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-START, HERE, EXPLORED = "start", "here", "explored"
-"""The first pose of the service; the pose at which a mission begins; wherever exploring ends."""
+START = "start"
+"""Name of the first pose of the service."""
+HERE = "here"
+"""Name of the pose at which a mission begins."""
+EXPLORED = "explored"
+"""Name of the end of an exploration, wherever that is."""
 _FIRST_MARK = 0xF000  # placeholders are from Unicode's private-use area
 
 
@@ -18,7 +22,7 @@ def quote_places(instruction: str, names: Iterable[str]) -> str:
 
     Args:
         instruction: English text.
-        names: of places, in lower case.
+        names: names of places, in lower case.
 
     Example:
         >>> quote_places("Go to the charging dock.", ["charging dock"])

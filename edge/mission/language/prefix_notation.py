@@ -29,6 +29,7 @@ MOST_NAMES = 8
 NAMES = tuple(f"<{i}>" for i in range(MOST_NAMES))
 """Placeholders of the objects of an instruction, in the order of their first mention."""
 COUNTS = range(1, 6)
+"""Numbers of visits that an operator can count."""
 REFUSED = "<refused>"
 """Output instead of a formula, if no formula expresses the instruction."""
 
@@ -50,8 +51,9 @@ def _exactly(f: Formula, n: int) -> Formula:
     return conj(_at_least(f, n), _at_most(f, n))
 
 
-def _counting(made: Callable[[Formula, int], Formula], n: int) -> Callable[[Formula], Formula]:
-    return lambda f: made(f, n)
+def _counting(make: Callable[[Formula, int], Formula], n: int) -> Callable[[Formula], Formula]:
+    """Return the operator that counts n visits; a function, so that each lambda has its own n."""
+    return lambda f: make(f, n)
 
 
 OPERATORS: dict[str, tuple[int, Callable[..., Formula]]] = {
@@ -66,8 +68,8 @@ OPERATORS: dict[str, tuple[int, Callable[..., Formula]]] = {
     "<->": (2, lambda x, y: Formula("<->", (x, y))),
     "O": (2, lambda x, y: at_most_before(_options(x), 1, _options(y))),
 } | {
-    f"{sign}{n}": (1, _counting(made, n))
-    for sign, made in ((">=", _at_least), ("<=", _at_most), ("=", _exactly))
+    f"{sign}{n}": (1, _counting(make, n))
+    for sign, make in ((">=", _at_least), ("<=", _at_most), ("=", _exactly))
     for n in COUNTS
 }  # fmt: skip
 """Token → number of operands, and the function that makes a formula of them."""
@@ -90,7 +92,8 @@ def allowed(written: Sequence[str], names: int, most: int) -> Iterator[str]:
         names: number of names that the formula may use.
         most: largest number of tokens.
     """
-    open_, narrow = 1, [False]
+    open_ = 1  # number of operands that are missing
+    narrow = [False]  # for each of them, True if it must be a name or a choice of names
     for token in written:
         inside = narrow.pop()
         narrow += [inside or token in _OF_NAMES] * arity(token)

@@ -14,13 +14,14 @@ from edge.mission.language.tokens import Token, TokenReader
 PASSING = ("through", "past", "along", "across", "via", "by", "over")
 """Particles after which a verb of motion means "pass": "walk past", "drive through"."""
 
-_PARTICIPLES = ("passing", "crossing", "traversing", "using", "taking")
+_PARTICIPLES = ("passing", "crossing", "traversing", "using", "taking")  # their object is passed
+# "by" before these means "by way of": "go up by the stairs".
 RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ramp", "bridge")
-_ANYWHERE = (
+_ANYWHERE = (  # words for any place before an exception: "any room but a"
     "room", "area", "place", "space", "square", "door", "way", "path", "route", "zone", "region",
 )  # fmt: skip
-_SETS_OUT = ("go", "move", "head", "travel", "walk", "drive", "fly")
-_ANY = ("any", "only", "a", "the", "some")
+_SETS_OUT = ("go", "move", "head", "travel", "walk", "drive", "fly")  # verbs of "when you go to"
+_ANY = ("any", "only", "a", "the", "some")  # words before one of `_ANYWHERE`
 
 
 def take_route(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool:

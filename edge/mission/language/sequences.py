@@ -36,9 +36,9 @@ def sequence_goal(sequence: Sequence[ClauseMeaning], reader: TokenReader) -> Goa
         after = sequence[i + 1 :]
         parts += _in_order(meaning) if after else meaning.goals and [_together(meaning.goals)]
         rules += meaning.rules
-        rules += _banned(meaning, sequence[:i], after)
-        rules += _without(meaning, after, reader)
-        rules += _limited(meaning, after, reader)
+        rules += _rules_of_bans(meaning, sequence[:i], after)
+        rules += _rules_of_withouts(meaning, after, reader)
+        rules += _rules_of_limits(meaning, after, reader)
     return AllOf((steps(parts),) if parts else (), tuple(rules))
 
 
@@ -56,14 +56,14 @@ def anchored(
         then: True if the clause comes after the whole sequence anyway.
     """
     for anchor in meaning.anchors:
-        said = set(anchor.names)
-        if then and all(name in asked for name in said):
+        asked_names = set(anchor.names)
+        if then and all(name in asked for name in asked_names):
             continue
         before: list[Goal] = [visits(anchor)]
         if sequence and not then:
-            meant = [goal for goal in sequence[-1].goals if letters(goal) & said]
-            if said <= frozenset().union(*map(letters, meant)) and all(
-                last_letters(goal) <= said for goal in meant
+            meant = [goal for goal in sequence[-1].goals if letters(goal) & asked_names]
+            if asked_names <= frozenset().union(*map(letters, meant)) and all(
+                last_letters(goal) <= asked_names for goal in meant
             ):
                 sequence[-1].goals = [g for g in sequence[-1].goals if g not in meant]
                 before = [_together(meant)]
@@ -87,11 +87,13 @@ def put_last(meaning: ClauseMeaning, sequence: Sequence[ClauseMeaning]) -> None:
 
 def _leave_out(meaning: ClauseMeaning, step: ClauseMeaning) -> None:
     """Remove the goals that a clause repeats from a step, unless nothing would be left."""
-    said = frozenset(meaning.things.names)
-    step.goals = [part for part in _parts(step) if not letters(part) <= said] or step.goals
+    asked_names = frozenset(meaning.things.names)
+    step.goals = [
+        part for part in _flat_goals(step) if not letters(part) <= asked_names
+    ] or step.goals
 
 
-def _parts(step: ClauseMeaning) -> list[Goal]:
+def _flat_goals(step: ClauseMeaning) -> list[Goal]:
     """Return the goals of a step, with its sets flattened."""
     return [
         part
@@ -109,12 +111,12 @@ def _unwrapped(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
 
 
 def begun_with(goal: Goal, meaning: ClauseMeaning) -> Goal:
-    """Return a, then b, before the return: `go to a. go to b. return to a.`."""
-    said = frozenset(meaning.things.names)
+    """Return the goal with a before b, for a return to a: `go to a. go to b. return to a.`."""
+    asked_names = frozenset(meaning.things.names)
     inner, held = _unwrapped(goal)
     parts = inner.goals if isinstance(inner, AllOf) else ()
-    start = tuple(part for part in parts if letters(part) & said)
-    rest = tuple(part for part in parts if not letters(part) & said)
+    start = tuple(part for part in parts if letters(part) & asked_names)
+    rest = tuple(part for part in parts if not letters(part) & asked_names)
     if not (isinstance(inner, AllOf) and start and rest):
         return goal
     return AllOf((steps([AllOf(start), AllOf(rest)]),), (*held, *inner.rules))
@@ -122,29 +124,29 @@ def begun_with(goal: Goal, meaning: ClauseMeaning) -> Goal:
 
 def without_last(goal: Goal, meaning: ClauseMeaning) -> Goal:
     """Return the goal without its last clause: `visit a and b. b comes last.`."""
-    said = frozenset(meaning.things.names)
+    asked_names = frozenset(meaning.things.names)
     inner, held = _unwrapped(goal)
     parts = inner.goals if isinstance(inner, AllOf) else ()
-    rest = tuple(part for part in parts if not letters(part) <= said)
+    rest = tuple(part for part in parts if not letters(part) <= asked_names)
     return AllOf(rest, (*held, *inner.rules)) if isinstance(inner, AllOf) and rest else goal
 
 
 def split_return(meaning: ClauseMeaning, sequence: list[ClauseMeaning]) -> None:
     """Put a before b for the return to a: `visit a, go to b, and return to a`."""
-    said = frozenset(meaning.things.names)
-    goals = _parts(sequence[0])
-    start = [goal for goal in goals if letters(goal) & said]
-    rest = [goal for goal in goals if not letters(goal) & said]
+    asked_names = frozenset(meaning.things.names)
+    goals = _flat_goals(sequence[0])
+    start = [goal for goal in goals if letters(goal) & asked_names]
+    rest = [goal for goal in goals if not letters(goal) & asked_names]
     if start and rest:
         sequence[0].goals = [steps([_together(start), _together(rest)])]
 
 
-def passing_by(goal: Goal, passed: Goal, said: Token, reader: TokenReader) -> Goal:
+def passing_by(goal: Goal, passed: Goal, token: Token, reader: TokenReader) -> Goal:
     """Put b before the last step: `go to a. on the way, go to b`."""
     goal, held = _unwrapped(goal)
     parts = goal.goals if isinstance(goal, InSequence) else (goal,)
     if not isinstance(parts[-1], Visit):
-        reader.refuse("unclear where to; say 'on the way to …'", said)
+        reader.refuse("unclear where to; say 'on the way to …'", token)
     return AllOf((steps([*parts[:-1], passed, parts[-1]]),), held)
 
 
@@ -227,6 +229,7 @@ def chained(waits: Sequence[tuple[tuple[str, ...], NounPhrase]]) -> Goal | None:
 
 
 def _together(goals: Sequence[Goal]) -> Goal:
+    """Return the goals in any order as one goal."""
     return goals[0] if len(goals) == 1 else AllOf(tuple(goals))
 
 
@@ -241,7 +244,7 @@ def _in_order(meaning: ClauseMeaning) -> list[Goal]:
     ]
 
 
-def _banned(
+def _rules_of_bans(
     meaning: ClauseMeaning, before: Sequence[ClauseMeaning], after: Sequence[ClauseMeaning]
 ) -> list[Formula]:
     """Return the rules of a step's bans.
@@ -270,7 +273,7 @@ def _banned(
     return rules
 
 
-def _without(
+def _rules_of_withouts(
     meaning: ClauseMeaning, after: Sequence[ClauseMeaning], reader: TokenReader
 ) -> list[Formula]:
     """Return the rules of `go to x without y, then to z`: no y before x, or never y."""
@@ -291,7 +294,7 @@ def single_visits(goal: Goal) -> Iterator[Visit]:
             yield from single_visits(part)
 
 
-def _limited(
+def _rules_of_limits(
     meaning: ClauseMeaning, after: Sequence[ClauseMeaning], reader: TokenReader
 ) -> list[Formula]:
     """Return the rules of a step's limits.

@@ -32,7 +32,19 @@ _SLOTS = {
     "stops": rf"{NAME}(?:{STOP}{NAME})+",
 }
 _MARKS = {"(": "(?:", ")": ")", "[": "(?:", "]": ")?", "|": "|", "*": "*", ",": ",?"}
-_REST = r"(?: (?!(?:then|and|or|but|find|instead|first)\b)\S+)*"
+_ORDER = (
+    r"(?:(?:do )?not )?(?:go|come|drive|head|run|move|visit|explore|patrol|check|look|search|stay|"
+    r"keep|enter|leave|return|wait|bring|fetch|take|get|not (?:the|an?|my|to))\b"
+)
+_HAS_SUBJECT = "|".join(
+    f"(?<= {word} )"
+    for word in ("i", "we", "you", "he", "she", "they", "people", "to", "can", "will", "would")
+)
+_REST = (
+    r"(?: (?!(?:then|and|or|but|find|instead|first|never|avoid|without|except|\.)(?: |$))"
+    rf"(?:(?!{_ORDER})|{_HAS_SUBJECT})[^\s,;]+)*"
+)
+"""Any rest that begins no order: "because I go out", not "until I call, go to the bed"."""
 END = r"(?=[ ,.;!?]|$)"
 """End of a word."""
 

@@ -14,6 +14,7 @@ from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expanded
 from edge.text import one_line
 
 MAX_CHARS = 10_000
+"""Largest number of characters of an instruction."""
 MAX_WORDS = 1_000
 """Much more than an instruction needs; it limits the formula, and so the time to compile it."""
 
@@ -30,9 +31,9 @@ REASONS = {
 }
 """Reasons to refuse tokens, by kind."""
 
-_DRIVEN = ("car", "vehicle")
+_DRIVEN = ("car", "vehicle")  # after "the", they may mean the robot or an object
 _ARTICLES = ("a", "an", "any", "my", "our", "your", "some", "another")
-_ACTS = ("must", "can", "verb", "not", "do", "always")
+_ACTS = ("must", "can", "verb", "not", "do", "always")  # kinds after "u" that means "you"
 HESITATIONS = ("uh", "um", "er", "erm", "hmm")
 _NAMES = re.compile(r"[\s,]*(?:to )?(?:the|an?|my) ", re.IGNORECASE)
 _MAY_SHUN = ("stay", "keep")  # "stay on the far side of": another translator may understand it
@@ -218,7 +219,12 @@ class TokenReader:
         self._picks = picks or {}
 
     def pick(self, token: Token, ways: int) -> int:
-        """Return which of the `ways` to read the text at a token is taken in this pass."""
+        """Return the number of the choice to take at an ambiguous token in this pass.
+
+        Args:
+            token: the token.
+            ways: number of choices, for later passes.
+        """
         self.forks[token.start] = ways
         return self._picks.get(token.start, 0)
 
@@ -227,7 +233,7 @@ class TokenReader:
         return self.tokens[min(self.at + ahead, len(self.tokens) - 1)]
 
     def is_at(self, *kinds: str, ahead: int = 0) -> bool:
-        """Return True if that token has one of these kinds."""
+        """Return True if the token `ahead` places after the next one has one of these kinds."""
         return self.peek(ahead).kind in kinds
 
     def take(self, *kinds: str) -> Token | None:

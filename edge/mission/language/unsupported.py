@@ -15,6 +15,7 @@ from edge.mission.language.naming import is_indefinite, is_letter
 from edge.mission.language.routes import RIDDEN
 from edge.mission.language.tokens import REASONS, Token, TokenReader
 
+# Reasons of a refusal.
 _WHERE = "objects differ by kind, colour and size, not by place; give only the name"
 _WHICH = "the camera cannot see which one this is; give its kind, colour or size"
 _SPOT = "the robot can reach objects, not places near them; name the object"
@@ -91,7 +92,7 @@ def refuse_unsupported(reader: TokenReader) -> None:
             reader.refuse_finally(_SHUN, token)  # "do not go to a and then the b"
         if token.kind in ("stop", "comma", "but", "then"):
             denied = False
-        hint, start = _found(reader, denied), token
+        hint, start = _reason(reader, denied), token
         before = _before(reader)
         if hint == _WHERE:
             start = _name_before(reader) or token
@@ -103,7 +104,7 @@ def refuse_unsupported(reader: TokenReader) -> None:
     reader.at = 0
 
 
-def _found(reader: TokenReader, denied: bool) -> str:
+def _reason(reader: TokenReader, denied: bool) -> str:
     """Return why the token here cannot be understood; "" if it may be understood."""
     token, after, before = reader.peek(), reader.peek(1), _before(reader)
     if token.kind in ("quoted", "end"):
@@ -193,14 +194,23 @@ def _is_lone_letter(reader: TokenReader) -> bool:
     """Return True if the letter of "gate a or b", or of "rooms a and b", comes."""
     if not _is_letter(reader.peek()) or is_indefinite(reader):
         return False
-    said = reader.tokens[: reader.at]
-    if not said or said[-1].text == "rooms":
-        return bool(said)
+    before = reader.tokens[: reader.at]
+    if not before or before[-1].text == "rooms":
+        return bool(before)
     lettered = any(
-        one.kind == "word" and nouns.is_noun(one.text) and _is_letter(other)
-        for one, other in itertools.pairwise(said)
+        word.kind == "word" and nouns.is_noun(word.text) and _is_letter(follower)
+        for word, follower in itertools.pairwise(before)
     )
-    return lettered and said[-1].kind in ("and", "or", "then", "to", "comma", "but", "not", "avoid")
+    return lettered and before[-1].kind in (
+        "and",
+        "or",
+        "then",
+        "to",
+        "comma",
+        "but",
+        "not",
+        "avoid",
+    )
 
 
 def _is_letter(token: Token) -> bool:
@@ -208,17 +218,17 @@ def _is_letter(token: Token) -> bool:
 
 
 def _trails(reader: TokenReader) -> bool:
-    """Return whether the "always" of "avoid a until b, and c always" comes."""
+    """Return True if the "always" of "avoid a until b, and c always" comes."""
     if not reader.is_at("always"):
         return False
     begin = reader.at
     while begin and reader.tokens[begin - 1].kind in ("word", "article", "quoted", "number"):
         begin -= 1
     joined = 0 < begin < reader.at and reader.tokens[begin - 1].kind in ("and", "comma")
-    said = [token.kind for token in reader.tokens[:begin]]
-    while "stop" in said:
-        said = said[said.index("stop") + 1 :]
-    return joined and any(kind in said for kind in ("until", "unless", "before", "after"))
+    kinds = [token.kind for token in reader.tokens[:begin]]
+    while "stop" in kinds:  # only the present sentence counts
+        kinds = kinds[kinds.index("stop") + 1 :]
+    return joined and any(kind in kinds for kind in ("until", "unless", "before", "after"))
 
 
 def _is_soft(reader: TokenReader) -> bool:
@@ -244,7 +254,7 @@ def _leaves(reader: TokenReader, denied: bool) -> bool:
     if token.text == "out" and denied and after.kind == "article" and _is_place(reader, 1):
         return not _leads(reader)  # "without going out the yard"
     if token.text in ("out", "away") and after.text in ("of", "from"):
-        shuns = any(said.kind == "avoid" for said in reader.tokens[: reader.at])
+        shuns = any(t.kind == "avoid" for t in reader.tokens[: reader.at])
         return not (joins and shuns)  # "stay out of a and out of b"
     if token.text == "off" and after.kind in ("article", "word", "quoted", "pronoun", "all of"):
         switched = before is not None and before.text in _NO_LEAVING
@@ -258,7 +268,7 @@ def _leads(reader: TokenReader) -> bool:
 
 
 def _stays(reader: TokenReader, denied: bool) -> bool:
-    """Return whether "keep to a", "stay on a", "never stay away from a" comes."""
+    """Return True if "keep to a", "stay on a", "never stay away from a" comes."""
     token = reader.peek()
     if not token.text.startswith(_KEEPS):
         return False
@@ -272,7 +282,7 @@ def _stays(reader: TokenReader, denied: bool) -> bool:
 
 
 def _times(reader: TokenReader) -> bool:
-    """Return whether "for a minute", "in five minutes", "5 pm", "2 m" comes."""
+    """Return True if "for a minute", "in five minutes", "5 pm", "2 m" comes."""
     token, after = reader.peek(), reader.peek(1)
     if token.kind == "number":
         return after.text in _UNITS and after.text != "second"
@@ -288,7 +298,7 @@ def _over(reader: TokenReader, ahead: int) -> bool:
 
 
 def _says_where(reader: TokenReader, ahead: int) -> bool:
-    """Return whether "near the sofa", "in it", "that is on a table" begins there."""
+    """Return True if "near the sofa", "in it", "that is on a table" begins there."""
     token, after = reader.peek(ahead), reader.peek(ahead + 1)
     if token.kind != "place" and token.text not in (*_WITH, "inside of"):
         return False
@@ -336,7 +346,7 @@ def _is_known(words: list[str]) -> bool:
 
 
 def _searches(reader: TokenReader) -> bool:
-    """Return whether "explore the house", "search the kitchen", "look around" comes."""
+    """Return True if "explore the house", "search the kitchen", "look around" comes."""
     token = reader.peek()
     verb = token.text.split(" ")[0]
     if token.kind == "verb" and verb.startswith("explor"):

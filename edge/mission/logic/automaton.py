@@ -22,6 +22,7 @@ __all__ = [
     "NOTHING", "Automaton", "CompileError", "compile_formula", "implies", "shortest_trace",
 ]  # fmt: skip
 
+# Name → function that returns the arrays `delta` and `accepting` of a formula.
 COMPILERS = {"own": own_compiler.minimal_automaton, "spot": spot_compiler.language}
 NOTHING = ""  # the letter of a step in which no object of the formula is reached
 
@@ -61,16 +62,16 @@ class Automaton:
         """Return the state after one step; a letter outside the formula counts as NOTHING."""
         return int(self.delta[state, self._column.get(letter or NOTHING, len(self.propositions))])
 
-    def run(self, word: Sequence[str | None]) -> int:
+    def run(self, trace: Sequence[str | None]) -> int:
         """Return the state after a trace."""
         state = 0
-        for letter in word:
+        for letter in trace:
             state = self.step(state, letter)
         return state
 
-    def accepts(self, word: Sequence[str | None]) -> bool:
+    def accepts(self, trace: Sequence[str | None]) -> bool:
         """Return True if a trace fulfils the formula."""
-        return bool(self.accepting[self.run(word)])
+        return bool(self.accepting[self.run(trace)])
 
     def is_dead(self, state: int) -> bool:
         """Return True if success is impossible from this state."""
@@ -78,7 +79,10 @@ class Automaton:
 
     @property
     def possible(self) -> tuple[str, ...]:
-        """The letters that do not make success impossible in every state: not only forbidden."""
+        """The letters that may be reached in at least one state without making success impossible.
+
+        The other letters are only forbidden.
+        """
         alive = [q for q in range(self.n_states) if not self.is_dead(q)]
         return tuple(
             letter
@@ -115,10 +119,10 @@ def compile_formula(
         >>> automaton.accepts(["bed", "sofa"]), automaton.accepts(["sofa", "bed"])
         (True, False)
     """
-    effort = CompileBudget(max_states, max_steps)
+    budget = CompileBudget(max_states, max_steps)
     letters = propositions(formula)
-    delta, accepting = COMPILERS[compiler](formula, letters, effort)
-    return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, effort))
+    delta, accepting = COMPILERS[compiler](formula, letters, budget)
+    return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, budget))
 
 
 def shortest_trace(
@@ -129,14 +133,14 @@ def shortest_trace(
     seen = {(0, 0)}
     queue: deque[tuple[int, int, tuple[str, ...]]] = deque([(0, 0, ())])
     while queue:
-        s, t, word = queue.popleft()
+        s, t, trace = queue.popleft()
         if wanted(s, t):
-            return word
+            return trace
         for letter in letters:
             pair = first.step(s, letter), second.step(t, letter)
             if pair not in seen:
                 seen.add(pair)
-                queue.append((*pair, (*word, letter)))
+                queue.append((*pair, (*trace, letter)))
     return None
 
 
@@ -146,12 +150,12 @@ def implies(first: Automaton, second: Automaton) -> bool:
     return example is None
 
 
-def steps_left(delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> np.ndarray:
+def steps_left(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> np.ndarray:
     """Return `Automaton.steps_left`."""
     far = len(delta)
     left = np.where(accepting, 0, far).astype(np.int32)
     while True:
-        effort.spend_cells(delta.size)
+        budget.spend_cells(delta.size)
         reach = left[delta]
         new = np.minimum(left, np.minimum(reach[:, :-1].min(axis=1, initial=far) + 1, reach[:, -1]))
         if np.array_equal(new, left):

@@ -39,13 +39,13 @@ _TABLES = {
 }
 
 
-def minimal_automaton(formula: Formula, letters: Sequence[str], effort: CompileBudget) -> Dfa:
+def minimal_automaton(formula: Formula, letters: Sequence[str], budget: CompileBudget) -> Dfa:
     """Return the minimal complete automaton of a formula over given letters and NOTHING.
 
     Args:
         formula: the formula.
         letters: distinct; they contain all propositions of the formula.
-        effort: limits of the compilation.
+        budget: limits of the compilation.
 
     Returns:
         The pair delta, accepting (see the module); states are numbered breadth-first.
@@ -53,31 +53,31 @@ def minimal_automaton(formula: Formula, letters: Sequence[str], effort: CompileB
     Raises:
         CompileError: a limit was exceeded.
     """
-    nodes = _nodes(formula, effort)
+    nodes = _nodes(formula, budget)
     uses = Counter(arg for _, args, _ in nodes for arg in args)
     column = {name: k for k, name in enumerate(letters)}
-    made: dict[int, Dfa] = {}
+    automata: dict[int, Dfa] = {}
     for number, (op, args, name) in enumerate(nodes):
-        effort.spend(PER_NODE * (1 + len(args)))
+        budget.spend(PER_NODE * (1 + len(args)))
         if op == "ap":
-            made[number] = _reached(column[name], len(letters) + 1)
+            automata[number] = _letter_automaton(column[name], len(letters) + 1)
         elif not args:
-            made[number] = np.zeros((1, len(letters) + 1), np.int32), np.array([op == "true"])
+            automata[number] = np.zeros((1, len(letters) + 1), np.int32), np.array([op == "true"])
         else:
-            made[number] = _made(op, [made[arg] for arg in args], effort)
+            automata[number] = _automaton_of(op, [automata[arg] for arg in args], budget)
         uses.subtract(args)
         for arg in {arg for arg in args if not uses[arg]}:
-            del made[arg]
-    return minimal(*made[len(nodes) - 1], effort)
+            del automata[arg]
+    return minimal(*automata[len(nodes) - 1], budget)
 
 
-def _nodes(formula: Formula, effort: CompileBudget) -> list[Key]:
+def _nodes(formula: Formula, budget: CompileBudget) -> list[Key]:
     """Return the different subformulas after rewriting, operands before operators."""
     nodes = _Nodes()
     known: dict[int, int] = {}
     for f in postorder(formula):
-        effort.spend(PER_NODE)
-        known[id(f)] = nodes.reduced(f, [known[id(arg)] for arg in f.args])
+        budget.spend(PER_NODE)
+        known[id(f)] = nodes.number_rewritten(f, [known[id(arg)] for arg in f.args])
     return nodes.keys[: known[id(formula)] + 1]
 
 
@@ -122,7 +122,7 @@ class _Nodes:
         self._early.add(found)
         return found
 
-    def reduced(self, f: Formula, args: list[int]) -> int:
+    def number_rewritten(self, f: Formula, args: list[int]) -> int:
         """Return the number of a subformula, rewritten as the module documents."""
         number = self.number
         match f.op, args:
@@ -142,35 +142,35 @@ class _Nodes:
         return number(f.op, *args, name=f.name)
 
 
-def _reached(letter: int, width: int) -> Dfa:
+def _letter_automaton(letter: int, width: int) -> Dfa:
     """Return the automaton of "the first letter is this one"."""
     delta = np.full((3, width), 2, np.int32)
     delta[0, letter] = delta[1] = 1
     return delta, np.array([False, True, False])
 
 
-def _made(op: str, args: list[Dfa], effort: CompileBudget) -> Dfa:
+def _automaton_of(op: str, args: list[Dfa], budget: CompileBudget) -> Dfa:
     """Return the minimal automaton of an operator; the order of its states is arbitrary."""
     match op:
         case "!":
             return args[0][0], ~args[0][1]
         case "X":
-            return _next(*args[0], effort)
+            return _next(*args[0], budget)
         case "U":
-            return minimal(*_Until(*args, effort).automaton(), effort)
+            return minimal(*_Until(*args, budget).automaton(), budget)
         case "&" | "|":  # small operands first, so that intermediate automata stay small
             args = sorted(args, key=lambda dfa: len(dfa[0]))
-    return reduce(lambda a, b: minimal(*_product(op, a, b, effort), effort), args)
+    return reduce(lambda a, b: minimal(*_product(op, a, b, budget), budget), args)
 
 
-def _next(delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> Dfa:
+def _next(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> Dfa:
     """Return the automaton of X; it is minimal if the operand is minimal.
 
     X f means: there is a next step, and f accepts the rest from there.
     """
-    effort.spend_cells(delta.size)
+    budget.spend_cells(delta.size)
     n, width = delta.shape
-    effort.check_states(n)
+    budget.check_states(n)
     # The rest must not be empty, so it begins in a copy of state 0 that does not accept.
     (rest,) = np.nonzero((delta == delta[0]).all(axis=1) & ~accepting)
     if not len(rest):
@@ -185,7 +185,7 @@ def _next(delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> Df
     return swapped[delta[swapped]], accepting[swapped]
 
 
-def _product(op: str, a: Dfa, b: Dfa, effort: CompileBudget) -> Dfa:
+def _product(op: str, a: Dfa, b: Dfa, budget: CompileBudget) -> Dfa:
     """Return the reachable product of two automata over the same letters."""
     (delta_a, accepts_a), (delta_b, accepts_b) = a, b
     width = len(delta_b)
@@ -193,12 +193,12 @@ def _product(op: str, a: Dfa, b: Dfa, effort: CompileBudget) -> Dfa:
     rows, pairs = [], [np.zeros(1, np.int64)]
     while len(pairs[-1]):
         i, j = np.divmod(pairs[-1], width)
-        effort.spend_cells(len(i) * delta_a.shape[1])
+        budget.spend_cells(len(i) * delta_a.shape[1])
         targets = delta_a[i].astype(np.int64) * width + delta_b[j]
         distinct, place = np.unique(targets, return_inverse=True)
         known = len(index)
         states = [index.setdefault(pair, len(index)) for pair in distinct.tolist()]
-        effort.check_states(len(index))
+        budget.check_states(len(index))
         number = np.array(states, np.int32)
         rows.append(number[place.reshape(targets.shape)])
         pairs.append(distinct[number >= known])
@@ -217,10 +217,10 @@ class _Until:
     begun. Alternatives that another one includes are left out, so there are few.
     """
 
-    def __init__(self, a: Dfa, b: Dfa, effort: CompileBudget) -> None:
-        self._a, self._b, self._effort = a[0].tolist(), b[0].tolist(), effort
+    def __init__(self, a: Dfa, b: Dfa, budget: CompileBudget) -> None:
+        self._a, self._b, self._budget = a[0].tolist(), b[0].tolist(), budget
         self._a_accepts, self._b_accepts = a[1].tolist(), b[1].tolist()
-        self._under_a, self._under_b = _Inclusion(*a, effort), _Inclusion(*b, effort)
+        self._included_in_a, self._included_in_b = _Inclusion(*a, budget), _Inclusion(*b, budget)
         self._a_all, self._a_none = _sinks(*a)
         self._b_none = _sinks(*b)[1]
         self._width = a[0].shape[1]
@@ -233,12 +233,12 @@ class _Until:
         for waiting, alternatives in states:
             row = []
             for letter in range(self._width):
-                self._effort.spend(_PER_ALTERNATIVE * (1 + len(alternatives)))
+                self._budget.spend(_PER_ALTERNATIVE * (1 + len(alternatives)))
                 state = self._step(waiting, alternatives, letter)
                 if state not in index:
                     index[state] = len(states)
                     states.append(state)
-                    self._effort.check_states(len(states))
+                    self._budget.check_states(len(states))
                 row.append(index[state])
             rows.append(row)
             accepting.append(any(map(self._accepts, alternatives)))
@@ -247,34 +247,37 @@ class _Until:
     def _step(
         self, waiting: tuple[int, ...] | None, alternatives: Sequence[Alternative], letter: int
     ) -> tuple[tuple[int, ...] | None, tuple[Alternative, ...]]:
+        """Return the state after a letter; see the class."""
         begun = [*alternatives] if waiting is None else [*alternatives, (waiting, 0)]
         moved: list[Alternative] = []
         for held, state in begun:
-            still, to = self._held(held, letter), self._b[state][letter]
+            still, to = self._advance_held(held, letter), self._b[state][letter]
             if still is not None and to != self._b_none:
                 moved.append((still, to))
         if waiting is not None:
-            waiting = self._held((*waiting, 0), letter)
+            waiting = self._advance_held((*waiting, 0), letter)
         return waiting, self._widest(moved)
 
-    def _held(self, states: Sequence[int], letter: int) -> tuple[int, ...] | None:
+    def _advance_held(self, states: Sequence[int], letter: int) -> tuple[int, ...] | None:
         """Return the states of a after a letter; None if one of them can never accept."""
         moved = sorted({self._a[state][letter] for state in states} - {self._a_all})
         if self._a_none in moved:
             return None
-        self._effort.spend(len(moved) ** 2)
-        return tuple(s for s in moved if not any(t != s and self._under_a(t, s) for t in moved))
+        self._budget.spend(len(moved) ** 2)
+        return tuple(
+            s for s in moved if not any(t != s and self._included_in_a(t, s) for t in moved)
+        )
 
     def _widest(self, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
         """Return the alternatives that no other one includes."""
         kept = sorted(set(alternatives))
-        self._effort.spend(len(kept) ** 2)
-        return tuple(x for x in kept if not any(y != x and self._under(x, y) for y in kept))
+        self._budget.spend(len(kept) ** 2)
+        return tuple(x for x in kept if not any(y != x and self._is_included(x, y) for y in kept))
 
-    def _under(self, x: Alternative, y: Alternative) -> bool:
+    def _is_included(self, x: Alternative, y: Alternative) -> bool:
         """Return True if y certainly accepts all that x accepts (a sufficient test by parts)."""
-        return self._under_b(x[1], y[1]) and all(
-            any(self._under_a(s, t) for s in x[0]) for t in y[0]
+        return self._included_in_b(x[1], y[1]) and all(
+            any(self._included_in_a(s, t) for s in x[0]) for t in y[0]
         )
 
     def _accepts(self, alternative: Alternative) -> bool:
@@ -292,8 +295,8 @@ def _sinks(delta: np.ndarray, accepting: np.ndarray) -> tuple[int, int]:
 class _Inclusion:
     """Language inclusion between states of an automaton, computed on demand."""
 
-    def __init__(self, delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> None:
-        self._rows, self._accepts, self._effort = delta.tolist(), accepting.tolist(), effort
+    def __init__(self, delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> None:
+        self._rows, self._accepts, self._budget = delta.tolist(), accepting.tolist(), budget
         self._known: dict[tuple[int, int], bool] = {}
 
     def __call__(self, s: int, t: int) -> bool:
@@ -310,11 +313,12 @@ class _Inclusion:
         return self._known[s, t]
 
     def _seek(self, start: tuple[int, int]) -> None:
+        """Decide the inclusion for a pair of states, and for all pairs on the way."""
         came_from: dict[tuple[int, int], tuple[int, int] | None] = {start: None}
         pairs = [start]
         for pair in pairs:
             s, t = pair
-            self._effort.spend(2 * len(self._rows[s]))
+            self._budget.spend(2 * len(self._rows[s]))
             if self._known.get(pair) is False or (self._accepts[s] and not self._accepts[t]):
                 while pair is not None:
                     self._known[pair] = False
@@ -328,7 +332,7 @@ class _Inclusion:
         self._known |= dict.fromkeys(came_from, True)
 
 
-def minimal(delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> Dfa:
+def minimal(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> Dfa:
     """Return the automaton with equivalent states merged by partition refinement (Moore).
 
     Only reachable states stay; they are numbered breadth-first, letters in their order.
@@ -336,23 +340,24 @@ def minimal(delta: np.ndarray, accepting: np.ndarray, effort: CompileBudget) -> 
     n = len(delta)
     block, count = accepting.astype(np.int64), int(accepting.max()) + int(not accepting.all())
     while count < n:
-        effort.spend_cells((n + _CALL) * delta.shape[1])
+        budget.spend_cells((n + _CALL) * delta.shape[1])
         # Pack as many columns as fit into one int64, because it sorts fast.
         key, size = block, count
         for column in delta.T:
             if size * count >= 2**62:
-                key, size = _dense(key)
+                key, size = _compact(key)
             key, size = key * count + block[column], size * count
-        finer, new_count = _dense(key)
+        finer, new_count = _compact(key)
         if new_count == count:
             break
         block, count = finer, new_count
-    block = _dense(block)[0]
+    block = _compact(block)[0]
     _, first = np.unique(block, return_index=True)
     return _numbered(block[delta[first]], accepting[first], int(block[0]))
 
 
-def _dense(key: np.ndarray) -> tuple[np.ndarray, int]:
+def _compact(key: np.ndarray) -> tuple[np.ndarray, int]:
+    """Replace keys by numbers from 0, in order of the keys; return the numbers and their count."""
     values, dense = np.unique(key, return_inverse=True)
     return dense.reshape(-1), len(values)
 

@@ -66,7 +66,7 @@ def conjuncts(formula: Formula) -> tuple[Formula, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _conflict(formula: Formula, effort: CompileBudget) -> tuple[Formula, ...]:
+def _conflict(formula: Formula, budget: CompileBudget) -> tuple[Formula, ...]:
     """Return a minimal contradictory subset of the conjuncts.
 
     Later conjuncts are dropped first, so the first parts of the instruction stay.
@@ -74,11 +74,11 @@ def _conflict(formula: Formula, effort: CompileBudget) -> tuple[Formula, ...]:
     kept = list(conjuncts(formula))
     for part in reversed(kept.copy()):
         fewer = [f for f in kept if f is not part]
-        if fewer and not _possible(conj(*fewer), effort):
+        if fewer and not _possible(conj(*fewer), budget):
             kept = fewer
     return tuple(kept)
 
 
-def _possible(formula: Formula, effort: CompileBudget) -> bool:
-    _, accepting = minimal_automaton(formula, propositions(formula), effort)
+def _possible(formula: Formula, budget: CompileBudget) -> bool:
+    _, accepting = minimal_automaton(formula, propositions(formula), budget)
     return bool(accepting.any())

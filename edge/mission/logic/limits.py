@@ -10,10 +10,12 @@ from __future__ import annotations
 from edge.errors import UserError
 
 MAX_STATES = 20_000
+"""Default limit of the states of each automaton."""
 MAX_STEPS = 30_000_000
+"""Default limit of the steps of all compilations together."""
 
 PER_NODE = 4  # steps to visit a node, and to visit each of its operands
-_CELLS = 16
+_CELLS = 16  # array cells that NumPy processes in one step
 
 
 class CompileError(UserError):

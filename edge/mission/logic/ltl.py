@@ -44,6 +44,7 @@ class Formula:
     op: str
     args: tuple[Formula, ...] = ()
     name: str = ""
+    # The hash, once computed: a list, because the dataclass is frozen.
     _hash: list[int] = field(default_factory=list, init=False)
 
     def __hash__(self) -> int:
@@ -192,6 +193,7 @@ def to_text(f: Formula) -> str:
 
 
 def _pieces(f: Formula) -> list[Formula | str]:
+    """Return the text of a formula, with its operands as formulas that are still to be written."""
     if f.op == "ap":
         return [_name_text(f.name)]
     if not f.args:
@@ -212,6 +214,7 @@ def _pieces(f: Formula) -> list[Formula | str]:
 
 
 def _operand_text(f: Formula, at_least: int) -> list[Formula | str]:
+    """Return an operand, in parentheses if it binds weaker than `at_least`."""
     return [f] if STRENGTH.get(f.op, _ATOM_STRENGTH) >= at_least else ["(", f, ")"]
 
 
@@ -231,6 +234,7 @@ def _nary(op: str, fs: tuple[Formula, ...], empty: Formula) -> Formula:
 
 
 MAX_CHARS = 200_000
+"""Longest text that `parse` reads."""
 _SPELLINGS = {
     "&&": "&", "∧": "&", "||": "|", "∨": "|", "=>": "->", "→": "->", "<=>": "<->", "↔": "<->",
     "¬": "!", "<>": "F", "◇": "F", "[]": "G", "□": "G", "○": "X",
@@ -362,6 +366,7 @@ def _wants_operand(token: _Token) -> str:
 
 
 def _tokens(text: str) -> Iterator[_Token]:
+    """Yield the tokens of a text, "end" last; raise FormulaError at the first unreadable one."""
     if len(text) > MAX_CHARS:
         raise FormulaError(MAX_CHARS + 1, f"{len(text)} characters; at most {MAX_CHARS} are read")
     at = 0

@@ -52,7 +52,7 @@ def available() -> bool:
 
 
 def language(
-    formula: Formula, letters: Sequence[str], effort: CompileBudget
+    formula: Formula, letters: Sequence[str], budget: CompileBudget
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the automaton, like `edge.mission.logic.compiler.minimal_automaton`, computed by Spot.
 
@@ -75,15 +75,15 @@ def language(
     embedded = spot.from_ltlf(spot.formula(_text(formula, letters)), _ALIVE)
     finite = spot.to_finite(spot.translate(embedded, "buchi", "sbacc", "deterministic"), _ALIVE)
     steps = _steps(finite, buddy, len(letters))
-    rows, accepting = _determined(finite, steps, buddy.bddfalse, effort)
+    rows, accepting = _determined(finite, steps, buddy.bddfalse, budget)
     # The empty trace may differ from other traces that lead to the initial state.
     delta = np.array([rows[0], *rows], np.int32) + 1
     accepting = [_takes_nothing(formula), *accepting]
-    return minimal(delta, np.array(accepting), effort)
+    return minimal(delta, np.array(accepting), budget)
 
 
 def _determined(
-    automaton, steps: list, impossible, effort: CompileBudget
+    automaton, steps: list, impossible, budget: CompileBudget
 ) -> tuple[list[list[int]], list[bool]]:
     """Return the subset construction over letters; a deterministic input keeps its states."""
     states = [frozenset({automaton.get_init_state_number()})]
@@ -94,13 +94,13 @@ def _determined(
     while n < len(states):
         row = []
         edges = [edge for state in states[n] for edge in automaton.out(state)]
-        effort.spend(len(edges) * len(steps))
+        budget.spend(len(edges) * len(steps))
         for step in steps:
             target = frozenset(edge.dst for edge in edges if (edge.cond & step) != impossible)
             if target not in index:
                 index[target] = len(states)
                 states.append(target)
-                effort.check_states(len(states))
+                budget.check_states(len(states))
             row.append(index[target])
         rows.append(row)
         accepting.append(any(automaton.state_is_accepting(state) for state in states[n]))
@@ -115,8 +115,8 @@ def _steps(automaton, buddy: ModuleType, n_letters: int) -> list:
     for letter in range(n_letters + 1):
         values = buddy.bddtrue
         for k, variable in enumerate(variables):
-            one = buddy.bdd_ithvar if k == letter else buddy.bdd_nithvar
-            values = values & one(variable)
+            literal = buddy.bdd_ithvar if k == letter else buddy.bdd_nithvar
+            values = values & literal(variable)
         steps.append(values)
     return steps
 

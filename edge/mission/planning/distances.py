@@ -1,7 +1,7 @@
 """Driving distances between the objects of a mission, on the occupancy map.
 
-They are approximate: a 0.2 m grid and one wavefront per object are enough to compare objects. Runs
-in the background; takes tens of milliseconds on a large map.
+The distances are approximate: a 0.2 m grid and one wavefront per object are enough to compare
+objects. The computation takes tens of milliseconds on a large map, so it runs in the background.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ import numpy as np
 from edge.geometry import Grid
 from edge.jit import jit
 
-# Integer step costs: 17/12 is sqrt(2) within 0.2 %.
+# Integer costs of a step to a neighbour: 17/12 is sqrt(2) within 0.2 %.
 STRAIGHT, DIAGONAL = 12, 17
+# States of a cell of the search.
 CLOSED, FREE, UNKNOWN = 0, 1, 2
 UNREACHED = np.int32(2**31 - 1)
-_OCCUPIED = 100
+"""Cost of a cell without a path."""
+_OCCUPIED = 100  # value of an obstacle in the map
 _MAX_UNKNOWN_COST = 100.0
 
 
@@ -33,9 +35,10 @@ def distances(
     """Return `MissionKnowledge.distance_m`: driving distances from objects and robot to objects.
 
     Paths are the shortest 8-connected ones without cutting corners. A path to an object ends at the
-    free cell nearest to it, within `snap_m`. It may also end at a cell around the object that is
-    connected to that one; the extra distance to the object then counts as driven. So an object at a
-    wall is not reached from the next room. Unknown cells are used if no cell nearby is free.
+    free cell nearest to the object, within `snap_m`. It may also end at another cell around the
+    object that is connected to the nearest cell; the extra distance to the object then counts as
+    driven. So an object at a wall is not reached from the next room. Unknown cells are used if no
+    cell nearby is free.
 
     Args:
         snapshot: the map: -1 unknown, 0 free, 100 obstacle, 1 … 99 too near to an obstacle for
@@ -102,10 +105,10 @@ def _matrix(
     for i, begin in enumerate(rows):
         wavefront(state, step, begin, distance, buckets, queue)
         for j, cells in enumerate(ends):
-            there = distance.ravel()[cells[:, 0]]
-            reached = there != UNREACHED
+            costs = distance.ravel()[cells[:, 0]]
+            reached = costs != UNREACHED
             if reached.any():
-                out[i, j] = 0.0 if begin is cells else (there + cells[:, 1])[reached].min()
+                out[i, j] = 0.0 if begin is cells else (costs + cells[:, 1])[reached].min()
     return out
 
 

@@ -46,6 +46,7 @@ class InOrderPlanner:
         return TargetPlan(first or None, tuple(steps), cost, True, (), reason, ((first, cost),))
 
     def _first(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:
+        """Return the first letter of the formula that leads to another hopeful state."""
         for letter in (*self.automaton.propositions, NOTHING):
             after = self.automaton.step(state, letter)
             if letter not in failed and after != state and hopeful[after]:

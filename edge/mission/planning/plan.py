@@ -90,7 +90,7 @@ _TARGET = {
     "unknown": "{} has to be found",
 }
 _COMPETING = {**_TARGET, "unknown": "{} would have to be found", "nothing": "{} first"}
-_SAME = 1e-9
+_SAME = 1e-9  # costs that differ by less are equal
 
 
 def named(letter: str) -> str:

@@ -19,9 +19,12 @@ from edge.mission.planning.plan import (
     explain_hysteresis,
 )
 
-W_DET, W_FAIL = 0.01, 1000.0
-"""Weight of a detected object, and weight of a failed one in the reported costs."""
+W_DET = 0.01
+"""Weight of a detected object."""
+W_FAIL = 1000.0
+"""Weight of a failed object in the reported costs."""
 REPLAN_MARGIN_M = 1.0
+"""With distances, the target changes only if another path is shorter by more than this."""
 W_NOTHING = 1e-6
 """Weight of a step that reaches nothing: nearly free, but positive so that it is never wasted."""
 
@@ -60,7 +63,7 @@ class VitlPlanner:
         self._by_distance = config.weights == "distance"
         self._explore_m = config.explore_m
         places = k + 1 if self._by_distance else 1
-        self._here = places - 1
+        self._robot_place = places - 1
         self._order = working_order(automaton)
         # A path without a failed edge enters no node twice, so it always costs less than FAILED.
         self._heaviest = int(kernels.FAILED - 1) // (n * places)
@@ -87,7 +90,7 @@ class VitlPlanner:
         self._weigh(knowledge)
         kernels.cost_to_go(a.delta, a.accepting, self._order, self._weight, self._cost, self._steps)
         kernels.first_step_costs(
-            a.delta, self._weight, self._cost, self._steps, state, self._here,
+            a.delta, self._weight, self._cost, self._steps, state, self._robot_place,
             self._first_cost, self._first_steps,
         )  # fmt: skip
         cost, steps = self._first_cost.tolist(), self._first_steps.tolist()
@@ -96,21 +99,21 @@ class VitlPlanner:
             (c for c in range(len(names)) if cost[c] != kernels.UNREACHABLE),
             key=lambda c: (cost[c], steps[c], names[c] != current),
         )
-        options = tuple((names[c], self._float(cost[c])) for c in ranked)
+        options = tuple((names[c], self._as_weight(cost[c])) for c in ranked)
         first = best = ranked[0]
         if cost[best] >= kernels.FAILED:
             return self._blocked(self._follow(best, state), knowledge, options)
         if self._by_distance and names[best] != current:
-            first = self._kept(ranked, cost, current)
+            first = self._letter_to_pursue(ranked, cost, current)
         path = self._follow(first, state)
         if first == best:
-            reason = explain(path[0], options, knowledge, self._text)
+            reason = explain(path[0], options, knowledge, self._cost_text)
         else:
-            gain = self._text(self._float(cost[first] - cost[best]))
-            margin = self._text(REPLAN_MARGIN_M)
+            gain = self._cost_text(self._as_weight(cost[first] - cost[best]))
+            margin = self._cost_text(REPLAN_MARGIN_M)
             reason = explain_hysteresis(path[0], names[best], gain, margin)
         return TargetPlan(
-            path[0] or None, path, self._float(cost[first]), True, (), reason, options
+            path[0] or None, path, self._as_weight(cost[first]), True, (), reason, options
         )
 
     def _blocked(
@@ -124,7 +127,7 @@ class VitlPlanner:
         reason = explain_blocked(needed)
         return TargetPlan(None, (), math.inf, False, needed, reason, options)
 
-    def _kept(self, ranked: list[int], cost: list[int], current: str | None) -> int:
+    def _letter_to_pursue(self, ranked: list[int], cost: list[int], current: str | None) -> int:
         """Return the current target's letter if it is within the margin, else the best letter."""
         limit = cost[ranked[0]] + round(REPLAN_MARGIN_M * kernels.SCALE)
         letters = self.automaton.propositions
@@ -135,20 +138,21 @@ class VitlPlanner:
         return ranked[0]
 
     def _follow(self, first: int, state: int) -> tuple[str, ...]:
+        """Return the letters of the best path that begins with the letter number `first`."""
         a = self.automaton
         length = kernels.follow(
-            a.delta, a.accepting, self._weight, self._cost, self._steps, state, self._here,
+            a.delta, a.accepting, self._weight, self._cost, self._steps, state, self._robot_place,
             first, self._path,
         )  # fmt: skip
         names = (*a.propositions, NOTHING)
         return tuple(names[c] for c in self._path[:length].tolist())
 
-    def _float(self, cost: int) -> float:
+    def _as_weight(self, cost: int) -> float:
         """Return an integer cost as the sum of eq. 2, with `W_FAIL` for each failed edge."""
         failed, rest = divmod(cost, int(kernels.FAILED))
         return failed * W_FAIL + rest / kernels.SCALE
 
-    def _text(self, cost: float) -> str:
+    def _cost_text(self, cost: float) -> str:
         return f"{cost:.1f} m" if self._by_distance else f"{cost:.2f}"
 
     def _weigh(self, knowledge: MissionKnowledge) -> None:

@@ -16,9 +16,10 @@ class Detector(Protocol):
 
     Attributes:
         name: the model's card, or a description if there is no model.
-        prompts: what to look for; `Detections.class_id` is an index into them.
+        prompts: names of the objects to look for; `Detections.class_id` is an index into them.
         invalid_boxes: number of boxes since the start that were dropped as invalid (`UNSOUND`).
-        looks_at: attribute of an observation that it needs; optional, `rgb` by default.
+        looks_at: attribute of an observation that the detector needs: observations without it are
+            skipped. A detector need not have `looks_at`; the default is `rgb`.
     """
 
     name: str

@@ -38,7 +38,7 @@ def is_sound(boxes, scores, i, far_px):
 
     Args:
         boxes: (a, 4) float32.
-        scores: (a, n) float32, from `best_per_class`; each must lie in 0 to 1. NaN does not.
+        scores: (a, n) float32, from `best_per_class`; each must lie in 0 to 1, so NaN is invalid.
         i: index of the anchor.
         far_px: largest distance of a corner from the origin.
     """
@@ -63,7 +63,8 @@ def count_unsound(boxes, scores, far_px):
 def iou(boxes, i, j):
     """Return the intersection over union of rows i and j of `boxes`; 0 if either is empty.
 
-    A row is (x0, y0, x1, y1). By index, since a view of a row costs more than the arithmetic.
+    A row is (x0, y0, x1, y1). The arguments are indices, since a view of a row costs more than the
+    arithmetic.
     """
     ax0, ay0, ax1, ay1 = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3]
     bx0, by0, bx1, by1 = boxes[j, 0], boxes[j, 1], boxes[j, 2], boxes[j, 3]
@@ -77,7 +78,7 @@ def iou(boxes, i, j):
 
 @jit
 def best_per_class(scores, thing, out):
-    """Write the best score of each thing over its columns; NaN if any of them is NaN.
+    """Write the best score of each thing (class) over its columns (texts); NaN if one is NaN.
 
     A score over 1 by at most `ROUNDING` becomes 1, a score under 0 by at most `ROUNDING` becomes 0.
 
@@ -101,14 +102,14 @@ def best_per_class(scores, thing, out):
 
 @jit
 def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
-    """Collect every target and context label of every anchor that scores at least `tau`.
+    """Collect every target and context label that scores at least `tau`, for every anchor.
 
-    Other labels on the same anchor do not matter here; see `suppress`.
+    One anchor may give several candidates; see `suppress`.
 
     Args:
         boxes: (a, 4) float32.
         scores: (a, n) float32, from `best_per_class`.
-        n_named: number of targets and context words; things from there on only compete.
+        n_named: number of targets and context words. Columns from there on only compete.
         tau: least score.
         far_px: see `is_sound`.
         anchor: (a * n_named,) int32 out, row of `boxes`.
@@ -148,7 +149,8 @@ def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep
         m: number of candidates.
         first: first label.
         end: one past the last label.
-        one_word: True: boxes of different labels suppress each other, too.
+        one_word: True: boxes of different labels suppress each other, too, so that each place has
+            one word.
         iou_max: overlap above which the lower score is suppressed.
         keep: (k,) int32 out, indices of kept candidates, highest score first.
 
@@ -218,13 +220,14 @@ def to_image(boxes, anchor, keep, n, scale, top, left, width, height, out, cut):
         scale: input pixels per image pixel.
         top: first row of the image in the input.
         left: first column of the image in the input.
-        width: of the image, in pixels.
-        height: of the image, in pixels.
+        width: width of the image in pixels.
+        height: height of the image in pixels.
         out: (m, 4) float32.
-        cut: (m,) bool out, True if the box reaches the image border: the object may go on.
+        cut: (m,) bool out, True if the box reaches the image border, so that the object may
+            continue outside the image.
 
     Returns:
-        Number of boxes left; `keep`, `out` and `cut` are compacted alike.
+        Number of boxes left; the first entries of `keep`, `out` and `cut` are theirs.
     """
     k = 0
     rim_x, rim_y = RIM * width, RIM * height

@@ -40,12 +40,11 @@ log = logging.getLogger(__name__)
 
 INPUTS = ("images", "txt_feats")
 OUTPUTS = ("boxes", "scores")
-NMS_IOU = 0.5
-MAX_DETECTIONS = 64
-USUAL_COLUMNS, MAX_COLUMNS = 16, 256
-"""Texts that a TensorRT engine is tuned for, and the most that it takes.
-
-Prompts, synonyms, background and contrasts all count."""
+NMS_IOU = 0.5  # overlap above which the box with the lower score is suppressed
+MAX_DETECTIONS = 64  # boxes of targets, and boxes of the context
+# Numbers of texts: prompts, synonyms, background and contrasts all count.
+USUAL_COLUMNS = 16  # a TensorRT engine is tuned for this number
+MAX_COLUMNS = 256  # a TensorRT engine takes at most this number
 
 
 def engine_options(
@@ -53,7 +52,10 @@ def engine_options(
     detector: config.DetectorOnnx,
     progress: ProgressCallback = log_progress,
 ) -> EngineOptions:
-    """Return the TensorRT options of a model; only a detector's number of texts may change."""
+    """Return the TensorRT options of a model.
+
+    All shapes are fixed, except that a detector's number of texts may change.
+    """
     shapes = {}
     if isinstance(card, DetectCard):
         few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_COLUMNS, MAX_COLUMNS))
@@ -72,7 +74,15 @@ def far_px(card: DetectCard) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _PromptSet:
-    """The current prompts and all buffers that are bound for them; replaced as a whole."""
+    """The current prompts and all buffers that are bound for them; replaced as a whole.
+
+    Attributes:
+        prompts: names of the objects to look for.
+        columns: the text classes of the prompts.
+        folded: (anchors, classes) float32, score of each class.
+        anchor, label, score: (anchors * (prompts + context),), see `kernels.candidates`.
+        bound: the session with its inputs and outputs; None after `close`.
+    """
 
     prompts: tuple[str, ...]
     columns: TextClasses
@@ -85,7 +95,14 @@ class _PromptSet:
 
 @dataclass(frozen=True, slots=True)
 class _Placement:
-    """Position and scale of an image in the network's input."""
+    """Position and scale of an image in the network's input.
+
+    Attributes:
+        width_px, height_px: size of the image.
+        scale: input pixels per image pixel.
+        top, left: first row and column of the image in the input.
+        resized: buffer for the scaled image; None if the scale is 1.
+    """
 
     width_px: int
     height_px: int
@@ -96,7 +113,13 @@ class _Placement:
 
 
 class _BoxBuffer(NamedTuple):
-    """Candidates after suppression: index, box in the image, and True if the image cuts it off."""
+    """Candidates after suppression.
+
+    Attributes:
+        selected: (n,) int32, index of the candidate.
+        xyxy_px: (n, 4) float32, box in the image.
+        cut: (n,) bool, True if the image border cuts the object off.
+    """
 
     selected: np.ndarray
     xyxy_px: np.ndarray
@@ -112,19 +135,19 @@ class OnnxDetector:
 
     All buffers are allocated once. An image costs one resize, one run and a few kernels.
 
-    Each prompt keeps its own boxes, even if another prompt scores higher at the same place: code
-    that weighs many images needs the weaker scores, too. Background words (`config.background`) are
-    the context; of context boxes that overlap, only the one with the best score is kept. The best
-    score of a competing thing at the place of a box is its `Detections.competing_score`. Words for
-    the same thing (chair, armchair) do not compete. A thing is looked for under all names that the
-    text encoder has for it; see `TextClasses`.
+    Each prompt keeps its own boxes, even if another prompt scores higher at the same place, because
+    the trackers need the weaker scores, too. Background words (`config.background`) are the
+    context. Of context boxes that overlap, only the one with the best score is kept. The
+    `Detections.competing_score` of a box is the best score of a competing thing at its place. Words
+    for the same thing (chair, armchair) do not compete. A thing is looked for under all names that
+    the text encoder has for it; see `TextClasses`.
 
     Args:
-        detector: names the card, the providers and the background.
-        prompts: what to look for.
+        detector: configuration: card, providers, background words and more.
+        prompts: names of the objects to look for.
         progress: called while a TensorRT engine is built, which takes minutes.
-        session: runs the network; None: opens the card's model.
-        text: encodes prompts; None: opens the card's encoder.
+        session: session of the network; None: open the card's model.
+        text: encoder of prompts; None: open the card's encoder.
 
     Attributes:
         invalid_boxes: number of boxes dropped as invalid (`UNSOUND`).
@@ -171,7 +194,7 @@ class OnnxDetector:
         )
         self._anchors = self._count_anchors()
         self._top = np.empty(self._anchors, np.float32)
-        self._against = np.empty(MAX_DETECTIONS, np.float32)
+        self._competing_score = np.empty(MAX_DETECTIONS, np.float32)
         self._target_boxes, self._context_boxes = (_BoxBuffer.of(MAX_DETECTIONS) for _ in range(2))
         self.set_prompts(prompts)
 
@@ -219,27 +242,27 @@ class OnnxDetector:
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`."""
         start_ns = time.perf_counter_ns()
-        rgb, asked = check_rgb(observation), self._prompt_set
+        rgb, prompt_set = check_rgb(observation), self._prompt_set
         self._fill_input(rgb)
         filled_ns = time.perf_counter_ns()
-        boxes, scores = asked.bound.run()
+        boxes, scores = prompt_set.bound.run()
         ran_ns = time.perf_counter_ns()
-        found, around = self._pick(asked, boxes[0], scores[0])
+        found, around = self._select_boxes(prompt_set, boxes[0], scores[0])
         end_ns = time.perf_counter_ns()
         self.stages_ns = (filled_ns - start_ns, ran_ns - filled_ns, end_ns - ran_ns)
-        mine, others = found.selected, around.selected
+        targets_kept, others = found.selected, around.selected
         return Detections(
             observation=observation,
             xyxy_px=found.xyxy_px.copy(),
-            score=asked.score[mine],
-            class_id=asked.label[mine],
-            prompts=asked.prompts,
-            competing_score=self._against[: len(mine)].copy(),
+            score=prompt_set.score[targets_kept],
+            class_id=prompt_set.label[targets_kept],
+            prompts=prompt_set.prompts,
+            competing_score=self._competing_score[: len(targets_kept)].copy(),
             context=ContextBoxes(
                 around.xyxy_px.copy(),
-                asked.score[others],
-                asked.label[others] - np.int32(len(asked.prompts)),
-                asked.columns.context,
+                prompt_set.score[others],
+                prompt_set.label[others] - np.int32(len(prompt_set.prompts)),
+                prompt_set.columns.context,
             ),
             model=self.name,
             latency_ns=end_ns - start_ns,
@@ -257,13 +280,13 @@ class OnnxDetector:
         Raises:
             ModelError: the model returns invalid boxes or scores.
         """
-        asked = self._prompt_set
+        prompt_set = self._prompt_set
         self._fill_input(np.ascontiguousarray(rgb))
-        boxes, scores = asked.bound.run()
-        kernels.best_per_class(scores[0], asked.columns.class_of_text, asked.folded)
-        if invalid := kernels.count_unsound(boxes[0], asked.folded, self._far_px):
+        boxes, scores = prompt_set.bound.run()
+        kernels.best_per_class(scores[0], prompt_set.columns.class_of_text, prompt_set.folded)
+        if invalid := kernels.count_unsound(boxes[0], prompt_set.folded, self._far_px):
             raise ModelError(f"model {self.name}: {invalid} boxes are {UNSOUND}")
-        return asked.folded[:, : len(asked.prompts)].max(axis=0)
+        return prompt_set.folded[:, : len(prompt_set.prompts)].max(axis=0)
 
     def health(self) -> Health:
         """See `Detector.health`."""
@@ -275,9 +298,9 @@ class OnnxDetector:
         self._prompt_set = replace(self._prompt_set, bound=None)
 
     def _count_anchors(self) -> int:
-        """Return the number of boxes of an image, from a run on an empty image.
+        """Return the number of boxes that the network returns, from a run on an empty image.
 
-        The run also warms the session up.
+        The run also warms up the session.
         """
         self._images.fill(self.card.preprocess.letterbox_pad * self._scale)
         text = np.zeros((1, 1, self.card.text_dim), np.float32)
@@ -317,24 +340,24 @@ class OnnxDetector:
         top, left = (h - new_h) // 2, (w - new_w) // 2
         return _Placement(width_px, height_px, scale, top, left, resized)
 
-    def _pick(
-        self, asked: _PromptSet, boxes: np.ndarray, scores: np.ndarray
+    def _select_boxes(
+        self, prompt_set: _PromptSet, boxes: np.ndarray, scores: np.ndarray
     ) -> tuple[_BoxBuffer, _BoxBuffer]:
         """Return the boxes of targets and of the context.
 
-        The scores that compete with the targets go to `_against`.
+        The scores that compete with the targets go to `_competing_score`.
 
         Args:
-            asked: the current prompts.
+            prompt_set: the current prompts.
             boxes: (a, 4) float32.
             scores: (a, columns) float32.
         """
-        tau, targets = np.float32(self.config.tau_vl), len(asked.prompts)
-        named = targets + len(asked.columns.context)
-        kernels.best_per_class(scores, asked.columns.class_of_text, asked.folded)
+        tau, targets = np.float32(self.config.tau_vl), len(prompt_set.prompts)
+        named = targets + len(prompt_set.columns.context)
+        kernels.best_per_class(scores, prompt_set.columns.class_of_text, prompt_set.folded)
         found, invalid = kernels.candidates(
-            boxes, asked.folded, named, tau, self._far_px, asked.anchor, asked.label, asked.score,
-            self._top,
+            boxes, prompt_set.folded, named, tau, self._far_px, prompt_set.anchor,
+            prompt_set.label, prompt_set.score, self._top,
         )  # fmt: skip
         if invalid:
             if not self.invalid_boxes:
@@ -343,33 +366,42 @@ class OnnxDetector:
                     self.name, invalid, self._anchors, UNSOUND,
                 )  # fmt: skip
             self.invalid_boxes += invalid
-        mine = self._suppress(asked, boxes, found, (0, targets), self._target_boxes)
+        kept = self._suppress(prompt_set, boxes, found, (0, targets), self._target_boxes)
         kernels.competing_scores(
-            boxes, asked.folded, asked.columns.competes, tau, self._top, asked.anchor, asked.label,
-            mine.selected, len(mine.selected), mine.cut, NMS_IOU, self._against,
+            boxes, prompt_set.folded, prompt_set.columns.competes, tau, self._top,
+            prompt_set.anchor, prompt_set.label, kept.selected, len(kept.selected), kept.cut,
+            NMS_IOU, self._competing_score,
         )  # fmt: skip
-        return mine, self._suppress(asked, boxes, found, (targets, named), self._context_boxes)
+        context = self._suppress(prompt_set, boxes, found, (targets, named), self._context_boxes)
+        return kept, context
 
     def _suppress(
         self,
-        asked: _PromptSet,
+        prompt_set: _PromptSet,
         boxes: np.ndarray,
         found: int,
         labels: tuple[int, int],
         out: _BoxBuffer,
     ) -> _BoxBuffer:
-        """Suppress and map the candidates with a label in `labels`, a half-open range.
+        """Suppress the candidates with a label in a range, and map the others to the image.
+
+        Args:
+            prompt_set: the current prompts.
+            boxes: (a, 4) float32.
+            found: number of candidates.
+            labels: first label of the range, and one past the last.
+            out: buffer for the result.
 
         Returns:
             Views of `out`.
         """
         place, one_word = self._place, labels[0] > 0
         n = kernels.suppress(
-            boxes, asked.anchor, asked.label, asked.score, found, *labels, one_word,
+            boxes, prompt_set.anchor, prompt_set.label, prompt_set.score, found, *labels, one_word,
             NMS_IOU, out.selected,
         )  # fmt: skip
         n = kernels.to_image(
-            boxes, asked.anchor, out.selected, n, place.scale, place.top, place.left,
+            boxes, prompt_set.anchor, out.selected, n, place.scale, place.top, place.left,
             place.width_px, place.height_px, out.xyxy_px, out.cut,
         )  # fmt: skip
         return _BoxBuffer(*(array[:n] for array in out))

@@ -30,7 +30,7 @@ class ProcessDetector(SupervisedProcess):
 
     Args:
         perception: configuration of the detector and of the process.
-        prompts: what to look for.
+        prompts: names of the objects to look for.
         progress: see `make_detector`; called at later starts, too.
         cancelled: see `make_detector`.
 
@@ -52,7 +52,7 @@ class ProcessDetector(SupervisedProcess):
         self._perception = perception.model_copy(update={"isolation": "thread"})
         self._prompts = self._looked_for = tuple(prompts)
         self._progress = progress
-        self._own, self._reported = Health(), Health()
+        self._process_health, self._model_health = Health(), Health()
         self._answered: ModelProcessClient | None = None
         self._invalid_before = 0
         self._cancelled = cancelled or threading.Event()
@@ -74,37 +74,38 @@ class ProcessDetector(SupervisedProcess):
         self._prompts = prompts
 
     def detect(self, observation: Observation) -> Detections:
-        """See `Detector.detect`; takes at most `timeout_s`.
+        """See `Detector.detect`; takes at most twice `perception.process.timeout_s`.
 
         Raises:
             ModelProcessError: no process is ready, or it ended or was killed during this image.
         """
         start_ns = time.perf_counter_ns()
         rgb = check_rgb(observation)
-        if self._link is None or self._own.state != "ok":
-            raise ModelProcessError(self._own.detail)
+        if self._link is None or self._process_health.state != "ok":
+            raise ModelProcessError(self._process_health.detail)
         link = self._link
         answer = link.detect(rgb, self._prompts, self._rules.timeout_s)
         if link is not self._answered:  # a new process counts from 0
             self._answered, self._invalid_before = link, self.invalid_boxes
-        self._looked_for, self._reported = answer.found.prompts, answer.health
+        self._looked_for, self._model_health = answer.found.prompts, answer.health
         self.invalid_boxes = self._invalid_before + answer.invalid_boxes
         took_ns = time.perf_counter_ns() - start_ns
         return replace(answer.found, observation=observation, model=self.name, latency_ns=took_ns)
 
     def health(self) -> Health:
-        """See `Detector.health`: of the process, and if that is `ok`, of the model in it."""
-        if self._own.state != "ok":
-            return self._own
+        """Return the health of the process, or if that is `ok`, of the model; see `Detector`."""
+        if self._process_health.state != "ok":
+            return self._process_health
         if self._link is not None and self._link.fault:  # the thread is about to report it
             return Health("restarting", self._link.fault)
-        return self._reported
+        return self._model_health
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
         """See `SupervisedProcess`.
 
-        It starts with the current prompts: encoding them may take longer than an image. If they are
-        unusable it starts with the last usable ones, and `detect` reports the error.
+        The process starts with the current prompts, since encoding them later may take longer than
+        an image. If they are unusable, the process starts with the last usable ones, and `detect`
+        reports the error.
         """
         wanted = self._prompts
         try:
@@ -117,28 +118,28 @@ class ProcessDetector(SupervisedProcess):
     def _run_with(self, prompts: Sequence[str], first: Future[None]) -> tuple[float, str]:
         perception = self._perception.model_dump(mode="json")
         request = {"perception": perception, "prompts": list(prompts)}
-        return self._run_link(first, request, self._load)
+        return self._run_link(first, request, self._report_loading)
 
     def _ready(self, again: bool) -> None:
         """See `SupervisedProcess`."""
-        self._reported = Health()
+        self._model_health = Health()
         self._set_state(Health())
 
     def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
         """See `SupervisedProcess`; the state is `degraded` if the model can no longer be loaded."""
         known = failed is None or isinstance(failed, ModelProcessError)
         state = "restarting" if known and not pause.limit else "degraded"
-        self._set_state(Health(state, f"{why}; {self._outlook(pause)}"))
+        self._set_state(Health(state, f"{why}; {self._describe_restart(pause)}"))
 
     def _is_cancelled(self, first: Future[None]) -> bool:
         return self._closing.is_set() or (self._cancelled.is_set() and not first.done())
 
-    def _load(self, health: Health) -> None:
+    def _report_loading(self, health: Health) -> None:
         """Report that the model is still loading."""
-        self._own = health
+        self._process_health = health
         self._progress(health)
 
-    def _outlook(self, pause: RestartDelay) -> str:
+    def _describe_restart(self, pause: RestartDelay) -> str:
         if not pause.limit:
             return f"restarts in {pause.seconds:.1f} s"
         return f"ended too often, restarts in {pause.seconds:.0f} s"
@@ -146,6 +147,6 @@ class ProcessDetector(SupervisedProcess):
     def _set_state(self, health: Health) -> None:
         """Set the state, and log it if it changed."""
         level = {"ok": logging.INFO, "restarting": logging.WARNING}.get(health.state, logging.ERROR)
-        if health != self._own:
+        if health != self._process_health:
             log.log(level, health.detail or f"model {self.name}: its process runs")
-        self._own = health
+        self._process_health = health

@@ -19,7 +19,8 @@ from edge.perception.runtime.health import Health, ProgressCallback, log_progres
 from edge.perception.runtime.kserve import KServeSession
 from edge.types import Detections, Observation
 
-PAUSE_S, MAX_PAUSE_S = 0.2, 5.0
+PAUSE_S = 0.2  # pause after the first failure
+MAX_PAUSE_S = 5.0  # longest pause
 
 T = TypeVar("T")
 
@@ -27,16 +28,17 @@ T = TypeVar("T")
 class RemoteDetector:
     """A detector (`Detector`) that encodes prompts and selects boxes; a server runs the network.
 
-    A server that gives no usable answer costs the current image. It is asked again after
-    `PAUSE_S`; the pause doubles after each failure in a row, up to `MAX_PAUSE_S`. Images during a
-    pause fail at once. The constructor does not ask the server: the robot may start before it.
+    If the server gives no usable answer, `detect` fails for this image. The server is asked again
+    after `PAUSE_S`; the pause doubles after each failure in a row, up to `MAX_PAUSE_S`. Images
+    during a pause fail at once. The constructor does not ask the server, because the robot may
+    start before the server does.
 
     Args:
         detector: configuration of the detector.
-        card: names the server.
-        prompts: what to look for.
+        card: card of the model, with its server.
+        prompts: names of the objects to look for.
         progress: see `make_detector`.
-        clock: returns seconds.
+        clock: returns the time in seconds.
 
     Raises:
         PromptError, ModelError: see `OnnxDetector`; server errors are raised by `detect` instead.
@@ -57,7 +59,7 @@ class RemoteDetector:
         self._inner: OnnxDetector | None = None  # once the server has answered
         self._invalid_before = 0  # invalid boxes of earlier models
         self._health = Health()
-        self._last: ModelError | None = None
+        self._last_error: ModelError | None = None
         self._failures, self._next_s = 0, 0.0
         self._asking = threading.Lock()
         self._prompts: tuple[str, ...] = ()
@@ -81,7 +83,7 @@ class RemoteDetector:
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`; takes at most the card's `server.time_limit_s`.
 
-        The first image takes at most a few times that.
+        The first image may take a few times as long.
 
         Raises:
             ModelError: the server gave no usable answer, or is in a pause after a failure.
@@ -101,15 +103,16 @@ class RemoteDetector:
         self._session.close()
 
     def _with_model(self, work: Callable[[OnnxDetector], T]) -> T:
+        """Call `work` with the detector, unless the server is in a pause; note failures."""
         with self._asking:
-            if self._last is not None and self._clock() < self._next_s:
-                raise self._last.with_traceback(None)
+            if self._last_error is not None and self._clock() < self._next_s:
+                raise self._last_error.with_traceback(None)
             try:
                 found = work(self._model())
             except ModelError as error:
                 self._failed(error)
                 raise
-            self._last, self._failures, self._health = None, 0, Health()
+            self._last_error, self._failures, self._health = None, 0, Health()
             return found
 
     def _model(self) -> OnnxDetector:
@@ -125,11 +128,10 @@ class RemoteDetector:
 
     def _failed(self, error: ModelError) -> None:
         pause_s = min(PAUSE_S * 2.0 ** min(self._failures, 10), MAX_PAUSE_S)
-        self._last = error
+        self._last_error = error
         self._failures += 1
         self._next_s = self._clock() + pause_s
         self._health = Health("degraded", str(error))
-        if (
-            getattr(error, "kind", "invalid answer") == "invalid answer"
-        ):  # the server may run another model by now
+        if getattr(error, "kind", "invalid answer") == "invalid answer":
+            # The server may run another model by now: make a new detector for it.
             self._invalid_before, self._inner = self.invalid_boxes, None

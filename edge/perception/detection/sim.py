@@ -17,6 +17,7 @@ from edge.perception.runtime.health import Health
 from edge.types import ContextBoxes, Detections, Observation
 
 MIN_VISIBLE_PX = 40
+"""An object with fewer visible pixels is not detected."""
 _FULL_VIEW = 0.02
 """Share of the image above which an object's size no longer lowers its score."""
 _MAX_JITTER = 0.05
@@ -47,9 +48,10 @@ class _Roles(NamedTuple):
     """Classes of a world's objects for some prompts.
 
     Attributes:
+        prompts: names of the objects to look for.
         words: the context words.
         classes: class of object i at index i: the index of a prompt, or `len(prompts)` plus the
-            index of a word, or -1 if it is not looked for.
+            index of a word, or -1 for an object that is not looked for.
     """
 
     prompts: tuple[str, ...]
@@ -60,21 +62,23 @@ class _Roles(NamedTuple):
 class SimDetector:
     """A detector (`Detector`) that puts imperfect boxes around the visible pixels of known objects.
 
-    The score falls with range and smallness and carries Gaussian noise. Objects are missed
-    (`miss_rate` near by, three times that at `max_range_m`), and sometimes another object is taken
-    for a target (`false_positive_rate`). A prompt means the objects of that exact name (a dog bed);
-    if the world has none, those of its noun. All other objects of the world are context, unless
-    `config.background` lists the context. Context objects are detected and missed in the same way;
-    one that is taken for a target is not reported as itself in that image. Noise depends on
-    `config.seed` and `observation.seq` only, so a run replays the same.
+    The score falls with the distance and with smaller size in the image, and has Gaussian noise.
+    Objects are missed (`miss_rate` near by, three times that at `max_range_m`), and sometimes
+    another object is taken for a target (`false_positive_rate`). A prompt means the objects of that
+    exact name (a dog bed); if the world has none, the objects of its noun (a bed). All other
+    objects of the world are context, unless `config.background` lists the context. Context objects
+    are detected and missed in the same way. A context object that is taken for a target is not
+    reported as itself in that image. Noise depends on `config.seed` and `observation.seq` only, so
+    a run replays the same.
 
     Args:
         detector: the configuration.
-        prompts: what to look for.
-        truth: ground truth of an image; None: there is none, and `detect` raises.
+        prompts: names of the objects to look for.
+        truth: returns the ground truth of an image; None: there is no ground truth, and `detect`
+            raises.
 
     Raises:
-        PromptError: no prompt, or an empty one.
+        PromptError: there is no prompt, or a prompt is empty.
 
     Example:
         >>> truth = Segmentation(np.ones((48, 64), np.uint16), ("chair",))
@@ -117,16 +121,16 @@ class SimDetector:
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`; needs depth and a segmentation of the same shape."""
         start_ns = time.perf_counter_ns()
-        there = self._truth(observation.stamp_ns) if self._truth is not None else None
+        truth = self._truth(observation.stamp_ns) if self._truth is not None else None
         depth = observation.depth_m
-        if there is None or depth is None or there.ids.shape != depth.shape or depth.size == 0:
+        if truth is None or depth is None or truth.ids.shape != depth.shape or depth.size == 0:
             raise ValueError(
                 f"observation {observation.seq}: no segmentation and depth of one size: lost on "
                 "the way, or not sent (for a real camera use perception.detector.kind: onnx)"
             )
-        ids = there.ids
-        if there.labels != self._labels:
-            self._labels = there.labels
+        ids = truth.ids
+        if truth.labels != self._labels:
+            self._labels = truth.labels
             self._names = tuple(names.canonical(label) for label in self._labels)
             self._present = set(self._names)
             self._roles = _Roles((), (), ())
@@ -134,9 +138,9 @@ class SimDetector:
         kernels.object_boxes(ids, depth, self._box, self._pixels, self._distance)
         prompts, nouns = self._asked
         if self._roles.prompts != prompts:
-            self._roles = self._cast(prompts, nouns)
+            self._roles = self._assign_roles(prompts, nouns)
         roles = self._roles
-        found = self._noisy(observation.seq, roles, ids.shape)
+        found = self._detect_with_noise(observation.seq, roles, ids.shape)
         found.sort(key=lambda row: -row[0])
         xyxy_px = np.array([row[2] for row in found], np.float32).reshape(-1, 4)
         score = np.array([row[0] for row in found], np.float32)
@@ -170,19 +174,22 @@ class SimDetector:
         self._pixels = np.empty(n, np.int32)
         self._distance = np.empty(n, np.float32)
 
-    def _cast(self, prompts: tuple[str, ...], nouns: tuple[str, ...]) -> _Roles:
+    def _assign_roles(self, prompts: tuple[str, ...], nouns: tuple[str, ...]) -> _Roles:
         """Return the class of each object for these prompts."""
         exact = [names.canonical(prompt) for prompt in prompts]
         wanted = tuple(e if e in self._present else n for e, n in zip(exact, nouns, strict=True))
-        around = self.config.background
-        there = sorted(self._present) if around is None else map(names.canonical, around)
-        words = names.non_targets(there, (*wanted, *prompts))
+        background = self.config.background
+        if background is None:
+            context = sorted(self._present)
+        else:
+            context = [names.canonical(word) for word in background]
+        words = names.non_targets(context, (*wanted, *prompts))
         number = {word: len(prompts) + i for i, word in enumerate(words)}
         for i in reversed(range(len(wanted))):  # the first of two prompts for one thing wins
             number[wanted[i]] = i
         return _Roles(prompts, words, tuple(number.get(name, -1) for name in self._names))
 
-    def _noisy(
+    def _detect_with_noise(
         self, seq: int, roles: _Roles, image_hw: tuple[int, int]
     ) -> list[tuple[float, int, np.ndarray]]:
         """Return (score, class, box) of every reported object, unsorted; see `_Roles`."""
@@ -214,9 +221,9 @@ class SimDetector:
 
 
 def _noun(prompt: str) -> str:
-    """Return the canonical name of a prompt's thing.
+    """Return the canonical name of a prompt's object.
 
-    It is the prompt's longest known ending, else the phrase of its last word.
+    The name is that of the prompt's longest ending that is known, else of the whole head phrase.
     """
     phrase = names.head_phrase(prompt)
     if names.is_known(prompt):
@@ -226,6 +233,7 @@ def _noun(prompt: str) -> str:
 
 
 def _jitter(box: np.ndarray, edges: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return the box with its edges moved by noise in [-1, 1] times `_MAX_JITTER`, (4,) float32."""
     size = np.array([box[2] - box[0], box[3] - box[1]] * 2)
     moved = box + edges * _MAX_JITTER * size
     limit = np.array([width, height] * 2)

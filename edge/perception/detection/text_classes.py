@@ -15,17 +15,18 @@ from edge.perception.embedding.text import TextEncoder, words_for
 class TextClasses:
     """The text embeddings that a detector's network compares an image with.
 
-    A thing (class) has one column (text) for each of its names; its score is that of its best
-    column. Things are the prompts, then the context words, then other words that compete with a
-    prompt.
+    A thing (class) has one column (text) for each of its names. The score of a thing is the best
+    score of its columns. Things are the prompts, then the context words, then other words that
+    compete with a prompt.
 
     Attributes:
-        words: (columns) text of each column, for the text encoder.
+        words: text of each column, for the text encoder.
         class_of_text: (columns,) int32, index of each column's thing, ascending.
         n_classes: number of things.
         context: canonical names of the things from `len(prompts)` on.
-        competes: (2, prompts, things) bool, True if a thing is another object than the prompt's.
-            Row 0 is for an object wholly in view, row 1 for one that the image border cuts off.
+        competes: (2, prompts, things) bool, True if a thing is another object than the prompt
+            names. Row 0 is for an object wholly in view, row 1 for an object that the image border
+            cuts off.
     """
 
     words: tuple[str, ...]
@@ -41,8 +42,8 @@ def text_classes_for(
     """Collect the text classes of prompts.
 
     Args:
-        prompts: what to look for.
-        background: words that the encoder knows.
+        prompts: names of the objects to look for.
+        background: further words, all known to the encoder.
         text: the detector's text encoder.
 
     Raises:
@@ -78,12 +79,12 @@ def competing_classes(
 ) -> np.ndarray:
     """Return which things compete with which prompt; see `TextClasses.competes`.
 
-    Two things that look almost alike in one view (`names.near`) do not compete in one image. A
-    contrast of the prompt (another colour, another size if it is visible) competes all the same.
-    Code that weighs many images may separate more things.
+    Two things that look almost alike in one view (`names.look_alike`) do not compete in one image.
+    A contrast of the prompt (another colour, another size if it is visible) competes all the same.
+    The trackers, which weigh many images, may separate more things.
 
     Args:
-        prompts: what to look for.
+        prompts: names of the objects to look for.
         things: all things, the prompts first.
         text: the detector's text encoder.
 

@@ -1,8 +1,8 @@
 """Text encoder of the small detector: "tall white trash bin" → a category, a colour and a size.
 
-Words are read by the alias table (`edge.names`) and the vocabulary in the encoder's ONNX file. Its
-metadata key `vocabulary` is JSON with the lists `categories`, `colors` and `sizes`. A phrase is
-three numbers (category, colour, size), from 1 in those lists; 0 if it names none.
+Words are read by the alias table (`edge.names`) and the vocabulary in the encoder's ONNX file. The
+file's metadata key `vocabulary` is JSON with the lists `categories`, `colors` and `sizes`. A phrase
+becomes three numbers (category, colour, size): positions in those lists, from 1; 0 for none.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
 }
 """Word of the vocabulary → other words for it. A word occurs once only."""
 
-NEGATIONS = ("not", "non", "no")
-OPPOSITES = (("tall", "short"), ("wide", "narrow"), ("large", "small"))
+NEGATIONS = ("not", "non", "no")  # adjectives that are refused
+OPPOSITES = (("tall", "short"), ("wide", "narrow"), ("large", "small"))  # refused in one phrase
 ALIKE: dict[str, tuple[str, ...]] = {
     "tall": ("large", "narrow"),
     "short": ("small", "wide"),
@@ -54,11 +54,12 @@ ALIKE: dict[str, tuple[str, ...]] = {
     "large": ("tall", "wide"),
     "small": ("short", "narrow"),
 }
-"""Size → sizes that the same object may have, so that they are no contrast."""
+"""Size → other sizes that the same object may have; `contrasting` leaves these out."""
 
 _PLAIN = {canonical: canonical for canonical in SYNONYMS} | {
     other: canonical for canonical, others in SYNONYMS.items() for other in others
 }
+"""Any word of `SYNONYMS` → the word of the vocabulary."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +109,8 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
     """Parse a prompt.
 
     Raises:
-        PromptError: it is empty, the vocabulary lacks its noun, it names two colours or opposite
-            sizes, or it negates a property.
+        PromptError: the prompt is empty, its noun is not in the vocabulary, it names two colours
+            or opposite sizes, or it negates a property.
 
     Example:
         >>> words = Vocabulary(("bed", "trash can"), ("white", "red"), ("tall", "short"))
@@ -127,7 +128,7 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
         if category := _category(noun, vocabulary):
             phrase = _describe(prompt, words[:start], category, vocabulary)
             return replace(phrase, ignored=(*phrase.ignored, after)) if after else phrase
-        if names.is_known(noun):  # the phrase names another thing than its last word
+        if names.is_known(noun):  # a known thing that the model lacks: do not read a shorter noun
             break
     raise PromptError(
         f"prompt {prompt!r}: this model knows only the built-in world's "
@@ -182,7 +183,7 @@ def contrasting(phrase: Phrase, vocabulary: Vocabulary, whole: bool = True) -> l
     Args:
         phrase: the prompt.
         vocabulary: colours and sizes to use.
-        whole: False: the object is only partly in view, so only colours are contrasted.
+        whole: False: the object is only partly in view, so only the colour changes.
     """
     others: list[Phrase] = []
     if phrase.color is not None:
@@ -194,12 +195,12 @@ def contrasting(phrase: Phrase, vocabulary: Vocabulary, whole: bool = True) -> l
 
 
 def nearest(word: str, vocabulary: Vocabulary, n: int = 5) -> list[str]:
-    """Return at most `n` categories with a name spelt most like a phrase or its last word."""
-    called = {alias: c for c in vocabulary.categories for alias in names.names_of(c)}
+    """Return at most `n` categories whose names are spelt like a phrase or its last word."""
+    category_of = {alias: c for c in vocabulary.categories for alias in names.names_of(c)}
     found: list[str] = []
     for text in (word, word.split()[-1]):
-        found += difflib.get_close_matches(text, list(called), n=2 * n, cutoff=0.3)
-    return list(dict.fromkeys(called[alias] for alias in found))[:n] or list(
+        found += difflib.get_close_matches(text, list(category_of), n=2 * n, cutoff=0.3)
+    return list(dict.fromkeys(category_of[alias] for alias in found))[:n] or list(
         vocabulary.categories[:n]
     )
 
@@ -208,10 +209,10 @@ class AttributeEncoder:
     """A `TextEncoder` that reads category, colour and size.
 
     Args:
-        card: of the model.
+        card: card of the model.
 
     Raises:
-        ModelError: the model is missing or unusable, or has no vocabulary in it.
+        ModelError: the model is missing or unusable, or its file has no vocabulary.
 
     Example:
         >>> from edge.perception.runtime.cards import load_card_of

@@ -1,6 +1,6 @@
 """Text and image encoders of CLIP, SigLIP and similar models as ONNX files.
 
-None comes with the package: `exporters.clip` makes the files and cards from a Hugging Face folder.
+The package has no such files: `exporters.clip` makes files and cards from a Hugging Face folder.
 
 - A `text` card's file maps `tokens` (n, context) int64 to `embeddings` (n, d) float32. The card's
   `pad` fills the places after a text's tokens. CLIP reads only up to the *first* end-of-text token;
@@ -41,10 +41,10 @@ class ClipTextEncoder:
     """A `TextEncoder` that understands whole phrases.
 
     Embeddings are cached, some 2 KB a text. So a mission that arrives while the robot drives costs
-    the loop its own words only, and not the background's again.
+    the loop the time for the mission's own words only: the background classes are cached.
 
     Args:
-        card: of the model.
+        card: card of the model.
 
     Raises:
         ModelError: the model, its tokenizer or a package is missing or unusable.
@@ -110,7 +110,7 @@ class ClipImageEncoder:
     """An image encoder: one image → one unit row.
 
     Args:
-        card: of the model.
+        card: card of the model.
         providers, threads, device_id, engine: see `open_session`.
 
     Raises:
@@ -157,9 +157,9 @@ class ClipImageEncoder:
 
 def pixels_of(rgb: np.ndarray, card: ImageCard) -> np.ndarray:
     """Convert (h, w, 3) uint8 to (1, 3, height, width) float32, as the card's model needs."""
-    how = card.preprocess
-    planes = fit(rgb, card.input.height, card.input.width, how.fit).astype(np.float32)
-    pixels = (planes * np.float32(how.scale) - np.float32(how.mean)) / np.float32(how.std)
+    p = card.preprocess
+    planes = fit(rgb, card.input.height, card.input.width, p.fit).astype(np.float32)
+    pixels = (planes * np.float32(p.scale) - np.float32(p.mean)) / np.float32(p.std)
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
 
 
@@ -168,9 +168,10 @@ def fit(rgb: np.ndarray, height: int, width: int, how: str) -> np.ndarray:
 
     Args:
         rgb: (h, w, 3) uint8.
-        height: in pixels.
-        width: in pixels.
-        how: `crop`: scale until the image fills the size, then take its middle; `stretch`: squeeze.
+        height: height of the result in pixels.
+        width: width of the result in pixels.
+        how: `crop`: scale until the image fills the size, then take its middle; `stretch`: scale
+            both sides, without regard to the aspect ratio.
     """
     h, w = rgb.shape[:2]
     scale = max(height / h, width / w)
@@ -187,7 +188,7 @@ def open_tokenizer(card: TextCard) -> Any:
     """Open the tokenizer of a `text` card, without padding or truncation.
 
     Raises:
-        ModelError: its file or the package is missing, or the file is another or no tokenizer.
+        ModelError: the file or the package is missing, or the file is not this card's tokenizer.
     """
     path = card.tokenizer_path
     if path is None or not path.is_file():

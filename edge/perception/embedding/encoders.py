@@ -21,16 +21,17 @@ Other CLIP models have other embeddings, often of the same length: they are not 
 def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
     """Make the encoder for a detector's prompts.
 
-    It is the card's own encoder. If the card names none, it is CLIP ViT-B/32's: the text model if
-    its file is there, else the vocabulary.
+    The card may name the encoder. If it names none, the encoder is that of CLIP ViT-B/32: the text
+    model if its file is there, else the vocabulary.
 
     Args:
-        card: of the detector.
+        card: card of the detector.
         vocabulary: configured path; see `find_vocabulary`.
 
     Raises:
         ModelError: a model is there and cannot be used.
-        PromptError: there is neither a model nor a vocabulary, or its embeddings do not fit.
+        PromptError: there is neither a model nor a vocabulary, or the embeddings have another
+            length than the detector needs.
     """
     named = None if card.text_encoder is None else load_card_of(TextCard, card.text_encoder)
     encoder = open_text_encoder(named, vocabulary)

@@ -31,13 +31,14 @@ log = logging.getLogger(__name__)
 
 VOCABULARY_FILE = "clip_vitb32_vocab.npz"
 MAX_VOCABULARY_BYTES = 1 << 30
-"""Half a million words."""
+"""Size limit of a vocabulary file: half a million words."""
 SYNONYM_COSINE = 0.95
 """Words with a higher cosine between their embeddings name one thing.
 
 In CLIP ViT-B/32 these are chair and armchair (0.96), cushion and pillow (0.96), but not table and
 desk (0.93) nor cup and mug (0.93)."""
 MAX_SYNONYMS = 6
+"""Largest number of synonyms of one prompt."""
 
 _UNREADABLE = (
     OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zlib.error,
@@ -66,7 +67,7 @@ class TextEncoder(Protocol):
             (1, n, dim) float32.
 
         Raises:
-            PromptError: no prompt, an empty one, or one that is not understood.
+            PromptError: there is no prompt, a prompt is empty, or a prompt is not understood.
         """
         ...
 
@@ -88,13 +89,14 @@ class TextEncoder(Protocol):
 
         Args:
             prompt: a word or phrase.
-            whole: False: the thing is only partly in view; only attributes visible then are used.
+            whole: False: the thing is only partly in view, so only attributes that a part shows
+                are used.
         """
         ...
 
 
 def check_prompts(prompts: Sequence[str]) -> tuple[str, ...]:
-    """Return the prompts as a tuple; raise PromptError for none, or for one text without a list."""
+    """Return the prompts as a tuple; raise PromptError if they are empty, or a single text."""
     if isinstance(prompts, str):
         raise PromptError(f"prompts must be a list of words, got {prompts!r}")
     if not prompts:
@@ -114,10 +116,10 @@ def run_encoder(session: Any, file: str, name: str, batch: np.ndarray, dim: int)
     """Run an encoder on a batch: (n, dim) float32, finite, no row zero.
 
     Args:
-        session: of the encoder.
-        file: of the model, for messages.
-        name: of its input.
-        batch: the input.
+        session: session of the encoder.
+        file: file of the model, for messages.
+        name: name of the model's input.
+        batch: value of the input.
         dim: length of an embedding.
 
     Raises:
@@ -151,7 +153,7 @@ def find_vocabulary(configured: str | None) -> Path:
     """Return the path of the vocabulary: as configured, else `$EDGE_VOCABULARY`, else in the cache.
 
     Raises:
-        PromptError: it is missing.
+        PromptError: there is no such file.
     """
     named = configured or os.environ.get("EDGE_VOCABULARY")
     path = resources.expand(named) if named else resources.models_dir() / VOCABULARY_FILE

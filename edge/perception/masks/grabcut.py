@@ -13,6 +13,7 @@ SIDE_PX = 64
 MARGIN = 0.25
 """Margin of the window on each side of the box, as a share of the box's width and height."""
 ITERATIONS = 1
+"""Iterations of GrabCut."""
 SPAN = 0.7
 """Least share of its box's width and height that a mask must span.
 
@@ -24,9 +25,9 @@ LEAST_PX = 4
 class GrabcutSegmenter:
     """A segmenter that models the colours around a box as background.
 
-    GrabCut fits one colour model to the margin and one to the inside, then cuts along edges between
-    them. Depth did not help as a channel, as a seed of the background or as a vote on the result;
-    nor did more than one iteration (measured, docs/models.md).
+    GrabCut fits one colour model to the margin and another to the inside, then cuts along edges in
+    the image. Depth did not help: not as a channel, not as a seed of the background, not as a vote
+    on the result. More than one iteration did not help either (measured, docs/models.md).
     """
 
     name = "grabcut (colour alone, no neural network)"
@@ -46,7 +47,11 @@ class GrabcutSegmenter:
 
 
 def _cut(rgb: np.ndarray, box: np.ndarray, out: np.ndarray) -> None:
-    """Write the mask of one box; leave it empty if the box has no visible background around it."""
+    """Write the mask of one box into `out`.
+
+    The mask stays empty if no background is visible around the box, the box is too small, or the
+    result spans too little of the box.
+    """
     height, width = rgb.shape[:2]
     beside_u, beside_v = MARGIN * (box[2] - box[0]), MARGIN * (box[3] - box[1])
     left, top = max(0, int(box[0] - beside_u)), max(0, int(box[1] - beside_v))
@@ -68,10 +73,10 @@ def _cut(rgb: np.ndarray, box: np.ndarray, out: np.ndarray) -> None:
     cv2.setRNGSeed(0)  # of this thread, for k-means: a run must replay the same
     models = np.zeros((1, 65)), np.zeros((1, 65))
     cv2.grabCut(window, marks, None, *models, ITERATIONS, cv2.GC_INIT_WITH_MASK)
-    thing = (marks & 1).astype(np.float32) - 0.5  # GC_FGD is 1, GC_PR_FGD is 3
-    rasterise(thing, (left, top), scale, box, out)
+    foreground = (marks & 1).astype(np.float32) - 0.5  # GC_FGD is 1, GC_PR_FGD is 3
+    rasterise(foreground, (left, top), scale, box, out)
     for axis in range(2):
-        reached = np.flatnonzero(out.any(axis=axis))
-        if len(reached) == 0 or reached[-1] - reached[0] + 1 < SPAN * MASK_SIDE:
+        covered = np.flatnonzero(out.any(axis=axis))
+        if len(covered) == 0 or covered[-1] - covered[0] + 1 < SPAN * MASK_SIDE:
             out[:] = False
             return

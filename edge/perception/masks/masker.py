@@ -19,7 +19,7 @@ from edge.types import MASK_SIDE, Detections
 log = logging.getLogger(__name__)
 
 Settings = Union[config.SegmenterGrabcut, config.SegmenterOnnx]
-_LONGEST_ERROR = 300
+_LONGEST_ERROR = 300  # characters
 
 
 class Masker:
@@ -36,7 +36,7 @@ class Masker:
     Attributes:
         n_masks: number of boxes with a mask.
         n_skipped: number of boxes skipped for lack of time.
-        failed: number of images on which the segmenter failed.
+        failed: number of images for which the segmenter failed.
         last_error: the newest error, one line; empty if there was none.
     """
 
@@ -51,8 +51,8 @@ class Masker:
         start_ns, n = perf_counter_ns(), len(found)
         masks = np.zeros((n, MASK_SIDE, MASK_SIDE), np.bool_)
         boxes = np.asarray(found.xyxy_px[: self._most], np.float32)
-        whole = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > boxes[:, :2]).all(axis=1)
-        rows = np.flatnonzero(whole)
+        valid = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > boxes[:, :2]).all(axis=1)
+        rows = np.flatnonzero(valid)
         if len(rows):
             try:
                 drawn = np.zeros((len(rows), MASK_SIDE, MASK_SIDE), np.bool_)

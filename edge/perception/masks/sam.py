@@ -1,12 +1,12 @@
 """Masks by a model that takes boxes as prompts (SAM and its variants), as two ONNX files.
 
-The image encoder runs once an image. One file holds the prompt encoder and the mask decoder; it
-runs once a box. Published exports agree in the decoder's prompts. The rest differs, and is read
-from the files:
+The image encoder runs once for each image. The other file holds the prompt encoder and the mask
+decoder; it runs once for each box. Published exports have the same prompts. Other inputs and
+outputs differ, and are read from the files:
 
 - SAM, MobileSAM (github.com/ChaoningZhang/MobileSAM, scripts/export_onnx_model.py) and NanoSAM:
-  `image_embeddings` and prompts with `mask_input`, `has_mask_input`, in the whole export
-  `orig_im_size` too → `low_res_masks`, `iou_predictions`.
+  `image_embeddings` and prompts with `mask_input`, `has_mask_input`, in some exports also
+  `orig_im_size` → `low_res_masks`, `iou_predictions`.
 - EfficientViT-SAM (github.com/mit-han-lab/efficientvit, applications/efficientvit_sam): prompts of
   points alone → `masks` (not enlarged), `iou_predictions`; points are in a frame of 1024 px, though
   the image encoder takes 512 px.
@@ -34,7 +34,7 @@ from edge.perception.runtime.onnx_file import MASK_OUTPUTS, PROMPTS
 from edge.perception.runtime.sessions import DTYPES, TENSORRT, open_session, raise_as_model_error
 from edge.types import MASK_SIDE
 
-_KEY = "perception.segmenter.providers"
+_KEY = "perception.segmenter.providers"  # configuration key, for messages
 _BOX_LABELS = np.array([[2.0, 3.0]], np.float32)
 """SAM's labels of a box's upper left and lower right corner."""
 
@@ -95,12 +95,12 @@ class SamSegmenter:
         if not len(boxes):
             return 0
         scale = self._fill_pixels(rgb)
-        with _stopped_at(deadline) as options:
+        with _abort_at(deadline) as options:
             features = _run(self._encoder, None, {self._pixel_input: self._pixels}, options)
             if features is None:
                 return 0
             made = dict(zip((v.name for v in self._encoder.get_outputs()), features, strict=True))
-            feed = {taken: made[given] for taken, given in self._features.items()} | self._prompt
+            feed = {name: made[output] for name, output in self._features.items()} | self._prompt
             if "orig_im_size" in feed:
                 feed["orig_im_size"][:] = rgb.shape[:2]
             outputs = [self._mask_output, "iou_predictions"]
@@ -109,7 +109,7 @@ class SamSegmenter:
                 found = _run(self._decoder, outputs, feed, options)
                 if found is None:
                     return i
-                self._take(*found, scale, box, out[i])
+                self._write_best_mask(*found, scale, box, out[i])
         return len(boxes)
 
     def close(self) -> None:
@@ -119,7 +119,7 @@ class SamSegmenter:
     def _match_features(self) -> dict[str, str]:
         """Map each feature input of the decoder to an output of the encoder.
 
-        They match by name, or if there is one of each.
+        Inputs and outputs match by name; or, whatever their names are, if there is one of each.
         """
         made = [value.name for value in self._encoder.get_outputs()]
         taken = [v.name for v in self._decoder.get_inputs() if v.name not in PROMPTS]
@@ -143,25 +143,25 @@ class SamSegmenter:
         rows, columns = self._pixels.shape[2:]
         if self.card.fit == "pad":
             shrink = min(rows / height, columns / width)
-            shown = max(1, round(height * shrink)), max(1, round(width * shrink))
+            h, w = max(1, round(height * shrink)), max(1, round(width * shrink))
         else:
-            shown = rows, columns
-        small = cv2.resize(rgb, (shown[1], shown[0]), interpolation=cv2.INTER_LINEAR)
-        self._pixels[:, :, shown[0] :] = 0.0
-        self._pixels[:, :, :, shown[1] :] = 0.0
+            h, w = rows, columns
+        scaled = cv2.resize(rgb, (w, h), interpolation=cv2.INTER_LINEAR)
+        self._pixels[:, :, h:] = 0.0
+        self._pixels[:, :, :, w:] = 0.0
         for channel in range(3):
-            plane = self._pixels[0, channel, : shown[0], : shown[1]]
-            np.multiply(small[:, :, channel], self._gain[channel], out=plane)
+            plane = self._pixels[0, channel, :h, :w]
+            np.multiply(scaled[:, :, channel], self._gain[channel], out=plane)
             plane += self._offset[channel]
-        across = self.card.prompt_px / columns * shown[1] / width
-        down = self.card.prompt_px / rows * shown[0] / height
+        across = self.card.prompt_px / columns * w / width
+        down = self.card.prompt_px / rows * h / height
         return np.array([across, down], np.float32)
 
-    def _take(
+    def _write_best_mask(
         self, logits: np.ndarray, iou: np.ndarray, scale: np.ndarray, box: np.ndarray,
         out: np.ndarray,
     ) -> None:  # fmt: skip
-        """Write the mask with the highest predicted IoU of those that a box may mean."""
+        """Write the mask with the highest predicted IoU; the decoder returns several for a box."""
         best = np.ascontiguousarray(logits[0, int(np.argmax(iou[0]))], np.float32)
         if not np.isfinite(best).all():
             raise ModelError(f"{self.name}: masks are not finite: export the model again")
@@ -171,7 +171,7 @@ class SamSegmenter:
 
 
 @contextlib.contextmanager
-def _stopped_at(deadline: Deadline) -> Iterator[Any]:
+def _abort_at(deadline: Deadline) -> Iterator[Any]:
     """Yield onnxruntime options that abort a run at the deadline."""
     import onnxruntime as ort
 

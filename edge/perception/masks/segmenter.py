@@ -11,6 +11,7 @@ import numpy as np
 
 from edge.types import MASK_SIDE
 
+# Middles of a mask's rows or columns, as shares of the box's side.
 _MIDDLES = (np.arange(MASK_SIDE, dtype=np.float32) + 0.5) / MASK_SIDE
 
 
@@ -18,7 +19,7 @@ class Deadline:
     """The time at which work on an image must end.
 
     Args:
-        seconds: from now; None: never.
+        seconds: time from now; None: no limit.
     """
 
     def __init__(self, seconds: float | None) -> None:
@@ -67,7 +68,7 @@ def rasterise(
     """Sample an image that is positive on the object into a mask over its box.
 
     Args:
-        values: (rows, columns) float32.
+        values: (rows, columns) float32, positive on the object.
         origin_px: x and y of the corner of `values` in the camera's image.
         scale: columns and rows of `values` per pixel of the camera's image.
         box: (4,) xyxy in pixels of the camera's image.

@@ -16,11 +16,11 @@ NEAR_M = 3.0
 def likelihood_ratio(table: ObjectPrior, row: int, near: np.ndarray, out: np.ndarray) -> None:
     """Write the likelihood ratio of a target near each place.
 
-    It is P(target near | near) / P(target near | nothing known).
+    The ratio is P(target near | near) / P(target near | nothing known).
 
     Args:
         table: the prior.
-        row: of the target; -1: the ratio is 1.
+        row: the target's row in the table; -1: the ratio is 1.
         near: (n, things) float32 in [0, 1], confidence that each thing is near; see `nearby`.
         out: (n,) float32; 1 if nothing is near.
     """

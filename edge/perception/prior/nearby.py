@@ -6,26 +6,26 @@ import math
 
 from edge.jit import jit
 
-_SHORT_M = 0.25
-"""Length at the end of a line of sight that is not checked: it may lie in the object itself."""
+_UNCHECKED_M = 0.25
+"""Length at the end of a line of sight that is not checked: that part may lie in the object."""
 
 
 @jit
 def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, thing_m, row, weight, n_things, radius_m, out):
     """Write the confidence that each kind of thing is near each place and in sight of it.
 
-    It is the maximum over the objects of that kind.
+    Of several objects of a kind, the one with the highest confidence counts.
 
     Args:
         wall: (h, w) bool, cells that block the view.
-        x0_m: of the lower-left corner of `wall`, in `map`.
-        y0_m: of the lower-left corner of `wall`, in `map`.
+        x0_m: x of the lower-left corner of `wall`, in `map`.
+        y0_m: y of the lower-left corner of `wall`, in `map`.
         cell_m: side of a cell.
         xy_m: (n or more, 2) float32, places in `map`.
         n: number of places.
         thing_m: (n_things or more, 2 or more) float32, x and y in `map`.
-        row: (n_things or more,) int32, kind of each; -1: ignored.
-        weight: (n_things or more,) float32 in [0, 1], confidence.
+        row: (n_things or more,) int32, kind of each object; -1: the object is ignored.
+        weight: (n_things or more,) float32 in [0, 1], confidence of each object.
         n_things: number of objects.
         radius_m: largest distance.
         out: (n or more, kinds) float32, written for the first n.
@@ -45,12 +45,15 @@ def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, thing_m, row, weight, n_things, ra
 
 @jit
 def in_sight(wall, x0_m, y0_m, cell_m, x_m, y_m, dx_m, dy_m):
-    """Return True if no wall lies on the line (dx_m, dy_m) from a place, except at its end."""
+    """Return True if no wall lies on the line (dx_m, dy_m) from a place, except in `_UNCHECKED_M`.
+
+    The other arguments are those of `nearby`.
+    """
     h, w = wall.shape
     length = math.sqrt(dx_m * dx_m + dy_m * dy_m)
     y, x = (y_m - y0_m) / cell_m, (x_m - x0_m) / cell_m
     step_y, step_x = dy_m / length if length > 0.0 else 0.0, dx_m / length if length > 0.0 else 0.0
-    for k in range(1, int((length - _SHORT_M) / cell_m) + 1):
+    for k in range(1, int((length - _UNCHECKED_M) / cell_m) + 1):
         r, c = y + k * step_y, x + k * step_x
         if 0.0 <= r < h and 0.0 <= c < w and wall[int(r), int(c)]:
             return False

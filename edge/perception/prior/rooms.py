@@ -10,14 +10,18 @@ from edge.perception.prior.table import ObjectPrior
 
 _PRIOR_ROOMS = 4.0
 """Pseudo-count of average rooms, added to each kind; pulls small counts to the average."""
-# Of a region of the map that may hold two rooms without a wall between, such as a kitchen and a
-# living room: weight of a thing as evidence, probability that there are two, and the area below
-# which two are less likely by a factor of e per m². Tuned on houses for training.
-_EVIDENCE, _TWO, _TWO_M2 = 0.5, 0.1, 20.0
+# A region of the map may hold two rooms without a wall between them, such as a kitchen and a living
+# room. These numbers were tuned on houses for training.
+_EVIDENCE = 0.5  # weight of a thing as evidence for what the region holds
+_TWO = 0.1  # probability of two rooms in a region of at least _TWO_M2
+_TWO_M2 = 20.0  # area; below it, two rooms are less likely by a factor of e per m²
 
 
 def object_given_room(table: ObjectPrior) -> np.ndarray:
-    """Return P(a thing is in view in a room | its kind): (kinds, things) float64, in (0, 1)."""
+    """Return P(a thing is in view in a room | kind of the room).
+
+    The result is (kinds, things) float64, in (0, 1).
+    """
     share = (table.kind_rooms_with.sum(0) + 0.5) / (table.kind_rooms.sum() + 1.0)
     return (table.kind_rooms_with + _PRIOR_ROOMS * share) / (
         table.kind_rooms[:, None] + _PRIOR_ROOMS
@@ -30,7 +34,9 @@ def room_prior(table: ObjectPrior) -> np.ndarray:
 
 
 def room_posterior(table: ObjectPrior, chance: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Return P(kind | objects seen there): naive Bayes, discounted by `ObjectPrior.evidence`.
+    """Return P(kind | objects seen in the region): naive Bayes, discounted by `evidence`.
+
+    `ObjectPrior.evidence` is the weight of an object.
 
     Objects that were not seen do not count: a region is seldom seen as a whole.
 
@@ -52,9 +58,9 @@ def room_posterior(table: ObjectPrior, chance: np.ndarray, held: np.ndarray) -> 
 def included_kinds(
     table: ObjectPrior, chance: np.ndarray, held: np.ndarray, area_m2: np.ndarray
 ) -> np.ndarray:
-    """Return P(a region holds a room of each kind | objects seen there): (m, kinds) float64.
+    """Return P(a region holds a room of a kind | objects seen in it): (m, kinds) float64.
 
-    A region holds one room, or two of different kinds; so rows may sum to more than 1.
+    A region holds one room, or two of different kinds. So rows may sum to more than 1.
 
     Args:
         table: the prior.
@@ -65,15 +71,15 @@ def included_kinds(
     prior, k = room_prior(table), len(table.kinds)
     members = [(i,) for i in range(k)] + list(combinations(range(k), 2))
     log_p = np.empty((len(held), len(members)))
-    for column, those in enumerate(members):
-        there = 1.0 - np.prod(1.0 - chance[list(those)], axis=0)
-        base = np.log(prior[list(those)]).sum() + np.log(1.0 - _TWO)
-        if len(those) == 2:
+    for column, kinds in enumerate(members):
+        in_view = 1.0 - np.prod(1.0 - chance[list(kinds)], axis=0)  # in at least one of the rooms
+        base = np.log(prior[list(kinds)]).sum() + np.log(1.0 - _TWO)
+        if len(kinds) == 2:
             base += np.log(2.0 * _TWO / (1.0 - _TWO)) - np.maximum(_TWO_M2 - area_m2, 0.0)
-        log_p[:, column] = base + _EVIDENCE * (held @ np.log(there / (prior @ chance)))
+        log_p[:, column] = base + _EVIDENCE * (held @ np.log(in_view / (prior @ chance)))
     p = np.exp(log_p - log_p.max(1, keepdims=True))
     p /= p.sum(1, keepdims=True)
-    return p @ np.array([[i in those for i in range(k)] for those in members], np.float64)
+    return p @ np.array([[i in kinds for i in range(k)] for kinds in members], np.float64)
 
 
 def adjacent_room_posterior(table: ObjectPrior, belief: np.ndarray) -> np.ndarray:
@@ -81,7 +87,7 @@ def adjacent_room_posterior(table: ObjectPrior, belief: np.ndarray) -> np.ndarra
 
     Args:
         table: the prior.
-        belief: (m, kinds), of the regions.
+        belief: (m, kinds), P(kind) of each region.
     """
     p = belief @ (table.neighbours * room_prior(table))
     return p / p.sum(1, keepdims=True)
@@ -92,14 +98,14 @@ def room_posterior_at(
 ) -> np.ndarray:
     """Return P(kind) of the room that each place is in: (m, kinds) float64.
 
-    It follows from the objects in the place's region; without any, from the adjacent region;
-    without any there, it is the average.
+    The evidence is the objects in the place's region. If there are none, it is the objects in the
+    adjacent region. If there are none either, the result is `room_prior`.
 
     Args:
         table: the prior.
         chance: see `object_given_room`.
-        held: (m, things) float32 in [0, 1], of the place's region; see `room_posterior`.
-        beside: (m, things) float32, the same of an adjacent region; see `neighbours`.
+        held: (m, things) float32 in [0, 1], objects in each place's region; see `room_posterior`.
+        beside: (m, things) float32 in [0, 1], objects in the adjacent region; see `neighbours`.
     """
     belief = room_posterior(table, chance, held)
     nothing = ~held.any(1)
@@ -109,14 +115,16 @@ def room_posterior_at(
 
 
 def neighbours(border: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Return the adjacent region with the longest common border, of those with objects seen.
+    """Return, for each region, the adjacent region with the longest common border.
+
+    Only regions in which objects were seen count.
 
     Args:
         border: (n + 1, n + 1), length of each common border.
-        held: (n + 1, things), see `room_posterior`; region 0 is none.
+        held: (n + 1, things), see `room_posterior`; index 0 stands for no region.
 
     Returns:
-        (n + 1,) int64; 0 for none.
+        (n + 1,) int64, indices of regions; 0: there is none.
     """
     return np.where(held.any(1), border, 0).argmax(1)
 
@@ -124,13 +132,13 @@ def neighbours(border: np.ndarray, held: np.ndarray) -> np.ndarray:
 def likelihood_ratio(
     chance: np.ndarray, prior: np.ndarray, row: int, belief: np.ndarray
 ) -> np.ndarray:
-    """Return the likelihood ratio P(the room holds the target | belief) / P(a room holds it).
+    """Return P(the room holds the target | belief) / P(a room holds the target).
 
     Args:
         chance: see `object_given_room`.
         prior: see `room_prior`.
-        row: of the target; -1: the ratio is 1.
-        belief: (m, kinds).
+        row: the target's row in the table; -1: the ratio is 1.
+        belief: (m, kinds), P(kind) of each room.
 
     Returns:
         (m,) float64.

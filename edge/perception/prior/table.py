@@ -1,7 +1,7 @@
 """Table of the prior: things in the same room, things near each other, and things by kind of room.
 
-The table next to this file was learned from the 400 training houses of ProcTHOR (AllenAI,
-Apache-2.0) by `exporters.training.prior`; it names its source and the command.
+The table (`table.json` next to this file) was learned from the 400 training houses of ProcTHOR
+(AllenAI, Apache-2.0) by `exporters.training.prior`. The file names its source and the command.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import numpy as np
 from edge import names
 
 FILE = Path(__file__).with_name("table.json")
-# Pseudo-counts of rooms and doors as by chance: pull the ratio of small counts to 1.
+# Pseudo-counts of rooms and doors: with them, the likelihood ratio of small counts is close to 1.
 _PRIOR_ROOMS = 2.0
 _PRIOR_DOORS = 10.0
 SCALE = 100
-"""Weights and biases are whole hundredths in the file."""
+"""Factor of weights and biases in the file, which has whole hundredths."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,10 +40,11 @@ class ObjectPrior:
         kinds: names of kinds of rooms, k.
         kind_rooms: (k,) int64, rooms of each kind.
         kind_rooms_with: (k, n) int64, rooms of each kind with each thing in view.
-        neighbours: (k, k) float64, ratio of the probability that two kinds share a door to that of
-            two rooms of a house; 1 on the diagonal, for which there are no data.
+        neighbours: (k, k) float64, likelihood ratio that rooms of two kinds share a door, compared
+            with any two rooms of a house; 1 on the diagonal, for which there are no data.
         evidence: weight of a thing as evidence for the kind of room; 1: things are independent.
-        room_power: exponent of the rooms' likelihood ratio, in `rooms` alone and in `both`.
+        room_power: exponents of the rooms' likelihood ratio: for the prior `rooms` alone, and for
+            `both`.
     """
 
     n_rooms: int
@@ -65,8 +66,11 @@ class ObjectPrior:
     def likelihood_ratio(self, words: Sequence[str]) -> np.ndarray:
         """Return the likelihood ratio that a room holds one thing, given another in it.
 
-        P(a | b) / P(a) = P(a and b) / (P(a) P(b)), drawn towards 1 by two pseudo-rooms in which
-        both occur as often as by chance.
+        P(a | b) / P(a) = P(a and b) / (P(a) P(b)). Two pseudo-rooms, in which both things occur as
+        often as by chance, draw the ratio towards 1.
+
+        Args:
+            words: m names of things.
 
         Returns:
             (m, m) float64, symmetric; 1 for words that the table lacks and on the diagonal.
@@ -74,14 +78,14 @@ class ObjectPrior:
         m = len(words)
         rows = [self.row(word) for word in words]
         rooms_with = self.rooms_with_both.diagonal()
-        lift = np.ones((m, m))
+        ratio = np.ones((m, m))
         for i, j in combinations(range(m), 2):
             a, b = rows[i], rows[j]
             if a >= 0 and b >= 0 and a != b:
                 by_chance = rooms_with[a] * rooms_with[b] / self.n_rooms
                 both = self.rooms_with_both[a, b]
-                lift[i, j] = lift[j, i] = (both + _PRIOR_ROOMS) / (by_chance + _PRIOR_ROOMS)
-        return lift
+                ratio[i, j] = ratio[j, i] = (both + _PRIOR_ROOMS) / (by_chance + _PRIOR_ROOMS)
+        return ratio
 
 
 @lru_cache(maxsize=8)

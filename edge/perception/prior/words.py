@@ -21,7 +21,7 @@ vocabulary for one of its things, 15 reach it, none of them wrongly."""
 
 
 class PriorWordIndex:
-    """Rows of words in the table, each found once.
+    """Index of words: finds a word's row in the table, and remembers it.
 
     Args:
         table: the prior.
@@ -44,10 +44,10 @@ class PriorWordIndex:
             self._things = np.array([v for _, v in embedded]).reshape(-1, self._vectors.shape[1])
 
     def row(self, word: str) -> int:
-        """Return the table's row for a word or phrase; -1 if it means nothing that the table knows.
+        """Return the table's row for a word or phrase; -1 if the table has nothing like it.
 
-        It matches by name (an alias, the phrase's noun), else by the nearest embedding, if its
-        cosine is at least `ALIKE`.
+        The row is found by name (an alias, the phrase's noun), else by the nearest embedding, if
+        the cosine is at least `ALIKE`.
         """
         if word not in self._found:
             self._found[word] = self._find(word)
@@ -62,8 +62,8 @@ class PriorWordIndex:
         if vector is None:
             return []
         known = [(other, self._vector(other)) for other in others]
-        cosine = {other: float(its @ vector) for other, its in known if its is not None}
-        return sorted((o for o, c in cosine.items() if c >= ALIKE), key=lambda o: (-cosine[o], o))
+        cosine = {name: float(v @ vector) for name, v in known if v is not None}
+        return sorted((n for n, c in cosine.items() if c >= ALIKE), key=lambda n: (-cosine[n], n))
 
     def _find(self, word: str) -> int:
         if not names.is_name(word):
@@ -85,7 +85,7 @@ class PriorWordIndex:
 def make_words(
     table: ObjectPrior, detector: config.DetectorOnnx | config.DetectorSim
 ) -> PriorWordIndex:
-    """Make the words of a detector, with its vocabulary if it has one."""
+    """Make the index for a detector's words, with the detector's vocabulary if there is one."""
     if detector.kind == "onnx":
         try:
             return PriorWordIndex(table, load_vocabulary(find_vocabulary(detector.vocabulary)))

@@ -1,4 +1,4 @@
-"""A model in its own process: it may crash, hang or run out of memory, and the robot goes on.
+"""Models in processes of their own. If one crashes, hangs or fills its memory, the robot goes on.
 
 The protocol of a detector, between the service (`detection/process.py`, `link.py`) and the model
 process (`serve_detector.py`):
@@ -17,7 +17,7 @@ process (`serve_detector.py`):
  6. Sizes, types and values of every answer are checked (`wire.py`); nothing is unpickled. One
     request is under way at a time. A process that does not answer within `timeout_s`, or answers
     nonsense, is killed. A process that ended is started again by the rules of
-    `kept.RestartBackoff`.
+    `supervised.RestartBackoff`.
  7. SIGTERM ends the process, and the kernel ends it (PR_SET_PDEATHSIG) with its parent.
 
 A model for VLM frontier selection (`scoring/choice/process.py`) gets its requests on `images`: a

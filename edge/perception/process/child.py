@@ -18,7 +18,9 @@ from edge.host.signals import show_stacks_on_signals
 from edge.perception.process.wire import FrameView
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
-_FIRST_TO_GO = "1000"  # out of memory, the kernel kills this process first: it is not essential
+# If memory runs out, the kernel kills this process first, because the robot can go on without it.
+_OOM_SCORE_ADJ = "1000"
+# Parts of messages by which onnxruntime and CUDA report a lack of memory.
 _NO_MEMORY = ("failed to allocate memory", "bad_alloc", "bad allocation", "out of memory")
 
 
@@ -34,7 +36,7 @@ def set_up_child() -> tuple[dict[str, Any], socket.socket, socket.socket, FrameV
     show_stacks_on_signals()
     logs.setup(request["log_level"], request["log_json"])
     with contextlib.suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")
+        Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE_ADJ, encoding="ascii")
     images, control, frames = request["fds"]
     return request, socket.socket(fileno=images), socket.socket(fileno=control), FrameView(frames)
 

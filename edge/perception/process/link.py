@@ -1,4 +1,4 @@
-"""One model process as the service handles it: start, ask, watch, end."""
+"""Client of one model process: start it, send it requests, watch it and end it."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ log = logging.getLogger(__name__)
 
 PROGRAM = python_module("edge.perception.serve_detector")
 
-_LOOK_S = 0.05  # longest delay to notice an end while waiting for an answer
-_END_S = 0.2
-_STOP_S = 2.0
-_KILL_S = 5.0  # a process stuck in the kernel, such as in a GPU driver, survives SIGKILL
+_POLL_S = 0.05  # receive timeout: longest delay to notice that the process has ended
+_END_S = 0.2  # wait for the exit code after the process has closed its socket
+_STOP_S = 2.0  # wait after SIGTERM, before SIGKILL
+_KILL_S = 5.0  # wait after SIGKILL; a process stuck in the kernel (a GPU driver) survives it
 
 T = TypeVar("T")
 
@@ -42,17 +42,17 @@ class ModelProcessClient:
     If the thread that made this object ends, the kernel kills the process.
 
     Args:
-        request: for the program; the fields common to all programs are added.
-        name: of the model.
+        request: what the program reads at its start, without the fields that all programs get.
+        name: name of the model.
         frames: the frame file.
         program: command line; by default the one for detectors.
 
     Attributes:
-        name: of the model.
-        fault: why the process was killed, or how it ended; empty while it is well.
+        name: name of the model.
+        fault: why the process was killed, or how it ended; empty while it runs.
 
     Raises:
-        ModelProcessError: it cannot be started.
+        ModelProcessError: the process cannot be started.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class ModelProcessClient:
     ) -> None:
         self.name, self.fault = name, ""
         self._frames = frames
-        self._asked = self._checked = 0
+        self._n_asked = self._n_checked = 0
         self._ended = threading.Event()
         self._asking, self._checking = threading.Lock(), threading.Lock()
         with contextlib.ExitStack() as stack:
@@ -95,9 +95,9 @@ class ModelProcessClient:
             The header that the process sent when it was ready.
 
         Raises:
-            ModelError, PromptError: the model cannot be loaded, in the same words as without a
-                process.
-            ModelProcessError: it ended, took too long, or is no longer wanted.
+            ModelError, PromptError: the model cannot be loaded; the message is the same as without
+                a process.
+            ModelProcessError: the process ended, took too long, or the start was cancelled.
         """
         while "health" in (header := self._receive_next(timeout_s, cancelled, limit)):
             progress(self._decode(wire.decode_health, header))
@@ -117,7 +117,7 @@ class ModelProcessClient:
         if not message:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 code = self._process.wait(_END_S)
-                raise self.kill(f"{_how(code)} before it was ready")
+                raise self.kill(f"{_end_reason(code)} before it was ready")
         return self._decode(read_json_object, message)
 
     def _decode(self, decode: Callable[[Any], T], message: Any) -> T:
@@ -134,7 +134,7 @@ class ModelProcessClient:
 
         Args:
             rgb: (h, w, 3) uint8, contiguous.
-            prompts: what to look for.
+            prompts: names of the objects to look for.
             timeout_s: `perception.process.timeout_s`; see `ask`.
 
         Raises:
@@ -161,7 +161,8 @@ class ModelProcessClient:
             timeout_s: longest time for the answer. Time that the process waits for a CPU core is
                 added, up to `timeout_s` again.
             limit: configuration key of `timeout_s`, for messages.
-            decode: (sequence number, header, block) → answer; raises ValueError for an invalid one.
+            decode: called with sequence number, header and block, returns the answer; raises
+                ValueError if it is invalid.
 
         Raises:
             ModelError, PromptError: as the model raised them.
@@ -171,7 +172,7 @@ class ModelProcessClient:
         with self._asking:
             if self.fault:
                 raise ModelProcessError(self.fault)
-            seq = self._asked = self._asked + 1
+            seq = self._n_asked = self._n_asked + 1
             if rgb is not None:
                 try:
                     self._frames.write(seq, rgb)
@@ -180,9 +181,9 @@ class ModelProcessClient:
                         f"{shared_dir()}: no room for the images of model {self.name}: {error}"
                     ) from None
             hw = None if rgb is None else rgb.shape[:2]
-            answered = self._exchange(wire.encode(seq=seq, hw=hw, **request), timeout_s, limit)
+            message = self._exchange(wire.encode(seq=seq, hw=hw, **request), timeout_s, limit)
         try:
-            head, _, block = answered.partition(wire.END_OF_HEADER)
+            head, _, block = message.partition(wire.END_OF_HEADER)
             header = read_json_object(head)
             answer = None if "error" in header else decode(seq, header, block)
         except ValueError as error:
@@ -194,15 +195,16 @@ class ModelProcessClient:
         return answer
 
     def _exchange(self, request: bytes, timeout_s: float, limit: str) -> bytes:
+        """Send a request and return the answer, both encoded; see `ask`."""
         deadline_s = time.monotonic() + timeout_s
         sent, before_s = _send(self._images, request), None
         while (message := _receive(self._images)) is None:
             if self._ended.is_set():
                 raise ModelProcessError(self.fault)
             if before_s is None:
-                before_s = _queued_s(self._process.pid)
+                before_s = _core_wait_s(self._process.pid)
             elif time.monotonic() - deadline_s >= min(
-                _queued_s(self._process.pid) - before_s, timeout_s
+                _core_wait_s(self._process.pid) - before_s, timeout_s
             ):
                 raise self.kill(f"no answer within {timeout_s:g} s ({limit}): killed")
         if not (sent and message):  # the other end is closed
@@ -214,11 +216,11 @@ class ModelProcessClient:
         """Return True if the process confirmed within this time that it can use the prompts.
 
         Raises:
-            PromptError: it cannot use them.
+            PromptError: the process cannot use the prompts.
         """
         deadline_s = time.monotonic() + timeout_s
         with self._checking:
-            number = self._checked = self._checked + 1
+            number = self._n_checked = self._n_checked + 1
             if self.fault or not _send(self._control, wire.encode(id=number, prompts=prompts)):
                 return False
             header = {}
@@ -244,10 +246,10 @@ class ModelProcessClient:
         """Wait for the process to end; `fault` then holds the reason.
 
         Raises:
-            subprocess.TimeoutExpired: it has not ended.
+            subprocess.TimeoutExpired: the process has not ended within `timeout_s`.
         """
         code = self._process.wait(timeout_s)
-        self.fault = self.fault or f"model {self.name}: its process: {_how(code)}"
+        self.fault = self.fault or f"model {self.name}: its process: {_end_reason(code)}"
         self._ended.set()
 
     def stop(self) -> None:
@@ -283,10 +285,10 @@ def _channel(stack: contextlib.ExitStack) -> tuple[socket.socket, socket.socket]
     """Open a socket pair that keeps message boundaries.
 
     Returns:
-        (this process's end, with a receive timeout and closed with the stack; the other's end).
+        (our end, with a receive timeout, closed with the stack; the model process's end).
     """
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours.settimeout(_LOOK_S)
+    ours.settimeout(_POLL_S)
     return stack.enter_context(ours), theirs
 
 
@@ -294,7 +296,7 @@ def _start(
     program: Sequence[str], descriptors: tuple[int, int, int], request: dict[str, Any]
 ) -> subprocess.Popen[bytes]:
     """Start the program and write its request to stdin; see `edge.perception.process`."""
-    level, as_json = _logging()
+    level, as_json = _log_settings()
     ours = {"fds": descriptors, "parent": os.getpid(), "log_level": level, "log_json": as_json}
     # A new session keeps the terminal's Ctrl-C away from the child: this process ends it in order.
     # The child's stdout goes to stderr, since stdout is for reports.
@@ -307,7 +309,7 @@ def _start(
 
 
 def _receive(channel: socket.socket) -> bytes | None:
-    """Return the next message, b"" if the other end is closed, None after `_LOOK_S` without one."""
+    """Return the next message, b"" if the other end is closed, None after `_POLL_S` without one."""
     try:
         return channel.recv(wire.MAX_BYTES)
     except TimeoutError:
@@ -325,11 +327,11 @@ def _send(channel: socket.socket, message: bytes) -> bool:
     return True
 
 
-def _queued_s(pid: int) -> float:
+def _core_wait_s(pid: int) -> float:
     """Return the time that a process's main thread has waited for a CPU core so far, in seconds.
 
-    The main thread answers requests. A process that waits for a core does not hang: killing it
-    would make a busy machine busier. 0 if the kernel does not count it.
+    The main thread answers requests. If it waits for a core, the process does not hang: killing it
+    would make a busy machine busier. The result is 0 if the kernel does not count the time.
     """
     try:
         schedstat = Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii")
@@ -338,7 +340,7 @@ def _queued_s(pid: int) -> float:
         return 0.0
 
 
-def _how(code: int) -> str:
+def _end_reason(code: int) -> str:
     """Return how a process ended, by its exit code."""
     if code >= 0:
         return f"ended with exit code {code}"
@@ -349,7 +351,7 @@ def _how(code: int) -> str:
     return f"ended by {name}" + (", out of memory?" if -code == signal.SIGKILL else "")
 
 
-def _logging() -> tuple[str, bool]:
+def _log_settings() -> tuple[str, bool]:
     """Return level and format of this process's log, for the other process."""
     level = logging.getLogger("edge").getEffectiveLevel()
     name = next((name for name in LEVELS if getattr(logging, name.upper()) >= level), LEVELS[-1])

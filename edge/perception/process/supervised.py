@@ -15,17 +15,24 @@ from edge.perception.process.link import ModelProcessClient
 from edge.perception.process.wire import FrameFile
 from edge.perception.runtime.health import ProgressCallback
 
-BACKOFF_S, BACKOFF_MAX_S = 0.2, 5.0
-"""First pause before a restart; it doubles up to the second value, in seconds."""
-MOST_ENDS, WINDOW_S = 8, 60.0
-"""After more ends in a row than this, one restart each `WINDOW_S` seconds.
-
-A run of over `WINDOW_S` seconds ends the row."""
+BACKOFF_S = 0.2
+"""First pause before a restart [s]; it doubles with each further restart."""
+BACKOFF_MAX_S = 5.0
+"""Longest such pause [s]. A process that was ready for longer starts with `BACKOFF_S` again."""
+MOST_ENDS = 8
+"""After more ends in a row than this, there is only one restart in `WINDOW_S`."""
+WINDOW_S = 60.0
+"""A process that was ready for longer than this [s] starts a new row of ends."""
 _CLOSE_S = 10.0  # wait for the thread to end after its process was killed
 
 
 class RestartDelay(NamedTuple):
-    """The wait before a restart, and True if the limit of restarts was reached."""
+    """The wait before a restart.
+
+    Attributes:
+        seconds: length of the wait.
+        limit: True if the limit of restarts was reached.
+    """
 
     seconds: float
     limit: bool
@@ -34,8 +41,9 @@ class RestartDelay(NamedTuple):
 class RestartBackoff:
     """Backoff and limit of restarts.
 
-    Ends count in a row, however long each start takes. An end after a run of over `WINDOW_S` starts
-    a new row. The backoff starts again after a run of over `BACKOFF_MAX_S`.
+    The ends of the process are counted in a row, however long each start takes. If the process was
+    ready for over `WINDOW_S`, its end starts a new row. If it was ready for over `BACKOFF_MAX_S`,
+    the backoff starts again.
     """
 
     def __init__(self) -> None:
@@ -46,7 +54,7 @@ class RestartBackoff:
         """Return the pause after a process has ended.
 
         Args:
-            ran_s: how long it was ready; 0 if it never was.
+            ran_s: time that the process was ready, in seconds; 0 if it never was.
         """
         self._ends = 1 if ran_s > WINDOW_S else self._ends + 1
         if ran_s > BACKOFF_MAX_S:
@@ -64,7 +72,7 @@ class SupervisedProcess(ABC):
     all on that thread.
 
     Attributes:
-        name: of the model.
+        name: name of the model.
         restarts: number of restarts begun.
     """
 
@@ -126,7 +134,7 @@ class SupervisedProcess(ABC):
         """Run one process from its start to its end.
 
         Returns:
-            (seconds that it was ready, how it ended).
+            (seconds that the process was ready, how it ended).
 
         Raises:
             ModelError, PromptError: see `ModelProcessClient.wait_ready`.

@@ -31,7 +31,8 @@ _STATES = get_args(get_type_hints(Health)["state"])
 SHARED_MEMORY = Path("/dev/shm")
 PIXELS_AT = 64
 """Offset of the pixels in bytes: a cache line. The two sequence numbers are before it."""
-_BEFORE, _AFTER = 0, 1
+_BEFORE = 0  # index of the sequence number that is written before the pixels
+_AFTER = 1  # index of the one that is written after them
 
 
 class ModelProcessError(ModelError):
@@ -53,23 +54,25 @@ def encode(**header: object) -> bytes:
 
 def encode_answer(seq: int, found: Detections, health: Health, invalid_boxes: int) -> bytes:
     """Encode the detections of image `seq` and the detector's health: header, line end, block."""
-    around = found.context
+    context_boxes = found.context
     header = {
         "seq": seq,
         "n": len(found),
         "competing_score": found.competing_score is not None,
         "prompts": found.prompts,
-        "context": None if around is None else {"n": len(around), "words": around.words},
+        "context": None
+        if context_boxes is None
+        else {"n": len(context_boxes), "words": context_boxes.words},
         "health": health,
         "invalid_boxes": invalid_boxes,
     }
-    block = _packed(found, found.competing_score)
-    if around is not None:
-        block += _packed(around, None)
+    block = _pack(found, found.competing_score)
+    if context_boxes is not None:
+        block += _pack(context_boxes, None)
     return encode(**header) + END_OF_HEADER + block
 
 
-def _packed(boxes: Detections | ContextBoxes, competing_score: np.ndarray | None) -> bytes:
+def _pack(boxes: Detections | ContextBoxes, competing_score: np.ndarray | None) -> bytes:
     if competing_score is None:
         competing_score = np.zeros(len(boxes), np.float32)
     arrays = (
@@ -97,10 +100,12 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
         raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
     if type(invalid) is not int:
         raise ValueError(f"invalid_boxes {bounded_repr(invalid, 40)}, expected an integer")
-    around = header.get("context")
-    if not (around is None or isinstance(around, dict)):
-        raise ValueError(f"context {bounded_repr(around, 40)}, expected an object or null")
-    words, m = ([], 0) if around is None else (around.get("words"), around.get("n"))
+    context_boxes = header.get("context")
+    if not (context_boxes is None or isinstance(context_boxes, dict)):
+        raise ValueError(f"context {bounded_repr(context_boxes, 40)}, expected an object or null")
+    words, m = (
+        ([], 0) if context_boxes is None else (context_boxes.get("words"), context_boxes.get("n"))
+    )
     _check_words("prompts", prompts)
     _check_words("context", words)
     n = header.get("n")
@@ -110,10 +115,10 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
             f"{len(block)} bytes do not fit n {bounded_repr(n, 40)} boxes and "
             f"{bounded_repr(m, 40)} context boxes of {_BOX_BYTES} bytes"
         )
-    xyxy, score, class_id, competing_score = _unpacked(block[: n * _BOX_BYTES], n, prompts)
+    xyxy, score, class_id, competing_score = _unpack(block[: n * _BOX_BYTES], n, prompts)
     context = None
-    if around is not None:
-        context = ContextBoxes(*_unpacked(block[n * _BOX_BYTES :], m, words)[:3], tuple(words))
+    if context_boxes is not None:
+        context = ContextBoxes(*_unpack(block[n * _BOX_BYTES :], m, words)[:3], tuple(words))
     found = Detections(
         None, xyxy, score, class_id, tuple(prompts),
         competing_score if header.get("competing_score") is True else None, context,
@@ -126,7 +131,7 @@ def _check_words(what: str, words: Any) -> None:
         raise ValueError(f"{what} {bounded_repr(words, 40)}, expected a list of words")
 
 
-def _unpacked(
+def _unpack(
     block: bytes, n: int, words: list[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return boxes, scores, classes and competing scores of `n` boxes, each checked."""
@@ -234,7 +239,7 @@ class FrameView:
         self._seq = np.empty(0, np.int64)
 
     def read(self, seq: int, image_hw: tuple[int, int]) -> np.ndarray:
-        """Return the image with this number, (h, w, 3) uint8, as a view of the shared memory.
+        """Return the image with this number as a view of the shared memory, (h, w, 3) uint8.
 
         After use, the caller checks with `is_whole` that the image was not overwritten.
 

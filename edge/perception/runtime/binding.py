@@ -19,9 +19,12 @@ DEVICES = {
     "tensorrt": "itself",
     "kserve": "itself",
 }
-"""Memory of a provider; others use the host's. `itself`: the session binds itself."""
+"""Place of a provider's buffers; for providers that are not listed, it is the host's memory.
+
+`itself`: the session has a method `bind`."""
 
 Shapes = Mapping[str, tuple[int, ...]]
+"""Shape of each tensor, by name."""
 
 
 class BoundSession(Protocol):
@@ -38,10 +41,11 @@ def bind(
     """Bind a session's float32 inputs and outputs.
 
     Args:
-        session: of onnxruntime, TensorRT or a server.
-        inputs: contiguous arrays, kept.
+        session: session of onnxruntime, TensorRT or a server.
+        inputs: contiguous float32 arrays by name; the bound session keeps them.
         outputs: shapes of the outputs for these inputs.
-        live: names of inputs whose arrays are filled again before each run; others are read now.
+        live: names of inputs whose arrays the caller fills again before each run. All others are
+            read only once, now.
     """
     provider = session.get_providers()[0]
     device = DEVICES.get(provider, "cpu")
@@ -77,9 +81,9 @@ class DeviceBound:
     """A session on a device: inputs are uploaded before a run, outputs downloaded after it.
 
     Args:
-        session: of onnxruntime.
+        session: session of onnxruntime.
         inputs, outputs, live: see `bind`.
-        device: onnxruntime's name of it, `cuda` (`cpu` works too).
+        device: onnxruntime's name of the device type, `cuda` (`cpu` works too).
         index: number of the device.
     """
 

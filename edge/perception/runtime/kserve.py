@@ -33,8 +33,8 @@ from edge.text import one_line, redact
 
 KSERVE = "kserve"
 MOST_BYTES = 16 << 20
-"""Largest answer; boxes and scores of a large detector and 200 words are 7 MB."""
-_DATATYPES = {FLOAT: "FP32", INT64: "INT64"}
+"""Largest answer. Boxes and scores of a large detector with 200 prompts are 7 MB."""
+_DATATYPES = {FLOAT: "FP32", INT64: "INT64"}  # type number of ONNX → name in the protocol
 
 Fault = Literal["no connection", "timeout", "invalid answer", "refused"]
 
@@ -43,7 +43,7 @@ class ServerError(ModelError):
     """A server that gave no usable answer: one line with the server, the fault and what to do.
 
     Attributes:
-        kind: kind of the fault; `refused` is an HTTP error.
+        kind: kind of the fault; `refused`: the server answered with an HTTP error.
     """
 
     def __init__(self, model: str, url: str, kind: Fault, what: str) -> None:
@@ -66,7 +66,7 @@ class KServeSession:
         self.binary = False
         inputs, outputs = wanted(card)
         self._inputs, self._outputs = _specs(inputs), _specs(outputs)
-        self._line: _Line | None = None
+        self._link: _ServerLink | None = None
         self._under_way: CancellableRequest | None = None
         self._lock, self._closed = threading.Lock(), False
 
@@ -75,7 +75,9 @@ class KServeSession:
         return [KSERVE]
 
     def run(self, names: Sequence[str] | None, feed: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-        """Run as a session of onnxruntime; takes at most the card's `server.time_limit_s`.
+        """Return the named outputs, as a session of onnxruntime does.
+
+        A run takes at most `server.time_limit_s` of the card.
 
         Raises:
             ServerError: no usable answer.
@@ -89,23 +91,23 @@ class KServeSession:
         outputs: Mapping[str, tuple[int, ...]],
         live: Sequence[str],
     ) -> KServeBoundSession:
-        """See `edge.perception.runtime.binding.bind`; every input goes with every request."""
+        """See `edge.perception.runtime.binding.bind`; each request contains all inputs."""
         return KServeBoundSession(self, inputs, outputs)
 
     def infer(
         self, feed: Mapping[str, np.ndarray], shapes: Mapping[str, messages.Shape]
     ) -> list[np.ndarray]:
         """Return outputs of these shapes; see `run`."""
-        until_s = time.monotonic() + self._server.time_limit_s
+        deadline_s = time.monotonic() + self._server.time_limit_s
         try:
-            line = self._line or self._connect(until_s)
+            link = self._link or self._connect(deadline_s)
             headers, body = messages.infer_request(feed, list(shapes), self.binary)
-            reply = self._ask(line, "POST", "/infer", until_s, headers, body)
-            with self._lies():
+            reply = self._ask(link, "POST", "/infer", deadline_s, headers, body)
+            with self._check_answer():
                 length = reply.headers.get(messages.HEADER_LENGTH)
                 found = messages.infer_answer(reply.body, length, shapes)
         except ServerError as error:
-            self._hang_up(at_work=error.kind == "timeout")
+            self._disconnect(at_work=error.kind == "timeout")
             raise
         return [found[name] for name in shapes]
 
@@ -115,36 +117,36 @@ class KServeSession:
             self._closed, under_way = True, self._under_way
         if under_way is not None:
             under_way.cancel(RequestCancelledError())
-        self._hang_up(at_work=under_way is not None)
+        self._disconnect(at_work=under_way is not None)
 
-    def _connect(self, until_s: float) -> _Line:
+    def _connect(self, deadline_s: float) -> _ServerLink:
         """Connect to the server and check that it has the model."""
-        self._line = line = _Line(self._server.url)
-        server = self._ask(line, "GET", None, until_s)
-        model = self._ask(line, "GET", "", until_s)
-        with self._lies():
+        self._link = link = _ServerLink(self._server.url)
+        server = self._ask(link, "GET", None, deadline_s)
+        model = self._ask(link, "GET", "", deadline_s)
+        with self._check_answer():
             self.binary = messages.speaks_binary(server.body)
             messages.check_metadata(model.body, self._inputs, self._outputs)
-        return line
+        return link
 
     def _ask(
         self,
-        line: _Line,
+        link: _ServerLink,
         method: str,
         path: str | None,
-        until_s: float,
+        deadline_s: float,
         headers: Mapping[str, str] = MappingProxyType({}),
         body: bytes | None = None,
     ) -> HttpReply:
         """Send a request; return the whole answer, of status 200.
 
         Args:
-            line: the connection.
-            method: of HTTP.
-            path: below the model's URL; None: the server's own URL.
-            until_s: deadline, on the monotonic clock.
-            headers: of the request.
-            body: of the request.
+            link: the connection.
+            method: HTTP method.
+            path: path below the model's URL; None: the server's own URL.
+            deadline_s: deadline, on the monotonic clock.
+            headers: headers of the request.
+            body: body of the request.
 
         Raises:
             ServerError: no usable answer.
@@ -152,8 +154,8 @@ class KServeSession:
         url = f"{self._server.url.rstrip('/')}/v2"
         if path is not None:
             url += f"/models/{self._server.model}{path}"
-        left_s = until_s - time.monotonic()
-        exchange = CancellableRequest(line.connection)
+        left_s = deadline_s - time.monotonic()
+        exchange = CancellableRequest(link.connection)
         with self._lock:
             if self._closed:
                 raise self._error("no connection", "it was closed")
@@ -161,11 +163,11 @@ class KServeSession:
         try:
             if left_s <= 0.0:
                 raise TimeoutError
-            request = line.client.build_request(
+            request = link.client.build_request(
                 method, url, headers={**headers, "Accept-Encoding": "identity"}, content=body,
                 timeout=left_s,
             )  # fmt: skip
-            reply = exchange.send(line.client, request, MOST_BYTES, left_s)
+            reply = exchange.send(link.client, request, MOST_BYTES, left_s)
         except RequestCancelledError:
             raise self._error("no connection", "it was closed") from None
         except (TimeoutError, httpx.TimeoutException):
@@ -189,7 +191,7 @@ class KServeSession:
         return reply
 
     @contextlib.contextmanager
-    def _lies(self) -> Iterator[None]:
+    def _check_answer(self) -> Iterator[None]:
         """Turn a ValueError within the block into a ServerError of kind `invalid answer`."""
         try:
             yield
@@ -200,21 +202,22 @@ class KServeSession:
     def _error(self, kind: Fault, what: str) -> ServerError:
         return ServerError(self.name, self._server.url, kind, what)
 
-    def _hang_up(self, at_work: bool) -> None:
+    def _disconnect(self, at_work: bool) -> None:
         """Close the connection; the next request opens another.
 
         Args:
-            at_work: True if a thread still waits on this one; cutting it ends that wait.
+            at_work: True if a thread still waits for an answer on this connection. Cutting the
+                connection ends that wait.
         """
-        line, self._line = self._line, None
-        if line is not None:
-            line.connection.cut()
+        link, self._link = self._link, None
+        if link is not None:
+            link.connection.cut()
             if not at_work:
-                line.client.close()
+                link.client.close()
 
 
 class KServeBoundSession:
-    """A bound session of a server; outputs are copied into its own arrays."""
+    """A bound session of a server. Outputs are copied into arrays that it allocates once."""
 
     def __init__(
         self,
@@ -228,13 +231,13 @@ class KServeBoundSession:
     def run(self) -> Sequence[np.ndarray]:
         """See `BoundSession.run`; raises ServerError."""
         found = self._session.infer(self._inputs, self._shapes)
-        for mine, came in zip(self._outputs, found, strict=True):
-            np.copyto(mine, came)
+        for output, value in zip(self._outputs, found, strict=True):
+            np.copyto(output, value)
         return self._outputs
 
 
-class _Line:
-    """A client with one connection."""
+class _ServerLink:
+    """An HTTP client with one connection, which can be cut from another thread."""
 
     def __init__(self, url: str) -> None:
         # Load certificates only for https: reading them takes longer than a short answer.

@@ -18,10 +18,12 @@ import numpy as np
 from edge.text import one_line, read_json_object
 
 BINARY = "binary_tensor_data"
+"""Name of the extension for tensors as bytes."""
 HEADER_LENGTH = "Inference-Header-Content-Length"
+"""HTTP header with the length of the JSON, after which the bytes of the tensors begin."""
 DTYPES = {"FP32": np.dtype(np.float32), "INT64": np.dtype(np.int64)}
 _NAMES = {dtype: name for name, dtype in DTYPES.items()}
-_SHOWN = 8
+_SHOWN = 8  # most names in a message, and most dimensions of a shape
 
 Shape = tuple["int | None", ...]
 """Sizes of a tensor; None: any."""
@@ -62,12 +64,12 @@ def infer_answer(
     """Decode the tensors of an answer.
 
     Args:
-        body: of the answer.
+        body: body of the answer.
         head_bytes: value of the header `HEADER_LENGTH`; None: it is missing.
-        wanted: shapes of float32 outputs; other outputs are ignored.
+        wanted: shapes of the float32 outputs to return, by name; other outputs are ignored.
 
     Returns:
-        By name, (shape) float32; views of the body if they are bytes of it.
+        Float32 arrays by name. Tensors that were sent as bytes are views of the body.
 
     Raises:
         ValueError: the answer does not fit the request; one line.
@@ -101,10 +103,10 @@ def check_metadata(
 ) -> None:
     """Compare a server's metadata of a model with the expected inputs and outputs.
 
-    A server need not know its models' inputs and outputs; without them nothing is compared.
+    Servers need not list inputs and outputs; without a list nothing is compared.
 
     Args:
-        body: of the answer.
+        body: body of the server's answer.
         inputs: datatype and shape by name.
         outputs: datatype and shape by name.
 
@@ -144,7 +146,7 @@ def _length(text: str, most: int) -> int:
 
 
 def _binary_size(entry: dict[str, Any]) -> int | None:
-    """Return the number of bytes after the JSON of an output; None: it is in the JSON."""
+    """Return the number of bytes of an output after the JSON; None if the JSON has its numbers."""
     parameters = entry.get("parameters")
     if not isinstance(parameters, dict) or "binary_data_size" not in parameters:
         return None
@@ -155,6 +157,7 @@ def _binary_size(entry: dict[str, Any]) -> int | None:
 
 
 def _tensor(entry: dict[str, Any], block: memoryview | None, wanted: Shape) -> np.ndarray:
+    """Return an output as float32, from its bytes or, if `block` is None, from the JSON."""
     name, shape = entry["name"], _sizes(entry.get("shape"))
     if entry.get("datatype") != "FP32":
         kind = one_line(entry.get("datatype"), 40)
@@ -181,8 +184,8 @@ def _sizes(shape: object, open_too: bool = False) -> tuple[int, ...] | None:
     """Return a shape from JSON; None if it is invalid.
 
     Args:
-        shape: from JSON.
-        open_too: True: sizes may be -1.
+        shape: value in the JSON.
+        open_too: True: sizes may be -1, which means a free size.
     """
     if not isinstance(shape, list) or len(shape) > _SHOWN:
         return None
@@ -191,6 +194,7 @@ def _sizes(shape: object, open_too: bool = False) -> tuple[int, ...] | None:
 
 
 def _fits(sizes: tuple[int, ...] | None, wanted: Shape) -> bool:
+    """Return True if a shape from JSON is valid and matches the wanted one."""
     return (
         sizes is not None
         and len(sizes) == len(wanted)

@@ -19,7 +19,7 @@ from edge.host.files import open_regular, read_regular, write_atomically
 from edge.text import read_json_object
 
 TRUST_CACHE = "EDGE_TRUST_CACHE"
-"""Environment variable; if it is not empty, remembered hashes are used."""
+"""Environment variable; if its value is not empty, remembered hashes are used."""
 
 
 class ModelError(UnavailableError):
@@ -50,7 +50,7 @@ def fresh_sha256(path: Path) -> str:
         digest = sha256_of(path)
     except OSError as error:
         raise _unreadable(path, error) from None
-    known, prefix, file = _memory(), f"{path.resolve()}|", _memory_file()
+    known, prefix, file = _remembered(), f"{path.resolve()}|", _memory_file()
     if known.get(key) == digest:  # do not write at every start
         return digest
     known = {k: v for k, v in known.items() if not k.startswith(prefix)} | {key: digest}
@@ -66,21 +66,21 @@ def known_sha256(path: Path) -> str | None:
         ModelError: the file is missing or may not be read.
     """
     try:
-        known = _memory().get(_key(path))
+        known = _remembered().get(_key(path))
     except OSError as error:
         raise _unreadable(path, error) from None
     return known if isinstance(known, str) else None
 
 
 def remembered_sha256(path: Path) -> str:
-    """Return `known_sha256`, else `fresh_sha256`; for a file that is verified elsewhere."""
+    """Return `known_sha256`, else `fresh_sha256`. Use it for a file that another call verifies."""
     return known_sha256(path) or fresh_sha256(path)
 
 
 def check_unchanged(path: Path, sha256: str) -> None:
     """Raise ModelError unless the file, hashed now, has this hash.
 
-    Call it before something lasting is made of the file: a remembered hash may hide damage.
+    Call it before something is made from the file and kept: a remembered hash may hide damage.
     """
     if fresh_sha256(path) != sha256:
         raise ModelError(
@@ -94,6 +94,7 @@ def _unreadable(path: Path, error: OSError) -> ModelError:
 
 
 def _key(path: Path) -> str:
+    """Return path, size and time of change; a file with the same key has not changed."""
     found = path.stat()
     return f"{path.resolve()}|{found.st_size}|{found.st_mtime_ns}"
 
@@ -102,7 +103,8 @@ def _memory_file() -> Path:
     return resources.cache_dir() / "sha256.json"
 
 
-def _memory() -> dict[str, object]:
+def _remembered() -> dict[str, object]:
+    """Return the remembered hashes by `_key`; {} if there are none."""
     try:
         return read_json_object(read_regular(_memory_file()))
     except (OSError, ValueError):

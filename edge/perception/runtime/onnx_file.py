@@ -1,8 +1,9 @@
 """Checks of a model's file before a session opens it: its format, inputs and outputs.
 
-The file is parsed here for two reasons. onnxruntime opens other files that a model names. The
-package onnx takes a file's size in memory for a valid file, and 73 times that for one made of empty
-parts. Field numbers: onnx.proto3 of ONNX 1.20 (github.com/onnx/onnx, onnx/onnx.proto3).
+The file is parsed here for two reasons. onnxruntime opens other files that a model names, before
+anyone can check them. The package onnx needs as much memory as the file has bytes, and 73 times
+that for a file of empty parts. Field numbers are those of onnx.proto3 in ONNX 1.20
+(github.com/onnx/onnx, onnx/onnx.proto3).
 """
 
 from __future__ import annotations
@@ -27,11 +28,13 @@ from edge.perception.runtime.card_types import (
 )
 from edge.perception.runtime.model_file import ModelError
 
+# Newest versions that the onnxruntime of every supported Python and JetPack loads.
 MAX_IR = 10
 MAX_OPSET = 20
-"""Newest versions that the onnxruntime of every supported Python and JetPack loads."""
 KNOWN_DOMAINS = {"", "ai.onnx", "ai.onnx.ml", "com.microsoft"}
+"""Domains of the operators that onnxruntime has."""
 MAX_DEPTH = 40
+"""Largest nesting of parsed messages."""
 MAX_FIELDS = 1_000_000
 """Far more fields than a model has whose weights are stored as bytes."""
 MAX_PARTS = 200_000
@@ -40,18 +43,20 @@ MAX_PARTS = 200_000
 PROMPTS = {"point_coords", "point_labels", "mask_input", "has_mask_input", "orig_im_size"}
 """Inputs of a mask decoder that are not features of the image."""
 MASK_OUTPUTS = ("low_res_masks", "masks")
-"""Outputs of a mask decoder with its masks, in order of preference.
+"""Outputs of a mask decoder that hold the masks, in order of preference.
 
-The second is enlarged to the image."""
+`masks` has the size of the image, so it is larger."""
 
-FLOAT, INT64 = 1, 7
+FLOAT, INT64 = 1, 7  # numbers of tensor types (TensorProto.DataType)
 _TYPES = {1: "float32", 7: "int64", 10: "float16", 11: "float64", 6: "int32", 2: "uint8"}
-_ANY = -1
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+_ANY = -1  # in an expected shape: any size
+_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # wire types of protocol buffers
 
 Tree = dict[str, list[Any]]
-"""A parsed message: the values of each of its fields, in order: numbers, texts, or messages."""
+"""A parsed message: by field name, the values of the field, in order: numbers, texts, or messages.
+"""
 Shape = tuple["int | None", ...]
+"""Sizes of a tensor; None: a free size."""
 
 _FIELDS: dict[str, dict[int, str]] = {
     "model": {1: "ir", 7: "graph", 8: "opset", 20: "training", 25: "function"},
@@ -72,7 +77,7 @@ _FIELDS: dict[str, dict[int, str]] = {
     "dim": {1: "size"},
 }
 """Fields to parse, by message; a field that is a message has its own entry."""
-_NUMBERS = {"ir", "version", "location", "dtype", "size"}
+_NUMBERS = {"ir", "version", "location", "dtype", "size"}  # fields that hold a number
 
 
 class NotOnnxError(ValueError):
@@ -83,8 +88,8 @@ class Value(NamedTuple):
     """An input or output of the model.
 
     Attributes:
-        dtype: number of its type (TensorProto.DataType): 1 float32, 7 int64; 0 unknown.
-        shape: None for a free size; None as a whole if no shape is declared.
+        dtype: number of the tensor type (TensorProto.DataType): 1 float32, 7 int64; 0 unknown.
+        shape: sizes, None for a free size. The whole shape is None if none is declared.
     """
 
     name: str
@@ -100,8 +105,9 @@ class OnnxFile(NamedTuple):
         opset: version of ONNX's own operators.
         strange: domains of operators that neither onnxruntime nor the model itself defines, also in
             subgraphs.
-        external: files that it names for its weights.
-        inputs: without initializers.
+        external: other files that hold weights, as the model names them.
+        inputs: inputs without initializers.
+        outputs: outputs in order.
     """
 
     ir: int
@@ -116,7 +122,7 @@ def check_file(path: Path, card: FileCard) -> None:
     """Check that the file is an ONNX model with the card's inputs and outputs.
 
     Raises:
-        ModelError: it is not, or no session should open it.
+        ModelError: the file is not such a model, or no session should open it.
     """
     model = _read(path)
     check_format(path, model)
@@ -127,22 +133,23 @@ def check_network(path: Path, is_covered: Callable[[str], bool]) -> None:
     """Check that the file is an ONNX model that a session may open.
 
     Args:
-        path: of the file.
-        is_covered: returns True if a hash covers a file with weights, named relative to the folder.
+        path: path of the file.
+        is_covered: called with the name of another file with weights, relative to the folder;
+            returns True if a hash covers that file.
 
     Raises:
-        ModelError: it is not.
+        ModelError: the file is not such a model.
     """
     model = _read(path)
-    outside = [where for where in model.external if not is_covered(where)]
-    check_format(path, model._replace(external=outside))
+    uncovered = [name for name in model.external if not is_covered(name)]
+    check_format(path, model._replace(external=uncovered))
 
 
 def check_fixed(path: Path, key: str) -> None:
     """Check that every input of a network has a fixed shape, as TensorRT's engines need.
 
     Args:
-        path: of the file.
+        path: path of the file.
         key: configuration key that asked for TensorRT, for the message.
 
     Raises:
@@ -213,18 +220,21 @@ def check_interface(path: Path, model: OnnxFile, card: FileCard) -> None:
 
 
 def _check_segmenter(path: Path, model: OnnxFile, card: MaskEncoderCard | MaskDecoderCard) -> None:
-    """Check as `check_interface`; exporters agree only in the names of a decoder's prompts."""
-    made, taken = {v.name: v for v in model.outputs}, {v.name: v for v in model.inputs}
+    """Check a segmenter's file as `check_interface` does.
+
+    Exporters agree only in the names of a mask decoder's prompts, so all else is left open.
+    """
+    outputs, inputs = {v.name: v for v in model.outputs}, {v.name: v for v in model.inputs}
     if isinstance(card, MaskEncoderCard):
         image = (_ANY, 3, card.input.height, card.input.width)
-        fits = len(taken) == 1 and all(_fits(v, Value(v.name, FLOAT, image)) for v in model.inputs)
+        fits = len(inputs) == 1 and all(_fits(v, Value(v.name, FLOAT, image)) for v in model.inputs)
         asked = f"one input {_list([Value('image', FLOAT, image)])}"
     else:
         coords = Value("point_coords", FLOAT, (_ANY, _ANY, 2))
-        masks = [made[name] for name in MASK_OUTPUTS if name in made]
-        fits = "point_coords" in taken and _fits(taken["point_coords"], coords)
-        fits = fits and "point_labels" in taken and bool(set(taken) - PROMPTS)
-        fits = fits and bool(masks) and "iou_predictions" in made
+        masks = [outputs[name] for name in MASK_OUTPUTS if name in outputs]
+        fits = "point_coords" in inputs and _fits(inputs["point_coords"], coords)
+        fits = fits and "point_labels" in inputs and bool(set(inputs) - PROMPTS)
+        fits = fits and bool(masks) and "iou_predictions" in outputs
         asked = (
             f"features, {_list([coords])[1:-1]} and point_labels as inputs, "
             f"{' or '.join(MASK_OUTPUTS)} and iou_predictions as outputs"
@@ -237,20 +247,20 @@ def _check_segmenter(path: Path, model: OnnxFile, card: MaskEncoderCard | MaskDe
 
 
 def wanted(card: FileCard) -> tuple[list[Value], list[Value]]:
-    """Return (inputs in any order, outputs) of the card's task.
+    """Return the inputs, in any order, and the outputs that a model of the card must have.
 
-    In a shape, None must be free, -1 may be any size.
+    In a shape, None stands for a size that must be free, and -1 for any size.
     """
     if isinstance(card, TextCard):
         length = card.tokenizer.context if card.tokenizer.kind == "clip" else _ANY
         tokens = Value("tokens", INT64, (None, length))
         return [tokens], [Value("embeddings", FLOAT, (_ANY, card.dim))]
     if isinstance(card, TranslateCard):
-        kept, over = (_ANY, None, _ANY, None, _ANY), (_ANY, 1, _ANY, None, _ANY)
+        past, across = (_ANY, None, _ANY, None, _ANY), (_ANY, 1, _ANY, None, _ANY)
         inputs = [Value("source", INT64, (1, None)), Value("target", INT64, (None, None))]
-        inputs += [Value("past", FLOAT, kept), Value("across_in", FLOAT, over)]
-        outputs = [Value("across", FLOAT, over), Value("logits", FLOAT, (None, None, _ANY))]
-        return inputs, [*outputs, Value("present", FLOAT, kept)]
+        inputs += [Value("past", FLOAT, past), Value("across_in", FLOAT, across)]
+        outputs = [Value("across", FLOAT, across), Value("logits", FLOAT, (None, None, _ANY))]
+        return inputs, [*outputs, Value("present", FLOAT, past)]
     image = (1, 3, card.input.height, card.input.width)
     if isinstance(card, DetectCard):
         texts = Value("txt_feats", FLOAT, (1, None, card.text_dim))
@@ -270,6 +280,13 @@ def wanted(card: FileCard) -> tuple[list[Value], list[Value]]:
 
 
 def _fits(value: Value, spec: Value, open_too: bool = False) -> bool:
+    """Return True if an input or output of a model has the name, type and shape of `spec`.
+
+    Args:
+        value: what the model declares.
+        spec: what is expected; see `wanted`.
+        open_too: True: a free size fits any expected size.
+    """
     if (value.name, value.dtype) != (spec.name, spec.dtype):
         return False
     if value.shape is None:
@@ -296,8 +313,8 @@ def read_onnx(path: Path) -> OnnxFile:
     """Read the declarations of the model in a file.
 
     Raises:
-        NotOnnxError: it is not a whole model.
-        OSError: it cannot be read.
+        NotOnnxError: the file is not a whole model.
+        OSError: the file cannot be read.
     """
     with open_regular(path) as file:
         try:
@@ -316,7 +333,7 @@ def parse_onnx(content: bytes | mmap.mmap) -> OnnxFile:
         raise NotOnnxError("the header is not that of ONNX" if graphs else "there is no graph")
     graph = graphs[0]
     opsets = {_last(o, "domain", ""): _last(o, "version", 0) for o in model.get("opset", [])}
-    brought = {_last(function, "domain", "") for function in model.get("function", [])}
+    defined = {_last(function, "domain", "") for function in model.get("function", [])}
     used = {_last(node, "domain", "") for node in _all(model, "node")}
     outside = [tensor for tensor in _all(model, "tensor") if _is_outside(tensor)]
     initializers = {_last(tensor, "name", "") for tensor in graph.get("tensor", [])}
@@ -324,7 +341,7 @@ def parse_onnx(content: bytes | mmap.mmap) -> OnnxFile:
     return OnnxFile(
         ir=ir,
         opset=max(opsets.get(domain, 0) for domain in ("", "ai.onnx")),
-        strange=sorted(used - KNOWN_DOMAINS - brought),
+        strange=sorted(used - KNOWN_DOMAINS - defined),
         external=[_location(tensor) for tensor in outside],
         inputs=[value for value in inputs if value.name not in initializers],
         outputs=[_value(value) for value in graph.get("output", [])],
@@ -338,9 +355,9 @@ def _last(message: Tree, name: str, default: Any) -> Any:
 
 def _all(message: Tree, name: str) -> Iterator[Tree]:
     """Yield every message in a field of this name, at any depth."""
-    for field, held in message.items():
+    for field, values in message.items():
         if field in _FIELDS:
-            for part in held:
+            for part in values:
                 if field == name:
                     yield part
                 yield from _all(part, name)

@@ -23,8 +23,8 @@ from edge.perception.runtime.model_file import ModelError
 from edge.text import one_line
 
 CPU_ALONE = ("CPUExecutionProvider",)
-TENSORRT = "tensorrt"
-ORT_TENSORRT = "TensorrtExecutionProvider"
+TENSORRT = "tensorrt"  # provider: TensorRT without onnxruntime
+ORT_TENSORRT = "TensorrtExecutionProvider"  # provider: TensorRT by onnxruntime
 TENSORRT_PROVIDERS = {TENSORRT, ORT_TENSORRT}
 
 DTYPES = {
@@ -34,7 +34,7 @@ DTYPES = {
     "tensor(int32)": np.int32,
     "tensor(bool)": np.bool_,
 }
-"""onnxruntime's names of tensor types."""
+"""onnxruntime's name of a tensor type → NumPy's type."""
 
 RECIPE = 1
 """Version of TensorRT's builder settings in `provider_options`; raise it when they change."""
@@ -50,8 +50,8 @@ def open_session(
 ) -> Any:
     """Open a session that runs on exactly the named providers.
 
-    It is onnxruntime's, or one of TensorRT with the same `run` and `get_providers`;
-    `edge.perception.runtime.binding.bind` takes either.
+    The session is onnxruntime's, or one of TensorRT with the same `run` and `get_providers`;
+    `edge.perception.runtime.binding.bind` takes both kinds.
 
     Args:
         path: the ONNX file.
@@ -82,7 +82,7 @@ def check_providers(providers: Sequence[str], key: str, look: bool = True) -> No
     Args:
         providers: names.
         key: configuration key of the providers, for messages.
-        look: False: onnxruntime is not imported, so its list of providers is not checked.
+        look: False: do not import onnxruntime (slow), and so do not check its list of providers.
 
     Raises:
         ModelError: there are none, or a package or a provider is missing.
@@ -96,15 +96,17 @@ def check_providers(providers: Sequence[str], key: str, look: bool = True) -> No
             )
         tensorrt.load()
         return
-    lacks = ModelError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
+    missing_package = ModelError(
+        "onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])"
+    )
     if not look:
         if importlib.util.find_spec("onnxruntime") is None:
-            raise lacks
+            raise missing_package
         return
     try:
         import onnxruntime as ort
     except ImportError:
-        raise lacks from None
+        raise missing_package from None
     available = ort.get_available_providers()
     for provider in providers:
         if provider not in available:
@@ -131,8 +133,8 @@ def _open_onnxruntime(
     options.log_severity_level = 3
 
     def load(folder: Path) -> Any:
-        named = [(p, provider_options(p, device_id, engine, folder)) for p in providers]
-        return _load(ort, path, options, named, key)
+        with_options = [(p, provider_options(p, device_id, engine, folder)) for p in providers]
+        return _load(ort, path, options, with_options, key)
 
     if ORT_TENSORRT not in providers:
         return load(engine.folder)
@@ -152,7 +154,7 @@ def _load(
     ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[str, str]]], key: str
 ) -> Any:
     try:
-        # Its fallback would print, and use other providers than those named.
+        # onnxruntime's fallback would print, and use other providers than those named.
         session = ort.InferenceSession(str(path), options, providers=providers, enable_fallback=0)
     except Exception as error:  # onnxruntime raises many types
         raise ModelError(
@@ -225,7 +227,10 @@ def provider_options(
 def tensorrt_version() -> str:
     """Return the version of TensorRT that onnxruntime will load.
 
-    It is read from Python's package or from the library itself.
+    The version comes from Python's package, else from the library.
+
+    Raises:
+        ModelError: TensorRT is not installed.
     """
     if importlib.util.find_spec("tensorrt") is not None:
         import tensorrt  # loads its libraries, so that onnxruntime finds them

@@ -1,9 +1,9 @@
 """TensorRT engines: built from ONNX, cached, and run without onnxruntime.
 
 Written for TensorRT 10 (JetPack 6 and 7) and 11, whose networks are always strongly typed: the
-file's own types decide what is float32, float16 or int8. A builder flag could only undo measured
-choices. TensorRT's Python package comes with JetPack, or from the package index on x86-64 (extra
-`tensorrt`).
+file's own types decide what is float32, float16 or int8. So no builder flag sets a precision: it
+would override the types that were measured. TensorRT's Python package comes with JetPack, or from
+the package index on x86-64 (extra `tensorrt`). TensorRT calls a serialized engine a plan.
 https://docs.nvidia.com/deeplearning/tensorrt/latest/_static/python-api/
 """
 
@@ -25,8 +25,8 @@ from edge.text import one_line
 
 log = logging.getLogger(__name__)
 
-_PLAN = "model.engine"
-_WORKSPACE_BYTES = 1 << 30
+_PLAN = "model.engine"  # file name of the engine
+_WORKSPACE_BYTES = 1 << 30  # GPU memory that the builder may use
 RECIPE = 1
 """Version of the builder settings in `build_plan`; raise it when they change."""
 
@@ -67,7 +67,7 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
     logger = make_logger(trt)
     runtime = trt.Runtime(logger)
     engine = runtime.deserialize_cuda_engine((folder / _PLAN).read_bytes())
-    if engine is None:  # the file is intact, for this GPU and TensorRT: memory is short
+    if engine is None:  # the cache has checked file, GPU and version, so memory is short
         raise ModelError(
             f"{folder}: TensorRT cannot load this engine: {logger.last}; free memory on the GPU, "
             "or remove the folder to have the engine built again"
@@ -113,7 +113,7 @@ def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[
 
 
 def make_logger(trt: Any) -> Any:
-    """Make a TensorRT logger that writes to ours; its `last` is the newest error."""
+    """Make a TensorRT logger that writes to our log; its attribute `last` is the newest error."""
     severity = trt.ILogger.Severity
     levels = {
         severity.INTERNAL_ERROR: logging.ERROR,
@@ -188,13 +188,13 @@ class TensorrtSession:
     Inputs and outputs are float32, as `onnx_file` has checked. Different threads may bind and run.
 
     Args:
-        runtime: the owner of `engine`, kept alive with it.
-        engine: of TensorRT.
+        owners: TensorRT objects that own `engine`; the session keeps them alive.
+        engine: engine of TensorRT.
         device: the GPU.
     """
 
-    def __init__(self, runtime: Any, engine: Any, device: Device) -> None:
-        self._kept = (runtime, engine)  # both must outlive the context
+    def __init__(self, owners: Any, engine: Any, device: Device) -> None:
+        self._kept = (owners, engine)  # both must outlive the context
         self.device = device
         self._context = engine.create_execution_context()
         if self._context is None:
@@ -255,8 +255,8 @@ class TensorrtBound:
         device.use()
         self._shapes = {name: array.shape for name, array in inputs.items()}
         self._results = {name: np.empty(shape, np.float32) for name, shape in outputs.items()}
-        both = {**inputs, **self._results}
-        self._buffers = {name: device.allocate(array.nbytes) for name, array in both.items()}
+        arrays = {**inputs, **self._results}
+        self._buffers = {name: device.allocate(array.nbytes) for name, array in arrays.items()}
         self._addresses = {name: buffer.pointer for name, buffer in self._buffers.items()}
         self._live = [(self._buffers[name], inputs[name]) for name in live]
         for array in (*(array for _, array in self._live), *self._results.values()):

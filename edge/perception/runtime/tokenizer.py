@@ -13,8 +13,8 @@ def read_tokenizer(path: Path, model: str, install: str) -> Any:
     """Read a `tokenizers.Tokenizer`, without padding or truncation.
 
     Args:
-        path: of `tokenizer.json`.
-        model: name of its model, for messages.
+        path: path of `tokenizer.json`.
+        model: name of the model, for messages.
         install: command to run if the package is missing.
 
     Raises:

@@ -18,7 +18,7 @@ from edge.perception.runtime.card_types import RUNNING, ImageCard, SimilarityCar
 from edge.perception.runtime.cards import ModelError, load_card_of
 from edge.types import Detections
 
-THREADS = 2
+THREADS = 2  # CPU threads of the image encoder, if the configuration has no detector of its own
 SENTENCE = "Seems like there is a {} ahead."  # VLFM's, word for word
 
 
@@ -26,7 +26,7 @@ class SimilarityScorer(Protocol):
     """Scores texts against one image.
 
     Attributes:
-        name: its card, or the model that it takes scores from.
+        name: name of the scorer's card, or of the model whose scores it uses.
     """
 
     name: str
@@ -58,12 +58,12 @@ class PairSimilarity:
     """The cosine between the embeddings of an image and a text, as VLFM uses BLIP-2.
 
     Args:
-        name: of the scorer's card.
-        image: encodes images.
-        text: encodes texts, in the same embedding.
+        name: name of the scorer's card.
+        image: encoder of images.
+        text: encoder of texts, into the same embedding space.
 
     Raises:
-        ModelError: the embeddings of the two have different lengths.
+        ModelError: the embeddings of the two encoders have different lengths.
     """
 
     def __init__(self, name: str, image: ClipImageEncoder, text: TextEncoder) -> None:
@@ -94,7 +94,10 @@ class PairSimilarity:
 
 
 def _rows_of(text: TextEncoder, prompts: Sequence[str]) -> np.ndarray:
-    """Return embeddings, (n, d): of VLFM's sentences if the encoder reads them, else of names."""
+    """Return the prompts' embeddings, (n, d).
+
+    An encoder that reads sentences gets VLFM's sentence about each prompt, another gets the prompt.
+    """
     if isinstance(text, ClipTextEncoder):
         return text.encode([SENTENCE.format(text.resolve(prompt)) for prompt in prompts])
     return text.embed(prompts)[0]
@@ -103,7 +106,8 @@ def _rows_of(text: TextEncoder, prompts: Sequence[str]) -> np.ndarray:
 class DetectorSimilarity:
     """The best class score of a detector anywhere in the image.
 
-    The authors of VL-Nav gave VLFM such scores of YOLO-World, since BLIP-2 is too slow for a robot.
+    In the comparison of VL-Nav, VLFM used such scores of YOLO-World, since BLIP-2 is too slow for a
+    robot.
     """
 
     def __init__(self, name: str, detector: OnnxDetector | RemoteDetector) -> None:
@@ -132,7 +136,7 @@ def best_scores(detections: Detections) -> np.ndarray:
 
 
 def is_running_detector(card: SimilarityCard, perception: PerceptionConfig) -> bool:
-    """Return True if the scorer's detector is the running one, so that it need not run twice."""
+    """Return True if the scorer's detector is the running one, which then need not run twice."""
     running = perception.detector
     same = isinstance(running, DetectorOnnx) and running.model == card.detector
     return same or card.detector == RUNNING
@@ -146,7 +150,7 @@ def make_similarity(
     Args:
         card: the scorer's card.
         perception: settings of the detector, which the scorer's models share.
-        prompts: what to score first.
+        prompts: first prompts to score; they are encoded now.
 
     Raises:
         ModelError: a model is missing or unusable.

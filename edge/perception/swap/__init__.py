@@ -1,4 +1,4 @@
 """Swap of a model in the running service: load, try, switch, watch, then keep or roll back.
 
-It needs only the worker that runs the model; it does not know how requests arrive.
+This package needs only the worker that runs the model; it does not know how requests arrive.
 """

@@ -23,10 +23,10 @@ from edge.text import one_line
 
 log = logging.getLogger(__name__)
 
-FINAL_STATES = ("kept", "rolled back", "refused")
-LOAD_TIMEOUT_S = 600.0
-LOOK_S = 0.02  # polling period of the thread
-CLOSE_S = 5.0
+FINAL_STATES = ("kept", "rolled back", "refused")  # outcomes of a swap
+LOAD_TIMEOUT_S = 600.0  # limit for loading and trial; then the swap is refused
+LOOK_S = 0.02  # polling period of an attempt's thread
+CLOSE_S = 5.0  # longest wait of `ModelSwap.close` for the threads of ended attempts
 
 LogCallback = Callable[[str, int, int], object]
 """Called with a line, the loop's time in ns, and the log level."""
@@ -45,7 +45,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
     Attributes:
         name: name of the new model.
         previous: the model that runs when the attempt begins.
-        model: the new model, once it is loaded.
+        model: the new model; None until it is loaded.
         busy: progress of a slow load (an engine build), in one line; empty otherwise.
         finding: result of the trial, in one line; empty before it.
         trying: True while the model is loaded or tried.
@@ -59,7 +59,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
         self.previous: Model = worker.model
         self.model: Model | None = None
         self.busy = self.finding = self.fault = ""
-        self.trying, self.switched, self._won = True, False, False
+        self.trying, self.switched, self._new_model_won = True, False, False
         self.decided = threading.Event()
 
     def start(self) -> None:
@@ -75,7 +75,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
     def verdict(self, idle: bool) -> str:
         """Return the result of the probation, or "" while it lasts.
 
-        Set `fault` if the model failed it.
+        Set `fault` if the model failed the probation.
 
         Args:
             idle: True: no more items will come, so the probation would never end.
@@ -96,7 +96,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
         """Load and set `model`, try it, and set `finding`; on the attempt's thread.
 
         Raises:
-            Exception: the model must not be switched to, for this reason.
+            Exception: the reason to reject the model.
         """
 
     def status(self) -> dict[str, object]:
@@ -120,7 +120,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
 
     def end(self) -> None:
         """Close the model that does not run, on the attempt's thread: the swap is decided."""
-        self._won = self._worker.model is self.model
+        self._new_model_won = self._worker.model is self.model
         self._worker.on_result = None
         self.decided.set()
 
@@ -135,7 +135,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
             self.fault = failure(error)
         self.trying = False
         self.decided.wait()
-        loser = self.previous if self._won else self.model
+        loser = self.previous if self._new_model_won else self.model
         self.previous = self.model = None
         if loser is None:
             return
@@ -145,7 +145,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
 
 
 class ModelSwap(Generic[Model]):
-    """Swaps a worker's model; all its methods must be called from one thread, the loop's.
+    """Replaces a worker's model; all methods must be called from one thread, the loop's.
 
     Args:
         worker: runs the model.
@@ -166,10 +166,10 @@ class ModelSwap(Generic[Model]):
         self._worker, self._report, self._clock = worker, report, clock
         self._attempt: SwapAttempt[Model, Any] | None = None
         self._ended: list[SwapAttempt[Model, Any]] = []
-        self._until_s = 0.0
+        self._load_deadline_s = 0.0
         self.number = 0
         self.outcomes = dict.fromkeys(FINAL_STATES, 0)
-        self._over = {"state": "idle", "model": self.running, "previous": "", "detail": ""}
+        self._last_status = {"state": "idle", "model": self.running, "previous": "", "detail": ""}
 
     @property
     def running(self) -> str:
@@ -187,7 +187,7 @@ class ModelSwap(Generic[Model]):
         `detail` is a line that changes with the state. `progress` changes more often. `number` is
         the attribute.
         """
-        status = self._over if self._attempt is None else self._attempt.status()
+        status = self._last_status if self._attempt is None else self._attempt.status()
         return {"progress": "", **status, "number": self.number}
 
     def step(self, now_ns: int = 0, *, idle: bool = False) -> None:
@@ -215,7 +215,7 @@ class ModelSwap(Generic[Model]):
         elif not attempt.fault and attempt.switch():
             line = f"runs now, on probation for {attempt.probation}; {attempt.finding}"
             self._report(f"model {attempt.name}: {line}", now_ns, logging.INFO)
-        elif fault := attempt.fault or self._overdue(attempt):
+        elif fault := attempt.fault or self._timeout_reason(attempt):
             self._end(attempt, "refused", f"{fault}; {previous.name} goes on", now_ns)
 
     def close(self) -> None:
@@ -242,7 +242,7 @@ class ModelSwap(Generic[Model]):
             again: True: the model may be the running one, to be loaded again.
 
         Raises:
-            SwapError: the model runs already, another swap is under way, or a refused model is
+            SwapError: the model runs already, another swap is running, or a refused model is
                 still loading: a third model would not fit in memory.
         """
         if self._attempt is not None:
@@ -251,26 +251,28 @@ class ModelSwap(Generic[Model]):
             )
         if name == self.running and not again:
             raise SwapError(f"model {name} runs already")
-        if late := next((one.name for one in self._ended if one.trying), None):
-            raise SwapError(f"model {late}, which was refused, is still loading; try again later")
+        if loading := next((ended.name for ended in self._ended if ended.trying), None):
+            raise SwapError(
+                f"model {loading}, which was refused, is still loading; try again later"
+            )
 
     def _begin(self, attempt: SwapAttempt[Model, Any], now_ns: int) -> None:
         self.number += 1
         self._attempt = attempt
-        self._until_s = self._clock() + LOAD_TIMEOUT_S
+        self._load_deadline_s = self._clock() + LOAD_TIMEOUT_S
         attempt.start()
         self._report(f"model {attempt.name}: loading, {self.running} runs", now_ns, logging.INFO)
 
-    def _overdue(self, attempt: SwapAttempt[Model, Any]) -> str:
+    def _timeout_reason(self, attempt: SwapAttempt[Model, Any]) -> str:
         """Return the reason to stop waiting for the model; "" if there is none yet."""
-        if self._clock() <= self._until_s:
+        if self._clock() <= self._load_deadline_s:
             return ""
         what = attempt.progress or ("not loaded" if attempt.model is None else "not ready")
         return f"{what} after {LOAD_TIMEOUT_S:g} s"
 
     def _end(self, attempt: SwapAttempt[Model, Any], state: str, detail: str, now_ns: int) -> None:
         self.outcomes[state] += 1
-        self._over = {
+        self._last_status = {
             "state": state, "model": attempt.name, "previous": attempt.previous.name,
             "detail": detail,
         }  # fmt: skip
@@ -281,5 +283,5 @@ class ModelSwap(Generic[Model]):
     def _finish(self, attempt: SwapAttempt[Model, Any]) -> None:
         """End the attempt; its thread closes the model that does not run."""
         self._attempt = None
-        self._ended = [one for one in self._ended if one.thread.is_alive()] + [attempt]
+        self._ended = [ended for ended in self._ended if ended.thread.is_alive()] + [attempt]
         attempt.end()

@@ -1,7 +1,7 @@
 """Swap of the model for VLM frontier selection; see `base`.
 
-Loading asks the model once. After the switch it is kept once it has answered `PROBATION`
-questions, or once there is no mission to ask about.
+A model that loads must answer one question first. After the switch it is kept when it has answered
+`PROBATION` questions, or when no mission runs that has questions.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _log(text: str, now_ns: int, level: int) -> None:
 
 
 class ChoiceSwap(ModelSwap[Scorer]):
-    """Swaps the scorer of a worker for VLM frontier selection."""
+    """Replaces the choice model of a worker (the scorer of VLM frontier selection)."""
 
     def __init__(self, worker: ScorerWorker[Any, Any], make: Make) -> None:
         super().__init__(worker, _log)
@@ -42,10 +42,12 @@ class ChoiceSwap(ModelSwap[Scorer]):
         """Begin to swap a model in.
 
         Raises:
-            SwapError: see `ModelSwap._check_free`.
+            SwapError: the model runs already, another swap is running, or a refused model is
+                still loading.
         """
         self._check_free(card)
-        self._begin(_ChoiceAttempt(card, self._worker, self._make), 0)
+        now_ns = 0  # `_log` does not use the time
+        self._begin(_ChoiceAttempt(card, self._worker, self._make), now_ns)
 
     def status(self) -> dict[str, object]:
         """See `ModelSwap.status`; `key` is the configuration key that makes the swap permanent."""
@@ -53,7 +55,7 @@ class ChoiceSwap(ModelSwap[Scorer]):
 
 
 class _ChoiceAttempt(SwapAttempt[Scorer, Question]):
-    """See `SwapAttempt`."""
+    """One choice model that is to replace the worker's; see `SwapAttempt`."""
 
     def __init__(self, card: str, worker: ScorerWorker[Any, Any], make: Make) -> None:
         super().__init__(card, worker)
@@ -73,14 +75,16 @@ class _ChoiceAttempt(SwapAttempt[Scorer, Question]):
         if not isinstance(outcome, Exception):
             self._answers += outcome is not None
         elif item.observation.rgb is not None:  # a missing image is not the model's fault
-            of_ours = isinstance(outcome, UserError)
-            self.fault = self.fault or (one_line(outcome, 500) if of_ours else failure(outcome))
+            is_user_error = isinstance(outcome, UserError)
+            reason = one_line(outcome, 500) if is_user_error else failure(outcome)
+            self.fault = self.fault or reason
 
     def verdict(self, idle: bool) -> str:
-        enough = self._answers >= PROBATION
-        if self.fault or not (enough or idle):
+        """Return why the model is kept; "" while that is open, or after a fault."""
+        passed = self._answers >= PROBATION
+        if self.fault or not (passed or idle):
             return ""
-        short = "" if enough else ", and no mission runs that needs more"
+        short = "" if passed else ", and no mission runs that needs more"
         return f"{self._answers} answers{short}; {self.finding}"
 
     def _try(self) -> None:

@@ -27,21 +27,21 @@ Make = Callable[..., Detector]
 """Called like `make_detector`."""
 
 IMAGES = 4  # images of a trial
-_APART_NS = 200_000_000  # least time between two of them
+_APART_NS = 200_000_000  # least time between two images of a trial
 
 
 class DetectorSwap(ModelSwap[Detector]):
-    """Swaps the worker's detector.
+    """Replaces the worker's detector.
 
     Args:
-        perception: see the attribute.
+        perception: see the attribute of this name.
         worker: runs the detector.
         report, clock: see `ModelSwap`.
         make: makes the new detector.
 
     Attributes:
-        perception: configuration that new models are made and judged by, except their name; may be
-            set.
+        perception: configuration from which new models are made and by which they are judged; the
+            model's name comes from the request. It may be set at any time.
     """
 
     def __init__(
@@ -68,7 +68,8 @@ class DetectorSwap(ModelSwap[Detector]):
                 loaded again.
 
         Raises:
-            SwapError: see `ModelSwap._check_free`.
+            SwapError: the model runs already, another swap is running, or a refused model is
+                still loading.
         """
         self._check_free(model, again=perception is not None)
         perception = perception or self.perception
@@ -76,10 +77,12 @@ class DetectorSwap(ModelSwap[Detector]):
 
 
 class _DetectorAttempt(SwapAttempt[Detector, Observation]):
-    """See `SwapAttempt`; its thread also copies the running detector's prompts to the new one.
+    """One detector that is to replace the worker's; see `SwapAttempt`.
+
+    The attempt's thread also copies the running detector's prompts to the new one.
 
     Attributes:
-        perception: configuration that the model is made and judged by.
+        perception: configuration from which the model is made and by which it is judged.
     """
 
     def __init__(
@@ -95,7 +98,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         self._samples = deque(maxlen=IMAGES)
         self._latencies_ns: list[int] = []
         self._invalid = 0
-        self._hand = threading.Lock()  # guards the model's prompts and `switched`
+        self._lock = threading.Lock()  # guards the model's prompts and `switched`
 
     @property
     def progress(self) -> str:
@@ -112,7 +115,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
 
     def switch(self) -> bool:
         """See `SwapAttempt.switch`; the model must have the running detector's prompts."""
-        if not self.finding or not self._hand.acquire(blocking=False):
+        if not self.finding or not self._lock.acquire(blocking=False):
             return False
         try:
             if self.model.prompts != self._worker.detector.prompts:
@@ -122,7 +125,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
             self._worker.previous = self.previous
             return super().switch()
         finally:
-            self._hand.release()
+            self._lock.release()
 
     def end(self) -> None:
         self._worker.previous = None
@@ -144,14 +147,14 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
     def on_result(
         self, model: Detector, item: Observation, outcome: Detections | Exception
     ) -> None:
-        """See `SwapAttempt.on_result`: an image for the trial, or one of the probation."""
+        """Keep the image for the trial, or count it for the probation; see `SwapAttempt`."""
         if item.rgb is None or self.fault:  # a missing image is not the detector's fault
             return
         try:
             if not self.switched:
                 self._collect(item, outcome)
             elif model is self.model:
-                self._watch(outcome)
+                self._check_probation(outcome)
         except Exception as error:  # such as no memory for a copy: the model would not fit either
             self.fault = f"it cannot be watched: {type(error).__name__}: {one_line(error, 300)}"
 
@@ -160,7 +163,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         if last is None or abs(observation.stamp_ns - last) >= _APART_NS:
             self._samples.append(sample(observation, outcome))
 
-    def _watch(self, outcome: Detections | Exception) -> None:
+    def _check_probation(self, outcome: Detections | Exception) -> None:
         if isinstance(outcome, Exception):
             self.fault = failure(outcome)
             return
@@ -168,12 +171,12 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         self._latencies_ns.append(outcome.latency_ns)
 
     def _try(self) -> None:
-        wanted = with_model(self.perception, self.name)
-        if wanted.isolation == "thread":
-            self._try_apart(wanted.model_copy(update={"isolation": "process"}))
+        target = with_model(self.perception, self.name)
+        if target.isolation == "thread":
+            self._try_in_other_process(target.model_copy(update={"isolation": "process"}))
             if self.decided.is_set():
                 return
-        self.model = self._load(wanted)
+        self.model = self._load(target)
         self.busy = ""
         self._await_samples()
         if self.decided.is_set():  # aborted, perhaps while the model was loading
@@ -188,23 +191,23 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         while not (self.switched or self.decided.wait(LOOK_S)):
             self._follow_prompts()
 
-    def _try_apart(self, perception: PerceptionConfig) -> None:
+    def _try_in_other_process(self, perception: PerceptionConfig) -> None:
         """Run the model on the samples in another process before it is loaded into this one.
 
         A model that never returns, crashes or takes all memory is killed there. In this process
         nothing could end it, and no other swap could begin.
 
         Raises:
-            UserError: it fails, or returns invalid boxes.
+            UserError: the model fails, or returns invalid boxes.
         """
         with closing(self._load(perception)) as detector:
             self._await_samples()
-            for one in tuple(self._samples):
-                run(detector, one.observation)
+            for image in tuple(self._samples):
+                run(detector, image.observation)
 
     def _load(self, perception: PerceptionConfig) -> Detector:
         prompts = self._worker.detector.prompts
-        return self._make(perception, prompts, self._loading, cancelled=self.decided)
+        return self._make(perception, prompts, self._note_progress, cancelled=self.decided)
 
     def _await_samples(self) -> None:
         while len(self._samples) < IMAGES and not self.decided.is_set():
@@ -212,18 +215,21 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
 
     def _follow_prompts(self) -> None:
         """Give the new detector the running detector's prompts."""
-        with self._hand:
-            wanted = self._worker.detector.prompts
-            if not self.switched and self.model.prompts != wanted:
-                self.model.set_prompts(wanted)
+        with self._lock:
+            target = self._worker.detector.prompts
+            if not self.switched and self.model.prompts != target:
+                self.model.set_prompts(target)
 
-    def _loading(self, health: Health) -> None:
+    def _note_progress(self, health: Health) -> None:
         """Record the progress of an engine build, which takes minutes."""
         self.busy = ": ".join(filter(None, health))
 
 
 def with_model(perception: PerceptionConfig, model: str) -> PerceptionConfig:
-    """Return the configuration with another model; with defaults if the detector runs no model."""
+    """Return the configuration with another model.
+
+    If the detector of the configuration runs no model, the new one has default settings.
+    """
     detector = perception.detector
     if not isinstance(detector, DetectorOnnx):
         detector = DetectorOnnx()

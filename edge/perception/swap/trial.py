@@ -16,11 +16,11 @@ from edge.perception.runtime.health import UNSOUND, invalid_boxes_reason
 from edge.text import one_line
 from edge.types import Detections, Observation
 
-MATCH_IOU = 0.5
-MATCH_SCORE = 0.5  # least share of its score for a box to count as found again
-MIN_RECALL = 0.5
-_WARM_UPS = 2
-_ROUNDS = 3
+MATCH_IOU = 0.5  # least overlap of a box with the running model's box that it matches
+MATCH_SCORE = 0.5  # least score of a matching box, as a share of the running model's score
+MIN_RECALL = 0.5  # least share of the running model's boxes that a related model must find
+_WARM_UPS = 2  # runs before the measurement
+_ROUNDS = 3  # measured runs of each image
 
 _FORCE = "add --force to use it anyway"
 
@@ -31,7 +31,12 @@ class UnfitModelError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class TrialImage:
-    """A copy of an image, and the running model's detections in it; None if that failed."""
+    """A copy of an image with the running model's detections.
+
+    Attributes:
+        observation: holds the copy of the image.
+        found: the detections in the image; None if the running model failed.
+    """
 
     observation: Observation
     found: Detections | None
@@ -60,7 +65,7 @@ def run_trial(
 
     Args:
         detector: the new model.
-        samples: at least one.
+        samples: images of the trial, at least one.
         perception: time budget and score threshold.
         running: name of the running model, whose boxes the samples hold.
         related: True if both are of one family, so that the boxes must be found again.
@@ -70,7 +75,8 @@ def run_trial(
         The result, in one line.
 
     Raises:
-        Unfit: it fails, returns invalid boxes, is too slow, or finds too few of the boxes.
+        UnfitModelError: the model fails, returns invalid boxes, is too slow, or finds too few of
+            the boxes.
     """
     for _ in range(_WARM_UPS):
         run(detector, samples[0].observation)
@@ -94,7 +100,7 @@ def run_trial(
 
 
 def run(detector: Detector, observation: Observation) -> Detections:
-    """Detect in one image; raise Unfit if that fails or a box is invalid."""
+    """Detect in one image; raise UnfitModelError if that fails or a box is invalid."""
     before = detector.invalid_boxes
     try:
         found = detector.detect(observation)
@@ -114,9 +120,9 @@ def unsound(detector: Detector, before: int, found: Detections) -> str:
     """Return the reason to reject invalid boxes or scores; "" if all are valid.
 
     Args:
-        detector: counts invalid boxes.
-        before: its `invalid_boxes` before it detected.
-        found: its detections.
+        detector: the new model, which counts invalid boxes.
+        before: the model's `invalid_boxes` before it ran on this image.
+        found: the model's detections.
     """
     if (invalid := detector.invalid_boxes - before) > 0:
         return f"it returns {invalid} boxes of an image that are {UNSOUND}"
@@ -133,24 +139,29 @@ def median_ms(times_ns: Sequence[int]) -> float:
 def boxes_found_again(
     samples: Sequence[TrialImage], runs: Sequence[Detections], tau: float
 ) -> tuple[int, int]:
-    """Count the boxes of the running model, and those that the other finds, too, over all samples.
+    """Count the boxes of the running model, and those that the new model finds again.
 
-    Boxes of at least `tau` that are not suppressed count. A box is found again if the prompt
-    is the same, the IoU at least `MATCH_IOU`, and the score at least `MATCH_SCORE` of the old one.
-    Samples with other prompts than the runs do not count.
+    Only boxes with a score of at least `tau` that are not suppressed count. A box is found again if
+    the new model has a box with the same prompt, an IoU of at least `MATCH_IOU`, and at least
+    `MATCH_SCORE` times the old score. Samples with other prompts than the runs do not count.
+
+    Args:
+        samples: images with the running model's detections.
+        runs: detections of the new model, one for each sample.
+        tau: score threshold.
 
     Returns:
         (boxes of the running model, those found again).
     """
     old = found = 0
-    for one, new in zip(samples, runs, strict=True):
-        was = one.found
-        if was is None or was.prompts != new.prompts:
+    for image, new in zip(samples, runs, strict=True):
+        reference = image.found
+        if reference is None or reference.prompts != new.prompts:
             continue
-        for i in np.flatnonzero(was.not_suppressed() & (was.score >= tau)):
-            alike = new.class_id == was.class_id[i]
-            alike &= new.score >= MATCH_SCORE * was.score[i]
-            iou, _ = overlaps(was.xyxy_px[i : i + 1], new.xyxy_px[alike])
+        for i in np.flatnonzero(reference.not_suppressed() & (reference.score >= tau)):
+            similar = new.class_id == reference.class_id[i]
+            similar &= new.score >= MATCH_SCORE * reference.score[i]
+            iou, _ = overlaps(reference.xyxy_px[i : i + 1], new.xyxy_px[similar])
             found += bool((iou >= MATCH_IOU).any())
             old += 1
     return old, found

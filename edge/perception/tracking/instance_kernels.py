@@ -11,9 +11,10 @@ NEAR_M = 0.25
 CORE_SHARE = 0.1
 """A point with less than this share of the largest support may belong to another object."""
 
-STRAY, LEAST_RADIUS_M = 1.6, 0.3
-"""Points beyond STRAY times the median distance from the centre, and beyond LEAST_RADIUS_M, are
-dropped: they belong to what is in front of or behind the object."""
+# Points farther from the centre than both limits are dropped: they belong to what is in front of or
+# behind the object.
+STRAY = 1.6  # limit as a multiple of the median distance from the centre
+LEAST_RADIUS_M = 0.3
 
 
 @jit
@@ -81,7 +82,8 @@ def core_points(points, support):
         support: (n,) int32, from `merge_points`.
 
     Returns:
-        (points (m, 3) float32, their median (3,) float32, greatest planar distance from it).
+        Points (m, 3) float32, their median (3,) float32, and the greatest planar distance of a
+        point from the median.
     """
     most = support.max()
     least = max(min(2, most), CORE_SHARE * most)

@@ -27,12 +27,12 @@ from edge.perception.tracking.sighting_kernels import PARTIAL
 from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Instance, InstanceState, Observation
 
-MAX_POINTS = 64
+MAX_POINTS = 64  # surface points of an instance
 MAX_INSTANCES = 128
-RISE, FALL = 0.5, 0.15
-"""Weights of a new score above (RISE) or below (FALL) the running one.
-
-A good view counts more than a bad one, since most views are from afar or from the side."""
+# Weights of a new score in the running score. A good view counts more than a bad one, since most
+# views are from afar or from the side.
+RISE = 0.5  # if the new score is above the running one
+FALL = 0.15  # if it is below
 DECAY = 0.9
 """Factor on the score of an instance that was in view and not detected."""
 GONE = 0.5
@@ -40,12 +40,13 @@ GONE = 0.5
 FORGET_VIEWS = 100
 """After this many views the counts for confirmation are halved, so that old views fade."""
 REJECT_VIEWS = 30
-"""After this many views an instance is rejected if its mean competing score is above its own."""
+"""After this many views an instance is rejected if its mean competing score exceeds its mean score.
+"""
 SURER = 1.6
-"""Factor on the evidence against a confirmed instance before it is contested.
+"""Factor by which a competing object must be more confident than a confirmed instance.
 
 From near by the object is only partly in view, and what stands in front of it fills the image."""
-_PROTECTED = ("confirmed", "rejected", "reached")
+_PROTECTED = ("confirmed", "rejected", "reached")  # states that `_limit` never drops
 _STATES: tuple[InstanceState, ...] = get_args(InstanceState)
 # Checkpoint columns: of an instance, and of the evidence of its track.
 _COLUMNS = (
@@ -70,13 +71,14 @@ class LabelResolver(Protocol):
         Args:
             label: a target.
             of: returns the instances of a plain name, best first.
-            last: True if the search is over, so that the least bad one is good enough.
+            last: True if the search is over, so that the best instance is accepted even if it is
+                doubtful.
         """
 
     def reason_for(
         self, label: str, instance: Instance, of: Callable[[str], Sequence[Instance]]
     ) -> str:
-        """Return why an instance is the one of a label; "" for a plain name."""
+        """Return why a label means this instance; "" for a plain name."""
 
 
 @dataclass(slots=True, eq=False)
@@ -85,18 +87,20 @@ class _Track:
 
     Attributes:
         name: canonical form of the label.
+        evidence_ns: newest stamp of any detection of the instance, weak ones included.
         good_hits: number of frames from near by with a score of `confirm_score` or more.
-        views: number of views from near by that should show it; a partial view counts less.
-            `target_sum` and `competing_sum` are the weighted sums of the scores of the target and
-            of its best competing class in them.
-        now_target, now_competing: scores in the current frame.
-        evidence_ns: newest stamp of any detection there, weak ones included.
-        good_ns: stamp of the newest frame in `good_hits`.
+        views: number of views from near by that should show the instance; a partial view counts
+            less than 1.
+        good_ns: stamp of the newest frame in `good_hits`; -1: there is none.
+        target_sum: sum of the target's scores in these views, weighted as in `views`.
+        competing_sum: such a sum of the scores of the target's best competing class.
+        now_target, now_competing: these two scores in the current frame.
         x_m, y_m, z_m: the centre in `map`, as plain numbers.
         radius_m: largest planar distance of a surface point from the centre.
-        points_m, support: all surface points, and the number of views that support each. The
-            instance has only the well-supported ones (`core_points`).
-        contested: True if another object explains the place better (`ObjectTracker.doubts`).
+        points_m: (k, 3) float32 in `map`, all surface points. `instance` has only the
+            well-supported ones (`core_points`).
+        support: (k,) int32, number of views that support each of these points.
+        contested: True if another object explains the place better (see `_doubt`).
     """
 
     instance: Instance
@@ -124,10 +128,10 @@ class _Track:
 class InstanceTracker:
     """Fuses detections of the targets into one `Instance` per object.
 
-    A detection above the running score pulls the score up by `RISE` of the difference, one below
-    pulls it down by `FALL` of it. Weak detections (below `tau_det`) count at a known place, but
-    never start a new instance. Each view without a detection multiplies the score by `DECAY`
-    (`expire`).
+    A detection with a score above the running score raises it by `RISE` times the difference. A
+    detection below lowers it by `FALL` times the difference. Weak detections (below `tau_det`)
+    count at a known place, but never start a new instance. Each view without a detection multiplies
+    the score by `DECAY` (`expire`).
 
     Args:
         perception: the configuration.
@@ -165,25 +169,25 @@ class InstanceTracker:
     def of(self, label: str, only_confirmed: bool = False, doubted: bool = True) -> list[Instance]:
         """Return the instances of a label (or a synonym) that are worth driving to, best first.
 
-        They were detected in at least `min_hits` images and are not rejected.
+        These were detected in at least `min_hits` images and are not rejected.
 
         Args:
             label: a prompt.
-            only_confirmed: True: only confirmed ones.
-            doubted: True: also those that another object explains better.
+            only_confirmed: True: leave out instances that are not confirmed.
+            doubted: True: keep instances whose place another object explains better.
         """
         if self.resolver is not None:
-            plain = partial(self._named, only_confirmed=only_confirmed, doubted=doubted)
+            plain = partial(self._with_name, only_confirmed=only_confirmed, doubted=doubted)
             if (found := self.resolver.resolve(label, plain, last=doubted)) is not None:
                 return found
-        return self._named(label, only_confirmed, doubted)
+        return self._with_name(label, only_confirmed, doubted)
 
     def reason_for(self, label: str, instance: Instance) -> str:
-        """Return why an instance is the one that a label describes; "" for a plain name."""
-        plain = partial(self._named, only_confirmed=False, doubted=True)
+        """Return why a label means this instance; "" for a plain name."""
+        plain = partial(self._with_name, only_confirmed=False, doubted=True)
         return "" if self.resolver is None else self.resolver.reason_for(label, instance, plain)
 
-    def _named(self, label: str, only_confirmed: bool, doubted: bool) -> list[Instance]:
+    def _with_name(self, label: str, only_confirmed: bool, doubted: bool) -> list[Instance]:
         name = names.canonical(label)
         found = [
             track.instance
@@ -217,7 +221,7 @@ class InstanceTracker:
             if track is None:
                 if not strong:
                     continue
-                track = self._found(seen.prompts[class_id], points, score, stamp_ns)
+                track = self._create(seen.prompts[class_id], points, score, stamp_ns)
             elif track.instance.id in hit:
                 if strong:
                     self._grow(track, points)
@@ -245,7 +249,7 @@ class InstanceTracker:
 
         Args:
             observation: an image's camera, pose and depth.
-            prompts: what the detector looked for.
+            prompts: names that the detector looked for.
 
         Returns:
             Ids of instances that were forgotten.
@@ -280,7 +284,7 @@ class InstanceTracker:
             if look == AT_EDGE or track.evidence_ns >= observation.stamp_ns:
                 continue
             instance.score *= DECAY
-            # A few misses do not undo a confirmation: it may be behind a chair, or too near.
+            # A few misses do not undo a confirmation: the object may be hidden, or too near.
             if instance.score < GONE * self.config.tau_det and not self.confirmed(instance):
                 gone.append(instance.id)
         for instance_id in gone:
@@ -342,7 +346,7 @@ class InstanceTracker:
 
         Args:
             state: from `state_dict`.
-            later_ns: added to all stamps: offset of the sensors' clock since then.
+            later_ns: added to all stamps, since the sensors' clock may have started again.
 
         Raises:
             ValueError: the state is invalid.
@@ -357,8 +361,8 @@ class InstanceTracker:
         if (n_points == 0).any() or n_points.sum() != len(state["points_m"]):
             raise ValueError("n_points: the sum is not the number of points, or an object has none")
         for row, label in enumerate(state["label"].tolist()):
-            its = slice(end[row] - n_points[row], end[row])
-            points_m = state["points_m"][its].copy()
+            rows_of_points = slice(end[row] - n_points[row], end[row])
+            points_m = state["points_m"][rows_of_points].copy()
             instance = Instance(
                 label=label, center_m=points_m[0], points_m=points_m,
                 state=_STATES[state["state"][row]],
@@ -366,7 +370,7 @@ class InstanceTracker:
             )  # fmt: skip
             instance.first_seen_ns += later_ns
             instance.last_seen_ns += later_ns
-            track = self._adopt(instance, points_m, state["support"][its].copy())
+            track = self._adopt(instance, points_m, state["support"][rows_of_points].copy())
             for name, _ in _EVIDENCE:
                 setattr(track, name, state[name][row].item())
             track.evidence_ns += later_ns
@@ -379,7 +383,7 @@ class InstanceTracker:
         return self._next_id - 1
 
     def promote_context(self, labels: Sequence[str]) -> None:
-        """Make instances of context objects that answer to these labels, with their evidence.
+        """Make instances from the context objects that these labels name, with their evidence.
 
         So a new target that was already seen as context need not be found again. Weak context
         objects, which would be forgotten at once, are skipped.
@@ -394,7 +398,7 @@ class InstanceTracker:
                 weak = seen.confidence < least or seen.hits < self.config.min_hits
                 if weak or known is not None:
                     continue
-                track = self._found(label, seen.points_m, seen.confidence, seen.last_seen_ns)
+                track = self._create(label, seen.points_m, seen.confidence, seen.last_seen_ns)
                 track.instance.hits = seen.hits
                 track.good_hits, track.views, track.target_sum = (
                     seen.near_hits, seen.weight, seen.total,
@@ -447,7 +451,7 @@ class InstanceTracker:
                 best, best_m = track, apart_m
         return best
 
-    def _found(self, label: str, points: np.ndarray, score: float, stamp_ns: int) -> _Track:
+    def _create(self, label: str, points: np.ndarray, score: float, stamp_ns: int) -> _Track:
         instance = Instance(
             id=self._next_id,
             label=label,
@@ -477,7 +481,7 @@ class InstanceTracker:
             self._grow(track, points)
 
     def _grow(self, track: _Track, points: np.ndarray) -> None:
-        """Add surface points, one per voxel, at most MAX_POINTS spread over all of them."""
+        """Add surface points to an instance that is not rejected; see `_place`."""
         if track.instance.state != "rejected":
             self._place(track, points)
 
@@ -490,6 +494,7 @@ class InstanceTracker:
         return track
 
     def _place(self, track: _Track, points: np.ndarray) -> None:
+        """Merge surface points: one per voxel, at most MAX_POINTS, spread over all voxels."""
         track.points_m, track.support = kernels.merge_points(
             track.points_m, track.support, points, self.config.voxel_m, MAX_POINTS
         )
@@ -544,13 +549,13 @@ class InstanceTracker:
         if instance.state not in ("tentative", "confirmed"):
             return
         lead = 1.0 if instance.state == "confirmed" else c.confirm_lead
-        sure = (
+        is_confirmed = (
             track.good_hits >= c.confirm_hits
             and track.target_sum >= c.confirm_mean * track.views
             and track.target_sum >= lead * track.competing_sum
             and not self._doubt(track)
         )
-        instance.state = "confirmed" if sure else "tentative"
+        instance.state = "confirmed" if is_confirmed else "tentative"
         if track.views >= REJECT_VIEWS and track.competing_sum > track.target_sum:
             self.reject(instance.id)
 
@@ -565,7 +570,7 @@ class InstanceTracker:
         return track.contested
 
     def _unite(self, instance_id: int) -> None:
-        """Merge instances of one label that overlap by now; the older one stays."""
+        """Merge an instance with those of its label that overlap it; the oldest one stays."""
         track = self._tracks.get(instance_id)
         if track is None or track.instance.state in ("rejected", "reached"):
             return
@@ -583,7 +588,7 @@ class InstanceTracker:
             track = old
 
     def _overlap(self, a: _Track, b: _Track) -> bool:
-        """Return True if the centre of one lies within half of `merge_m` of the other's points."""
+        """Return True if one centre is within half of `merge_m` of the other instance's points."""
         near_m = 0.5 * self.config.merge_m
         if a.distance_m(b.x_m, b.y_m) > near_m + max(a.radius_m, b.radius_m):
             return False

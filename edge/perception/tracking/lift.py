@@ -16,7 +16,8 @@ log = logging.getLogger(__name__)
 
 POINTS = 32
 """Number of surface points kept of each box."""
-_RASTER_COLUMNS = 320
+_RASTER_COLUMNS = 320  # most columns of the raster of a cloud
+# Placeholders for inputs that are not used.
 _NO_DEPTH = np.zeros((1, 1), np.float32)
 _NO_RASTER = np.full((1, 1), -1, np.int32)
 _NO_POINTS = np.zeros((1, 3), np.float32)
@@ -31,8 +32,8 @@ class BackProjectedBoxes:
         detections: the boxes.
         center_m: (n, 3) float32 in `map`, median of the surface points.
         points_m: (n, POINTS, 3) float32 in `map`; the first `n_points[i]` of row i count.
-        n_points: (n,) int32.
-        n_samples: (n,) int32, number of returns behind the centre.
+        n_points: (n,) int32, number of surface points of each box.
+        n_samples: (n,) int32, number of depth samples from which the centre was computed.
         valid: (n,) bool; False if the object gave too few returns.
     """
 
@@ -52,17 +53,17 @@ class BackProjectedBoxes:
 
 
 class BackProjector:
-    """Back-projects boxes through the depth or cloud, and the pose, of their own observation.
+    """Back-projects boxes with the depth or cloud, and the pose, of their own observation.
 
     A box also shows what is in front of and behind the object. In the inner part of the box, the
-    surface is chosen that fits the box best (see `lift_kernels.choose`), without the floor under
-    the object. If the detections have masks, only samples on the mask count.
+    surface is chosen that fits the box best (see `lift_kernels.choose_surface`), without the floor
+    under the object. If the detections have masks, only samples on the mask count.
 
     Args:
         perception: the configuration.
 
     Attributes:
-        unliftable: number of observations with boxes but without the camera, depth or cloud needed.
+        skipped: number of observations with boxes but without the camera, depth or cloud needed.
     """
 
     def __init__(self, perception: config.PerceptionConfig) -> None:
@@ -85,16 +86,16 @@ class BackProjector:
     ) -> tuple[BackProjectedBoxes, BackProjectedBoxes | None]:
         """Back-project all boxes; those without enough returns are marked invalid, never left out.
 
-        If the observation lacks the camera, depth or cloud (a LiDAR that stopped), it is counted in
-        `unliftable` and all its boxes are invalid.
+        If the observation lacks the camera, depth or cloud (such as from a LiDAR that stopped), it
+        is counted in `skipped`, and all its boxes are invalid.
 
         Args:
             detections: boxes of targets and of the context.
             floor_over_base_m: height of the floor over the base frame.
 
         Returns:
-            The targets' boxes, and those of context words (None: not looked for). They are
-            processed together, since one object may hide much of another.
+            The targets' boxes, and the boxes of context words (None: the detector does not look for
+            them). All are processed together, since one object may hide much of another.
         """
         seen, around = detections.observation, detections.around()
         k, boxes, word = len(detections), detections.xyxy_px, detections.class_id
@@ -109,7 +110,7 @@ class BackProjector:
             np.zeros(n, np.int32),
             np.zeros(n, np.bool_),
         )
-        if n and self._liftable(seen):
+        if n and self._can_back_project(seen):
             camera, by_cloud = seen.camera, self.config.back_projection == "cloud"
             masks = _NO_MASKS if detections.mask is None else detections.mask
             cell_px = self._project(seen, camera) if by_cloud else 0
@@ -128,16 +129,16 @@ class BackProjector:
         )
         return BackProjectedBoxes(detections, *(array[:k] for array in out)), others
 
-    def _liftable(self, seen: Observation) -> bool:
+    def _can_back_project(self, seen: Observation) -> bool:
         """Return True if the observation can be back-projected; log the first that cannot."""
-        if missing := self._missing(seen):
+        if missing := self._missing_input(seen):
             self.skipped += 1
             if self.skipped == 1:
                 log.warning("observation %d: %s; its boxes get no position in the map (further "
                             "ones are only counted)", seen.seq, missing)  # fmt: skip
         return not missing
 
-    def _missing(self, seen: Observation) -> str:
+    def _missing_input(self, seen: Observation) -> str:
         """Return the input that the observation lacks for back-projection, or ""."""
         camera, depth = seen.camera, seen.depth_m
         if camera is None:

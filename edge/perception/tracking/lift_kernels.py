@@ -7,6 +7,7 @@ import numpy as np
 from edge.jit import jit
 
 BINS = 128
+"""Number of depth bins up to the largest depth."""
 SIDE = 24
 """A box is sampled at no more than SIDE × SIDE pixels."""
 INNER = 0.8
@@ -16,23 +17,24 @@ SPARSE = 60
 GAP_M = 0.3
 """Surfaces further apart than this along the viewing axis are different objects."""
 BESIDE = 0.12
-"""Width of the strips next to a box, as a share of its size; they show what goes on beyond it."""
+"""Width of the strips next to a box, as a share of the box's size.
+
+The strips show which surfaces continue beyond the box."""
 BESIDE_OFF = 0.05
 """Distance of the strips from the box, as a share of its size, since no box is exact."""
 FARTHER = 1.2
-"""Factor by which a surface behind another must fit better, to be chosen."""
+"""Factor by which a surface must fit better than a surface in front of it, to be chosen."""
 LEAST_SHARE = 0.15
 """The object fills at least this share of its box."""
-APART, LEFT, OTHER_M = 0.5, 0.1, 0.1
-"""Limits for samples that belong to another box.
-
-A box with IoU below APART is of another object. Its samples, within OTHER_M of its depths, are
-removed from this box if it fits them nearly as well (NEARLY) and LEFT of this box's samples
-remain. (Of 6,100 boxes in 70 houses of `procthor_train`, 2.0 % keep more than a quarter of
-another object's surface. It is 3.2 % if only the better fit counts, and 2.4 % if a quarter must
-remain.)"""
-NEARLY = 0.8
-MOSTLY = 0.5
+# Limits for samples of a box that belong to another box. Another box claims the samples in it that
+# are close to the depth of its surface. The limits were measured on 6,100 boxes in 70 houses of
+# `procthor_train`: 2.0 % of them keep more than a quarter of another object's surface. With NEARLY
+# at 1.0 it is 3.2 %, with LEFT at 0.25 it is 2.4 %.
+APART = 0.5  # largest IoU of two boxes of different objects
+OTHER_M = 0.1  # tolerance in depth of the other box's surface
+NEARLY = 0.8  # the other box's fit, as a share of this box's fit, above which it claims samples
+LEFT = 0.1  # least share of this box's samples that must remain; else it keeps all
+MOSTLY = 0.5  # a box whose surface keeps at least this share of its samples keeps the surface
 MASKED = 0.05
 """A mask with less than this share of the box's samples is ignored."""
 FLOOR_M = 0.06
@@ -45,11 +47,11 @@ def cloud_raster(cloud, T_camera_cloud, fx, fy, cx, cy, cell_px, raster, points)
 
     Args:
         cloud: (n, 3) float32, any frame; points that are not finite are ignored.
-        T_camera_cloud: (4, 4) float64, optical frame from the cloud's.
-        fx: focal length in pixels.
-        fy: focal length in pixels.
-        cx: principal point in pixels.
-        cy: principal point in pixels.
+        T_camera_cloud: (4, 4) float64, maps the cloud's frame into the optical frame.
+        fx: horizontal focal length in pixels.
+        fy: vertical focal length in pixels.
+        cx: column of the principal point in pixels.
+        cy: row of the principal point in pixels.
         cell_px: side of a cell in pixels.
         raster: (rows, columns) int32 out, index into `points`, -1 if the cell is empty.
         points: (n, 3) float32 out, the cloud in the optical frame.
@@ -81,6 +83,19 @@ def cloud_raster(cloud, T_camera_cloud, fx, fy, cx, cy, cell_px, raster, points)
 @jit
 def sample_depth(depth, fx, fy, cx, cy, x0, y0, x1, y1, max_range, samples):
     """Sample the points of a box of a depth image, in the optical frame, at most SIDE × SIDE.
+
+    Args:
+        depth: (h, w) float32 in metres; NaN or 0 = no return.
+        fx: see `cloud_raster`.
+        fy: see `cloud_raster`.
+        cx: see `cloud_raster`.
+        cy: see `cloud_raster`.
+        x0: left side of the box in pixels.
+        y0: upper side of the box.
+        x1: right side of the box.
+        y1: lower side of the box.
+        max_range: largest depth in metres.
+        samples: (SIDE*SIDE, 3) float32 out.
 
     Returns:
         Number of rows of `samples` (SIDE*SIDE, 3) float32 that were written.
@@ -125,6 +140,12 @@ def sample_raster(raster, points, cell_px, x0, y0, x1, y1, max_range, samples):
 def drop_floor(samples, n, T, floor_z):
     """Move samples above `floor_z` (in `map`) to the front; keep all if too few are above.
 
+    Args:
+        samples: points in the optical frame.
+        n: number of samples.
+        T: (4, 4) float64, map from optical frame.
+        floor_z: height in `map` below which points are floor.
+
     Returns:
         Number of samples that count.
     """
@@ -152,7 +173,7 @@ def drop_unmasked(samples, n, view, boxes, masks, mine):
     sampled box.
 
     Returns:
-        Number of samples that count: all, if the mask would leave hardly any (an empty mask).
+        Number of samples on the mask; `n` if the mask has hardly any (an empty mask).
     """
     if mine >= len(masks):
         return n
@@ -191,7 +212,7 @@ def drop_others(samples, n, view, boxes, word, mine, depth, claim):
         claim: (m,) float32, fit of that surface to the box.
 
     Returns:
-        Number of these samples.
+        Number of samples that no other box claims.
     """
     _, _, _, _, fx, fy, cx, cy = view
     box = boxes[mine]
@@ -224,7 +245,7 @@ def drop_others(samples, n, view, boxes, word, mine, depth, claim):
 
 @jit
 def surfaces(samples, n, max_range, histogram, found):
-    """Split the samples of a box into surfaces: objects are separated by a gap of GAP_M in depth.
+    """Split the samples of a box into surfaces, which are separated by gaps of GAP_M in depth.
 
     Args:
         samples: points in the optical frame.
@@ -335,6 +356,14 @@ def share_beyond_box(beside, n, low, high, T, floor_z):
 
     An object ends at its box; the wall behind it, or a table in front of it, mostly does not.
     Points on the floor do not count. Strips without returns (`n` is 0) are ignored.
+
+    Args:
+        beside: (4, SIDE*SIDE, 3) float32, samples of the strips; see `sample_margins`.
+        n: (4,) int32, number of samples of each strip.
+        low: nearest depth of the surface.
+        high: farthest depth of the surface.
+        T: (4, 4) float64, map from optical frame.
+        floor_z: height in `map` below which points are floor.
     """
     total, sides = 0.0, 0
     for side in range(4):
@@ -362,10 +391,11 @@ def count_between(samples, n, low, high):
 def choose_surface(view, box, samples, n, T, floor_z, max_range, scratch):
     """Choose the surface of the object among those in its box.
 
-    It fills much of the box, goes on little beyond it and is near. The score is its share of the
-    box, times (1 - share beyond the box)^5, divided by `FARTHER` for each surface in front of it.
-    (Of 94 boxes with several surfaces in seven simulated houses, this chose the right one in 90 %;
-    the nearest with 30 % of the box in 76 %. The exponent and `FARTHER` were fitted to them.)
+    The object's surface fills much of the box, goes on little beyond it, and is near. A surface's
+    score is its share of the box, times (1 - share beyond the box)^5, divided by `FARTHER` for each
+    surface in front of it. (Measured on 94 boxes with several surfaces in seven simulated houses:
+    this chose the right surface in 90 %. The nearest surface with 30 % of the box was right in
+    76 %. The exponent and `FARTHER` were fitted to these boxes.)
 
     Args:
         view: see `back_project_boxes`.
@@ -407,8 +437,8 @@ def back_project_boxes(
     """Back-project every box; see `lift.BackProjector`.
 
     Two boxes may choose the same surface if one object hides much of the other. The box that fits
-    it best keeps it; the other chooses among the remaining samples. If that surface belongs to a
-    third box, the box is invalid.
+    the surface best keeps it. The other box chooses again among its remaining samples. If the new
+    surface belongs to a third box, the box is invalid.
 
     Args:
         view: depth, raster, the raster's points, its cell_px (0: sample the depth), fx, fy, cx, cy.
@@ -448,7 +478,7 @@ def back_project_boxes(
         low, high = depth[i]
         n = sample(view, inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3], max_range, samples)
         n = drop_unmasked(samples, n, view, boxes, masks, i)
-        whole = count_between(samples, n, low, high)
+        whole = count_between(samples, n, low, high)  # samples of the surface, claimed or not
         left = drop_others(samples, n, view, boxes, word, i, depth, claim)
         if left < LEFT * n:
             left = n

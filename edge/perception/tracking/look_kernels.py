@@ -7,19 +7,23 @@ import numpy as np
 from edge.geometry import CameraModel
 from edge.jit import jit
 
-LOOK_MIN_M, LOOK_RIM, OCCLUDED_M = 1.0, 0.1, 0.4
-"""Limits of a reliable view.
-
-An object nearer than LOOK_MIN_M does not fit into the image. LOOK_RIM is the share of the image
-at its border that is unreliable. A return nearer than the object by OCCLUDED_M hides it."""
+LOOK_MIN_M = 1.0
+"""Least distance of a reliable view: a nearer object does not fit into the image."""
+LOOK_RIM = 0.1
+"""Share of the image at each border in which a view is unreliable."""
+OCCLUDED_M = 0.4
+"""A return that is nearer than the object by more than this hides the object."""
 MOST = 0.7
 """An object is wholly in the image if at least this share of its surface is."""
 
 HIDDEN, AT_EDGE, IN_PART, WHOLE = range(4)
-"""Visibility: not in view; in an unreliable part of the view; well in view but partly cut off;
-well in view as a whole."""
+"""Visibility of an object.
+
+HIDDEN: not in view. AT_EDGE: in an unreliable part of the view. IN_PART: well in view, but partly
+cut off by the image's border. WHOLE: well in view as a whole."""
 
 NO_DEPTH = np.zeros((1, 1), np.float32)
+"""Placeholder for a missing depth image."""
 
 
 def view_of(camera: CameraModel) -> np.ndarray:
@@ -40,10 +44,10 @@ def visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
     """Return the visibility of an object: HIDDEN, AT_EDGE, IN_PART or WHOLE.
 
     Args:
-        x: centre of the object in `map`.
-        y: centre of the object in `map`.
-        z: centre of the object in `map`.
-        points: (k, 3) float32 in `map`, its surface.
+        x: x of the object's centre in `map`.
+        y: y of the centre.
+        z: z of the centre.
+        points: (k, 3) float32 in `map`, surface of the object.
         n_points: number of points that count; 0: the object is a point.
         T_camera_map: (4, 4) float64, optical frame from `map`.
         view: see `view_of`.
@@ -60,8 +64,8 @@ def visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
     if not (0 <= u < width and 0 <= v < height):
         return HIDDEN
     if depth.shape[0] == height and depth.shape[1] == width:
-        there = depth[int(v), int(u)]
-        if 0.0 < there < zc - OCCLUDED_M:
+        return_m = depth[int(v), int(u)]
+        if 0.0 < return_m < zc - OCCLUDED_M:
             return HIDDEN
     rim_u, rim_v = LOOK_RIM * width, LOOK_RIM * height
     inside = rim_u < u < width - rim_u and rim_v < v < height - rim_v

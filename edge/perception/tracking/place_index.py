@@ -1,7 +1,8 @@
-"""Grid hash over the centres of objects: it finds the rows near a place without a look at all rows.
+"""Grid hash over the centres of objects, which finds the rows near a place without visiting all.
 
-The index is three arrays: the first row of each bucket, the next row of each row, and the cell of
-each row. Arrays only, so that kernels can use it.
+The rows whose cells have the same hash form a bucket, which is a linked list. The index is three
+arrays, so that kernels can use it: the first row of each bucket, the row that follows each row in
+its bucket, and the cell of each row.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from edge.jit import jit
 CELL_M = 2.0
 """Side of a cell."""
 _BUCKETS = 4096  # a power of two
-_END = -1
-_FARTHEST = 1e6  # cells; a centre beyond that has the last one
+_END = -1  # end of a linked list
+_FARTHEST = 1e6  # largest cell number; a centre beyond has this cell
 
 PlaceIndex = tuple[np.ndarray, np.ndarray, np.ndarray]
 """(first, following, cell): (buckets,) int32, (capacity,) int32, (capacity, 2) int32."""
@@ -33,6 +34,7 @@ def make_index(capacity: int) -> PlaceIndex:
 
 @jit
 def _cell(x):
+    """Return the cell number of a coordinate in metres."""
     return math.floor(max(-_FARTHEST, min(_FARTHEST, x / CELL_M)))
 
 
@@ -43,7 +45,7 @@ def _bucket(ix, iy):
 
 @jit
 def insert(index, row, x, y):
-    """Add a row that is not in the index, by the centre (x, y) in metres."""
+    """Add a row, which is not yet in the index, with its centre (x, y) in metres."""
     first, following, cell = index
     cell[row, 0], cell[row, 1] = _cell(x), _cell(y)
     bucket = _bucket(cell[row, 0], cell[row, 1])
@@ -91,8 +93,8 @@ def rows_near(index, n, x, y, within_m, out):
     Args:
         index: see `PlaceIndex`.
         n: number of rows in the index.
-        x: of the place.
-        y: of the place.
+        x: x of the place in metres.
+        y: y of the place in metres.
         within_m: distance along each axis.
         out: (n or more,) int32.
     """

@@ -19,11 +19,11 @@ FORGET = 40.0
 SAME_M = 0.2
 """Surface points at most this far apart (along each axis) belong to one surface."""
 WITHIN = 0.5
-"""Share of its surface on another's from which a record counts fully as that object.
+"""Share of a record's points that must lie on an object's surface, to count fully against it.
 
-With a smaller share it counts in proportion."""
+With a smaller share the record counts in proportion."""
 PRIOR = 0.5
-"""Weight of the prior confidence of 0: one view is not enough."""
+"""Weight of the prior confidence of 0, so that one view is not enough for a high confidence."""
 
 
 @jit
@@ -35,11 +35,11 @@ def match(centers, points, n_points, reach, word, rows, of_word, x, y, merge_m):
         points: (cap, POINTS, 3) float32 in `map`; the first `n_points[i]` of record i count.
         n_points: (cap,) int32.
         reach: (cap,) float32, see `reach_of`.
-        word: (cap,) int16.
+        word: (cap,) int16, index of each record's word.
         rows: (k,) int32, the records that may match.
-        of_word: word to match.
-        x: of the place in `map`.
-        y: of the place in `map`.
+        of_word: index of the word to match.
+        x: x of the place in `map`.
+        y: y of the place in `map`.
         merge_m: largest planar distance.
     """
     best, least = -1, merge_m * merge_m
@@ -72,19 +72,20 @@ def reach_of(centers, points, n_points, i):
 def drifted(index, centers, word, n, now, near_m, rows):
     """Find two records of one word whose centres are closer than `near_m`.
 
-    They are one object, seen from either end before it was seen from the middle.
+    Such records are one object that was first seen from its two ends.
 
     Args:
         index: see `place_index.PlaceIndex`.
         centers: see `match`.
         word: see `match`.
         n: number of records.
-        now: (cap,) float32, over 0 if this image showed the record.
+        now: (cap,) float32, above 0 if the object was detected in this image.
         near_m: planar distance.
         rows: (cap,) int32, scratch.
 
     Returns:
-        (lower, higher) index, at least one of them seen now; (-1, -1): there are none.
+        (lower, higher) index of such a pair, at least one of them detected in this image; (-1, -1):
+        there is none.
     """
     for i in range(n):
         if now[i] <= 0.0:
@@ -101,7 +102,9 @@ def drifted(index, centers, word, n, now, near_m, rows):
 
 @jit
 def add_points(points, n_points, cursor, i, surface, n_surface, voxel_m):
-    """Add some points of a new view to record `i`, one a voxel; beyond POINTS, replace the oldest.
+    """Add some points of a new view to record `i`, one for each voxel.
+
+    If the record has POINTS points, the oldest are replaced.
 
     Args:
         points: see `match`.
@@ -135,15 +138,15 @@ def add_points(points, n_points, cursor, i, surface, n_surface, voxel_m):
 def weight_of(x, y, z, points, n_points, T_camera_map, view, depth, near_m, far_m):
     """Return the weight of a view of an object; 0 if its centre is not in view.
 
-    It is 1 near by and wholly in the image, and falls with the square of the distance, as the share
-    of the image that the object fills. See `look_kernels.visibility` for the first parameters. Up
-    to `near_m` the weight is full; from `far_m` on it is 0.
+    The weight is 1 for an object that is wholly in the image, up to `near_m` away. Beyond, it falls
+    with the square of the distance, as does the share of the image that the object fills. From
+    `far_m` on it is 0. See `look_kernels.visibility` for the other arguments.
     """
-    how = visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m)
-    if how == HIDDEN:
+    seen = visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m)
+    if seen == HIDDEN:
         return 0.0
     share = min(1.0, (near_m / ahead_m(T_camera_map, x, y, z)) ** 2)
-    return share if how == WHOLE else PARTIAL * share
+    return share if seen == WHOLE else PARTIAL * share
 
 
 @jit
@@ -159,7 +162,8 @@ def fuse(
         n_points: see `match`.
         word: see `match`.
         n: number of records.
-        now: (cap,) float32, score of each record in this image, 0 if not detected; zeroed.
+        now: (cap,) float32, score of each record in this image, 0 if it was not detected. All are
+            set to 0 at the end.
         asked: (words,) bool, True for words that the detector looked for.
         T_camera_map: see `look_kernels.visibility`.
         view: see `look_kernels.visibility`.
@@ -198,20 +202,21 @@ def competing_confidence(
 ):  # fmt: skip
     """Return the confidence that another object stands at the place of an object.
 
-    A record counts for the part of the object that it covers: a row of chairs for all of a sofa, a
-    pillow for little of a bed. A record that lies mostly elsewhere, such as the table under a vase,
-    counts little. Records of one word count together.
+    A record counts for the part of the object that it covers: a row of chairs may cover all of a
+    sofa, a pillow covers little of a bed. A record that lies mostly elsewhere, such as the table
+    under a vase, counts little. Records of one word count together.
 
     Args:
-        surface: (k, 3) float32 in `map`, the object's; k > 0.
+        surface: (k, 3) float32 in `map`, surface points of the object; k > 0.
         centers: see `match`.
         points: see `match`.
         n_points: see `match`.
         word: see `match`.
-        confidence: (cap,) float32.
-        rows: (k,) int32, the records that may cover it.
-        against: (words,) float32, weight of each word's confidence; 0: it names the same object.
-        reach_m: largest planar distance of a record's centre from the surface's.
+        confidence: (cap,) float32, confidence of each record.
+        rows: (r,) int32, the records that may cover the object.
+        against: (words,) float32, weight of each word's confidence; 0: the word names the same
+            object.
+        reach_m: largest planar distance of a record's centre from the centre of the surface.
 
     Returns:
         The maximum over words of the mean, over the surface, of the confidence of the word's

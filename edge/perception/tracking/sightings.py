@@ -18,14 +18,18 @@ from edge.perception.tracking.look_kernels import NO_DEPTH, view_of
 from edge.types import Observation
 
 MAX_SIGHTINGS = 5000
+"""Largest number of objects in the map."""
 GONE = 0.1
-"""A record below this share of `tau_det` was a mistake or has gone."""
+"""A record whose confidence is below this share of `tau_det` was a mistake, or the object is gone.
+"""
 _MATTERS = 0.1
-"""Change of a confidence that raises the generation; half the shift of a place in metres."""
+"""Change of a confidence that raises the generation; so does a shift of a place by twice this [m].
+"""
 _BROADER = 0.75
 """Weight of a broader word against a narrower one.
 
-An armchair is a chair; but an object that is clearly a chair and hardly an armchair is none."""
+An armchair is a chair. But an object that is clearly a chair and hardly an armchair is no armchair.
+"""
 _NONE = np.zeros(0, np.float32)
 MAX_VANISHED = 64
 """Number of vanished objects that are kept until they are seen elsewhere; the oldest go first."""
@@ -49,13 +53,14 @@ class TrackedObjects:
         last_seen_ns: (capacity,) int64, stamp of the newest detection.
         id: (capacity,) int64, never reused.
         hits: (capacity,) int32, number of images with a detection.
-        near_hits: (capacity,) int32, number of those from near by with a score of `confirm_score`.
+        near_hits: (capacity,) int32, number of such images from near by with a score of at least
+            `confirm_score`.
         points_m: (capacity, POINTS, 3) float32 in `map`, surface points of the newest voxels; the
             first `n_points[i]` of row i count.
-        n_points: (capacity,) int32.
+        n_points: (capacity,) int32, number of surface points.
         reach_m: (capacity,) float32, largest planar distance of a surface point from the centre.
-        moves: (capacity,) int32, how often the object was seen elsewhere.
-        came_from_m: (capacity, 2) float32 in `map`, its place before the last move.
+        moves: (capacity,) int32, number of times that the object was found at another place.
+        came_from_m: (capacity, 2) float32 in `map`, place of the object before its last move.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -93,11 +98,15 @@ class TrackedObjects:
 
 
 class MappedObject(NamedTuple):
-    """One row with its evidence.
+    """One row of `TrackedObjects` with its evidence.
 
     Attributes:
+        center_m: (3,) float32 in `map`.
+        points_m: (k, 3) float32 in `map`, surface points.
+        confidence: see `TrackedObjects`.
         weight: sum of the weights of all views.
         total: sum of weights times scores.
+        hits, near_hits, last_seen_ns: see `TrackedObjects`.
     """
 
     center_m: np.ndarray
@@ -114,10 +123,10 @@ class VanishedObject(NamedTuple):
     """An object that was certain, and then was not found at its place.
 
     Attributes:
-        id: of its row.
+        id: id of the object's row.
         word: index into `TrackedObjects.words`.
-        xyz_m: its place in `map`.
-        moves: see `TrackedObjects`.
+        first_seen_ns, last_seen_ns, moves: see `TrackedObjects`.
+        xyz_m: last place of the object in `map`.
     """
 
     id: int
@@ -132,9 +141,9 @@ class ObservedObject(NamedTuple):
     """An object in the newest image.
 
     Attributes:
-        id: of its row.
-        xyxy_px: (4,) float32, its box.
-        score: of the box.
+        id: id of the object's row.
+        xyxy_px: (4,) float32, box of the object in the image.
+        score: score of the box.
     """
 
     id: int
@@ -145,9 +154,9 @@ class ObservedObject(NamedTuple):
 class ObjectTracker:
     """Fuses the boxes of targets and context into objects, by word and place.
 
-    A strong box (over `tau_det`) starts an object; a weak one counts at a known place. Each view
-    that does not find a word at a place lowers its confidence. The arrays are allocated once: over
-    `MAX_SIGHTINGS` the least confident object is dropped.
+    A strong box (score above `tau_det`) starts an object; a weak one counts at a known place. Each
+    view that should show an object but has no box for it lowers the object's confidence. The arrays
+    are allocated once: over `MAX_SIGHTINGS` the least confident object is dropped.
 
     Args:
         perception: the configuration.
@@ -206,17 +215,17 @@ class ObjectTracker:
         if observation.camera is not None:
             self._fuse(observation)
         self._drop_missed()
-        self._count()
+        self._note_changes()
 
     def named(self, label: str) -> Iterator[MappedObject]:
-        """Yield all objects that a label names, kinds of it included, most confident first.
+        """Yield all objects that a label names, or that are a kind of it, most confident first.
 
         The arrays are copies.
         """
         s = self._objects
         kinds = [names.is_kind_of(word, label) for word in s.words]
-        mine = [at for at in range(s.n) if kinds[s.word[at]] and s.n_points[at] > 0]
-        for at in sorted(mine, key=lambda at: -s.confidence[at]):
+        matching = [at for at in range(s.n) if kinds[s.word[at]] and s.n_points[at] > 0]
+        for at in sorted(matching, key=lambda at: -s.confidence[at]):
             yield MappedObject(
                 s.xyz_m[at].copy(), s.points_m[at, : s.n_points[at]].copy(),
                 float(s.confidence[at]), float(self._weight[at]), float(self._total[at]),
@@ -228,26 +237,27 @@ class ObjectTracker:
     ) -> bool:
         """Return True if another object is more likely to stand at the place of an object.
 
-        Only words that the detector looks for count: the others could never be missed.
+        Only words that the detector looks for now count. For others, no view could lower the
+        confidence.
 
         Args:
             name: canonical name of the object.
-            surface_m: (k, 3) float32 in `map`; k > 0.
+            surface_m: (k, 3) float32 in `map`, surface points of the object; k > 0.
             radius_m: reach of the object from its centre.
-            surer: factor by which the other must be more confident.
+            surer: factor by which the other object must be more confident.
         """
         s, merge_m = self._objects, self.config.merge_m
         x_m, y_m, _ = surface_m.mean(axis=0).tolist()
-        mine, word = 0.0, self._number.get(name, -1)
+        own, word = 0.0, self._number.get(name, -1)
         at = self._match(word, x_m, y_m, merge_m + radius_m)
         if at >= 0:
-            mine = float(s.confidence[at])
+            own = float(s.confidence[at])
         against = kernels.competing_confidence(
             surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence,
             self._rows_near(x_m, y_m, merge_m + radius_m),
             self._competing_with(name) * self._looked_for, merge_m + radius_m,
         )  # fmt: skip
-        return against > surer * mine
+        return against > surer * own
 
     def _rows_near(self, x_m: float, y_m: float, within_m: float) -> np.ndarray:
         """Return the rows with a centre near a place, and others; valid until the next call."""
@@ -267,7 +277,7 @@ class ObjectTracker:
         """Return the weight of each word's confidence against an object, (words,) float32."""
         known = self._competing.get(name, _NONE)
         if len(known) < len(self._objects.words):
-            more = [_against(word, name) for word in self._objects.words[len(known) :]]
+            more = [_weight_against(word, name) for word in self._objects.words[len(known) :]]
             known = self._competing[name] = np.append(known, np.array(more, np.float32))
         return known
 
@@ -286,12 +296,12 @@ class ObjectTracker:
         return {
             **columns, "words": np.array(self._objects.words, np.str_),
             "next_id": np.array(self._next_id),
-            "vanished_id": np.array([one.id for one in gone], np.int64),
-            "vanished_word": np.array([one.word for one in gone], np.int16),
-            "vanished_first_ns": np.array([one.first_seen_ns for one in gone], np.int64),
-            "vanished_last_ns": np.array([one.last_seen_ns for one in gone], np.int64),
-            "vanished_xyz_m": np.array([one.xyz_m for one in gone], np.float64).reshape(-1, 3),
-            "vanished_moves": np.array([one.moves for one in gone], np.int32),
+            "vanished_id": np.array([v.id for v in gone], np.int64),
+            "vanished_word": np.array([v.word for v in gone], np.int16),
+            "vanished_first_ns": np.array([v.first_seen_ns for v in gone], np.int64),
+            "vanished_last_ns": np.array([v.last_seen_ns for v in gone], np.int64),
+            "vanished_xyz_m": np.array([v.xyz_m for v in gone], np.float64).reshape(-1, 3),
+            "vanished_moves": np.array([v.moves for v in gone], np.int32),
         }  # fmt: skip
 
     def load_state_dict(self, state: Arrays, later_ns: int) -> None:
@@ -299,7 +309,7 @@ class ObjectTracker:
 
         Args:
             state: from `state_dict`.
-            later_ns: added to all stamps: offset of the sensors' clock since then.
+            later_ns: added to all stamps, since the sensors' clock may have started again.
 
         Raises:
             ValueError: the state is invalid.
@@ -341,6 +351,7 @@ class ObjectTracker:
         self._update_view()
 
     def _saved(self) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield the arrays of a `state_dict`, by their names in it."""
         s = self._objects
         yield from (
             ("xyz_m", s.xyz_m), ("word", s.word), ("confidence", s.confidence),
@@ -365,6 +376,7 @@ class ObjectTracker:
             self._looked_for[numbers] = True
 
     def _numbers(self, words: Sequence[str]) -> np.ndarray:
+        """Return the indices of words in `TrackedObjects.words`; new words are appended to it."""
         for word in words:
             if word not in self._number:
                 self._number[word] = len(self._objects.words)
@@ -385,7 +397,7 @@ class ObjectTracker:
             if at < 0:
                 if not strong:
                     continue
-                at = self._found(word, (x_m, y_m, z_m), observation.stamp_ns)
+                at = self._create(word, (x_m, y_m, z_m), observation.stamp_ns)
             if self._now[at] > 0.0:  # a stronger box of this image matched before
                 continue
             self._now[at] = score
@@ -415,19 +427,20 @@ class ObjectTracker:
     def _reappear(self, at: int) -> None:
         """Give a new row the identity of the nearest vanished object of its word, if there is one.
 
-        An object that vanished after the row was first seen is a different one: both were seen.
+        An object that was seen after the row was first seen is a different one: both existed.
         """
         s = self._objects
         same = [
-            one for one in self.vanished
-            if one.word == s.word[at] and one.last_seen_ns < s.first_seen_ns[at]
+            v for v in self.vanished
+            if v.word == s.word[at] and v.last_seen_ns < s.first_seen_ns[at]
         ]  # fmt: skip
         if same:
-            one = min(same, key=lambda one: float(np.hypot(*(s.xyz_m[at, :2] - one.xyz_m[:2]))))
-            self.vanished.remove(one)
-            self._moved(at, one)
+            nearest = min(same, key=lambda v: float(np.hypot(*(s.xyz_m[at, :2] - v.xyz_m[:2]))))
+            self.vanished.remove(nearest)
+            self._take_identity(at, nearest)
 
-    def _moved(self, at: int, before: VanishedObject) -> None:
+    def _take_identity(self, at: int, before: VanishedObject) -> None:
+        """Make a row the same object as a vanished one, which has moved to the row's place."""
         s = self._objects
         self.renamed[int(s.id[at])] = before.id
         s.id[at], s.first_seen_ns[at] = before.id, before.first_seen_ns
@@ -437,7 +450,7 @@ class ObjectTracker:
     def _vanish(self, at: int) -> None:
         """Drop a row; if it was certain, another row may be the same object, moved."""
         s, c = self._objects, self.config
-        one = VanishedObject(
+        gone = VanishedObject(
             int(s.id[at]), int(s.word[at]), int(s.first_seen_ns[at]), int(s.last_seen_ns[at]),
             tuple(s.xyz_m[at].tolist()), int(s.moves[at]),
         )  # fmt: skip
@@ -445,14 +458,14 @@ class ObjectTracker:
         self._drop(at)
         if not certain:
             return
-        later = (s.word[: s.n] == one.word) & (s.first_seen_ns[: s.n] > one.last_seen_ns)
+        later = (s.word[: s.n] == gone.word) & (s.first_seen_ns[: s.n] > gone.last_seen_ns)
         later &= (s.hits[: s.n] >= c.min_hits) & (s.moves[: s.n] == 0)
         rows = np.flatnonzero(later)
         if len(rows):
-            apart_m = np.hypot(*(s.xyz_m[rows, :2] - one.xyz_m[:2]).T)
-            self._moved(int(rows[apart_m.argmin()]), one)
+            apart_m = np.hypot(*(s.xyz_m[rows, :2] - gone.xyz_m[:2]).T)
+            self._take_identity(int(rows[apart_m.argmin()]), gone)
             return
-        self.vanished = [*self.vanished, one][-MAX_VANISHED:]
+        self.vanished = [*self.vanished, gone][-MAX_VANISHED:]
 
     def _unite(self) -> None:
         """Merge pairs of rows that are one object."""
@@ -477,7 +490,7 @@ class ObjectTracker:
             self._place(kept)
             self._drop(gone)
 
-    def _found(self, word: int, xyz_m: tuple[float, float, float], stamp_ns: int) -> int:
+    def _create(self, word: int, xyz_m: tuple[float, float, float], stamp_ns: int) -> int:
         s = self._objects
         if s.n == len(s.word):
             self._drop(int(np.argmin(s.confidence[: s.n] + self._now[: s.n])))
@@ -527,8 +540,8 @@ class ObjectTracker:
         s.n = last
         s.generation += 1
 
-    def _count(self) -> None:
-        """Raise the generation if any confidence or place has changed enough."""
+    def _note_changes(self) -> None:
+        """Update the peak confidences; raise the generation if any row has changed enough."""
         s, counted = self._objects, self._counted
         np.maximum(
             self._peak_confidence[: s.n], s.confidence[: s.n], out=self._peak_confidence[: s.n]
@@ -550,8 +563,11 @@ _VANISHED = tuple(
 )
 
 
-def _against(word: str, name: str) -> float:
-    """Return the weight of a word's confidence against an object of this name."""
+def _weight_against(word: str, name: str) -> float:
+    """Return the weight of a word's confidence against an object of this name.
+
+    The weight is 0 if the word names the same object, or a kind of it.
+    """
     if names.is_kind_of(word, name):
         return 0.0
     return _BROADER if names.is_kind_of(name, word) else 1.0

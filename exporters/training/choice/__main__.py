@@ -16,6 +16,7 @@ from pathlib import Path
 
 from exporters.files import ExportError, at_least_one, exit_on_user_error
 
+# Defaults of the options.
 SEED, HOUSES, HELD_OUT_HOUSES, CORES = 0, "0:130", "1000:1020", 2
 STEPS = 1800
 
@@ -35,7 +36,7 @@ def seeds(option: str, text: str) -> list[int]:
         raise ExportError(
             f"{option}: got {text!r}; give ranges such as 0:60 (0 to 59) or 0:10,50:60"
         )
-    return [seed for one in ranges for seed in one]
+    return [seed for each in ranges for seed in each]
 
 
 @exit_on_user_error

@@ -39,16 +39,24 @@ ABSENT = "piano"
 POLICIES = ("nearest_frontier", "search")
 """Policies to explore with, in turn: one prefers near frontiers, the other large ones."""
 EXPLORE_S = 200.0
-STEP_S, LOOK_EVERY = 0.1, 8
-"""Simulated period of the controller; the service ticks once in `LOOK_EVERY` periods."""
-HW, COARSE = (256, 320), 2
-"""Size of the stored images; the robot maps with images `COARSE` times smaller, which is faster."""
+"""Longest exploration of a house."""
+STEP_S = 0.1
+"""Simulated period of the controller."""
+LOOK_EVERY = 8
+"""The service ticks once in this many periods of the controller."""
+HW = (256, 320)
+"""Height and width of the stored images [px]."""
+COARSE = 2
+"""The robot maps with images that are smaller by this factor, which is faster."""
 SNAP_M = 0.6
 """Largest distance from a frontier to the nearest cell where the robot fits."""
-SEEN_PX, SEEN_M = 10, 6.0
-"""An object counts as seen with this many pixels on the smaller image, up to this distance."""
+SEEN_PX = 10
+"""An object counts as seen with at least this many pixels on the smaller image."""
+SEEN_M = 6.0
+"""Pixels count up to this distance."""
 NEVER, BEFORE, NOW = 0, 1, 2
-_KEY = 31
+"""Values of `Views.seen`."""
+_KEY = 31  # added to the seed of the start pose, so that it differs from other draws
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +71,10 @@ class Views:
             `count`.
         path_m: (n, MAX_MARKS) float32, driving distance to the mark on the robot's own map.
         gain_m2: (n, MAX_MARKS) float32, expected unknown area at the mark.
-        others: (n, 3) float32, of the frontiers without a mark: number, least `path_m` (0 if there
-            are none), largest `gain_m2`.
-        left_m: (n, MAX_MARKS, t) float32, true driving distance from a mark to the nearest such
-            object; inf if there is none.
+        others: (n, 3) float32, figures of the frontiers without a mark: number, least `path_m` (0
+            if there are none), largest `gain_m2`.
+        left_m: (n, MAX_MARKS, t) float32, true driving distance from a mark to the nearest object
+            of the kind; inf if there is none.
         else_m: (n, t) float32, least `left_m` of all frontiers without a mark.
         else_path_m: (n, t) float32, least `path_m` + `left_m` of these frontiers.
         here_m: (n, t) float32, true driving distance from the robot.
@@ -122,7 +130,7 @@ class _Collector:
         observation, loop = result.observation, self.loop
         if observation is None or loop is None:
             return
-        now = self._in_view(loop.rig.ids, loop.rig.depth_m)
+        now = self._kinds_in_view(loop.rig.ids, loop.rig.depth_m)
         c = loop.service.map.pool.candidates
         open_ = (c.kind == FRONTIER) & ~c.blocked & np.isfinite(c.path_m)
         open_ = np.flatnonzero(open_[: c.n])
@@ -130,20 +138,26 @@ class _Collector:
         marks = visible_marks(observation, xy_m, ids)
         if marks:
             at = np.array([int(np.flatnonzero(ids == mark.id)[0]) for mark in marks])
-            self._keep(marks, at, xy_m, c.path_m[open_], c.gain_m2[open_], now)
+            self._store_view(marks, at, xy_m, c.path_m[open_], c.gain_m2[open_], now)
         self._seen |= now
 
     def close(self) -> None:
         """Do nothing."""
 
-    def _in_view(self, ids: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+    def _kinds_in_view(self, ids: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+        """Return (t,) bool: True for each kind of object that the image shows.
+
+        Args:
+            ids: (h, w), number of the object at each pixel, from 1; 0 for none.
+            depth_m: (h, w).
+        """
         near = ids[depth_m < SEEN_M]
         px = np.bincount(near, minlength=1 + len(self._kind))[1:]
         now = np.zeros(len(looks.CATEGORIES), bool)
         now[self._kind[px >= SEEN_PX]] = True
         return now
 
-    def _keep(
+    def _store_view(
         self,
         marks: tuple,
         at: np.ndarray,
@@ -152,6 +166,16 @@ class _Collector:
         gain_m2: np.ndarray,
         now: np.ndarray,
     ) -> None:
+        """Add the row of a view, in the order of the fields of `Views`.
+
+        Args:
+            marks: marks in the image.
+            at: (m,) index of each mark among the frontiers.
+            xy_m: (k, 2), the frontiers.
+            path_m: (k,), driving distances to the frontiers.
+            gain_m2: (k,), expected unknown areas at the frontiers.
+            now: (t,) bool, kinds of object in the image.
+        """
         loop, t = self.loop, len(looks.CATEGORIES)
         assert loop is not None
         rig, pose = loop.rig, loop.drive.motion.pose
@@ -178,11 +202,11 @@ class _Collector:
             whole_m[others].min(axis=0, initial=np.inf),
             self._left_m(np.array([[pose.x_m, pose.y_m]]))[0],
             np.where(now, NOW, np.where(self._seen, BEFORE, NEVER)),
-            self._lifts(xy_m[at]),
+            self._likelihood_ratios(xy_m[at]),
         )  # fmt: skip
         self.rows.append(row)
 
-    def _lifts(self, xy_m: np.ndarray) -> np.ndarray:
+    def _likelihood_ratios(self, xy_m: np.ndarray) -> np.ndarray:
         """Return the prior's likelihood ratios, (MAX_MARKS, t) float32."""
         n, out = len(xy_m), np.ones((len(looks.CATEGORIES), MAX_MARKS), np.float32)
         prior = self.loop.service.map.prior

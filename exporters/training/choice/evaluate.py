@@ -23,6 +23,7 @@ from exporters.training.choice.training import Data, answers
 from exporters.training.results import auc, took_ms
 
 PARITY_QUESTIONS = 300
+"""Number of random questions for the parity."""
 Logits = tuple[np.ndarray, np.ndarray]
 """(n, t, MAX_MARKS + 1) of the directions and (n, t) of the scene; NaN for pairs not asked."""
 
@@ -64,8 +65,8 @@ def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> floa
             "marks": marks[i : i + 1], "others": views.others[i : i + 1],
         }  # fmt: skip
         found, whole = session.run(["directions", "scene"], feed)
-        there = np.append(labels.shown(views)[i], True)
-        off = np.abs(found[0] - logits[0][i, t])[there].max()
+        is_option = np.append(labels.shown(views)[i], True)
+        off = np.abs(found[0] - logits[0][i, t])[is_option].max()
         worst = max(worst, float(off), abs(float(whole[0, 0] - logits[1][i, t])))
     return worst
 

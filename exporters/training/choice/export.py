@@ -161,13 +161,13 @@ def put_in_place(run: Path, out: Path, command: str, houses: int) -> None:
         houses: number of training houses.
     """
     net = ChoiceNet(len(looks.CATEGORIES))
-    kept = checkpoints.averaged(run / "checkpoint.pt", net)
+    state = checkpoints.averaged(run / "checkpoint.pt", net)
     trunk, model = Trunk(DETECTOR_FILE, TEXT_FILE), run / f"{NAME}.onnx"
     paths = [path for path in (run / "held-out").glob("*.npz") if path.stem.isdigit()]
     export(net, trunk, model)
     training = {
-        "command": command, "seed": kept["plan"]["seed"], "houses": houses,
-        "views": kept["frames"], "steps": kept["step"], **checkpoints.made_by(kept),
+        "command": command, "seed": state["plan"]["seed"], "houses": houses,
+        "views": state["frames"], "steps": state["step"], **checkpoints.made_by(state),
         "trunk": DETECTOR,
     }  # fmt: skip
     measured = {"training": training, "held-out houses": held_out(net, trunk, model, sorted(paths))}

@@ -21,11 +21,13 @@ from exporters.onnx_format import cpu_session
 from exporters.training.choice.collect import load_views
 
 GRID_HW = (8, 10)
+"""Rows and columns of the feature grid."""
 HEADS = tuple(f"/heads.{k}/text/text.2/Conv_output_0_DequantizeLinear_Output" for k in range(3))
 NECK = tuple(
     f"/neck/{level}/out/out.2/Relu_output_0_DequantizeLinear_Output" for level in ("low16", "low32")
 )
-"""Tensors of the detector: embeddings of strides 8, 16 and 32, and what the last two come from."""
+"""Tensors of the detector, from which the embeddings of strides 16 and 32 are computed. `HEADS` are
+the embeddings of strides 8, 16 and 32."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +54,8 @@ class Trunk:
 
     Attributes:
         model: `images` → `HEADS` and `NECK`.
-        scale: of the detector's scores: sigmoid(scale · embedding · text + bias).
-        bias: of the detector's scores.
+        scale: factor in the detector's scores: sigmoid(scale · embedding · text + bias).
+        bias: offset in the detector's scores.
         scales: factors from `near` and `far` to the values of `NECK` (for `near`, to the mean of
             four).
         words: (c, 64) float32, unit rows of `looks.CATEGORIES`.
@@ -101,7 +103,7 @@ def _fold(x: np.ndarray, how: Callable) -> np.ndarray:
 
 def make_features(paths: Sequence[Path], trunk: Trunk) -> Features:
     """Return the features of the views in these files; they are stored next to them."""
-    parts = [_of_file(path, trunk) for path in paths]
+    parts = [_read_or_make(path, trunk) for path in paths]
     return Features(
         *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Features))
     )
@@ -110,19 +112,19 @@ def make_features(paths: Sequence[Path], trunk: Trunk) -> Features:
 _TYPES = (np.uint8, np.uint16, np.uint8)
 
 
-def _of_file(path: Path, trunk: Trunk) -> Features:
-    kept = path.with_suffix(".features.npz")
-    if not kept.is_file():
+def _read_or_make(path: Path, trunk: Trunk) -> Features:
+    stored = path.with_suffix(".features.npz")
+    if not stored.is_file():
         views = load_views([path])
         read = [
             [trunk.read(np.ascontiguousarray(rgb)) for rgb in (image, image[:, ::-1])]
             for image in map(views.rgb, range(len(views)))
         ]
         arrays = {
-            f.name: np.array([[one[k] for one in pair] for pair in read], dtype)
+            f.name: np.array([[features[k] for features in pair] for pair in read], dtype)
             for k, (f, dtype) in enumerate(zip(fields(Features), _TYPES, strict=True))
         }
-        with replace_atomically(kept) as part, part.open("wb") as file:
+        with replace_atomically(stored) as part, part.open("wb") as file:
             np.savez(file, **arrays)
-    with np.load(kept) as data:
+    with np.load(stored) as data:
         return Features(*(data[f.name] for f in fields(Features)))

@@ -11,8 +11,10 @@ from exporters.training.choice.collect import BEFORE, HW, Views
 
 SOFT_M = 1.5
 """The label of a direction falls by a factor of e for each such length above the best one."""
-DETOUR_M, DETOUR_SHARE = 1.5, 0.25
-"""A path is near the shortest if it is longer by at most this, or by this share of it."""
+DETOUR_M = 1.5
+"""A path is near the shortest path if it is longer by at most this."""
+DETOUR_SHARE = 0.25
+"""A path is also near the shortest path if it is longer by at most this share of it."""
 RIGHT_M = 0.5
 """Directions that differ by less are equally good."""
 

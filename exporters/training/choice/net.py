@@ -15,9 +15,9 @@ from exporters.training.choice.features import GRID_HW
 from exporters.training.mini.net import EMBED_DIM, Conv
 
 NEAR, FAR = 96, 128
-"""Channels of `features.NECK`."""
-_FAR_M, _WIDE_M2 = 8.0, 10.0
-_BIG = 1e4
+"""Channels of the two tensors `features.NECK`."""
+_FAR_M, _WIDE_M2 = 8.0, 10.0  # scales of distances and areas in the features
+_BIG = 1e4  # subtracted from the logit of a missing mark
 
 
 class ChoiceNet(nn.Module):
@@ -71,15 +71,15 @@ class ChoiceNet(nn.Module):
         tokens = self.mark(torch.cat([self.drop(near), geometry(marks)], -1))
         rest = self.rest(of_others(others))[:, None]
         tokens = torch.cat([tokens, rest], 1)[:, None] + self.text(text)[:, :, None]
-        there = torch.cat([marks[..., -1], torch.ones_like(marks[:, :1, -1])], 1)  # (v, m + 1)
+        is_mark = torch.cat([marks[..., -1], torch.ones_like(marks[:, :1, -1])], 1)  # (v, m + 1)
         middle = torch.full_like(marks[:, :1, :2], 0.5)
         away = torch.cat([marks[..., :2], middle], 1)[:, :, None] - self.cells  # (v, m + 1, 80, 2)
         for layer in self.layers:
-            tokens = layer(tokens, cells, away, target, there)
+            tokens = layer(tokens, cells, away, target, is_mark)
         tokens = self.norm(tokens)
         of_rest = self.of_rest(tokens[:, :, m])
         logits = torch.cat([self.direction(tokens[:, :, :m])[..., 0], of_rest[..., :1]], -1)
-        return logits - _BIG * (1.0 - there[:, None]), of_rest[..., 1].reshape(v, t)
+        return logits - _BIG * (1.0 - is_mark[:, None]), of_rest[..., 1].reshape(v, t)
 
 
 class _Layer(nn.Module):
@@ -99,7 +99,7 @@ class _Layer(nn.Module):
         )
 
     def forward(
-        self, x: Tensor, cells: Tensor, away: Tensor, target: Tensor, there: Tensor
+        self, x: Tensor, cells: Tensor, away: Tensor, target: Tensor, is_mark: Tensor
     ) -> Tensor:
         v, t, n, width = x.shape
         h, d = self.heads, width // self.heads
@@ -116,20 +116,20 @@ class _Layer(nn.Module):
         x = x + self.answer(torch.cat([found, seen], -1))
 
         q, k, u = self.mix(self.norms[1](x)).chunk(3, -1)
-        score = q @ k.transpose(2, 3) * width**-0.5 - _BIG * (1.0 - there[:, None, None])
+        score = q @ k.transpose(2, 3) * width**-0.5 - _BIG * (1.0 - is_mark[:, None, None])
         x = x + self.mixed(score.softmax(-1) @ u)
         return x + self.step(self.norms[2](x))
 
 
-_GEOMETRY, _REST = 17, 6
+_GEOMETRY, _REST = 17, 6  # number of features of a mark, and of the frontiers without a mark
 
 
 def geometry(marks: Tensor) -> Tensor:
     """Return features of a mark's position, (…, _GEOMETRY)."""
-    u, v, bearing, distance, path, gain, there = marks.unbind(-1)
+    u, v, bearing, distance, path, gain, is_mark = marks.unbind(-1)
     waves = [wave(k * torch.pi * u) for k in (1, 2) for wave in (torch.sin, torch.cos)]
     offset = [u, v, bearing, bearing.abs(), distance / _FAR_M, torch.log1p(distance), *waves]
-    return torch.stack([*offset, (path - distance) / _FAR_M, *_worth(path, gain), there], -1)
+    return torch.stack([*offset, (path - distance) / _FAR_M, *_worth(path, gain), is_mark], -1)
 
 
 def of_others(others: Tensor) -> Tensor:

@@ -30,7 +30,16 @@ CLIP = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Length and learning rates of a run; a step has `views` views of `targets` targets each."""
+    """Length and learning rates of a run.
+
+    Attributes:
+        steps: number of steps.
+        views: views in a step.
+        targets: targets for each view.
+        rate: see `learning.LearningRates`, which also describes `decay`, `warm_up` and `average`.
+        keep_every: steps between two checkpoints.
+        seed: seed of weights and batches.
+    """
 
     steps: int = 1800
     views: int = 24
@@ -44,7 +53,7 @@ class Plan:
 
 
 class Batch(NamedTuple):
-    """Inputs of `ChoiceNet`, and labels: see `labels`."""
+    """Inputs of `ChoiceNet`, and the labels: `direction`, `among` (of the marks only), `scene`."""
 
     near: Tensor
     far: Tensor
@@ -63,9 +72,9 @@ class Data:
 
     Args:
         views: images and marks.
-        features: of the views.
-        scales: of the trunk (`features.Trunk`).
-        words: of the trunk (`features.Trunk`).
+        features: features of the views.
+        scales: see `features.Trunk`.
+        words: see `features.Trunk`.
     """
 
     def __init__(
@@ -80,7 +89,7 @@ class Data:
         """Return views with targets, without augmentation.
 
         Args:
-            rows: (v,) views.
+            rows: (v,) indices of views.
             targets: (v, t) indices of `looks.CATEGORIES`.
             sides: (v,) 1 for mirrored views.
         """
@@ -97,13 +106,13 @@ class Data:
             rows = rng.choice(self.rows, plan.views)
             chance = self._asked[rows] / self._asked[rows].sum(axis=1, keepdims=True)
             targets = np.stack([rng.choice(len(p), plan.targets, p=p) for p in chance])
-            there = self._marks[rows, :, -1] > 0.0
-            kept = there & (rng.random(there.shape) >= DROP)
-            there = np.where(kept.any(axis=1, keepdims=True), kept, there)
-            yield self._batch(rows, targets, rng.integers(0, 2, len(rows)), there)
+            is_mark = self._marks[rows, :, -1] > 0.0
+            kept = is_mark & (rng.random(is_mark.shape) >= DROP)
+            is_mark = np.where(kept.any(axis=1, keepdims=True), kept, is_mark)
+            yield self._batch(rows, targets, rng.integers(0, 2, len(rows)), is_mark)
 
     def _batch(
-        self, rows: np.ndarray, targets: np.ndarray, sides: np.ndarray, there: np.ndarray
+        self, rows: np.ndarray, targets: np.ndarray, sides: np.ndarray, is_mark: np.ndarray
     ) -> Batch:
         views, f, each = self._views, self._features, np.arange(len(rows))[:, None]
         near, far = (
@@ -111,14 +120,14 @@ class Data:
             for x, scale in zip((f.near, f.far), self._scales, strict=True)
         )
         evidence = torch.from_numpy(f.evidence[rows, sides].astype(np.float32) / 255.0)
-        marks = self._marks[rows] * there[..., None]
-        marks[..., 0] = np.where(sides[:, None] & there, 1.0 - marks[..., 0], marks[..., 0])
+        marks = self._marks[rows] * is_mark[..., None]
+        marks[..., 0] = np.where(sides[:, None] & is_mark, 1.0 - marks[..., 0], marks[..., 0])
         marks[..., 2] *= np.where(sides, -1.0, 1.0)[:, None]
-        others = _with_hidden(views.others[rows], self._marks[rows], ~there)
+        others = _with_hidden(views.others[rows], self._marks[rows], ~is_mark)
         left_m = np.take_along_axis(views.left_m[rows], targets[:, None], 2).transpose(0, 2, 1)
-        hidden_m = np.where(there[:, None], np.inf, left_m).min(axis=-1)
+        hidden_m = np.where(is_mark[:, None], np.inf, left_m).min(axis=-1)
         else_m = np.minimum(np.take_along_axis(views.else_m[rows], targets, 1), hidden_m)
-        left_m = np.where(there[:, None], left_m, np.inf)
+        left_m = np.where(is_mark[:, None], left_m, np.inf)
         right = labels.directions(left_m, else_m)
         among = labels.directions(left_m, np.full_like(else_m, np.inf))[..., :-1]
         scene = np.take_along_axis(self._scene[rows], targets, 1).astype(np.float32)

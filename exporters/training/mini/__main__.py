@@ -18,7 +18,7 @@ from pathlib import Path
 
 from exporters.files import at_least_one, exit_on_user_error
 
-SEED, HOUSES, CORES = 0, 3000, 2
+SEED, HOUSES, CORES = 0, 3000, 2  # defaults of the options
 
 
 @exit_on_user_error

@@ -17,19 +17,24 @@ from exporters.training.mini.loss import Labels
 from exporters.training.mini.views import HEIGHT_PX, WIDTH_PX, Frames, whole
 
 PAD = 114
+"""Grey value around an image that does not fill the crop."""
 PHRASES = 24
+"""Phrases of an image, without the plain ones."""
 NAMED = 9
 """Most objects of an image that get a true phrase each; the other phrases are random, and most are
 wrong."""
 HARD_SHARE = 0.6
 """Share of the random phrases that name an object in the image, with a random colour or size."""
-MIN_SIDE_PX, MIN_VISIBLE = 8.0, 0.25
-"""Smaller objects (in an image of 320 columns) and objects with a smaller visible share are not
-taught."""
+MIN_SIDE_PX = 8.0
+"""Smaller objects (in an image of 320 columns) are not taught."""
+MIN_VISIBLE = 0.25
+"""Objects with a smaller visible share are not taught."""
 WHOLE = 0.9
 """The size of an object with a smaller part in the crop is unknown, and is not taught."""
 THINGS = 32
+"""Largest number of objects of an image."""
 ZOOM = (0.8, 1.6)
+"""Range of the scale of a crop, relative to the whole image."""
 AHEAD = 6
 """Batches that are made in advance."""
 
@@ -67,9 +72,9 @@ def cut(
     a, c, left, right = _span(x0, view_w, WIDTH_PX, w)
     b, d, top, bottom = _span(y0, view_h, HEIGHT_PX, h)
     out = np.full((h, w, 3), PAD, np.uint8)
-    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+    interpolation = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
     out[top:bottom, left:right] = cv2.resize(
-        rgb[b:d, a:c], (right - left, bottom - top), interpolation=how
+        rgb[b:d, a:c], (right - left, bottom - top), interpolation=interpolation
     )
     s = np.array([(right - left) / (c - a), (bottom - top) / (d - b)] * 2, np.float32)
     moved = (boxes - np.array([a, b, a, b], np.float32)) * s
@@ -148,10 +153,12 @@ def make_batch(
         good &= share >= 0.3
         phrases[i] = sample_phrases(objects[good], rng, plain)
         m = len(objects)
-        said = looks.answers(objects["category"], objects["color"], objects["size"], phrases[i])
-        boxes[i, :m], taught[i, :m], answers[i, :m] = moved, good, said
+        answers_here = looks.answers(
+            objects["category"], objects["color"], objects["size"], phrases[i]
+        )
+        boxes[i, :m], taught[i, :m], answers[i, :m] = moved, good, answers_here
         same = objects["category"][:, None] == phrases[i][None, :, 0]
-        hard[i, :m] = same & (said == looks.NO) & good[:, None]
+        hard[i, :m] = same & (answers_here == looks.NO) & good[:, None]
     most = max(1, int(boxes.any(2).sum(1).max()))
     labels = Labels(*(torch.from_numpy(x[:, :most]) for x in (boxes, taught, answers, hard)))
     planes = torch.from_numpy(images).permute(0, 3, 1, 2)

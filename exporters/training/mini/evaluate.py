@@ -2,9 +2,9 @@
 
     python -m exporters.training.mini.evaluate MODEL.onnx [--text TEXT.onnx]
 
-Measures average precision at IoU 0.5 per category, for objects of at least 12 px that are half
-visible; how often an attribute phrase scores higher on the right one of two objects of a kind in
-one view; and latency.
+There are three measurements: average precision at IoU 0.5 per category, for objects of at least 12
+px that are half visible; the share of attribute phrases that score higher on the right one of two
+objects of a kind in one view; latency.
 """
 
 from __future__ import annotations
@@ -31,10 +31,15 @@ from exporters.training.mini.views import Frames, make_frames, whole
 from exporters.training.results import took_ms
 
 SEEDS = range(HELD_OUT, HELD_OUT + 100)
+"""Seeds of the held-out houses."""
 PER_HOUSE = 6
+"""Images of each house."""
 MIN_SIDE_PX, MIN_VISIBLE = 12, 0.5
+"""Smaller objects, and objects with a smaller visible share, do not count."""
 IOU = 0.5
+"""Least overlap of a detection with its object."""
 MIN_SCORE = 0.01
+"""Detections with lower scores are ignored."""
 DEPLOYED: float = PerceptionConfig.model_fields["tau_det"].default
 """The service's default score threshold for a detection."""
 TOLD_APART = ("color", "size")
@@ -44,6 +49,7 @@ TOLD_APART = ("color", "size")
 FLOORS = {"ap50": 0.7, "pairs_told_apart": 0.8}
 """Least values of a card's figures on held-out houses."""
 MAX_BYTES = 2_900_000
+"""Largest size of the INT8 file."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +169,7 @@ def _counts(objects: np.ndarray) -> np.ndarray:
 
 
 def _questions(objects: np.ndarray) -> list[_Question]:
+    """Return all questions about pairs of objects of one category in an image."""
     questions = []
     usable, uncut = np.flatnonzero(_counts(objects)), whole(objects)
     for i in usable:
@@ -202,15 +209,15 @@ def _match(
             kept.append(n)
     chosen = keep[kept]
     answers = looks.KINDS[objects["category"], category]
-    mine = np.flatnonzero((answers == looks.YES) & counts)
+    counted = np.flatnonzero((answers == looks.YES) & counts)
     other = np.flatnonzero(((answers == looks.YES) & ~counts) | (answers == looks.UNSURE))
-    on_mine = overlaps(boxes[chosen], objects["box"][mine])[0]
+    on_mine = overlaps(boxes[chosen], objects["box"][counted])[0]
     on_other = overlaps(boxes[chosen], objects["box"][other])[0]
-    taken = np.zeros(len(mine), bool)
+    taken = np.zeros(len(counted), bool)
     result = []
     for row, index in enumerate(chosen):
         free = np.where(taken, 0.0, on_mine[row])
-        if len(mine) and free.max() >= IOU:
+        if len(counted) and free.max() >= IOU:
             taken[free.argmax()] = True
             result.append((float(scores[index]), 1))
         elif not (len(other) and on_other[row].max() >= IOU):

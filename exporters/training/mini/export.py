@@ -96,12 +96,12 @@ def make_cards(folder: Path, measured: dict[str, dict]) -> list[dict]:
     ]  # fmt: skip
 
 
-def training_figures(kept: dict[str, Any], command: str) -> dict[str, float | int | str]:
+def training_figures(state: dict[str, Any], command: str) -> dict[str, float | int | str]:
     """Return the training entry of the detector's card; `command` repeats the training."""
     return {
-        "command": command, "seed": kept["plan"]["seed"], "houses": kept["frames"] // PER_HOUSE,
-        "frames": kept["frames"], "processes": kept["ranks"], "device": kept["device"],
-        "steps": kept["step"], **checkpoints.made_by(kept),
+        "command": command, "seed": state["plan"]["seed"], "houses": state["frames"] // PER_HOUSE,
+        "frames": state["frames"], "processes": state["ranks"], "device": state["device"],
+        "steps": state["step"], **checkpoints.made_by(state),
     }  # fmt: skip
 
 
@@ -136,11 +136,11 @@ def put_in_place(run: Path, out: Path, command: str, gate: bool) -> None:
     Raises:
         ExportError: the model misses the required figures, and `gate` is True.
     """
-    model, kept = load_model(run / "checkpoint.pt")
+    model, state = load_model(run / "checkpoint.pt")
     held_out = make_files(run, model)
     if gate:
-        steps = sum(steps for steps, *_ in kept["plan"]["stages"])
-        evaluate.check_gate(held_out, kept["step"], steps)
-    measured = {"training": training_figures(kept, command), "held-out houses": held_out}
+        steps = sum(steps for steps, *_ in state["plan"]["stages"])
+        evaluate.check_gate(held_out, state["step"], steps)
+    measured = {"training": training_figures(state, command), "held-out houses": held_out}
     files = {f"{name}.onnx": run / f"{name}.onnx" for name in (TEXT, DETECTOR)}
     publish(files, make_cards(run, measured), out, NOTE)

@@ -49,8 +49,8 @@ SQUARE = 0.6
 """If depth and width have at least this ratio, "wide" and "narrow" change both. Depth and width of
 such an object look alike at any angle."""
 
-_GAP_M = 0.05
-_FACING_DEG = (0.0, 90.0, 180.0, -90.0)
+_GAP_M = 0.05  # between objects
+_FACING_DEG = (0.0, 90.0, 180.0, -90.0)  # yaw of an object at each side of a room
 _SPLIT_FROM_M = 4.8
 """A room with a shorter longer side is not halved."""
 
@@ -127,8 +127,8 @@ class _Builder:
     def take(self, x: float, y: float, reach: float) -> None:
         self._taken.append((x, y, reach))
 
-    def by_wall(self, category: str, room: Rect, load: str | None = None) -> bool:
-        """Place an object at a random wall, facing into the room; see `_place` for `load`."""
+    def by_wall(self, category: str, room: Rect, carried: str | None = None) -> bool:
+        """Place an object at a random wall, facing into the room; see `_place` for `carried`."""
         look = self.look(category)
         depth, width = look[0][0], look[0][1]
         for _ in range(12):
@@ -139,7 +139,9 @@ class _Builder:
             along = self.rng.uniform(0.5 * width + 0.1, span - 0.5 * width - 0.1)
             off = 0.5 * depth + 0.07 + self.rng.uniform(0, 0.08)
             x, y = at_wall(room, side, along, off)
-            if self._place(category, x, y, _FACING_DEG[side] + self.rng.uniform(-4, 4), look, load):
+            if self._place(
+                category, x, y, _FACING_DEG[side] + self.rng.uniform(-4, 4), look, carried
+            ):
                 return True
         return False
 
@@ -156,11 +158,11 @@ class _Builder:
         return False
 
     def _place(
-        self, category: str, x: float, y: float, yaw_deg: float, look, load: str | None = None
+        self, category: str, x: float, y: float, yaw_deg: float, look, carried: str | None = None
     ) -> bool:
         """Place an object; return False if there is no room.
 
-        `load` is the object on top of it; None for a random one or none.
+        `carried` is the object on top of it; None for a random one or none.
         """
         size = look[0]
         if category == "rug":  # objects may stand on rugs, but rugs do not overlap
@@ -184,8 +186,8 @@ class _Builder:
         for spot in spots:
             self.take(*spot)
         self.add(category, (x, y), yaw_deg, look)
-        if category in SUPPORTS and size[2] < 1.5 and (load or self.chance(0.65)):
-            self.on_top(load or self.usual_load(category), x, y, yaw_deg, size)
+        if category in SUPPORTS and size[2] < 1.5 and (carried or self.chance(0.65)):
+            self.on_top(carried or self.usual_load(category), x, y, yaw_deg, size)
         return True
 
     def usual_load(self, support: str) -> str:
@@ -223,7 +225,7 @@ class _Builder:
         elif category in ("rug", "pillar") or (category in FREE and self.chance(0.6)):
             self.in_middle(category, room)
         elif category in ("laptop", "microwave", "television", "vase") and self.chance(0.85):
-            self.by_wall(self.pick(SUPPORTS), room, load=category)
+            self.by_wall(self.pick(SUPPORTS), room, carried=category)
         else:
             self.by_wall(category, room)
 

@@ -45,6 +45,7 @@ SIZES: tuple[str, ...] = tuple(STYLES)
 VOCABULARY = Vocabulary(CATEGORIES, COLORS, SIZES)
 
 NO, YES, UNSURE = 0, 1, -1
+"""Answers to the question if a phrase is true of an object."""
 
 NEARLY_AS_NEAR = (1.35, 3.0)
 """A second colour at a distance of at most 1.35 d + 3 [CIE76] is as good a name as the nearest, at
@@ -116,9 +117,11 @@ def size_answers(style: str | None, category: str) -> np.ndarray:
 def kinds() -> np.ndarray:
     """Return the answers of objects (rows) to category words (columns).
 
-    The shape is (1 + categories, 1 + categories), int8.
-    UNSURE both ways between a kind and its broader name: an armchair is a chair to some people. Row
-    and column 0 stand for no category.
+    An answer is UNSURE, both ways, between a kind and its broader name: an armchair is a chair to
+    some people. Row and column 0 stand for no category.
+
+    Returns:
+        (1 + categories, 1 + categories) int8.
     """
     n = len(CATEGORIES)
     answers = np.zeros((1 + n, 1 + n), np.int8)

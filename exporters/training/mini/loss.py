@@ -17,8 +17,11 @@ from exporters.training.mini.looks import UNSURE, YES
 from exporters.training.mini.net import BINS
 
 TOP_K = 10
+"""Largest number of anchors for one object."""
 SCORE_POWER, IOU_POWER = 0.5, 4.0
+"""Exponents of score and overlap in the alignment of an anchor with an object (TOOD)."""
 BOX_WEIGHT, EDGE_WEIGHT = 7.5, 1.5
+"""Weights of the loss of boxes, and of the loss of edge distributions."""
 HARD_WEIGHT = 2.0
 """Weight of calling an object by its category with the wrong colour or size."""
 
@@ -86,10 +89,10 @@ def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, labels: Labels) -> tu
     chosen = torch.zeros_like(metric).scatter_(1, top.indices, 1.0) * (metric > 0)
     best, owner = (overlap * chosen + 1e-6 * chosen).max(-1)
     owner = torch.where(best > 0, owner, torch.full_like(owner, -1))
-    mine = chosen * F.one_hot(owner.clamp(0), metric.shape[2]) * (owner >= 0)[..., None]
-    metric = metric * mine
+    is_owner = chosen * F.one_hot(owner.clamp(0), metric.shape[2]) * (owner >= 0)[..., None]
+    metric = metric * is_owner
     most = metric.amax(1, keepdim=True).clamp(1e-12)
-    quality = metric / most * (overlap * mine).amax(1, keepdim=True)
+    quality = metric / most * (overlap * is_owner).amax(1, keepdim=True)
     return owner, quality.amax(-1)
 
 
@@ -116,23 +119,23 @@ def detection_loss(
     at = owner.clamp(0)[..., None]
     has = (owner >= 0)[..., None]
     k = logits.shape[2]
-    said = labels.answers.gather(1, at.expand(-1, -1, k)) * has
+    answers = labels.answers.gather(1, at.expand(-1, -1, k)) * has
     hard = labels.hard.gather(1, at.expand(-1, -1, k)) & has
-    target = quality[..., None] * (said == YES)
+    target = quality[..., None] * (answers == YES)
     inside = _inside(anchors, labels.boxes).to(logits.dtype)
     ignored = labels.answers == UNSURE
     ignored |= (labels.answers == YES) & ~labels.taught[..., None]
     doubtful = torch.bmm(inside, ignored.to(logits.dtype)) > 0
     weight = 1.0 + (HARD_WEIGHT - 1.0) * hard
-    weight = weight * ~((said == UNSURE) | (doubtful & (said != YES) & ~hard))
+    weight = weight * ~((answers == UNSURE) | (doubtful & (answers != YES) & ~hard))
     total = target.sum().clamp(1.0)
     classes = F.binary_cross_entropy_with_logits(logits, target, weight, reduction="sum") / total
 
-    w = quality[owner >= 0]
-    if len(w):
+    box_weight = quality[owner >= 0]
+    if len(box_weight):
         wanted = labels.boxes.gather(1, at.expand(-1, -1, 4))[owner >= 0]
-        share = w.sum().clamp(1.0)
-        boxes = ((1 - iou(decoded[owner >= 0], wanted, complete=True)) * w).sum() / share
+        share = box_weight.sum().clamp(1.0)
+        boxes = ((1 - iou(decoded[owner >= 0], wanted, complete=True)) * box_weight).sum() / share
         a = anchors.expand(len(box), -1, -1)[owner >= 0]
         s = stride.expand(len(box), -1, -1)[owner >= 0]
         edges = torch.cat([a - wanted[:, :2], wanted[:, 2:] - a], -1) / s
@@ -144,7 +147,7 @@ def detection_loss(
         at_high = rows.gather(1, low.reshape(-1, 1) + 1)[:, 0]
         f = high_share.reshape(-1)
         each = -((1 - f) * at_low + f * at_high).reshape(-1, 4).mean(-1)
-        spread = (each * w).sum() / share
+        spread = (each * box_weight).sum() / share
     else:
         boxes = spread = decoded.sum() * 0.0
     loss = classes + BOX_WEIGHT * boxes + EDGE_WEIGHT * spread

@@ -14,7 +14,9 @@ import torch
 from torch import Tensor, nn
 
 EMBED_DIM = 64
+"""Length of text features and embeddings."""
 STRIDES = (8, 16, 32)
+"""Sizes of a cell of the three heads [px]."""
 BINS = 8
 """Bins of a box edge's distribution; an edge lies at most BINS - 1 strides from its anchor."""
 
@@ -31,6 +33,8 @@ class Widths:
 
 
 class Conv(nn.Sequential):
+    """Convolution, batch normalization and ReLU."""
+
     def __init__(self, c_in: int, c_out: int, k: int = 3, stride: int = 1) -> None:
         super().__init__(
             nn.Conv2d(c_in, c_out, k, stride, k // 2, bias=False),
@@ -40,6 +44,8 @@ class Conv(nn.Sequential):
 
 
 class Residual(nn.Module):
+    """Two convolutions; with `add`, the input is added to their output."""
+
     def __init__(self, c: int, add: bool) -> None:
         super().__init__()
         self.a, self.b, self.add = Conv(c, c), Conv(c, c), add
@@ -50,7 +56,11 @@ class Residual(nn.Module):
 
 
 class CSP(nn.Module):
-    """Half of the channels pass through the blocks, and every stage is kept (YOLOv8's C2f)."""
+    """Cross-stage block (YOLOv8's C2f).
+
+    Half of the channels pass through the residual blocks. The output is computed from the inputs
+    and outputs of all blocks.
+    """
 
     def __init__(self, c_in: int, c_out: int, n: int, add: bool) -> None:
         super().__init__()
@@ -67,6 +77,8 @@ class CSP(nn.Module):
 
 
 class SPPF(nn.Module):
+    """Spatial pyramid pooling: three max pools in a row, and their outputs side by side."""
+
     def __init__(self, c: int) -> None:
         super().__init__()
         self.squeeze, self.out = Conv(c, c // 2, 1), Conv(2 * c, c, 1)

@@ -39,7 +39,11 @@ class Plan:
     Attributes:
         stages: (steps, (height, width), plain phrases) one after another; see
             `batches.sample_phrases`.
-        rate: peak of the learning rate after `warm_up` steps; then it falls as half a cosine.
+        batch: images in a step.
+        seed: seed of weights and batches.
+        rate: peak of the learning rate after `warm_up` steps; then the rate falls as half a cosine.
+            `learning.LearningRates` describes `decay`, `warm_up` and `average`.
+        keep_every: steps between two checkpoints.
     """
 
     stages: tuple[tuple[int, tuple[int, int], int], ...] = (

@@ -36,11 +36,12 @@ PER_HOUSE = 11
 MIN_PIXELS = 40
 """Objects with fewer visible pixels are not listed."""
 CLEARANCE_M = 0.28
+"""Least free space around the camera."""
 COLORED = 0.15
 """Least visible share of an object in its colour for the colour to count: a plant's pot may be
 hidden."""
-_PREVIEW = 4
-_CANDIDATES = 3
+_PREVIEW = 4  # factor by which the image is smaller in which the worth of a view is computed
+_CANDIDATES = 3  # views of which the best is taken
 _SOURCES = (
     *(Path(path) for path in (houses.__file__, looks.__file__, __file__)),
     *sorted(Path(assemblies.__file__).parent.glob("*.py")),
@@ -86,6 +87,8 @@ class Frames:
 
 @dataclass(frozen=True, slots=True)
 class _Camera:
+    """A camera and its optical pose, (4, 4) in m."""
+
     model: CameraModel
     T_map_camera: np.ndarray
 
@@ -102,7 +105,7 @@ def make_frames(seeds: Sequence[int], per_house: int, folder: Path, workers: int
     Several processes may do this in one folder: each renders to its own file.
 
     Args:
-        seeds: of the houses.
+        seeds: seeds of the houses.
         per_house: images of each house.
         folder: folder of the images.
         workers: processes that render.
@@ -180,7 +183,7 @@ def render_house(seed: int, count: int, out_rgb: np.ndarray) -> list[np.ndarray]
 
 
 def _tinted(house: House, world: BoxWorld) -> np.ndarray:
-    """Return (primitives,) bool: True for its object's colour, or one derived from it."""
+    """Return (primitives,) bool: True for a part in the object's colour, or in a derived one."""
     tinted = np.zeros(len(world.owner), bool)
     for k, thing in enumerate(house.objects, 1):
         rows = assemblies.CATEGORIES[thing.category].rows
@@ -221,6 +224,7 @@ def _choose_view(
 
 
 def _worth(world: BoxWorld, appearances: list[Look], camera: _Camera) -> float:
+    """Return the worth of a view: its categories, and more for several objects of one."""
     h, w = HEIGHT_PX // _PREVIEW, WIDTH_PX // _PREVIEW
     m, depth, prim = camera.model, np.empty((h, w), np.float32), np.empty((h, w), np.int32)
     kernels.render_depth(
@@ -240,6 +244,7 @@ def _contents(
     ids: np.ndarray,
     depth: np.ndarray,
 ) -> np.ndarray:
+    """Return the objects that an image shows, (o,) `OBJECT`."""
     n = len(appearances)
     box, pixels = np.empty((n, 4), np.int32), np.empty(n, np.int32)
     perception.object_boxes(ids, depth, box, pixels, np.empty(n, np.float32))
@@ -251,8 +256,8 @@ def _contents(
     colored = np.bincount(world.owner, seen * tinted, minlength=n + 1)[1:]
     rows = np.zeros(int((pixels >= MIN_PIXELS).sum()), OBJECT)
     for row, k in zip(rows, np.flatnonzero(pixels >= MIN_PIXELS), strict=True):
-        mine = world.owner == k + 1
-        kernels.render_depth(world.shape[mine], world.pose[mine], *lens, alone_depth, prim)
+        is_own = world.owner == k + 1
+        kernels.render_depth(world.shape[is_own], world.pose[is_own], *lens, alone_depth, prim)
         row["category"], row["size"] = appearances[k].category, appearances[k].size
         named = colored[k] >= COLORED * pixels[k]
         row["color"] = appearances[k].color if named else looks.unsure_color()

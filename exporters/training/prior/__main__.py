@@ -24,6 +24,7 @@ from exporters.training.prior.house import Plan, read_plan
 from exporters.training.prior.samples import Samples, gather
 
 _BLANK = {"evidence": 1.0, "power": [1.0, 1.0]}
+"""Fitted values of the part `kinds` before they are fitted."""
 
 
 def read(path: Path) -> tuple[list[dict[str, Any]], list[Plan]]:

@@ -21,11 +21,16 @@ from exporters.training.prior.house import CELL_M, Plan
 
 HFOV_RAD = math.radians(75.0)
 MAP_RANGE_M = 5.0
-LOOK_EVERY_M, TURN_EVERY_M = 0.25, 2.0
+"""Range of the camera for the map."""
+LOOK_EVERY_M = 0.25
+"""Driven distance between two looks ahead."""
+TURN_EVERY_M = 2.0
+"""Driven distance between two looks all around."""
 GAIN_RANGE_M = 4.0
-_NEAR, _FAR = 0.9, 0.6
-_BODY_M = 0.2
-_MIN_CELLS, _BLOCK_CELLS = 3, 12
+"""Range in which unknown area counts for a frontier."""
+_NEAR, _FAR = 0.9, 0.6  # probability of detection nearby, and at the end of an object's range
+_BODY_M = 0.2  # radius of the robot
+_MIN_CELLS, _BLOCK_CELLS = 3, 12  # least size of a frontier; side of a block with one target cell
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +57,8 @@ class Explorer:
         known: (h, w) bool.
         thing_m: (n, 2) float32, the plan's objects, in metres from the grid's corner.
         seen: (n,) bool, detected objects.
-        seen_m: (n, 2) float32, the visible surface of each, in the grid's frame.
+        seen_m: (n, 2) float32, visible surface of each detected object, in metres from the grid's
+            corner.
     """
 
     def __init__(self, plan: Plan, cell: tuple[int, int], random: np.random.Generator) -> None:
@@ -88,7 +94,7 @@ class Explorer:
     def frontiers(self) -> Frontiers:
         """Return the current frontiers."""
         walkable = self.known & self._standable
-        self._spread(walkable)
+        self._measure_distances(walkable)
         reached = self._distance < dist.UNREACHED
         unknown = (~self.known).astype(np.uint8)
         edge = reached & (cv2.dilate(unknown, np.ones((3, 3), np.uint8)) > 0)
@@ -128,7 +134,8 @@ class Explorer:
         cells[~self.known] = regions.UNKNOWN
         return Grid(cells, (0.0, 0.0), CELL_M)
 
-    def _spread(self, walkable: np.ndarray) -> None:
+    def _measure_distances(self, walkable: np.ndarray) -> None:
+        """Write the cost from the robot to each walkable cell into `_distance`."""
         state = walkable.astype(np.uint8)
         state[0, :] = state[-1, :] = state[:, 0] = state[:, -1] = dist.CLOSED
         state[self._cell] = dist.FREE
@@ -140,7 +147,7 @@ class Explorer:
 def paths_m(plan: Plan, cell: tuple[int, int]) -> np.ndarray:
     """Return the driving distance from a cell to all others in a known house: (h, w) float64."""
     explorer = Explorer(plan, cell, np.random.default_rng(0))
-    explorer._spread(explorer._standable)
+    explorer._measure_distances(explorer._standable)
     out = explorer._distance / dist.STRAIGHT * CELL_M
     out[explorer._distance == dist.UNREACHED] = np.inf
     return out

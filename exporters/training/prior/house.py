@@ -13,7 +13,8 @@ import numpy as np
 from edge import names
 
 CELL_M = 0.1
-_MARGIN_M = 0.5
+"""Side of a cell of the plan."""
+_MARGIN_M = 0.5  # around the rooms
 _EYE_M = 0.85
 """Higher objects hide what is behind them."""
 _KNEE_M = 0.1
@@ -21,6 +22,7 @@ _KNEE_M = 0.1
 _DETAIL = 25.0
 """Detection range of an object, as a multiple of its size."""
 _FARTHEST_M = 6.0
+"""Largest detection range."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +37,10 @@ class Plan:
         kinds: kind of each room.
         doors: pairs of rooms with a line of sight between them.
         word: (n,) int32 of each visible object, index into `words`.
-        xy_m: (n, 2) float64, its centre.
-        half_m: (n,) float64, half its smaller side, seen from above.
-        range_m: (n,) float64, its detection range.
-        thing_room: (n,) int16, its room.
+        xy_m: (n, 2) float64, centre of each object, in the house's frame.
+        half_m: (n,) float64, half the smaller side of each object, seen from above.
+        range_m: (n,) float64, detection range of each object.
+        thing_room: (n,) int16, room of each object.
         words: canonical names.
     """
 

@@ -14,15 +14,17 @@ from exporters.training.prior.samples import Samples
 from exporters.training.results import auc
 
 FOLDS = 4
+"""Parts of the houses for the validation: each is predicted by a model of the other parts."""
 _LOOKS = 8.0
 """Total weight of a house's samples, since they are many views of the same objects."""
-_RIDGE = 10.0
-_DROPOUT = 0.4
-_MOST_STEPS, _SMALL_STEP = 15, 0.02
+_RIDGE = 10.0  # penalty on the squared weights
+_DROPOUT = 0.4  # share of the objects that are left out in a second copy of each sample
+_MOST_STEPS, _SMALL_STEP = 15, 0.02  # end of Newton's method: steps, and largest change of a weight
 _SLIGHT = 5
 """Smaller weights, in hundredths, are left out."""
 _LEAST_HOUSES = 40
-_GRID = np.round(np.arange(0.0, 1.01, 0.1), 2)
+"""A target in fewer houses has no model."""
+_GRID = np.round(np.arange(0.0, 1.01, 0.1), 2)  # powers and evidences to try
 
 
 class Score(NamedTuple):
@@ -31,9 +33,9 @@ class Score(NamedTuple):
     Attributes:
         houses: number of houses in which the target was searched.
         share: share of places near the target.
-        base: log loss in nats, by that share in the other houses.
-        loss: log loss in nats, by the model.
-        error: standard error of their difference, by house.
+        base: log loss in nats of a prediction by the share in the other houses.
+        loss: log loss in nats of the model.
+        error: standard error of base - loss, by house.
         auc: probability that a place near the target ranks above one that is not.
     """
 
@@ -76,13 +78,13 @@ def fit_near(samples: Samples, target: int, begin: np.ndarray | None = None) -> 
     """Return weights (m,) and bias of one target's logistic model (`ObjectPrior.near_weight`).
 
     Args:
-        samples: to fit to.
+        samples: samples to fit to.
         target: index of the target.
         begin: start value, such as a fit to similar samples; saves most of the steps.
     """
-    mine = samples.wanted[:, target]
-    near = samples.near[mine].astype(np.float32)
-    found, weight = samples.found[mine, target].astype(float), _weights(samples.house[mine])
+    wanted = samples.wanted[:, target]
+    near = samples.near[wanted].astype(np.float32)
+    found, weight = samples.found[wanted, target].astype(float), _weights(samples.house[wanted])
     random = np.random.default_rng(target)
     dropped = near * (random.random(near.shape) >= _DROPOUT)
     return _logistic(
@@ -92,18 +94,18 @@ def fit_near(samples: Samples, target: int, begin: np.ndarray | None = None) -> 
 
 def cross_fit(samples: Samples, target: int) -> Fit | None:
     """Return a target's model, validated on held-out houses; None if too few houses have it."""
-    mine = np.flatnonzero(samples.wanted[:, target])
-    house = samples.house[mine]
+    wanted = np.flatnonzero(samples.wanted[:, target])
+    house = samples.house[wanted]
     if len(np.unique(house)) < _LEAST_HOUSES:
         return None
     beta = fit_near(samples, target)
     fold = folds(int(samples.house.max()) + 1)[house]
-    found, weight = _truth(samples, mine, target)
-    p, base, log_lift = np.empty(len(mine)), np.empty(len(mine)), np.empty(len(mine))
+    found, weight = _truth(samples, wanted, target)
+    p, base, log_lift = np.empty(len(wanted)), np.empty(len(wanted)), np.empty(len(wanted))
     for k in range(FOLDS):
         held_out = fold == k
-        other = fit_near(_only(samples, mine[~held_out]), target, beta)
-        p[held_out] = _sigmoid(samples.near[mine[held_out]] @ other[:-1] + other[-1])
+        other = fit_near(_only(samples, wanted[~held_out]), target, beta)
+        p[held_out] = _sigmoid(samples.near[wanted[held_out]] @ other[:-1] + other[-1])
         base[held_out] = np.average(found[~held_out], weights=weight[~held_out])
         log_lift[held_out] = np.log(p[held_out]) - np.log(_sigmoid(other[-1]))
     gain = _loss(base, found) - _loss(p, found)
@@ -116,7 +118,7 @@ def cross_fit(samples: Samples, target: int) -> Fit | None:
         float(by_house.std() / np.sqrt(len(by_house))),
         auc(p, found),
     )
-    return Fit(beta, score, mine, log_lift)
+    return Fit(beta, score, wanted, log_lift)
 
 
 def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
@@ -188,18 +190,18 @@ def reliability(samples: Samples, fits: dict[int, Fit], edges: np.ndarray) -> It
         fits: fit of each target.
         edges: bin edges of the predicted ratio.
     """
-    said, true, weights = [], [], []
+    predicted, true, weights = [], [], []
     for target, fit in fits.items():
         if not fit.opinion:
             continue
         found, weight = _truth(samples, fit.rows, target)
         lift = np.exp(fit.log_lift)
-        said.append(lift / np.average(lift, weights=weight))
+        predicted.append(lift / np.average(lift, weights=weight))
         true.append(found / np.average(found, weights=weight))
         weights.append(weight)
-    if not said:
+    if not predicted:
         return
-    s, t, w = map(np.concatenate, (said, true, weights))
+    s, t, w = map(np.concatenate, (predicted, true, weights))
     bins = np.digitize(s, edges)
     for k in np.unique(bins):
         at = bins == k

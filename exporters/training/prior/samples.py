@@ -21,7 +21,10 @@ from exporters.training.prior.explorer import Explorer, Frontiers, clear, paths_
 from exporters.training.prior.house import CELL_M, Plan
 
 RUNS = 2
-_STEP_M, _MAX_DECISIONS, _EVERY = 1.0, 100, 2
+"""Explorations of each house."""
+_STEP_M = 1.0  # driven distance between two decisions
+_MAX_DECISIONS = 100  # of one exploration
+_EVERY = 2  # each second decision gives samples
 REGION_M = 0.7
 """Largest distance of an object from the cells of its region, since it may be part of a wall."""
 

@@ -19,8 +19,11 @@ from edge.mission.language.lexicon import expanded
 from edge.mission.language.prefix_notation import MOST_NAMES, NAMES, REFUSED
 
 PHRASES = Path(__file__).with_name("phrases.yaml")
-LETTERS, _AFTER = "abcde", "fghij"
+LETTERS = "abcde"
+"""Names in templates and formulas."""
+_AFTER = "fghij"  # names of the second of two joined instructions
 REFUSED_SHARE = 0.12
+"""Share of sentences that no formula expresses."""
 JOINED_SHARE = 0.18
 """Share of sentences that join two instructions."""
 _SLOT = re.compile(r"\{(\w+)\}")
@@ -83,7 +86,7 @@ _FORMS = {"go": ("go", "goes", "going", "gone"), "pass": ("pass", "passes", "pas
 
 
 class Composer:
-    """Draws pairs, repeatably for a seed."""
+    """Source of random pairs; the same generator gives the same pairs."""
 
     def __init__(self, phrases: Phrases, rng: Random) -> None:
         self._phrases, self._rng = phrases, rng
@@ -96,13 +99,14 @@ class Composer:
         rng, phrases = self._rng, self._phrases
         drawn = rng.random()
         if drawn < REFUSED_SHARE:
-            return self._refused()
+            return self._refused_pair()
         if drawn < REFUSED_SHARE + JOINED_SHARE:
-            return self._joined()
+            return self._join_two()
         family = rng.choices(phrases.families, self._weights)[0]
-        return delexicalised(self._noisy(self._said(family)), family.tokens)
+        return delexicalised(self._add_noise(self._fill_template_of(family)), family.tokens)
 
-    def _said(self, family: Family) -> str:
+    def _fill_template_of(self, family: Family) -> str:
+        """Return a sentence of a family."""
         return self.filled(self._rng.choice(family.templates))
 
     def filled(self, template: str) -> str:
@@ -116,7 +120,7 @@ class Composer:
                     return self.filled(template)
         return template
 
-    def _joined(self) -> Pair:
+    def _join_two(self) -> Pair:
         """Return two instructions in one or two sentences."""
         rng = self._rng
         goal = rng.choices(self._phrases.goals, self._goal_weights)[0]
@@ -127,27 +131,32 @@ class Composer:
         )
         rule = rng.choices(other, weights)[0]
         shared = rng.random() < 0.15 and rule.tokens[0] != "G"
-        first, second = self._said(goal), _shifted(self._said(rule), goal, rule, shared)
+        first, second = (
+            self._fill_template_of(goal),
+            _shift_sentence(self._fill_template_of(rule), goal, rule, shared),
+        )
         tokens = ("&", *goal.tokens, *_shift(rule.tokens, goal, rule, shared))
         if rng.random() < 0.2:
             first, second = second, first
         joint = rng.choice((" . ", " . ", " , ", " , and ", " and ", " . also , ", " but "))
         if len(set(tokens) & set(LETTERS + _AFTER)) > MOST_NAMES:
             return self.pair()
-        return delexicalised(self._noisy(f"{first}{joint}{second}"), tokens)
+        return delexicalised(self._add_noise(f"{first}{joint}{second}"), tokens)
 
-    def _refused(self) -> Pair:
-        said = self.filled(self._rng.choice(self._phrases.refused))
+    def _refused_pair(self) -> Pair:
+        sentence = self.filled(self._rng.choice(self._phrases.refused))
         if self._rng.random() < 0.3:
             goal = self._rng.choices(self._phrases.goals, self._goal_weights)[0]
-            other = _shifted(self._said(goal), Family(tuple("abc"), 0, ()), goal, False)
-            said = self._rng.choice((f"{said} . {other}", f"{other} , then {said}"))
-        return delexicalised(self._noisy(said), (REFUSED,))
+            other = _shift_sentence(
+                self._fill_template_of(goal), Family(tuple("abc"), 0, ()), goal, False
+            )
+            sentence = self._rng.choice((f"{sentence} . {other}", f"{other} , then {sentence}"))
+        return delexicalised(self._add_noise(sentence), (REFUSED,))
 
-    def _noisy(self, said: str) -> str:
+    def _add_noise(self, sentence: str) -> str:
         """Add the noise of speech: missing punctuation, hesitation, thanks."""
         rng = self._rng
-        words = said.split()
+        words = sentence.split()
         if rng.random() < 0.45:
             words = [word for word in words if word not in (",", ".")]
         if words and rng.random() < 0.03:
@@ -160,11 +169,11 @@ class Composer:
         return " ".join(words)
 
 
-def delexicalised(said: str, tokens: Sequence[str]) -> Pair:
-    """Replace names by numbered ones, in the order of their first use, as `lift` does."""
+def delexicalised(sentence: str, tokens: Sequence[str]) -> Pair:
+    """Replace names by placeholders in the order of their first use, as `delexicalise_text`."""
     order: dict[str, str] = {}
     words: list[str] = []
-    for word in said.split():
+    for word in sentence.split():
         hole = re.fullmatch(r"\$(\w)", word)
         if hole:
             if hole[1] not in order:
@@ -187,8 +196,8 @@ def _shift(tokens: Sequence[str], goal: Family, rule: Family, shared: bool) -> t
     return tuple(moved.get(token, token) for token in tokens)
 
 
-def _shifted(said: str, goal: Family, rule: Family, shared: bool) -> str:
-    words = said.split()
+def _shift_sentence(sentence: str, goal: Family, rule: Family, shared: bool) -> str:
+    words = sentence.split()
     named = [word[1:] if _HOLE.fullmatch(word) else word for word in words]
     marks = ["$" if _HOLE.fullmatch(word) else "" for word in words]
     moved = [

@@ -34,6 +34,7 @@ from exporters.training.translator.compose import Composer, Pair, Phrases, delex
 RARE = 4
 """Words in fewer sentences are unknown to the network."""
 COUNTED = 60_000
+"""Composed sentences whose words are counted for the vocabulary."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,20 +75,20 @@ def human_pairs(cases: Sequence[TranslationCase], phrases: Phrases) -> list[Pair
     pairs = []
     for case in cases:
         try:
-            said = delexicalise_text(case.sentence)
+            text = delexicalise_text(case.sentence)
         except TranslationError:
             continue
         wanted = set(propositions(case.formula))
-        if wanted != set(said.names) or len(said.words) > MOST_WORDS:
+        if wanted != set(text.names) or len(text.words) > MOST_WORDS:
             continue
-        tokens = skeletons.tokens_of(case.formula, said.names)
+        tokens = skeletons.tokens_of(case.formula, text.names)
         if tokens is not None:
-            pairs.append(Pair(said.words, tokens))
+            pairs.append(Pair(text.words, tokens))
     return pairs
 
 
 class _Skeletons:
-    """Finds the family whose formula is equivalent to another formula."""
+    """Search for the family whose formula is equivalent to another formula."""
 
     def __init__(self, phrases: Phrases) -> None:
         unique = {family.tokens: family for family in phrases.families}
@@ -100,22 +101,26 @@ class _Skeletons:
     def tokens_of(self, formula: Formula, names: Sequence[str]) -> tuple[str, ...] | None:
         key = _over(formula, names)
         if key not in self._known:
-            self._known[key] = self._found(key, len(names))
+            self._known[key] = self._search(key, len(names))
         return self._known[key]
 
-    def _found(self, formula: Formula, n: int) -> tuple[str, ...] | None:
+    def _search(self, formula: Formula, n: int) -> tuple[str, ...] | None:
         for tokens, count in self._families:
             if count != n:
                 continue
             for order in permutations(NAMES[:n]):
                 moved = dict(zip(NAMES, order, strict=False))
-                said = tuple(moved.get(token, token) for token in tokens)
-                if distinguishing_trace(formula_of(said, PLAIN), formula, silent_end=True) is None:
-                    return said
+                candidate = tuple(moved.get(token, token) for token in tokens)
+                if (
+                    distinguishing_trace(formula_of(candidate, PLAIN), formula, silent_end=True)
+                    is None
+                ):
+                    return candidate
         return None
 
 
 PLAIN = tuple(f"x{i}" for i in range(MOST_NAMES))
+"""Names instead of an instruction's own, so that formulas can be compared."""
 
 
 def _over(formula: Formula, names: Sequence[str]) -> Formula:
@@ -158,7 +163,7 @@ class Source:
 
 
 class Batcher:
-    """Makes padded tensors of pairs with similar lengths."""
+    """Maker of padded tensors from pairs with similar lengths."""
 
     def __init__(self, vocabulary: Vocabulary, unknown_share: float = 0.01) -> None:
         self._ids = vocabulary.ids()

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 MASKED = -1e4
+"""Added to the attention score of masked positions."""
 
 
 @dataclass(frozen=True, slots=True)

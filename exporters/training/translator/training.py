@@ -27,10 +27,14 @@ SMOOTHING = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Length and learning rates of a run; a step takes `pairs` sentences in both directions.
+    """Length and learning rates of a run.
 
     Attributes:
+        steps: number of steps.
+        rate: see `learning.LearningRates`, which also describes `decay`, `warm_up` and `average`.
         human: share of human sentences.
+        pairs: sentences in a step, each in both directions.
+        keep_every: steps between two checkpoints.
     """
 
     steps: int

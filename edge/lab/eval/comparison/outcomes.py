@@ -30,7 +30,7 @@ def _p95(record: Record, key: str) -> float | None:
 
 
 def _share_right(answers: dict[str, str]) -> float | None:
-    return sum(each == RIGHT for each in answers.values()) / len(answers) if answers else None
+    return sum(verdict == RIGHT for verdict in answers.values()) / len(answers) if answers else None
 
 
 # By name, the reader of a record's number. A missing number or null becomes NaN.
@@ -66,14 +66,15 @@ class Outcomes:
         target: (E,) str; "" for a mission with several targets.
         ways: (E,) str; see `edge.lab.eval.episodes.Episode`.
         rooms: (E,) float64, number of rooms of the world; NaN if unknown (`with_rooms`).
-        shortest_m: (E,) float64; of goals of a session, which begin where each arm's last goal
-            ended, that of one arm. The numbers have each arm's own.
+        shortest_m: (E,) float64. A goal of a session begins where each arm's last goal ended, so
+            its shortest path depends on the arm. Here it is that of one arm; `numbers` has that of
+            each arm.
         ran: (C, E) bool, True if there is a record.
         numbers: by name of `NUMERIC_FIELDS`, (C, E) float64, NaN if there is none.
         failure: (C, E) str, one of FAILURES or OTHER; "" for a success or without a record.
-        records: by (arm, episode) as indices.
-        passed_over: number of ignored records: a newer one of the same arm and episode exists, or
-            they are of earlier settings of an arm.
+        records: by indices (arm, episode).
+        passed_over: number of ignored records. A record is ignored if there is a newer one of the
+            same arm and episode, or if it is of earlier settings of its arm.
     """
 
     columns: tuple[str, ...]
@@ -118,7 +119,7 @@ def read(path: Path) -> list[Record]:
     for number, line in enumerate(content.split(b"\n")[:-1], start=1):
         if line.strip():
             try:
-                records.append(_checked(present_names(read_json_object(line))))
+                records.append(_check(present_names(read_json_object(line))))
             except (KeyError, TypeError, ValueError) as error:
                 what = (
                     f"the field {error} is missing"
@@ -131,7 +132,7 @@ def read(path: Path) -> list[Record]:
     return records
 
 
-def _checked(record: Record) -> Record:
+def _check(record: Record) -> Record:
     """Return the record if it is valid.
 
     Raises:
@@ -144,8 +145,8 @@ def _checked(record: Record) -> Record:
         raise ValueError(
             f"shortest_m: expected a length in m, got {bounded_repr(record['shortest_m'], 40)}"
         )
-    for name, of in NUMERIC_FIELDS.items():
-        value = of(record)
+    for name, read_number in NUMERIC_FIELDS.items():
+        value = read_number(record)
         if value is not None and not isinstance(value, (bool, int, float)):
             raise ValueError(f"{name}: expected a number, got {bounded_repr(value, 40)}")
     return record
@@ -167,35 +168,36 @@ def gather(records: Iterable[Record]) -> Outcomes:
     columns = tuple(dict.fromkeys(column for column, _ in newest))
     episodes = tuple(sorted({episode for _, episode in newest}, key=natural))
     at = {(columns.index(c), episodes.index(e)): r for (c, e), r in newest.items()}
-    about: list[Record] = [{} for _ in episodes]
+    tasks: list[Record] = [{} for _ in episodes]
     for (_, e), record in at.items():
-        _agree(about[e], record)
+        _check_same_task(tasks[e], record)
         # The record of a crash may lack the name of the world.
-        about[e] = about[e] if record.get("failure") == "crashed" and about[e] else record
+        tasks[e] = tasks[e] if record.get("failure") == "crashed" and tasks[e] else record
     shape = len(columns), len(episodes)
     numbers = {name: np.full(shape, np.nan) for name in NUMERIC_FIELDS}
     ran, failure = np.zeros(shape, bool), np.full(shape, "", dtype="<U32")
     for (c, e), record in at.items():
         ran[c, e] = True
-        for name, of in NUMERIC_FIELDS.items():
-            value = of(record)
+        for name, read_number in NUMERIC_FIELDS.items():
+            value = read_number(record)
             numbers[name][c, e] = math.nan if value is None else float(value)
         if not record["success"]:
             named = record.get("failure")
             failure[c, e] = named if named in FAILURES else OTHER
     return Outcomes(
         columns, episodes,
-        np.array([r["world"] for r in about], dtype=str),
-        np.array([r["kind"] for r in about], dtype=str),
-        np.array([r.get("target") or "" for r in about], dtype=str),
-        np.array([r.get("ways") or "" for r in about], dtype=str),
-        np.full(len(about), np.nan),
-        np.array([r["shortest_m"] for r in about], np.float64),
+        np.array([r["world"] for r in tasks], dtype=str),
+        np.array([r["kind"] for r in tasks], dtype=str),
+        np.array([r.get("target") or "" for r in tasks], dtype=str),
+        np.array([r.get("ways") or "" for r in tasks], dtype=str),
+        np.full(len(tasks), np.nan),
+        np.array([r["shortest_m"] for r in tasks], np.float64),
         ran, numbers, failure, at, len(records) - len(at),
     )  # fmt: skip
 
 
-def _agree(one: Record, other: Record) -> None:
+def _check_same_task(one: Record, other: Record) -> None:
+    """Raise UserError if two arms have different tasks for an episode."""
     for key in ("target",) if other.get("goal") else ("target", "shortest_m"):
         if one and one.get(key) != other.get(key):
             raise UserError(
@@ -223,13 +225,15 @@ def natural(text: str) -> list[tuple[int, Any]]:
 
 
 def clusters(outcomes: Outcomes, at_least: int = 10) -> tuple[np.ndarray, str]:
-    """Return what the bootstrap resamples: worlds, as episodes of one world are not independent.
+    """Return the clusters that the bootstrap resamples.
+
+    They are the worlds, as the episodes of one world are not independent.
 
     With fewer than `at_least` worlds, episodes are resampled. Such intervals do not generalise to
     other worlds.
 
     Returns:
-        (E,) int, and its unit: "world" or "episode".
+        (E,) int, the cluster of each episode, and the unit: "world" or "episode".
     """
     worlds, index = np.unique(outcomes.world, return_inverse=True)
     if len(worlds) >= at_least:

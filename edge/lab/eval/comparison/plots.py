@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 DPI = 150
 WIDTH_IN = 7.6
-MAX_NAME = 32
-BINS = 5
-MIN_A_BIN = 8
+MAX_NAME = 32  # characters of an arm's name
+BINS = 5  # most groups of episodes by distance
+MIN_A_BIN = 8  # least number of episodes in a group
 BUDGETS = 8.0  # end of the axis, in lengths of the shortest path
 
 
@@ -35,9 +35,9 @@ def rates(comparison: Comparison) -> Figure:
     figure, (left, right) = canvas.plots((WIDTH_IN, 0.9 + 0.34 * len(names)), DPI, 2)
     for axes, key, title, scale in ((left, "spl", "SPL", 1.0), (right, "sr", "SR, %", 100.0)):
         found = [comparison.figures[name][key].interval for name in names]
-        _forest(axes, found, list(range(len(names))), scale, 3 if key == "spl" else 1)
+        _draw_forest(axes, found, list(range(len(names))), scale, 3 if key == "spl" else 1)
         axes.set_title(title, loc="left", color=palette.INK, fontsize=11)
-    _names(left, names)
+    _set_names(left, names)
     right.set_yticks(range(len(names)), [""] * len(names))
     right.set_ylim(left.get_ylim())
     return figure
@@ -49,10 +49,10 @@ def differences(comparison: Comparison) -> Figure:
     figure, (axes,) = canvas.plots((WIDTH_IN, 1.1 + 0.34 * len(pairs)), DPI, 1)
     rows = [outcomes.columns.index(pair.arm) for pair in pairs]
     axes.axvline(0.0, color=palette.INFLATED, linewidth=1.2, zorder=1)
-    _forest(axes, [pair.spl for pair in pairs], rows, 1.0, 3, "+")
-    _names(axes, [f"{shorten(p.arm, MAX_NAME)} (n {p.n})" for p in pairs])
+    _draw_forest(axes, [pair.spl for pair in pairs], rows, 1.0, 3, "+")
+    _set_names(axes, [f"{shorten(p.arm, MAX_NAME)} (n {p.n})" for p in pairs])
     base = shorten(outcomes.columns[comparison.baseline], MAX_NAME)
-    _title(axes, f"SPL minus that of {base}, same episodes")
+    _set_title(axes, f"SPL minus that of {base}, same episodes")
     return figure
 
 
@@ -71,12 +71,12 @@ def distances(comparison: Comparison) -> Figure:
     for c in range(len(outcomes.columns)):
         # Shift each arm, so that whiskers do not overlap.
         shift = 1.0 + 0.012 * (c - (len(outcomes.columns) - 1) / 2)
-        _curve(axes, [shift * m for m in middles], [row[c] for row in found], c, outcomes)
+        _draw_curve(axes, [shift * m for m in middles], [row[c] for row in found], c, outcomes)
     axes.set_ylim(0.0, 1.0)
     axes.set_xlabel("shortest path, m (median of each fifth of the episodes)"
                     if len(bins) == BINS else "shortest path, m (medians)")  # fmt: skip
-    _title(axes, "SPL by the length of the shortest path")
-    _legend(axes)
+    _set_title(axes, "SPL by the length of the shortest path")
+    _draw_legend(axes)
     return figure
 
 
@@ -99,8 +99,8 @@ def budget(comparison: Comparison) -> Figure:
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(0.0, 101.0)
     axes.set_xlabel("path budget, in lengths of the shortest path")
-    _title(axes, "Episodes that succeed within a path budget, %")
-    _legend(axes)
+    _set_title(axes, "Episodes that succeed within a path budget, %")
+    _draw_legend(axes)
     return figure
 
 
@@ -167,11 +167,11 @@ def write(comparison: Comparison, directory: Path, kinds: tuple[str, ...]) -> li
 # -- drawing ------------------------------------------------------------------------------------
 
 
-def _title(axes: Axes, title: str) -> None:
+def _set_title(axes: Axes, title: str) -> None:
     axes.set_title(title, loc="left", color=palette.INK, fontsize=11, parse_math=False)
 
 
-def _forest(
+def _draw_forest(
     axes: Axes, found: list[Interval], looks: list[int], scale: float, digits: int, sign: str = ""
 ) -> None:
     """Draw a dot with a whisker in each row, and write its value above it."""
@@ -191,14 +191,16 @@ def _forest(
     axes.grid(axis="y", visible=False)
 
 
-def _names(axes: Axes, names) -> None:  # type: ignore[no-untyped-def]
+def _set_names(axes: Axes, names) -> None:  # type: ignore[no-untyped-def]
     axes.set_yticks(range(len(names)), [shorten(name, MAX_NAME + 8) for name in names])
     for label in axes.get_yticklabels():
         label.set_color(palette.INK)
         label.set_parse_math(False)
 
 
-def _curve(axes: Axes, x: list[float], found: list[Interval], k: int, outcomes: Outcomes) -> None:
+def _draw_curve(
+    axes: Axes, x: list[float], found: list[Interval], k: int, outcomes: Outcomes
+) -> None:
     look = style_of(k)
     y = np.array([interval.value for interval in found])
     below = y - np.array([interval.low for interval in found])
@@ -210,7 +212,7 @@ def _curve(axes: Axes, x: list[float], found: list[Interval], k: int, outcomes: 
     )  # fmt: skip
 
 
-def _legend(axes: Axes) -> None:
+def _draw_legend(axes: Axes) -> None:
     legend = axes.legend(
         loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9, handlelength=3.0,
         labelcolor=palette.INK,

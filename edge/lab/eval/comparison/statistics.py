@@ -42,11 +42,12 @@ class ComparisonMetric(NamedTuple):
     how: str = "mean"
 
 
-def _of(name: str) -> Callable[[Outcomes], np.ndarray]:
+def _raw(name: str) -> Callable[[Outcomes], np.ndarray]:
+    """Return a reader of a number of `NUMERIC_FIELDS`, as it is."""
     return lambda outcomes: outcomes[name]
 
 
-def _of_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
+def _number_of_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
     return lambda outcomes: np.where(outcomes.success, outcomes[name], np.nan)
 
 
@@ -67,48 +68,49 @@ def _soft_spl(outcomes: Outcomes) -> np.ndarray:
     return episode_soft_spl(outcomes.success, outcomes["shortest_m"], outcomes["path_m"], left_m)
 
 
-def _any(name: str) -> Callable[[Outcomes], np.ndarray]:
+def _above_0(name: str) -> Callable[[Outcomes], np.ndarray]:
+    """Return a reader that gives 1 if the number is above 0, and NaN without one."""
     return lambda outcomes: np.where(np.isnan(outcomes[name]), np.nan, outcomes[name] > 0)
 
 
-def _seen(outcomes: Outcomes) -> np.ndarray:
+def _was_seen(outcomes: Outcomes) -> np.ndarray:
     known = outcomes.ran & (outcomes.target != "")
     return np.where(known, ~np.isnan(outcomes["first_sight_s"]), np.nan)
 
 
 METRICS: dict[str, ComparisonMetric] = {
-    "sr": ComparisonMetric("SR, %", 1, "episodes that succeeded", _of("success"), 100.0, "share"),
+    "sr": ComparisonMetric("SR, %", 1, "episodes that succeeded", _raw("success"), 100.0, "share"),
     "spl": ComparisonMetric("SPL", 3, "success weighted by path length", spl_of),
     "soft_spl": ComparisonMetric("soft SPL", 3, "progress in place of success", _soft_spl),
-    "path_m": ComparisonMetric("path, m", 1, "driven, all episodes", _of("path_m")),
+    "path_m": ComparisonMetric("path, m", 1, "driven, all episodes", _raw("path_m")),
     "success_path_m": ComparisonMetric("in success", 1, "driven, successes",
-    _of_successes("path_m")),
-    "elapsed_s": ComparisonMetric("time, s", 1, "simulated, all episodes", _of("elapsed_s")),
-    "collisions": ComparisonMetric("collisions", 2, "per episode", _of("collisions")),
-    "seen": ComparisonMetric("seen, %", 1, "target seen at all", _seen, 100.0, "share"),
-    "first_sight_s": ComparisonMetric("first sight, s", 1, "if it was seen", _of("first_sight_s")),
-    "wrong_stops": ComparisonMetric("wrong stops, %", 1, "episodes", _any("wrong_stops"), 100.0,
+    _number_of_successes("path_m")),
+    "elapsed_s": ComparisonMetric("time, s", 1, "simulated, all episodes", _raw("elapsed_s")),
+    "collisions": ComparisonMetric("collisions", 2, "per episode", _raw("collisions")),
+    "seen": ComparisonMetric("seen, %", 1, "target seen at all", _was_seen, 100.0, "share"),
+    "first_sight_s": ComparisonMetric("first sight, s", 1, "if it was seen", _raw("first_sight_s")),
+    "wrong_stops": ComparisonMetric("wrong stops, %", 1, "episodes", _above_0("wrong_stops"), 100.0,
     "share"),
     "false_confirmations": ComparisonMetric(
         "false conf.", 2, "confirmed objects that are not the target, per episode",
-        _of("false_confirmations"),
+        _raw("false_confirmations"),
     ),
     "revisited_m2": ComparisonMetric(
         "seen again, m²", 1, "floor that a search saw after an earlier search of the mission",
-        _of("revisited_m2"),
+        _raw("revisited_m2"),
     ),
     "zone_entries": ComparisonMetric(
-        "zone entries", 3, "of the footprint into keep-out zones, per episode", _of("zone_entries")
+        "zone entries", 3, "of the footprint into keep-out zones, per episode", _raw("zone_entries")
     ),
     "answers_right": ComparisonMetric(
         "answers, %", 1, "right answers to \"where is …?\", mean of the worlds",
-        _of("answers_right"), 100.0,
+        _raw("answers_right"), 100.0,
     ),
     "tick_p95_ms": ComparisonMetric(
-        "tick p95, ms", 2, "per episode, the median of all", _of("tick_p95_ms"), how="median"
+        "tick p95, ms", 2, "per episode, the median of all", _raw("tick_p95_ms"), how="median"
     ),
     "score_p95_ms": ComparisonMetric(
-        "score p95, ms", 2, "likewise, the stage `score` alone", _of("score_p95_ms"), how="median"
+        "score p95, ms", 2, "likewise, the stage `score` alone", _raw("score_p95_ms"), how="median"
     ),
 }  # fmt: skip
 
@@ -212,22 +214,22 @@ def compare(
         outcomes: the outcomes.
         baseline: name of an arm; None: the first.
         left_m: (C, E) metres left to drive when the target was first seen, NaN if unknown or never
-            (`worlds.left_at_sight_m`).
+            (`worlds.fill_left_at_sight_m`).
         resamples: number of bootstrap resamples.
 
     Raises:
         UserError: there is no such arm.
     """
-    against = baseline_of(outcomes, baseline)
+    base = baseline_of(outcomes, baseline)
     cluster, unit = clusters(outcomes)
     figures = _figures(outcomes, tuple(METRICS), cluster, resamples)
-    others = [c for c in range(len(outcomes.columns)) if c != against]
+    others = [c for c in range(len(outcomes.columns)) if c != base]
     return Comparison(
         outcomes,
-        against,
+        base,
         unit,
         figures,
-        tuple(pair(outcomes, c, against, resamples) for c in others),
+        tuple(pair(outcomes, c, base, resamples) for c in others),
         _groups(outcomes, resamples),
         {name: _failures(outcomes, c) for c, name in enumerate(outcomes.columns)},
         {} if left_m is None else _losses(outcomes, left_m, cluster, resamples),
@@ -281,16 +283,17 @@ def pair(
     cluster = np.unique(cluster[both_ran], return_inverse=True)[1].ravel()
     rows = np.array([column, baseline])
 
-    def of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def of_both(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the values of the arm and of the baseline, on the episodes that both ran."""
         return tuple(values[rows][:, both_ran])  # type: ignore[return-value]
 
     ones = np.ones(int(both_ran.sum()))
-    spl, base_spl = of(spl_of(outcomes))
-    success, base_success = of(outcomes.success.astype(float))
-    soft, base_soft = of(_soft_spl(outcomes))
+    spl, base_spl = of_both(spl_of(outcomes))
+    success, base_success = of_both(outcomes.success.astype(float))
+    soft, base_soft = of_both(_soft_spl(outcomes))
     soft_known = ~np.isnan(soft) & ~np.isnan(base_soft)
-    path, base_path = of(outcomes["path_m"])
-    time, base_time = of(outcomes["elapsed_s"])
+    path, base_path = of_both(outcomes["path_m"])
+    time, base_time = of_both(outcomes["elapsed_s"])
     both = (success * base_success).astype(bool)
     above = (
         success - base_success, spl - base_spl, np.where(soft_known, soft - base_soft, 0.0), spl,

@@ -65,7 +65,7 @@ def tables(comparison: Comparison) -> list[ReportTable]:
 def summary(comparison: Comparison, name: str) -> ReportTable:
     """Return a table of the metrics of one of SUMMARIES, one row for each arm."""
     title, wanted = SUMMARIES[name]
-    keys = [key for key in wanted if _measured(comparison, key)]
+    keys = [key for key in wanted if _has_values(comparison, key)]
     head = ["arm", "n", *(METRICS[key].title for key in keys)]
     rows = []
     for column, figures in comparison.figures.items():
@@ -169,7 +169,7 @@ def _spl_sr(figures: dict[str, Estimate]) -> str:
     return f"{bounded(figures['spl'].interval, 2)}, {share:.0f}"
 
 
-def _measured(comparison: Comparison, key: str) -> bool:
+def _has_values(comparison: Comparison, key: str) -> bool:
     return any(figures[key].n for figures in comparison.figures.values())
 
 

@@ -21,8 +21,8 @@ RAMP = (
     "#0d0887", "#3e049c", "#6300a7", "#8606a6", "#a62098", "#c03a83", "#d5546e", "#e76f5a",
     "#f68d45", "#f9a535",
 )  # fmt: skip
-MAX_REASON = 120
-HEADING_M = 0.45
+MAX_REASON = 120  # characters
+HEADING_M = 0.45  # length of the line that shows the heading at the start
 _GOALS = {"frontier": "f", "instance": "i"}  # other goals are spins
 _MARGIN_M = 1.0
 
@@ -99,7 +99,7 @@ def figure(
         f'<figure data-c="{column}" class="{"ok" if ok else "bad"}">'
         f'<svg viewBox="0 0 {width} {height}" role="img" '
         f'aria-label="{escape(one_line(f"{name}: {facts}, {reason}"))}">'
-        f"{_ground(ground, target)}{_drawn(ground, record)}</svg>"
+        f"{_ground(ground, target)}{_marks_of(ground, record)}</svg>"
         f"<figcaption>{words}<br>{facts}<br>{escape(reason)}</figcaption></figure>"
     )
 
@@ -113,7 +113,7 @@ def _ground(ground: TrailBackground, target: str) -> str:
     return "".join(f'<use href="#{key}"/>' for key in uses)
 
 
-def _drawn(ground: TrailBackground, record: Record) -> str:
+def _marks_of(ground: TrailBackground, record: Record) -> str:
     """Return trail, goals, start, end, and the place at which the target was first seen."""
     trail = np.asarray(record.get("trail") or [record["start"][:2]], np.float64).reshape(-1, 2)
     units = ground.units(trail)

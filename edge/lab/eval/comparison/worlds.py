@@ -15,8 +15,8 @@ from edge.lab.eval.metrics import REACHED_M
 from edge.lab.report import raster
 from edge.lab.sim.base import World, WorldObject
 
-MAX_SIDE_PX = 320
-_MARGIN_M = 0.3
+MAX_SIDE_PX = 320  # longest side of a drawing
+_MARGIN_M = 0.3  # around the reachable floor
 _WALL_M = 0.3  # drawn thickness of walls next to the floor
 
 

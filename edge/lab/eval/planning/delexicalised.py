@@ -13,6 +13,7 @@ HM3D_OBJECTS = ("chair", "bed", "houseplant", "toilet", "television", "sofa")
 """HM3D's six object-goal categories, by canonical name."""
 
 MAX_OBJECTS = 12
+"""Most objects in the world of a task."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class DelexicalisedFormula:
 
 
 def delexicalise(formula: Formula) -> DelexicalisedFormula:
-    """Replace the objects of a task's formula by propositions; `world_of` has the same order."""
+    """Replace the objects of a task's formula by propositions, in the order of `world_of`."""
     objects = propositions(formula)
     letters = {name: chr(ord("a") + i) for i, name in enumerate(objects)}
     others = len(world_of(objects)) - len(objects)

@@ -47,7 +47,7 @@ class PlanningProblem:
 
     Attributes:
         automaton: over the objects that the formula names.
-        n_letters: number of objects that the formula names; they come first.
+        n_propositions: number of objects that the formula names; they come first.
         n_objects: number of objects in the world.
         moves: (n_states, n_objects + 1) int32 next states; the last column is "nothing reached".
         accepting: (n_states,) bool.

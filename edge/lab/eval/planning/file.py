@@ -19,6 +19,7 @@ from edge.lab.eval.planning.templates import BenchmarkTask
 from edge.mission.logic.ltl import parse, propositions, to_text
 from edge.text import bounded_repr, read_json_object
 
+# Fields of a line, with their types.
 FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula": str}
 
 
@@ -63,7 +64,7 @@ def read_tasks(path: Path) -> list[BenchmarkTask]:
         if not line.strip():
             continue
         try:
-            task = _task(line)
+            task = _parse_task(line)
             if task.id in tasks:
                 raise ValueError(
                     f"id: {task.id} is also the id of an earlier line; ids must differ"
@@ -78,7 +79,7 @@ def read_tasks(path: Path) -> list[BenchmarkTask]:
     return list(tasks.values())
 
 
-def _task(line: str) -> BenchmarkTask:
+def _parse_task(line: str) -> BenchmarkTask:
     """Parse a task.
 
     Raises:

@@ -129,17 +129,17 @@ class LlmPlanner:
         if a.steps_left[state] < 0:
             return DEAD
         self._reached += sorted(knowledge.reached - set(self._reached))
-        letter = self._asked(knowledge)
-        if letter is None:
+        target = self._ask_model(knowledge)
+        if target is None:
             return _no_plan("the language model names no target")
-        if letter in knowledge.failed:
-            return _no_plan(f"the language model asks for {letter}, which failed")
-        if a.step(state, letter) == state:
-            return _no_plan(f"the language model asks for {letter}, which leads no further")
+        if target in knowledge.failed:
+            return _no_plan(f"the language model asks for {target}, which failed")
+        if a.step(state, target) == state:
+            return _no_plan(f"the language model asks for {target}, which leads no further")
         reason = "chosen by the language model"
-        return TargetPlan(letter, (letter,), 1.0, True, (), reason, ((letter, 1.0),))
+        return TargetPlan(target, (target,), 1.0, True, (), reason, ((target, 1.0),))
 
-    def _asked(self, knowledge: MissionKnowledge) -> str | None:
+    def _ask_model(self, knowledge: MissionKnowledge) -> str | None:
         """Return the proposition that the model names; None if it names none."""
         question = PROMPT.format(
             task=self._instruction,
@@ -160,7 +160,7 @@ class LlmPlanner:
 
 
 def _spoken(letters: Sequence[str]) -> str:
-    return ", ".join(SPOKEN.get(letter, letter) for letter in letters)
+    return ", ".join(SPOKEN.get(target, target) for target in letters)
 
 
 def _no_plan(reason: str) -> TargetPlan:
@@ -219,14 +219,14 @@ def run_llm(
 
     def run(row: int, j: int, e: int) -> EpisodeResult | None:
         task, p_obs = tasks[row], settings.p_obs[j]
-        lifted = delexicalise(task.formula)
+        delexicalised = delexicalise(task.formula)
 
         def ask(question: str) -> str:
             return client.ask([{"role": "user", "content": question}], **OPTIONS)
 
         choose = llm_chooser(task, ask)
         draws = draws_of(settings.seed, task.id, p_obs, e)
-        problem = PlanningProblem.of(lifted.automaton, lifted.others)
+        problem = PlanningProblem.of(delexicalised.automaton, delexicalised.others)
         try:
             episode = run_episode(
                 problem, p_obs, lambda s: DONE if stop.is_set() else choose(s), draws

@@ -79,8 +79,8 @@ def least_costs(delta, accepting, order, p_obs, value, best):
     total = np.empty(delta.shape[0])
     for known in range(value.shape[0] - 1, -1, -1):
         for extra in range(value.shape[1]):
-            here, go = value[known, extra], best[known, extra]
-            here[:] = np.where(accepting, 0.0, np.inf)
+            cost_here, choice_here = value[known, extra], best[known, extra]
+            cost_here[:] = np.where(accepting, 0.0, np.inf)
             others = extra - 1
             total[:] = 0.0
             if extra > 0:
@@ -97,21 +97,21 @@ def least_costs(delta, accepting, order, p_obs, value, best):
                     if others == 0:
                         cost = 1.0 / p_obs + after[delta[s, i]]
                     else:
-                        met = (total[s] - after[s]) / others
-                        cost = 1.0 + p_obs * after[delta[s, i]] + (1.0 - p_obs) * met
-                    if cost < here[s]:  # False without a path: inf, or inf - inf
-                        here[s], go[s] = cost, i
+                        met_cost = (total[s] - after[s]) / others
+                        cost = 1.0 + p_obs * after[delta[s, i]] + (1.0 - p_obs) * met_cost
+                    if cost < cost_here[s]:  # False without a path: inf, or inf - inf
+                        cost_here[s], choice_here[s] = cost, i
             changed = True
             while changed:
                 changed = False
                 for s in order:
                     for i in range(k + 1):
                         if i == k:
-                            cost = _WAIT_COST + here[delta[s, k]]
+                            cost = _WAIT_COST + cost_here[delta[s, k]]
                         elif known & (1 << i):
-                            cost = _DIRECT_COST + here[delta[s, i]]
+                            cost = _DIRECT_COST + cost_here[delta[s, i]]
                         else:
                             continue
-                        if cost < here[s]:
-                            here[s], go[s] = cost, NOTHING if i == k else i
+                        if cost < cost_here[s]:
+                            cost_here[s], choice_here[s] = cost, NOTHING if i == k else i
                             changed = True

@@ -31,7 +31,7 @@ class PlannerEntry(NamedTuple):
     Attributes:
         make: makes the planner for a problem.
         words: description for the table's legend.
-        knows_all: True if the planner knows all places at the start.
+        knows_all_places: True if the planner knows all places at the start.
     """
 
     make: MakeForProblem
@@ -42,7 +42,7 @@ class PlannerEntry(NamedTuple):
 def vitl(problem: PlanningProblem, known_reached: bool = True) -> Callable[[float], ChooseTarget]:
     """Return the service's `vitl` planner; see `VitlPlanner` for `known_reached`."""
     planner = make_planner(PlannerVitl(), problem.automaton, known_reached=known_reached)
-    choose = _asking(planner, problem)
+    choose = _cached_chooser(planner, problem)
     return lambda p_obs: choose
 
 
@@ -53,7 +53,7 @@ def vitl_eq1(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
 
 def in_order(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
     """Return the service's `in_order` planner: the sentence's first object that makes progress."""
-    choose = _asking(make_planner(PlannerInOrder(), problem.automaton), problem)
+    choose = _cached_chooser(make_planner(PlannerInOrder(), problem.automaton), problem)
     return lambda p_obs: choose
 
 
@@ -113,7 +113,7 @@ def valid_targets(problem: PlanningProblem) -> list[list[int]]:
     return targets
 
 
-def _asking(planner: Planner, problem: PlanningProblem) -> ChooseTarget:
+def _cached_chooser(planner: Planner, problem: PlanningProblem) -> ChooseTarget:
     """Return a planner of the service as a `ChooseTarget` with a cache of its answers."""
     letters = problem.automaton.propositions
     index = {letter: i for i, letter in enumerate(letters)}

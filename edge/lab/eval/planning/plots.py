@@ -34,8 +34,8 @@ def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
     """
     rows = [row for row in rows if row.p_obs is not None]
     searching = [row for row in rows if row.planner != "clairvoyant"]
-    percent = _drawn(rows, lambda row: Interval(*(100 * x for x in row.complete)), _completion)
-    attempts = _drawn(searching, lambda row: row.explorations, _explorations)
+    percent = _plot(rows, lambda row: Interval(*(100 * x for x in row.complete)), _label_completion)
+    attempts = _plot(searching, lambda row: row.explorations, _label_explorations)
     paths = []
     for name, images in (("completion", percent), ("explorations", attempts)):
         for kind, content in images.items():
@@ -44,7 +44,7 @@ def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
     return paths
 
 
-def _completion(axes: Axes, rows: Sequence[Row]) -> None:
+def _label_completion(axes: Axes, rows: Sequence[Row]) -> None:
     worst = min((100 * row.complete.low for row in rows if row.runs), default=0.0)
     bottom = 0.0 if worst < 80 else 80.0
     room = 0.04 * (100 - bottom)  # so that markers at the limits are not cut
@@ -54,22 +54,22 @@ def _completion(axes: Axes, rows: Sequence[Row]) -> None:
     axes.set_title("Completion rate", loc="left", color=palette.INK, fontsize=12)
 
 
-def _explorations(axes: Axes, rows: Sequence[Row]) -> None:
+def _label_explorations(axes: Axes, rows: Sequence[Row]) -> None:
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("exploration attempts per task, mean")
     axes.set_title("Exploration attempts", loc="left", color=palette.INK, fontsize=12)
 
 
-def _drawn(
+def _plot(
     rows: Sequence[Row],
     figure_of: Callable[[Row], Interval],
     finish: Callable[[Axes, Sequence[Row]], None],
 ) -> dict[str, bytes]:
     """Return a plot's content by file ending."""
     figure, (axes,) = canvas.plots(SIZE_IN, DPI)
-    lines = _lines(rows, figure_of)
+    lines = _curves(rows, figure_of)
     for k, (planners, figures) in enumerate(lines.items()):
-        _line(axes, planners, figures, len(lines) - k)
+        _draw_curve(axes, planners, figures, len(lines) - k)
     p_obs = sorted({row.p_obs for row in rows if row.p_obs is not None})
     axes.set_xlabel("$p_{obs}$, probability that an exploration finds its target")
     axes.set_xticks(p_obs[:: max(1, len(p_obs) // 10)])
@@ -81,7 +81,7 @@ def _drawn(
     return {kind: canvas.content(figure, kind) for kind in ("svg", "png")}
 
 
-def _lines(
+def _curves(
     rows: Sequence[Row], figure_of: Callable[[Row], Interval]
 ) -> dict[tuple[str, ...], list[tuple[float, Interval]]]:
     """Return (p_obs, figure) pairs by planner. Planners without any difference share a line."""
@@ -95,7 +95,7 @@ def _lines(
     return {tuple(alike[key]): own for key, own in figures.items() if own}
 
 
-def _line(
+def _draw_curve(
     axes: Axes, planners: tuple[str, ...], figures: list[tuple[float, Interval]], rank: int
 ) -> None:
     """Draw a line with the band of its 95 % intervals.

@@ -26,6 +26,7 @@ from edge.lab.eval.planning.planners import PLANNERS
 from edge.lab.eval.planning.sweep import NOT_RUN, Settings, SweepResults
 from edge.lab.eval.planning.templates import BenchmarkTask
 
+# Name of the planner, and its description.
 LLM, LLM_WORDS = "llm", "a language model, asked for every next target (the paper's prompt)"
 
 
@@ -35,7 +36,7 @@ class Row:
 
     Attributes:
         planner: its name.
-        p_obs: None for all together.
+        p_obs: probability that an exploration finds its target; None for all together.
         runs: number of runs.
         outcomes: number of runs by outcome.
         complete: share of completed runs.

@@ -32,14 +32,14 @@ def run(args: argparse.Namespace) -> int:
     from edge.lab.eval.planning.sweep import Settings
 
     began_s = time.monotonic()
-    settings = Settings(_planners(args.planners), args.p_obs, args.episodes, args.seed)
+    settings = Settings(_parse_planners(args.planners), args.p_obs, args.episodes, args.seed)
     client = _client(args)
     tasks = file.read_tasks(args.tasks) if args.tasks else _generate(args.n, args.seed)
     if args.export:
         file.write_tasks(args.export, tasks)
         print(f"{len(tasks)} tasks in {args.export}")
         return 0
-    out = _writable(args.out)
+    out = _check_writable(args.out)
     print(report.tasks_line(tasks), flush=True)
     results = _run_offline(tasks, settings, args.jobs)
     failure = None
@@ -77,7 +77,7 @@ def _report(
     print(f"{seconds:.0f} s")
 
 
-def _writable(directory: Path) -> Path:
+def _check_writable(directory: Path) -> Path:
     """Return the directory if results can be written there; checked before the work.
 
     Raises:
@@ -134,7 +134,7 @@ def _client(args: argparse.Namespace):  # type: ignore[no-untyped-def]
     return make_chat_client(TranslatorLlm(url=args.llm, model=args.model))
 
 
-def _planners(text: str | None) -> tuple[str, ...]:
+def _parse_planners(text: str | None) -> tuple[str, ...]:
     """Parse the names of planners.
 
     Raises:

@@ -130,8 +130,8 @@ def _batches(tasks: Sequence[BenchmarkTask], size: int) -> Iterator[TaskBatch]:
     rows: dict = {}
     for row, task in enumerate(tasks):
         rows.setdefault(delexicalise(task.formula), []).append(row)
-    for lifted, members in rows.items():
-        problem = PlanningProblem.of(lifted.automaton, lifted.others)
+    for delexicalised, members in rows.items():
+        problem = PlanningProblem.of(delexicalised.automaton, delexicalised.others)
         for i in range(0, len(members), size):
             part = members[i : i + size]
             yield TaskBatch(problem, part, [tasks[row].id for row in part])

@@ -208,11 +208,11 @@ def draws(
     If there are fewer `objects` than `PLACEHOLDERS`, some placeholders of a template may have none.
     """
     while True:
-        family = _family(families, rng.random())
-        yield family, _template(family, rng), _sample(objects, PLACEHOLDERS, rng)
+        family = _draw_family(families, rng.random())
+        yield family, _draw_template(family, rng), _draw_sample(objects, PLACEHOLDERS, rng)
 
 
-def _family(families: Sequence[Family], u: float) -> Family:
+def _draw_family(families: Sequence[Family], u: float) -> Family:
     total = sum(family.share for family in families)
     for family in families:
         u -= family.share / total
@@ -221,31 +221,31 @@ def _family(families: Sequence[Family], u: float) -> Family:
     return families[-1]
 
 
-def _template(family: Family, rng: random.Random) -> Template:
+def _draw_template(family: Family, rng: random.Random) -> Template:
     """Draw a template of the family and its placeholders."""
     branches: list[tuple[Step, ...]] = []
-    for _ in range(_between(family.branches, rng)):
-        branch = _branch(family, rng)
+    for _ in range(_draw_between(family.branches, rng)):
+        branch = _draw_branch(family, rng)
         while branch in branches:
-            branch = _branch(family, rng)
+            branch = _draw_branch(family, rng)
         branches.append(branch)
     targets = sorted({i for branch in branches for step in branch for i in step})
     everything = range(PLACEHOLDERS)
-    held_back = _sample(targets, _between(family.untils, rng), rng)
-    untils = [(x, _sample([y for y in everything if y != x], 1, rng)[0]) for x in held_back]
+    held_back = _draw_sample(targets, _draw_between(family.untils, rng), rng)
+    untils = [(x, _draw_sample([y for y in everything if y != x], 1, rng)[0]) for x in held_back]
     return Template(
         tuple(branches),
         family.any_order,
         tuple(untils),
-        tuple(_sample(everything, family.avoided, rng)),
-        _sample(JOINTS, 1, rng)[0],
+        tuple(_draw_sample(everything, family.avoided, rng)),
+        _draw_sample(JOINTS, 1, rng)[0],
     )
 
 
-def _branch(family: Family, rng: random.Random) -> tuple[Step, ...]:
+def _draw_branch(family: Family, rng: random.Random) -> tuple[Step, ...]:
     """Draw steps with different placeholders."""
-    length = _between(family.length, rng)
-    free = _sample(range(PLACEHOLDERS), PLACEHOLDERS, rng)
+    length = _draw_between(family.length, rng)
+    free = _draw_sample(range(PLACEHOLDERS), PLACEHOLDERS, rng)
     choices = [rng.random() < family.either for _ in range(length)]
     if family.must_choose and not any(choices):
         choices[int(rng.random() * length)] = True
@@ -262,11 +262,11 @@ def worth_doing(formula: Formula) -> bool:
 
 
 # Uses random() alone: the streams of the other methods have changed between Python versions.
-def _between(limits: tuple[int, int], rng: random.Random) -> int:
+def _draw_between(limits: tuple[int, int], rng: random.Random) -> int:
     low, high = limits
     return low + int(rng.random() * (high - low + 1))
 
 
-def _sample(items: Sequence, k: int, rng: random.Random) -> list:  # type: ignore[type-arg]
+def _draw_sample(items: Sequence, k: int, rng: random.Random) -> list:  # type: ignore[type-arg]
     """Return `k` different items in random order; all of them if there are fewer."""
     return sorted(items, key=lambda _: rng.random())[:k]

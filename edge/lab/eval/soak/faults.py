@@ -26,7 +26,7 @@ from edge.lab.eval.soak.invariants import (
 
 _IMAGES = (topics.RGB, topics.DEPTH, topics.SEGMENTATION, topics.CAMERA_INFO)
 _JUMP_M, _JUMP_RAD = 15.0, 2.0
-_CLOCK_S = 3 * 3600.0
+_CLOCK_ERROR_S = 3 * 3600.0
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,12 @@ class Fault:
         make: injects the fault.
         lasts_s: shortest and longest duration.
         within_s: time after the end within which `recovered` and all of `after` must hold together.
-        shows: each must hold at some time during the fault.
+        during: each must hold at some time during the fault.
         after: must hold after the fault.
-        log_pattern: pattern that the log must have by then. For two faults at the same time neither
-            `during` nor `log_pattern` is checked, as one fault may hide the other.
-        mutes: no published message can be received during the fault.
+        log_pattern: pattern that a line of the log must match by then; "" for none. For two faults
+            at the same time neither `during` nor `log_pattern` is checked, as one fault may hide
+            the other.
+        mutes: True if no published message can be received during the fault.
         needs: returns True if the fault is possible with a configuration.
     """
 
@@ -61,15 +62,15 @@ class Fault:
     needs: Callable[[Config], bool] = lambda config: True
 
 
-def _router(config: Config) -> bool:
+def _uses_router(config: Config) -> bool:
     return config.zenoh.mode == "client"
 
 
-def _process(config: Config) -> bool:
+def _has_model_process(config: Config) -> bool:
     return config.perception.isolation == "process"
 
 
-def _onnx(config: Config) -> bool:
+def _has_onnx_model(config: Config) -> bool:
     return config.perception.detector.kind == "onnx"
 
 
@@ -95,27 +96,27 @@ FAULTS: tuple[Fault, ...] = (
     Fault("sensor-garbage", "sensors", "a malformed message before each sensor message",
           injectors.relay_alters(relay.garbage)),
     Fault("clock-ahead", "sensors", "sensor stamps three hours ahead",
-          injectors.relay_alters(lambda rng: relay.other_clock(_CLOCK_S))),
+          injectors.relay_alters(lambda rng: relay.other_clock(_CLOCK_ERROR_S))),
     Fault("clock-behind", "sensors", "sensor stamps three hours behind",
-          injectors.relay_alters(lambda rng: relay.other_clock(-_CLOCK_S))),
+          injectors.relay_alters(lambda rng: relay.other_clock(-_CLOCK_ERROR_S))),
     Fault("pose-jump", "sensors",
           f"odometry jumps {_JUMP_M:g} m and {math.degrees(_JUMP_RAD):.0f}°, and back",
           injectors.relay_alters(lambda rng: relay.elsewhere(_JUMP_M, _JUMP_RAD)),
           during=(log_has("pose jumped"),)),
     Fault("router-killed", "bus", "kill -9 to the Zenoh router, then a restart",
-          injectors.router_killed, (2.0, 5.0), 25.0, mutes=True, needs=_router),
+          injectors.router_killed, (2.0, 5.0), 25.0, mutes=True, needs=_uses_router),
     Fault("controller-killed", "controller",
           "kill -9 to the motion controller, then a restart", injectors.controller_killed),
     Fault("model-killed", "model", "kill -9 to the model's process",
           injectors.model_signalled(signal.SIGKILL),
-          (4.0, 6.0), 40.0, needs=_process, during=(log_has("ended by SIGKILL"),)),
+          (4.0, 6.0), 40.0, needs=_has_model_process, during=(log_has("ended by SIGKILL"),)),
     Fault("model-stopped", "model", "SIGSTOP to the model's process",
           injectors.model_signalled(signal.SIGSTOP),
-          (8.0, 10.0), 40.0, needs=_process, during=(log_has("no answer within"),)),
+          (8.0, 10.0), 40.0, needs=_has_model_process, during=(log_has("no answer within"),)),
     Fault("model-swapped", "model", "`edge models use --force` of a copy of the model",
-          injectors.swapped, (1.0, 2.0), 90.0, log_pattern="model .*: kept", needs=_onnx),
+          injectors.swapped, (1.0, 2.0), 90.0, log_pattern="model .*: kept", needs=_has_onnx_model),
     Fault("bad-model", "model", "`edge models use` of a damaged model", injectors.badly_swapped,
-          (1.0, 2.0), 40.0, log_pattern=f"model {BROKEN}: refused", needs=_onnx),
+          (1.0, 2.0), 40.0, log_pattern=f"model {BROKEN}: refused", needs=_has_onnx_model),
     Fault("reload", "configuration", "SIGHUP with another `mission.verify_s`",
           injectors.reloaded({"mission": {"verify_s": 2.5}}, {}), (1.0, 2.0), 30.0,
           log_pattern="reload: switched"),
@@ -158,12 +159,12 @@ def chosen(config: Config, names: Sequence[str] | None) -> list[Fault]:
     Raises:
         UserError: a named fault does not exist, or is not possible.
     """
-    there = {fault.name: fault for fault in FAULTS if fault.needs(config)}
+    possible = {fault.name: fault for fault in FAULTS if fault.needs(config)}
     if names is None:
-        return list(there.values())
-    if unknown := [name for name in names if name not in there]:
+        return list(possible.values())
+    if unknown := [name for name in names if name not in possible]:
         raise UserError(
             f"--faults: no fault {unknown[0]!r:.40} with this configuration (choices: "
-            f"{', '.join(there)})"
+            f"{', '.join(possible)})"
         )
-    return [there[name] for name in dict.fromkeys(names)]
+    return [possible[name] for name in dict.fromkeys(names)]

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-_BINS = 240
-_FEWEST = 8
-_Z95 = 1.96
+_BINS = 240  # most values to compare
+_MIN_VALUES = 8  # with fewer there is no slope
+_Z95 = 1.96  # quantile of the normal distribution for 95 %
 
 
 class Slope(NamedTuple):
@@ -39,7 +39,7 @@ def slope_of(lives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Slope | None:
     Returns:
         None if there are too few values.
     """
-    thinned = [_thin(*life) for life in _sized(lives)]
+    thinned = [_bin_medians(*life) for life in _with_bin_length(lives)]
     slopes, variance = [np.zeros(0)], 0.0
     for t_s, values in thinned:
         i, j = np.triu_indices(len(t_s), 1)
@@ -47,7 +47,7 @@ def slope_of(lives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Slope | None:
         n = len(t_s)
         variance += n * (n - 1) * (2 * n + 5) / 18.0
     every = np.sort(np.concatenate(slopes))
-    if sum(len(t_s) for t_s, _ in thinned) < _FEWEST:
+    if sum(len(t_s) for t_s, _ in thinned) < _MIN_VALUES:
         return None
     half = _Z95 * math.sqrt(variance)
     n = len(every)
@@ -56,7 +56,7 @@ def slope_of(lives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Slope | None:
     return Slope(float(np.median(every)), *(float(every[k]) for k in bounds))
 
 
-def _sized(
+def _with_bin_length(
     lives: Iterable[tuple[np.ndarray, np.ndarray]],
 ) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Return each life of at least two samples, with the bin length, which is the same for all."""
@@ -65,7 +65,9 @@ def _sized(
     return [(t_s, values, max(whole_s / _BINS, 1e-9)) for t_s, values in kept]
 
 
-def _thin(t_s: np.ndarray, values: np.ndarray, bin_s: float) -> tuple[np.ndarray, np.ndarray]:
+def _bin_medians(
+    t_s: np.ndarray, values: np.ndarray, bin_s: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return medians over bins of this length, without empty bins."""
     bins = ((t_s - t_s[0]) / bin_s).astype(np.int64)
     parts = np.split(np.arange(len(t_s)), np.flatnonzero(np.diff(bins)) + 1)

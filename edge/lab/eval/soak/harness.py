@@ -41,11 +41,11 @@ from edge.perception.runtime.cards import card_path, load_detector_card
 BEAT = SinkConfig(kind="edge.lab.eval.soak.jitter:JitterSink")
 TWIN, BROKEN = "soak-twin", "soak-broken"
 """Models: a copy of the configured one under another name, and one that cannot be loaded."""
-ANSWER_S = 5.0
-STOP_S = 30.0
+ANSWER_S = 5.0  # longest wait for an answer to a request
+STOP_S = 30.0  # longest wait for the end of a process
 START_S = 900.0  # the first start compiles kernels, on a machine that may be busy
-_HTTP_S = 2.0
-_LOOK_S = 0.1
+_HTTP_S = 2.0  # longest wait for a page
+_LOOK_S = 0.1  # time between two checks of a condition
 _ELSEWHERE_M = 60.0  # between two houses: too far for a robot to have driven
 _MODEL = re.compile(r"\bedge\.perception\.serve_detector\b")
 
@@ -118,7 +118,7 @@ class SoakHarness:
         self.start_router()
         with os.fdopen(self.log.writer(), "wb") as output:
             self.service = self._start("service", "run", str(self.config_file), out=output)
-        self._until(
+        self._wait_until(
             lambda: self.page("/readyz")[1].get("state") == "running",
             "edge run: the service did not start",
         )
@@ -127,20 +127,20 @@ class SoakHarness:
         self.relay = Relay(self._robot, self.config.zenoh, self._stop)
         self.start_simulator()
         self.start_controller()
-        self._until(
+        self._wait_until(
             lambda: self.page("/readyz")[0] == HTTPStatus.OK,
             "the service is not ready, although simulator and controller run",
         )
 
-    def _until(self, what: Callable[[], bool], otherwise: str) -> None:
+    def _wait_until(self, is_true: Callable[[], bool], problem: str) -> None:
         deadline_s = time.monotonic() + START_S
-        while not what():
+        while not is_true():
             raise_if_stopped(self._stop)
             self.log.poll()
             if self.gone() or time.monotonic() > deadline_s:
                 last_line = self.log.lines[-1][1] if self.log.lines else "no output"
                 ended = [f"{name} has ended" for name in self.gone()]
-                raise UserError(f"{otherwise}: {'; '.join([*ended, last_line])}")
+                raise UserError(f"{problem}: {'; '.join([*ended, last_line])}")
             time.sleep(_LOOK_S)
 
     def close(self) -> None:
@@ -172,7 +172,7 @@ class SoakHarness:
     def start_router(self) -> None:
         """Start the Zenoh router, if the configuration needs one."""
         if self.config.zenoh.mode == "client":
-            self._python("router", "edge.lab.eval.soak.router", self.config.zenoh.endpoint)
+            self._start_module("router", "edge.lab.eval.soak.router", self.config.zenoh.endpoint)
 
     def start_controller(self) -> None:
         """Start the motion controller."""
@@ -181,7 +181,9 @@ class SoakHarness:
     def start_viewer(self) -> None:
         """Start a subscriber of all topics."""
         settings = self.config.zenoh
-        self._python("viewer", "edge.lab.eval.soak.viewer", settings.endpoint, settings.prefix)
+        self._start_module(
+            "viewer", "edge.lab.eval.soak.viewer", settings.endpoint, settings.prefix
+        )
 
     def start_simulator(self) -> None:
         """Start the robot, at the start of the present house."""
@@ -251,7 +253,7 @@ class SoakHarness:
         arguments = ["--log-level", level, command, path, "--with-parent", str(os.getpid())]
         return self._spawn(name, ["edge.cli", *arguments, *options], out)
 
-    def _python(self, name: str, module: str, *arguments: str) -> None:
+    def _start_module(self, name: str, module: str, *arguments: str) -> None:
         self._spawn(name, [module, *arguments, str(os.getpid())])
 
     def _spawn(
@@ -335,8 +337,9 @@ def _cache(config: Config, folder: Path) -> Path:
     return folder
 
 
-def _link_all(there: Path, here: Path) -> None:
-    if there.is_dir():
-        for entry in there.iterdir():
-            if not (here / entry.name).exists():
-                (here / entry.name).symlink_to(entry.resolve())
+def _link_all(source: Path, target: Path) -> None:
+    """Link each entry of a folder into another one that lacks it."""
+    if source.is_dir():
+        for entry in source.iterdir():
+            if not (target / entry.name).exists():
+                (target / entry.name).symlink_to(entry.resolve())

@@ -45,12 +45,12 @@ def hold_until_end(end: Callable[[], object] = lambda: None) -> Injection:
 def relay_alters(make: Callable[[np.random.Generator], MessageFilter]) -> Injector:
     """Return an injector that makes the relay alter messages."""
 
-    def fault(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-        stage.relay.alter = make(rng)
+    def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+        harness.relay.alter = make(rng)
         try:
             yield from hold_until_end()
         finally:
-            stage.relay.alter = None
+            harness.relay.alter = None
 
     return fault
 
@@ -58,49 +58,49 @@ def relay_alters(make: Callable[[np.random.Generator], MessageFilter]) -> Inject
 def message_flood(*payloads: Callable[[np.random.Generator], tuple[str, bytes]]) -> Injector:
     """Return an injector that publishes messages (key, payload) all the time, a batch at a time."""
 
-    def fault(stage: SoakHarness, rng: np.random.Generator) -> Injection:
+    def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
         while True:
             for make in payloads:
                 for _ in range(_BATCH):
-                    stage.put(*make(rng))
+                    harness.put(*make(rng))
             yield
 
     return fault
 
 
-def late(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-    stage.relay.delay(LATE_S)
-    yield from hold_until_end(lambda: stage.relay.delay(0.0))
+def late(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.relay.delay(LATE_S)
+    yield from hold_until_end(lambda: harness.relay.delay(0.0))
 
 
-def simulator_stopped(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-    stage.send("simulator", signal.SIGSTOP)
-    yield from hold_until_end(lambda: stage.send("simulator", signal.SIGCONT))
+def simulator_stopped(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.send("simulator", signal.SIGSTOP)
+    yield from hold_until_end(lambda: harness.send("simulator", signal.SIGCONT))
 
 
-def next_house(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-    stage.start_next_house()
+def next_house(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.start_next_house()
     yield from hold_until_end()
 
 
-def cut(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-    stage.relay.cut()
-    yield from hold_until_end(stage.relay.connect)
+def cut(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.relay.cut()
+    yield from hold_until_end(harness.relay.connect)
 
 
-def router_killed(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-    stage.kill("router")
-    yield from hold_until_end(stage.start_router)
+def router_killed(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.kill("router")
+    yield from hold_until_end(harness.start_router)
 
 
-def controller_killed(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-    stage.kill("controller")
-    yield from hold_until_end(stage.start_controller)
+def controller_killed(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.kill("controller")
+    yield from hold_until_end(harness.start_controller)
 
 
 def model_signalled(number: int) -> Injector:
-    def fault(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-        process = stage.model_process()
+    def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+        process = harness.model_process()
         if process is None:
             raise UserError(
                 "the model of the service has no process of its own; set perception.isolation to "
@@ -112,14 +112,17 @@ def model_signalled(number: int) -> Injector:
     return fault
 
 
-def disk_full(stage: SoakHarness, rng: np.random.Generator) -> Injection:
+def disk_full(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     """Stop the growth of all files of the service, as on a full disk. Written data stays intact."""
-    before = resource.prlimit(stage.service.pid, resource.RLIMIT_FSIZE)
-    resource.prlimit(stage.service.pid, resource.RLIMIT_FSIZE, (0, before[1]))
+    before = resource.prlimit(harness.service.pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(harness.service.pid, resource.RLIMIT_FSIZE, (0, before[1]))
     try:
         yield from hold_until_end()
     finally:  # a child started during the fault has inherited the limit
-        for pid in (stage.service.pid, *(child.pid for child in descendants(stage.service.pid))):
+        for pid in (
+            harness.service.pid,
+            *(child.pid for child in descendants(harness.service.pid)),
+        ):
             with suppress(ProcessLookupError):
                 resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
 
@@ -127,80 +130,80 @@ def disk_full(stage: SoakHarness, rng: np.random.Generator) -> Injection:
 def reloaded(*choices: dict[str, dict[str, object]]) -> Injector:
     """Return an injector that reloads the first of these changes that makes a difference."""
 
-    def fault(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-        present = stage.config_file.read_bytes()
+    def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+        present = harness.config_file.read_bytes()
         for changes in choices:
-            stage.write_config(**changes)
-            if stage.config_file.read_bytes() != present:
+            harness.write_config(**changes)
+            if harness.config_file.read_bytes() != present:
                 break
-        stage.service.send_signal(signal.SIGHUP)
+        harness.service.send_signal(signal.SIGHUP)
         yield from hold_until_end()
 
     return fault
 
 
-def badly_reloaded(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-    present = stage.config_file.read_bytes()
+def badly_reloaded(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    present = harness.config_file.read_bytes()
     bad = (b"mission: [", b'{"perception": {"detector": {"kind": "guess"}}}', present[:-9], b"\xff")
-    stage.config_file.write_bytes(bad[rng.integers(len(bad))])
-    stage.service.send_signal(signal.SIGHUP)
-    yield from hold_until_end(lambda: stage.config_file.write_bytes(present))
+    harness.config_file.write_bytes(bad[rng.integers(len(bad))])
+    harness.service.send_signal(signal.SIGHUP)
+    yield from hold_until_end(lambda: harness.config_file.write_bytes(present))
 
 
-def swapped(stage: SoakHarness, rng: np.random.Generator) -> Injection:
+def swapped(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     """Switch to the copy of the model, or back, with `force` as the computer may be slow."""
-    running = stage.models(do="status")
-    own = stage.config.perception.detector.model  # type: ignore[union-attr]
+    running = harness.models(do="status")
+    own = harness.config.perception.detector.model  # type: ignore[union-attr]
     at_work = running["model"] if running["state"] in ("kept", "idle") else running["previous"]
-    stage.models(do="use", model=own if at_work == TWIN else TWIN, force=True)
+    harness.models(do="use", model=own if at_work == TWIN else TWIN, force=True)
     yield from hold_until_end()
 
 
-def badly_swapped(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-    stage.models(do="use", model=BROKEN)
+def badly_swapped(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.models(do="use", model=BROKEN)
     yield from hold_until_end()
 
 
-def log_reader_gone(stage: SoakHarness, rng: np.random.Generator) -> Injection:
+def log_reader_gone(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     """Close the reader of the log, then make the service write.
 
     SIGUSR1 prints all threads now, and again once the reader is back.
     """
-    stage.log.leave()
-    stage.service.send_signal(signal.SIGUSR1)
+    harness.log.leave()
+    harness.service.send_signal(signal.SIGUSR1)
     try:
         yield from hold_until_end()
     finally:
-        stage.log.open()
-        stage.service.send_signal(signal.SIGUSR1)
+        harness.log.open()
+        harness.service.send_signal(signal.SIGUSR1)
 
 
-def log_reader_stuck(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-    stage.log.stick()
-    yield from hold_until_end(stage.log.open)
+def log_reader_stuck(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.log.stick()
+    yield from hold_until_end(harness.log.open)
 
 
-def viewer_stopped(stage: SoakHarness, rng: np.random.Generator) -> Injection:
-    stage.start_viewer()
+def viewer_stopped(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.start_viewer()
     stops_s = time.monotonic() + 3.0  # after it has started
     try:
         while time.monotonic() < stops_s:
             yield
-        stage.send("viewer", signal.SIGSTOP)
+        harness.send("viewer", signal.SIGSTOP)
         yield from hold_until_end()
     finally:
-        stage.kill("viewer")
+        harness.kill("viewer")
 
 
-def page_open(stage: SoakHarness, rng: np.random.Generator) -> Injection:
+def page_open(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     for path in cycle((*PUBLIC, *LIVE_PAGES)):
-        stage.text(path)
+        harness.text(path)
         yield
 
 
-def visitors_stuck(stage: SoakHarness, rng: np.random.Generator) -> Injection:
+def visitors_stuck(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     """Open more connections than the service keeps; none sends a complete request."""
-    address = stage.config.http.host, stage.config.http.port
+    address = harness.config.http.host, harness.config.http.port
     with ExitStack() as opened:
         while True:
             for request in _HALVES:
@@ -213,13 +216,14 @@ def visitors_stuck(stage: SoakHarness, rng: np.random.Generator) -> Injection:
 def request_flood(make: Callable[[np.random.Generator], bytes]) -> Injector:
     """Return an injector that sends requests without waiting for answers."""
 
-    def fault(stage: SoakHarness, rng: np.random.Generator) -> Injection:
+    def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
         keys = [
-            stage.config.zenoh.key(name) for name in (topics.MISSION_REQUEST, topics.MODELS_REQUEST)
+            harness.config.zenoh.key(name)
+            for name in (topics.MISSION_REQUEST, topics.MODELS_REQUEST)
         ]
         while True:
             for _ in range(_BATCH):
-                stage.session.get(keys[rng.integers(2)], payload=make(rng), timeout=1.0)
+                harness.session.get(keys[rng.integers(2)], payload=make(rng), timeout=1.0)
             yield
 
     return fault

@@ -25,31 +25,35 @@ Invariant = Callable[["SoakHarness", "SoakMonitor", FaultWindow], str]
 
 LIVE_PAGES = ("/live/now", "/live/story", "/live/map", "/live/camera", "/live/layers/0")
 """Requests of an open live page."""
-_OF_USUAL = 0.5  # share of the usual tick rate, as the machine may have other work
+_MIN_RATE = 0.5  # least share of the usual tick rate; the machine may have other work
 
 
-def recovered(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+def recovered(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that `/readyz` is 200 and that ticks come at least half as often as before."""
-    if watch.seen_s <= when.ended_s or not watch.is_ready:
-        return f"the service is not ready: {'; '.join(watch.ready) or '/readyz was not asked yet'}"
-    ticks_hz, usual_hz = watch.ticks_hz(when.ended_s), watch.usual_hz
-    if ticks_hz < _OF_USUAL * usual_hz:
+    if monitor.seen_s <= window.ended_s or not monitor.is_ready:
+        return (
+            f"the service is not ready: {'; '.join(monitor.ready) or '/readyz was not asked yet'}"
+        )
+    ticks_hz, usual_hz = monitor.ticks_hz(window.ended_s), monitor.usual_hz
+    if ticks_hz < _MIN_RATE * usual_hz:
         return f"only {ticks_hz:.1f} ticks per second, {usual_hz:.1f} before the fault"
     return ""
 
 
-def reports_no_view(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+def reports_no_view(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that `/readyz` reports that the service sees nothing."""
-    if watch.seen_s > when.began_s and any("no usable observations" in why for why in watch.ready):
+    if monitor.seen_s > window.began_s and any(
+        "no usable observations" in why for why in monitor.ready
+    ):
         return ""
-    return f"/readyz reports no lack of sensor data, only: {'; '.join(watch.ready) or 'ready'}"
+    return f"/readyz reports no lack of sensor data, only: {'; '.join(monitor.ready) or 'ready'}"
 
 
 def log_has(pattern: str) -> Invariant:
     """Return a check that the log has a line that matches the pattern."""
 
-    def hold(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
-        if any(re.search(pattern, line) for line in stage.log.since(when.began_s)):
+    def hold(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
+        if any(re.search(pattern, line) for line in harness.log.since(window.began_s)):
             return ""
         return f"no line of the log matches {pattern!r}"
 
@@ -57,52 +61,52 @@ def log_has(pattern: str) -> Invariant:
     return hold
 
 
-def checkpoint_fails(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+def checkpoint_fails(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that the status reports that the checkpoint cannot be written."""
-    checkpoint = watch.status.get("checkpoint") or {}
-    if watch.status_s > when.began_s and checkpoint.get("problem"):
+    checkpoint = monitor.status.get("checkpoint") or {}
+    if monitor.status_s > window.began_s and checkpoint.get("problem"):
         return ""
     return "the status does not report that the checkpoint cannot be written"
 
 
-def checkpoint_written(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+def checkpoint_written(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that the checkpoint is written again."""
-    checkpoint = watch.status.get("checkpoint") or {}
-    if watch.status_s > when.ended_s and not checkpoint.get("problem"):
+    checkpoint = monitor.status.get("checkpoint") or {}
+    if monitor.status_s > window.ended_s and not checkpoint.get("problem"):
         return ""
     return f"the checkpoint is not written: {checkpoint.get('problem')}"
 
 
-def recording_fails(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+def recording_fails(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that the status reports that the recording cannot be written."""
-    if all(sink["problem"] for sink in _recorders(watch)) and watch.status_s > when.began_s:
+    if all(sink["problem"] for sink in _recorders(monitor)) and monitor.status_s > window.began_s:
         return ""
     return "the status does not report that the recording cannot be written"
 
 
-def recording_goes_on(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+def recording_goes_on(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that the recording continues."""
-    if watch.status_s <= when.ended_s:
+    if monitor.status_s <= window.ended_s:
         return "no status message since the end of the fault"
-    stopped = [sink for sink in _recorders(watch) if sink["problem"] or not sink["file"]]
+    stopped = [sink for sink in _recorders(monitor) if sink["problem"] or not sink["file"]]
     return f"nothing is recorded: {stopped[0]['problem']}" if stopped else ""
 
 
-def _recorders(watch: SoakMonitor) -> list[dict[str, Any]]:
+def _recorders(monitor: SoakMonitor) -> list[dict[str, Any]]:
     """Return the status of each sink that writes files."""
-    return [sink for sink in (watch.status.get("sinks") or {}).values() if "file" in sink]
+    return [sink for sink in (monitor.status.get("sinks") or {}).values() if "file" in sink]
 
 
-def page_answers(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+def page_answers(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that the live page is served."""
-    silent = [path for path in LIVE_PAGES if not stage.text(path)]
+    silent = [path for path in LIVE_PAGES if not harness.text(path)]
     return f"{silent[0]}: no answer" if silent else ""
 
 
-def answers_requests(stage: SoakHarness, watch: SoakMonitor, when: FaultWindow) -> str:
+def answers_requests(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that a request is answered."""
     try:
-        stage.mission(do="status")
+        harness.mission(do="status")
     except UserError as error:
         return str(error)
     return ""

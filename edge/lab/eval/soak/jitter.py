@@ -58,8 +58,8 @@ class JitterSink:
             "seconds": round(passed_s, 3),
             "ticks": ticks,
             "beats": len(self._gaps_s),
-            "interval_ms": _three(self._intervals_s),
-            "gap_ms": _three(self._gaps_s),
+            "interval_ms": _percentiles_ms(self._intervals_s),
+            "gap_ms": _percentiles_ms(self._gaps_s),
             "tick_ms": [round(v, 3) for v in (tick.p50_ms, tick.p99_ms, tick.max_ms)],
         }
 
@@ -69,7 +69,7 @@ class JitterSink:
             self._publisher.undeclare()
 
 
-def _three(values_s: list[float]) -> list[float] | None:
+def _percentiles_ms(values_s: list[float]) -> list[float] | None:
     """Return p50, p99 and maximum in ms; None without values."""
     if not values_s:
         return None

@@ -31,8 +31,8 @@ log = logging.getLogger("edge.lab.eval.soak")
 
 _KEPT_BEATS = 4096
 _MINUTE_S = 60.0
-_DROPPED = "edge_source_dropped_total"
-_LOGGED = re.compile(r"\d\d:\d\d:\d\d")
+_DROPPED = "edge_source_dropped_total"  # metric of `/metrics`
+_LOGGED = re.compile(r"\d\d:\d\d:\d\d")  # time at the start of a line of the log
 
 
 class SoakMonitor:
@@ -43,6 +43,7 @@ class SoakMonitor:
     Attributes:
         status: the newest status message.
         status_s: its time.
+        latency: the newest latency message.
         beats: the newest messages of `edge.lab.eval.soak.jitter` with their times, oldest first.
         ready: problems that `/readyz` reports.
         is_ready: `/readyz` was 200.
@@ -50,15 +51,15 @@ class SoakMonitor:
         alive_s: time at which `/healthz` was last 200.
         counts: number of goals, and of goals reached and failed.
         checkpoint: why the mission's checkpoint cannot be read; "" if it can.
-        places: the same for the map's checkpoint.
+        places: why the map's checkpoint cannot be read; "" if it can.
         recordings: check of the recordings.
-        calm: there is no fault; can be set.
-        mutes: a fault stops all published messages; can be set.
-        muted_s: last time of that.
+        calm: True without a fault. The caller sets it.
+        mutes: True while a fault stops all published messages. The caller sets it.
+        muted_s: time of the last sample with `mutes`.
     """
 
-    def __init__(self, stage: SoakHarness) -> None:
-        self._stage = stage
+    def __init__(self, harness: SoakHarness) -> None:
+        self._harness = harness
         self._lock = threading.Lock()
         self.status: dict[str, Any] = {}
         self.latency: dict[str, Any] = {}
@@ -68,33 +69,33 @@ class SoakMonitor:
         self.is_ready = False
         self.counts: Counter[str] = Counter()
         self.checkpoint = self.places = ""
-        self.recordings = RecordingCheck(stage.config, stage.out)
+        self.recordings = RecordingCheck(harness.config, harness.out)
         self.calm = True
         self.mutes = False
         self.muted_s = self.began_s
         self._calm_hz: deque[float] = deque(maxlen=600)
-        heard: dict[str, Callable[[dict[str, Any]], None]] = {
+        handlers: dict[str, Callable[[dict[str, Any]], None]] = {
             topics.STATUS.key: self._on_status,
             topics.LATENCY.key: self._on_latency,
             topics.GOAL_STATUS.key: self._on_answer,
             jitter.KEY: self._on_beat,
         }
-        for key, take in heard.items():
-            full = stage.config.zenoh.key(key)
-            stage.session.declare_subscriber(full, partial(self._on_json, take))
-        goal = stage.config.zenoh.key(topics.GOAL.key)
+        for key, handle in handlers.items():
+            full_key = harness.config.zenoh.key(key)
+            harness.session.declare_subscriber(full_key, partial(self._on_json, handle))
+        goal = harness.config.zenoh.key(topics.GOAL.key)
         self._goals: set[bytes] = set()
-        stage.session.declare_subscriber(goal, self._on_goal)
+        harness.session.declare_subscriber(goal, self._on_goal)
 
     # -- on Zenoh's threads -----------------------------------------------------------------------
 
-    def _on_json(self, take: Callable[[dict[str, Any]], None], sample: zenoh.Sample) -> None:
+    def _on_json(self, handle: Callable[[dict[str, Any]], None], sample: zenoh.Sample) -> None:
         try:
             message = read_json_object(sample.payload.to_bytes())
         except ValueError:  # the soak itself sends garbage
             return
         with self._lock:
-            take(message)
+            handle(message)
 
     def _on_status(self, message: dict[str, Any]) -> None:
         self.status, self.status_s = message, time.monotonic()
@@ -145,8 +146,8 @@ class SoakMonitor:
 
     def look(self) -> dict[str, Any]:
         """Take a sample of pages, processes and checkpoints. Return it, JSON-ready."""
-        stage, now_s = self._stage, time.monotonic()
-        codes = {path: stage.page(path) for path in PROBES}
+        harness, now_s = self._harness, time.monotonic()
+        codes = {path: harness.page(path) for path in PROBES}
         health, ready = (codes[path] for path in PROBES)
         if health[0] == 200:
             self.alive_s = now_s
@@ -155,12 +156,12 @@ class SoakMonitor:
         self.seen_s = now_s
         if self.mutes:
             self.muted_s = now_s
-        mission = Path(stage.config.mission.checkpoint)
+        mission = Path(harness.config.mission.checkpoint)
         self.checkpoint = _unreadable(mission, MISSION)
         places = mission.with_name(mission.name + SUFFIX)
         self.places = _unreadable(places, MAP)
         self.recordings.look()
-        stage.update_descendants()
+        harness.update_descendants()
         with self._lock:
             status, latency = self.status, self.latency
             newest = self.beats[-1] if self.beats else (now_s, {})
@@ -170,7 +171,7 @@ class SoakMonitor:
             "why": list(self.ready) if not self.is_ready else [],
             "beat_age_s": round(now_s - newest[0], 2),
             **{key: value for key, value in newest[1].items() if key != "seconds"},
-            "dropped": dropped(stage.text("/metrics")),
+            "dropped": dropped(harness.text("/metrics")),
             "phase": status.get("phase"),
             "instruction": status.get("instruction"),
             "checkpoint": status.get("checkpoint"),
@@ -180,13 +181,13 @@ class SoakMonitor:
             "loop": status.get("loop"),
             "detector": status.get("detector"),
             "missed": latency.get("tick", {}).get("overruns"),
-            "log_a_minute": sum(map(_is_logged, stage.log.since(now_s - _MINUTE_S))),
+            "log_a_minute": sum(map(_is_logged, harness.log.since(now_s - _MINUTE_S))),
             "goals": self.counts["goals"],
             "goals_reached": self.counts["goals reached"],
             "goals_failed": self.counts["goals failed"],
         }
-        model = stage.model_process()
-        for name, pid in (("service", stage.service.pid), ("model", model and model.pid)):
+        model = harness.model_process()
+        for name, pid in (("service", harness.service.pid), ("model", model and model.pid)):
             used = usage(pid) if pid is not None else None
             sample[name] = used and {
                 "pid": pid,

@@ -23,7 +23,7 @@ from edge.text import one_line
 
 FOLDER = "recordings"
 FIRST = "first.mcap"
-KIND = "mcap"
+KIND = "mcap"  # of the sinks that record
 _SPARE_MB = 2.0  # a file is closed with its last chunk and its index
 _MB = 1e6
 
@@ -57,7 +57,7 @@ class RecordingCheck:
         self.size_mb = 0.0
         self.first = out / FIRST
         self._folder = Path(sinks[0].options["folder"]) if sinks else None
-        self._most_mb = sum(
+        self._limit_mb = sum(
             sink.options.get("keep_mb", RecordingLimits().keep_mb) for sink in sinks
         )
         self._read: set[Path] = set()
@@ -71,9 +71,9 @@ class RecordingCheck:
             if files and not self.first.exists():
                 os.link(files[0], self.first)  # stays valid if the file is renamed
         self.size_mb = sum(map(_size, files)) / _MB
-        if self.size_mb > self._most_mb + _SPARE_MB:
+        if self.size_mb > self._limit_mb + _SPARE_MB:
             self._report(
-                f"recordings have {self.size_mb:.1f} MB, keep_mb allows {self._most_mb:g} MB"
+                f"recordings have {self.size_mb:.1f} MB, keep_mb allows {self._limit_mb:g} MB"
             )
         new = (path for path in files if not path.name.endswith(PARTIAL))
         if (path := next((path for path in new if path not in self._read), None)) is not None:
@@ -91,11 +91,11 @@ class RecordingCheck:
             return {}
         for path in files_of(self._folder):
             if path.name.endswith(PARTIAL):
-                self._read_cut(path)
+                self._read_unfinished(path)
             elif path not in self._read:
                 self._read_whole(path)
         cut = sum(path.name.endswith(PARTIAL) for path in files_of(self._folder))
-        return {"files": self.files, "messages": self.messages, "cut": cut, **self._replayed()}
+        return {"files": self.files, "messages": self.messages, "cut": cut, **self._replay_first()}
 
     def _read_whole(self, path: Path) -> None:
         """Read a complete file by the library alone, using the index of the file."""
@@ -115,7 +115,7 @@ class RecordingCheck:
         self.files += 1
         self.messages += read
 
-    def _read_cut(self, path: Path) -> None:
+    def _read_unfinished(self, path: Path) -> None:
         """Read a file that was not completed, up to where it ends."""
         try:
             reading = McapReader(path)
@@ -128,7 +128,7 @@ class RecordingCheck:
         self.files += 1
         self.messages += read
 
-    def _replayed(self) -> dict[str, Any]:
+    def _replay_first(self) -> dict[str, Any]:
         if not self.first.exists():
             self._report("nothing was recorded")
             return {}

@@ -1,7 +1,7 @@
 """Relay between robot and service that passes on sensor messages or altered ones.
 
-The robot's simulator connects only to this process. An `MessageFilter` turns each message into its
-replacements. There is one at a time, and it passes on unchanged all that it does not concern.
+The robot's simulator connects only to this process. A `MessageFilter` turns each message into its
+replacements, and passes on all other messages unchanged. At most one filter is set at a time.
 """
 
 from __future__ import annotations
@@ -59,20 +59,20 @@ class Relay:
         self._stack = ExitStack()
         heard = self._stack.enter_context(zenoh_session(robot, "listen", stop))
         command = declare_publisher(heard, topics.CMD_VEL, robot)
-        self._commanded = partial(_put, command)
+        self._put_command = partial(_put, command)
         for topic in topics.PLAYED:
             heard.declare_subscriber(robot.key(topic.key), partial(self._hear, topic))
         self._publishers: dict[Topic, zenoh.Publisher] = {}
-        self._side = ExitStack()
+        self._outer = ExitStack()
         self.connect()
 
     def connect(self) -> None:
         """Open the session with the service, if there is none."""
         if self._publishers:
             return
-        session = self._side.enter_context(zenoh_session(self._service, "connect", self._stop))
+        session = self._outer.enter_context(zenoh_session(self._service, "connect", self._stop))
         key = self._service.key(topics.CMD_VEL.key)
-        session.declare_subscriber(key, lambda sample: self._commanded(sample.payload.to_bytes()))
+        session.declare_subscriber(key, lambda sample: self._put_command(sample.payload.to_bytes()))
         self._publishers = {
             topic: declare_publisher(session, topic, self._service) for topic in topics.PLAYED
         }
@@ -80,7 +80,7 @@ class Relay:
     def cut(self) -> None:
         """Close the session with the service. Messages until `connect` are lost."""
         self._publishers = {}
-        self._side.close()
+        self._outer.close()
 
     def close(self) -> None:
         """Close both sessions."""
@@ -141,7 +141,7 @@ def restamped(payload: bytes, stamp_ns: int) -> bytes:
 
 
 def nothing(only: Sequence[Topic] = topics.PLAYED) -> MessageFilter:
-    """Return an `MessageFilter` that drops messages of these topics."""
+    """Return a `MessageFilter` that drops messages of these topics."""
     return lambda topic, payload: () if topic in only else (payload,)
 
 
@@ -159,7 +159,7 @@ def frozen(stamps_go_on: bool) -> MessageFilter:
 
 
 def other_clock(ahead_s: float) -> MessageFilter:
-    """Return an `MessageFilter` that moves all stamps ahead."""
+    """Return a `MessageFilter` that moves all stamps ahead."""
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
         if topic not in _STAMPED:
@@ -170,14 +170,14 @@ def other_clock(ahead_s: float) -> MessageFilter:
 
 
 def elsewhere(x_m: float, yaw_rad: float) -> MessageFilter:
-    """Return an `MessageFilter` for odometry that has jumped."""
+    """Return a `MessageFilter` for odometry that has jumped."""
     return lambda topic, payload: (
         (moved(payload, x_m, yaw_rad),) if topic is topics.ODOMETRY else (payload,)
     )
 
 
 def garbage(rng: np.random.Generator) -> MessageFilter:
-    """Return an `MessageFilter` that sends a malformed message before each message."""
+    """Return a `MessageFilter` that sends a malformed message before each message."""
     lock = threading.Lock()  # the generator is not thread-safe, and Zenoh has several threads
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:

@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from edge.lab.eval.soak.harness import SoakHarness
     from edge.lab.eval.soak.monitor import SoakMonitor
 
-SILENT_S = OLD_S = 10.0
-LOG_A_MINUTE = 120
+SILENT_S = 10.0  # longest time without an answer of the service or a message of the loop
+OLD_S = 10.0  # largest age of the map's checkpoint
+LOG_A_MINUTE = 120  # most lines
 _SPARE_S = 30.0  # added to a mission's limit
 _WARM_UP_S = 120.0  # a model fills its memory arenas in some thousand images
-_SETTLES = 0.1  # share of the run after which caches are filled
-_SOME_REACHED_S = 1200.0
+_SETTLED_AFTER = 0.1  # share of the run after which caches are filled
+_SOME_REACHED_S = 1200.0  # in a longer run, at least one mission must reach its target
 
 Sample = dict[str, Any]
 
@@ -42,13 +43,13 @@ class Rule:
     ends: bool = False
 
 
-def _dead(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
-    code = stage.service.poll()
+def _dead(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    code = harness.service.poll()
     return "" if code is None else f"the process of the service ended with exit code {code}"
 
 
-def _hung(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
-    silent_s = time.monotonic() - watch.alive_s
+def _hung(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    silent_s = time.monotonic() - monitor.alive_s
     return (
         f"/healthz is not 200 for {silent_s:.0f} s, allowed {SILENT_S:g} s"
         if silent_s > SILENT_S
@@ -56,8 +57,8 @@ def _hung(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     )
 
 
-def _silent(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
-    silent_s = time.monotonic() - max(watch.beat_s, watch.muted_s)
+def _silent(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    silent_s = time.monotonic() - max(monitor.beat_s, monitor.muted_s)
     return (
         f"no message of the loop for {silent_s:.0f} s, allowed {SILENT_S:g} s"
         if silent_s > SILENT_S
@@ -65,29 +66,29 @@ def _silent(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     )
 
 
-def _unreadable(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
-    return watch.checkpoint
+def _unreadable(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    return monitor.checkpoint
 
 
-def _map_lost(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
+def _map_lost(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     age_s = sample["places_age_s"]
-    if watch.calm and age_s is not None and age_s > OLD_S:
+    if monitor.calm and age_s is not None and age_s > OLD_S:
         return f"the map file is {age_s:.0f} s old, allowed {OLD_S:g} s"
-    return watch.places
+    return monitor.places
 
 
-def _recorded_badly(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
-    return watch.recordings.problem
+def _recorded_badly(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    return monitor.recordings.problem
 
 
-def _floods(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
+def _floods(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     lines = sample["log_a_minute"]
     return f"{lines} log lines in a minute, allowed {LOG_A_MINUTE}" if lines > LOG_A_MINUTE else ""
 
 
-def _overdue(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
-    elapsed_s = watch.status.get("elapsed_s", 0.0)
-    limit_s = stage.config.mission.time_limit_s + _SPARE_S
+def _overdue(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    elapsed_s = monitor.status.get("elapsed_s", 0.0)
+    limit_s = harness.config.mission.time_limit_s + _SPARE_S
     return (
         f"a mission runs for {elapsed_s:.0f} s, allowed {limit_s:.0f} s"
         if elapsed_s > limit_s
@@ -95,14 +96,14 @@ def _overdue(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
     )
 
 
-def _without_reason(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
-    status = watch.status
+def _without_reason(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    status = monitor.status
     silent = status.get("phase") == "failed" and not status.get("reason")
     return "a mission failed without a reason" if silent else ""
 
 
-def _others_end(stage: SoakHarness, watch: SoakMonitor, sample: Sample) -> str:
-    gone = [name for name in stage.gone() if name != "service"]
+def _others_end(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    gone = [name for name in harness.gone() if name != "service"]
     return f"the {gone[0]} ended by itself" if gone else ""
 
 
@@ -176,7 +177,7 @@ def grown(growth: GrowthLimit, samples: Sequence[Sample]) -> Slope | None:
     """
     if not samples:
         return None
-    settled_s = _SETTLES * samples[-1]["t_s"]
+    settled_s = _SETTLED_AFTER * samples[-1]["t_s"]
     begun_s: dict[int, float] = {}
     lives: dict[int, list[tuple[float, float]]] = {}
     for sample in samples:

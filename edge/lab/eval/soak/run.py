@@ -29,9 +29,9 @@ from edge.lab.eval.soak.tables import summary
 log = logging.getLogger("edge.lab.eval.soak")
 
 _STEP_S = 0.1
-_LOOK_S = 1.0
-_WARM_UP_S, _WARM_UP = 10.0, 0.1  # time, and largest share of the run
-_CALM_S = (2.0, 6.0)
+_LOOK_S = 1.0  # time between two samples
+_WARM_UP_S, _WARM_UP = 10.0, 0.1  # time before the first fault, and its largest share of the run
+_CALM_S = (2.0, 6.0)  # shortest and longest time between two faults
 _SETTLES_S = 2.0  # after a fault, the samples are not yet as before
 
 
@@ -47,10 +47,10 @@ def run(args: argparse.Namespace) -> int:
     make_empty(args.out)
     out = args.out.resolve()
     record = SoakLog(out / "record.jsonl")
-    with closing(record), closing(SoakHarness(soak_config(config, out), out, stop)) as stage:
-        soak = SoakRun(stage, record, faults, args.seed, 60.0 * args.minutes)
+    with closing(record), closing(SoakHarness(soak_config(config, out), out, stop)) as harness:
+        soak = SoakRun(harness, record, faults, args.seed, 60.0 * args.minutes)
         try:
-            stage.start()
+            harness.start()
             soak.run(stop)
         except Stopped:
             log.info("soak stopped by request before simulator, controller and service had started")
@@ -82,13 +82,13 @@ class SoakRun:
 
     def __init__(
         self,
-        stage: SoakHarness,
+        harness: SoakHarness,
         record: SoakLog,
         faults: Sequence[Fault],
         seed: int,
         lasts_s: float,
     ) -> None:
-        self._stage, self._record, self._faults = stage, record, faults
+        self._harness, self._record, self._faults = harness, record, faults
         # Separate streams: the order of faults depends on the seed only, not on their duration.
         self._schedule_rng, self._fault_rng, self._mission_rng = map(
             np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
@@ -96,42 +96,42 @@ class SoakRun:
         self._lasts_s = lasts_s
         self._reported: set[str] = set()
         record.add("begin", seed=seed, minutes=lasts_s / 60.0, faults=[f.name for f in faults],
-                   config=stage.config.model_dump(mode="json"))  # fmt: skip
+                   config=harness.config.model_dump(mode="json"))  # fmt: skip
 
     def run(self, stop: threading.Event) -> None:
         """Run until the time is over and the current fault has ended.
 
         It ends early if `stop` is set, or if the run cannot continue.
         """
-        self._watch = SoakMonitor(self._stage)
-        self._missions = MissionFeeder(self._stage, self._watch, self._mission_rng)
+        self._monitor = SoakMonitor(self._harness)
+        self._missions = MissionFeeder(self._harness, self._monitor, self._mission_rng)
         self._record.began_s = time.monotonic()
         ends_s, look_s = self._record.began_s + self._lasts_s, 0.0
         with closing(self._all_faults(ends_s)) as faults:
             for _ in faults:
-                self._stage.relay.step()
-                self._stage.log.poll()
+                self._harness.relay.step()
+                self._harness.log.poll()
                 if (end := self._missions.step()) is not None:
                     self._record.add("mission", **end)
                 if time.monotonic() >= look_s:
                     look_s = max(look_s + _LOOK_S, time.monotonic())
-                    if self._look():
+                    if self._take_sample():
                         return
                 if stop.wait(_STEP_S):
                     return
 
-    def _look(self) -> bool:
+    def _take_sample(self) -> bool:
         """Take a sample and check the rules. Return True if the run cannot continue."""
-        sample = self._watch.look()
-        self._record.add("sample", calm=self._watch.calm, **sample)
+        sample = self._monitor.look()
+        self._record.add("sample", calm=self._monitor.calm, **sample)
         for rule in RULES:
-            if why := rule.broken(self._stage, self._watch, sample):
-                self._break(rule.name, why)
+            if why := rule.broken(self._harness, self._monitor, sample):
+                self._report_broken(rule.name, why)
                 if rule.ends:
                     return True
         return False
 
-    def _break(self, rule: str, why: str) -> None:
+    def _report_broken(self, rule: str, why: str) -> None:
         """Report a broken rule, once a rule."""
         if rule not in self._reported:
             self._reported.add(rule)
@@ -144,7 +144,7 @@ class SoakRun:
         """Inject the faults, one step each time that the generator is resumed."""
         yield from self._pause(min(_WARM_UP_S, _WARM_UP * self._lasts_s))
         for drawn in rounds(self._faults, self._schedule_rng):
-            yield from self._one(drawn)
+            yield from self._inject(drawn)
             yield from self._pause(float(self._schedule_rng.uniform(*_CALM_S)))
             if time.monotonic() >= ends_s:
                 return ""
@@ -156,37 +156,37 @@ class SoakRun:
             yield
         return ""
 
-    def _one(self, drawn: Sequence[ScheduledFault]) -> Steps:
+    def _inject(self, drawn: Sequence[ScheduledFault]) -> Steps:
         """Inject a fault, or one within another, and wait until the service has recovered."""
-        watch, began_s = self._watch, time.monotonic()
+        monitor, began_s = self._monitor, time.monotonic()
         faults = [fault for fault, _ in drawn]
         name, alone = " + ".join(fault.name for fault in faults), len(faults) == 1
-        watch.calm = False
-        why = yield from make(drawn, self._stage, watch, self._fault_rng)
-        watch.mutes, ended_s = False, time.monotonic()
+        monitor.calm = False
+        why = yield from make(drawn, self._harness, monitor, self._fault_rng)
+        monitor.mutes, ended_s = False, time.monotonic()
         why = why if alone else ""
-        why = why or (yield from self._recovers(faults, FaultWindow(began_s, ended_s)))
+        why = why or (yield from self._wait_for_recovery(faults, FaultWindow(began_s, ended_s)))
         self._record.add(
             "fault", name=name, began_s=round(began_s - self._record.began_s, 2),
             lasted_s=round(ended_s - began_s, 2),
             recovered_s=round(time.monotonic() - ended_s, 2), broken=why,
         )  # fmt: skip
         if why:
-            self._break(f"fault {name}", why)
+            self._report_broken(f"fault {name}", why)
         yield from self._pause(_SETTLES_S)
-        watch.calm = True
+        monitor.calm = True
 
-    def _recovers(self, faults: Sequence[Fault], when: FaultWindow) -> Steps:
+    def _wait_for_recovery(self, faults: Sequence[Fault], window: FaultWindow) -> Steps:
         """Wait until all holds after the faults. Return the first reason if it takes too long."""
         holds = [recovered, *(hold for fault in faults for hold in fault.after)]
         if len(faults) == 1 and faults[0].log_pattern:
             holds.append(log_has(faults[0].log_pattern))
         within_s = sum(fault.within_s for fault in faults)
         while True:
-            every = (hold(self._stage, self._watch, when) for hold in holds)
+            every = (hold(self._harness, self._monitor, window) for hold in holds)
             if not (why := next(filter(None, every), "")):
                 return ""
-            if time.monotonic() - when.ended_s > within_s:
+            if time.monotonic() - window.ended_s > within_s:
                 return f"not recovered after {within_s:g} s: {why}"
             yield
 
@@ -204,23 +204,23 @@ class SoakRun:
                     most_per_h=round(most_per_h(growth, ran_s), 1), **slope._asdict(),
                 )  # fmt: skip
             if why := grows(growth, slope, ran_s):
-                self._break(growth.name, why)
+                self._report_broken(growth.name, why)
         if why := none_reached(self._missions.ended, ran_s):
-            self._break("missions", why)
-        self._stage.update_descendants()
-        code = self._stage.stop_service()
+            self._report_broken("missions", why)
+        self._harness.update_descendants()
+        code = self._harness.stop_service()
         if code != os.EX_OK:
-            self._break(
+            self._report_broken(
                 "service ends",
                 "it did not end in time" if code is None else f"exit code {code}, expected 0",
             )
-        recorded = self._watch.recordings.judge()
+        recorded = self._monitor.recordings.judge()
         self._record.add("recordings", **recorded)
-        if why := self._watch.recordings.problem:
-            self._break("recordings", why)
-        if left := self._stage.orphans():
+        if why := self._monitor.recordings.problem:
+            self._report_broken("recordings", why)
+        if left := self._harness.orphans():
             names = ", ".join(process.command[:60] for process in left)
-            self._break(
+            self._report_broken(
                 "no child is left", f"{len(left)} processes of the service still run: {names}"
             )
         self._record.add("end", faults=len(of(self._record.rows, "fault")),

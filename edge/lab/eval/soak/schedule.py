@@ -46,14 +46,16 @@ def rounds(
             first = faults[k]
             others = [fault for fault in faults if fault.part != first.part]
             second = others and rng.random() < SECOND
-            made = (first, others[rng.integers(len(others))]) if second else (first,)
-            yield tuple(ScheduledFault(fault, float(rng.uniform(*fault.lasts_s))) for fault in made)
+            chosen = (first, others[rng.integers(len(others))]) if second else (first,)
+            yield tuple(
+                ScheduledFault(fault, float(rng.uniform(*fault.lasts_s))) for fault in chosen
+            )
 
 
 def make(
     drawn: Sequence[ScheduledFault],
-    stage: SoakHarness,
-    watch: SoakMonitor,
+    harness: SoakHarness,
+    monitor: SoakMonitor,
     rng: np.random.Generator,
 ) -> Steps:
     """Inject the first fault, and the rest within it, which ends before the first does.
@@ -65,20 +67,20 @@ def make(
         return ""
     (fault, lasts_s), *rest = drawn
     log.info("injecting fault %s for %.0f s: %s", fault.name, lasts_s, fault.what)
-    watch.mutes |= fault.mutes
+    monitor.mutes |= fault.mutes
     began_s = time.monotonic()
-    when, unshown, ended = FaultWindow(began_s, began_s), list(fault.during), False
+    window, unshown, ended = FaultWindow(began_s, began_s), list(fault.during), False
     try:
         with (
-            closing(fault.make(stage, rng)) as making,
-            closing(make(rest, stage, watch, rng)) as second,
+            closing(fault.make(harness, rng)) as injection,
+            closing(make(rest, harness, monitor, rng)) as second,
         ):
             while not ended or time.monotonic() < began_s + lasts_s:
-                next(making)
-                unshown = [hold for hold in unshown if hold(stage, watch, when)]
+                next(injection)
+                unshown = [hold for hold in unshown if hold(harness, monitor, window)]
                 if not ended and time.monotonic() >= began_s + _BEGINS * lasts_s:
                     ended = next(second, second) is second
                 yield
-            return "; ".join(hold(stage, watch, when) for hold in unshown)
+            return "; ".join(hold(harness, monitor, window) for hold in unshown)
     except UserError as error:
         return f"the fault could not be injected or ended: {error}"

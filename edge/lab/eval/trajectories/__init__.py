@@ -1,5 +1,6 @@
 """`edge eval trajectories`: compare trajectories written for instructions with references.
 
-`meaning` and `episodes` make places, tasks and reference trajectories. `methods` has the compared
-methods, `outcomes` the results, `tables` and `pictures` the report, `run` the command.
+`references` makes tasks with reference trajectories, `outdoor` and `episodes` their places.
+`methods` has the compared methods, `outcomes` the results, `tables` and `pictures` the report,
+`run` the command.
 """

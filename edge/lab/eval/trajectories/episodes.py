@@ -51,12 +51,13 @@ KNOWN = "streets[0:200], kitti:FOLDER, house:CONFIG"
 WANTED = {"specific": 3, "ambiguous": 3, "high-level": 4}
 STARTS = 10
 """Starts in a house."""
-_KEY = 18
+_KEY = 18  # of the random numbers
 _SPEC = re.compile(r"^streets\[(\d+):(\d+)\]$")
 _MOST_STREETS = 10_000
 _NO_NAMES = ("object", "structure", "vehicle")  # SemanticKITTI's labels that nobody says
 _KITTI_M, _HOUSE_M = (7.0, 45.0), (1.5, 12.0)  # distance of a task's objects from the robot
 _LEAST_HIGH_M, _MOST_OFF_M = 0.15, 0.5  # lower objects do not block; higher ones hang on a wall
+# Camera of a robot in a house, its height, and the least pixels of an object that it sees.
 _EYE = CameraModel.from_hfov(320, 240, math.pi / 2)
 _EYE_M = 1.0
 _LEAST_PX = 40
@@ -103,12 +104,12 @@ def episodes(
     Raises:
         UserError: a spec has another form or cannot be read.
     """
-    found = [_of(spec, chain) for spec in specs]  # check all before the first runs
-    for each in found:
-        yield from itertools.islice(each, limit)
+    sources = [_episodes_of(spec, chain) for spec in specs]  # check all before the first runs
+    for source in sources:
+        yield from itertools.islice(source, limit)
 
 
-def _of(spec: str, chain: PerceptionPipeline | None) -> Iterator[TrajectoryEpisode]:
+def _episodes_of(spec: str, chain: PerceptionPipeline | None) -> Iterator[TrajectoryEpisode]:
     kind, colon, name = spec.partition(":")
     if chain is not None and kind != "kitti":
         raise UserError(
@@ -146,7 +147,7 @@ def _episode(
     )  # fmt: skip
 
 
-def _drawn(
+def _draw_tasks(
     place: ReferenceScene, dice: PortableRng, wanted: Mapping[str, int] = WANTED
 ) -> list[TrajectoryTask]:
     """Draw at most the wanted number of tasks of each category; high-level kinds take turns."""
@@ -181,7 +182,7 @@ def _kitti(
     for number, frame in zip(numbers, frames, strict=True):
         scene = kitti.kitti_scene(folder, [number], chain, by_labels=chain is None)
         place = kitti_place(frame, whole)
-        for task in _drawn(place, PortableRng(_KEY, number)):
+        for task in _draw_tasks(place, PortableRng(_KEY, number)):
             yield _episode("kitti", f"kitti-{sequence}-{number:06d}", place, task, scene, solid_m)
 
 
@@ -202,10 +203,10 @@ def kitti_place(frame: kitti.KittiFrame, whole: Scene) -> ReferenceScene:
     T_map_lidar = seen.T_map_base @ seen.T_base_lidar
     points_m = (seen.cloud_m @ T_map_lidar[:3, :3].T + T_map_lidar[:3, 3]).astype(np.float32)
     things = []
-    for label, mine in kitti.things_shown(frame):
+    for label, indices in kitti.things_shown(frame):
         if label not in _NO_NAMES:
-            middle, _, _ = box_around(points_m[mine])
-            outline_m = np.unique(np.round(points_m[mine, :2].astype(float), 1), axis=0)
+            middle, _, _ = box_around(points_m[indices])
+            outline_m = np.unique(np.round(points_m[indices, :2].astype(float), 1), axis=0)
             things.append(Landmark(len(things) + 1, label, "", middle[:2], outline_m))
     drivable = whole.regions_grid.cells > 0
     return ReferenceScene(
@@ -228,7 +229,7 @@ def _house(config: Config) -> Iterator[TrajectoryEpisode]:
         )
         drivable = scene.regions_grid.cells > 0
         place = ReferenceScene(pose, things, scene.occupancy, drivable, radius_m, _HOUSE_M)
-        for task in _drawn(place, PortableRng(_KEY, number)):
+        for task in _draw_tasks(place, PortableRng(_KEY, number)):
             yield _episode("house", f"{world.name}-{number}", place, task, scene)
 
 

@@ -37,7 +37,7 @@ from edge.text import one_line
 from edge.trajectory.pursuit import MotionLimits
 
 LIMITS = MotionLimits(1.5, 1.0, 0.8, 3.0)
-"""They set the times of a refined trajectory, not its path."""
+"""Speed limits of the robot. They set the times of a refined trajectory, not its path."""
 CAUSES: tuple[tuple[type[UserError], str], ...] = (
     (TranslationError, "not understood"),
     (RefineError, "not refined"),
@@ -103,7 +103,7 @@ class MaplessFunctions(ScriptFunctions):
         self.trajectory = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
 
 
-def _refined(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
+def _refine(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
     coarse, body = written.coarse, PathMargins(episode.robot_m)
     made = refine(episode.scene, coarse.segments, coarse.regions, body, LIMITS)
     return made.poses[:, :2]
@@ -114,7 +114,7 @@ def _as_written(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.nd
     return np.concatenate([[(pose.x_m, pose.y_m)], written.coarse.points_m])
 
 
-def _to_its_end(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
+def _plan_to_end(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
     pose, end = episode.scene.pose, written.coarse.points_m[-1]
     found = written.ground.plan((pose.x_m, pose.y_m), (float(end[0]), float(end[1])))
     if not found.ok:
@@ -123,11 +123,11 @@ def _to_its_end(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.nd
 
 
 METHODS: dict[str, Method] = {
-    "ours": Method("all", _refined, ends=True),
-    "llm_tg": Method("no picture", _refined, ends=True),
+    "ours": Method("all", _refine, ends=True),
+    "llm_tg": Method("no picture", _refine, ends=True),
     "ours, not refined": Method("all", _as_written),
     "vlt_code": Method("no map", _as_written),
-    "a_star": Method("all", _to_its_end),
+    "a_star": Method("all", _plan_to_end),
 }
 
 
@@ -154,7 +154,7 @@ def make(
     for name in names:
         method = METHODS[name]
         if method.writing not in written:
-            written[method.writing] = _written(episode, method.writing, config)
+            written[method.writing] = _write(episode, method.writing, config)
         given, seconds = written[method.writing]
         begin_s = time.perf_counter()
         try:
@@ -169,7 +169,7 @@ def make(
     return made
 
 
-def _written(
+def _write(
     episode: TrajectoryEpisode, writing: str, config: TasksConfig
 ) -> tuple[WrittenTrajectory | Exception, float]:
     """Return what was written or the error, and the time that it took [s]."""

@@ -29,8 +29,8 @@ from edge.text import bounded_repr, one_line
 
 EPISODES_NAME = "episodes.jsonl"
 _DRAWN_M = 0.25  # distance between the points of a saved path
-_OUTLINE_M = 0.05
-_FINER = 4  # upsampling factor: outlines lead through the middles of cells
+_OUTLINE_M = 0.05  # largest error of a simplified outline
+_FINER = 4  # upsampling factor: an outline leads through the middles of cells, so use small ones
 _MARGIN_M = 4.0  # obstacles are saved within this distance of a reference
 
 Polyline = list[list[float]]
@@ -44,8 +44,8 @@ class EpisodeFacts:
         id: of the episode.
         source: see `TrajectoryEpisode`.
         world: see `TrajectoryEpisode`.
-        kind: see `Task`.
-        category: see `Task`.
+        kind: see `TrajectoryTask`.
+        category: see `TrajectoryTask`.
         instruction: the text.
         robot_m: the robot's radius.
         reference: the reference trajectory.
@@ -128,16 +128,16 @@ def outcome_of(
     """Compare a method's result with the reference and the true place."""
     path_m = made.path_m
     occupancy, robot_m = episode.scene.occupancy, episode.robot_m
-    like = trajectory_scores(path_m, episode.task.reference_m, occupancy, robot_m)
+    scores = trajectory_scores(path_m, episode.task.reference_m, occupancy, robot_m)
     if episode.solid_m is None:
         true_contacts = contacts(path_m, episode.truth, robot_m)
     else:
         true_contacts = point_contacts(path_m, episode.solid_m, robot_m)
     length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
-    numbers = (like.error_m, like.frechet_m, like.ndtw)
+    numbers = (scores.error_m, scores.frechet_m, scores.ndtw)
     return TrajectoryOutcome(
-        episode.id, method, writer, like.success and not made.refused,
-        *(round(x, 4) for x in numbers), like.contacts, true_contacts,
+        episode.id, method, writer, scores.success and not made.refused,
+        *(round(x, 4) for x in numbers), scores.contacts, true_contacts,
         round(length_m, 2), made.refused, made.reason, round(made.seconds, 4),
         _plain(resample_evenly(path_m, _DRAWN_M)),
     )  # fmt: skip
@@ -156,8 +156,8 @@ class ResultsFolder:
     """
 
     def __init__(self, path: Path) -> None:
-        self._episodes = JsonLinesFile(path / EPISODES_NAME, _facts, "an episode", MAX_BYTES)
-        self._outcomes = JsonLinesFile(path / NAME, _outcome, "an outcome", MAX_BYTES)
+        self._episodes = JsonLinesFile(path / EPISODES_NAME, _parse_facts, "an episode", MAX_BYTES)
+        self._outcomes = JsonLinesFile(path / NAME, _parse_outcome, "an outcome", MAX_BYTES)
         self.facts = {facts.id: facts for facts in self._episodes.found}
         self.outcomes = {outcome.key: outcome for outcome in self._outcomes.found}
 
@@ -179,11 +179,10 @@ class TrajectoryResults:
 
     Attributes:
         methods: their names, with the writer's name if there are several.
-        bare: their names without it.
+        method_names: their names without that of the writer.
         facts: of each episode.
         ran: (M, E) bool.
-        numbers: success, error_m, frechet_m, ndtw, collided, truly collided, refused, seconds: (M,
-            E) float64 each, NaN without an outcome.
+        numbers: by a name of `_NUMBERS`, (M, E) float64, NaN without an outcome.
         outcomes: by (method, episode) as indices.
     """
 
@@ -220,14 +219,15 @@ def gather(
     shape = len(names), len(ids)
     numbers = {key: np.full(shape, math.nan) for key in _NUMBERS}
     for place, outcome in at.items():
-        for key, of in _NUMBERS.items():
-            numbers[key][place] = of(outcome)
+        for key, read in _NUMBERS.items():
+            numbers[key][place] = read(outcome)
     ran = ~np.isnan(numbers["success"])
     return TrajectoryResults(
         tuple(names), tuple(names.values()), tuple(by_id[k] for k in ids), ran, numbers, at
     )
 
 
+# By name, the reader of an outcome's number.
 _NUMBERS = {
     "success": lambda o: float(o.success),
     "error_m": lambda o: o.error_m,
@@ -265,7 +265,7 @@ def _line(item: EpisodeFacts | TrajectoryOutcome) -> bytes:
     return json.dumps(asdict(item), separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
-def _facts(data: dict[str, Any]) -> EpisodeFacts:
+def _parse_facts(data: dict[str, Any]) -> EpisodeFacts:
     facts = EpisodeFacts(**data)
     if facts.category not in CATEGORIES:
         raise ValueError(
@@ -274,10 +274,10 @@ def _facts(data: dict[str, Any]) -> EpisodeFacts:
     return facts
 
 
-def _outcome(data: dict[str, Any]) -> TrajectoryOutcome:
+def _parse_outcome(data: dict[str, Any]) -> TrajectoryOutcome:
     outcome = TrajectoryOutcome(**data)
-    for key in _NUMBERS.values():
-        key(outcome)
+    for read in _NUMBERS.values():
+        read(outcome)  # raises if a field has another type
     for name in ("error_m", "frechet_m", "ndtw", "seconds"):
         if not isinstance(getattr(outcome, name), (int, float)):
             raise ValueError(

@@ -21,12 +21,12 @@ import numpy as np
 from edge.geometry import SE2, Grid, se3
 from edge.lab.eval.trajectories.references import (
     KINDS,
+    Landmark,
     ReferenceScene,
     TrajectoryTask,
     box_outline_m,
     tasks,
 )
-from edge.lab.eval.trajectories.references import Landmark as Named
 from edge.lab.sim import kernels
 from edge.lab.sim.base import FLOOR_CLEARANCE_M, LidarRays
 from edge.lab.sim.boxworld import Primitive
@@ -36,17 +36,17 @@ from edge.tasks.scene import Region, Scene, SceneObject
 from edge.tasks.value_map import closed_cells
 
 CELL_M = 0.2
-ROBOT_M, HEIGHT_M = 0.4, 1.0
+ROBOT_M, HEIGHT_M = 0.4, 1.0  # radius and height of the robot
 TASK_M = 7.0, 36.0
 """Smallest and largest distance of a task's objects from the robot."""
-RINGS, COLUMNS, RANGE_M = 64, 1024, 60.0
+RINGS, COLUMNS, RANGE_M = 64, 1024, 60.0  # of the LiDAR
 ELEVATION_RAD = math.radians(-24.8), math.radians(2.0)
 """Elevations of an HDL-64E, the LiDAR of SemanticKITTI."""
-LIDAR_M = 1.73
-LEAST_POINTS = 8
-_X_M, _Y_M = (-12.0, 44.0), (-20.0, 20.0)
-_TRIES = 200
-_KEY = 17
+LIDAR_M = 1.73  # height of the LiDAR above the ground
+LEAST_POINTS = 8  # an object with fewer points is not in the scene
+_X_M, _Y_M = (-12.0, 44.0), (-20.0, 20.0)  # extent of the occupancy grid in `map`
+_TRIES = 200  # streets to draw for an episode
+_KEY = 17  # of the random numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,16 +87,16 @@ def outdoor_episode(number: int) -> OutdoorEpisode:
 def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
     """Return the scene of a street, and the scan (n, 3) float32 in `map`."""
     floor, stood = solids(drawn)
-    parts = floor + [part for _, mine in stood for part in mine]
+    parts = floor + [part for _, solid in stood for part in solid]
     shape = np.array([part.shape for part in parts], np.uint8)
-    pose = np.array([_row(part) for part in parts])
+    pose = np.array([_pose_row(part) for part in parts])
     cloud_m = _scan(shape, pose)
     occupancy = _occupancy(shape, pose)
     regions_grid = _regions_grid(drawn, occupancy)
     here = SE2(0.0, 0.0, 0.0)
     reachable = _reachable(occupancy, here)
     objects = {}
-    seen = [(thing, _points_on(mine, cloud_m)) for thing, mine in stood]
+    seen = [(thing, _points_on(solid, cloud_m)) for thing, solid in stood]
     seen.sort(
         key=lambda item: math.dist((item[0].x_m, item[0].y_m), (drawn.start.x_m, drawn.start.y_m))
     )
@@ -117,7 +117,7 @@ def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
 def place_of(scene: Scene) -> ReferenceScene:
     """Return the place from which a street's tasks are drawn."""
     things = tuple(
-        Named(
+        Landmark(
             item.id, item.label, item.caption.partition(item.label)[0].strip(),
             item.position_m[:2],
             box_outline_m(item.position_m, item.size_m, item.heading_rad),
@@ -177,7 +177,7 @@ def _regions_grid(drawn: Street, occupancy: Grid) -> Grid:
 
 
 def _reachable(occupancy: Grid, here: SE2) -> np.ndarray:
-    """Return (h, w) bool: True where a robot of radius `ROBOT_M` can get to."""
+    """Return (h, w) bool: True for cells that a robot of radius `ROBOT_M` can get to."""
     is_open = (~closed_cells(occupancy, ROBOT_M)).astype(np.uint8)
     _, part = cv2.connectedComponents(is_open, connectivity=4)
     return part == part[occupancy.cell_of(here.x_m, here.y_m)]
@@ -228,6 +228,6 @@ def _points_on(parts: Sequence[Primitive], cloud_m: np.ndarray) -> np.ndarray:
     return near[on]
 
 
-def _row(part: Primitive) -> list[float]:
+def _pose_row(part: Primitive) -> list[float]:
     half = [0.5 * extent for extent in part.size_m]
     return [*part.center_m, *half, math.cos(part.yaw_rad), math.sin(part.yaw_rad)]

@@ -16,10 +16,10 @@ from edge.text import shorten
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLUMNS, EACH_IN = 2, 3.7
-MARGIN_M = 3.0
-_MEANT = "#b9b9b9"
-_MOST_WORDS = 60
+COLUMNS, EACH_IN = 2, 3.7  # pictures in a row, and the side of each
+MARGIN_M = 3.0  # around the reference
+_GREY = "#b9b9b9"  # of the reference
+_MAX_TITLE = 60  # characters
 
 
 def images(results: TrajectoryResults, kind: str) -> dict[str, bytes]:
@@ -53,7 +53,7 @@ def _draw(axes: Axes, results: TrajectoryResults, episode: int) -> None:
         axes.fill(*np.array(outline).T, color=palette.INFLATED, linewidth=0)
     for outline in facts.things:
         axes.fill(*np.array(outline).T, facecolor="none", edgecolor=palette.INK, linewidth=1.4)
-    axes.plot(*np.array(facts.reference).T, color=_MEANT, linewidth=5.0, solid_capstyle="round",
+    axes.plot(*np.array(facts.reference).T, color=_GREY, linewidth=5.0, solid_capstyle="round",
               label="reference")  # fmt: skip
     for m, name in enumerate(results.methods):
         look, outcome = style_of(m), results.outcomes[m, episode]
@@ -63,7 +63,7 @@ def _draw(axes: Axes, results: TrajectoryResults, episode: int) -> None:
     axes.plot(*facts.reference[0], color=palette.INK, marker="o", markersize=4)
     _frame(axes, facts)
     axes.set_title(
-        shorten(facts.instruction, _MOST_WORDS), loc="left", fontsize=8, color=palette.INK,
+        shorten(facts.instruction, _MAX_TITLE), loc="left", fontsize=8, color=palette.INK,
         parse_math=False,
     )  # fmt: skip
 

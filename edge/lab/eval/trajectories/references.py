@@ -44,19 +44,20 @@ from edge.trajectory.costmap import CostMap, from_occupancy, from_weights
 
 KINDS = ("to", "past", "around", "then")
 CATEGORIES = ("specific", "ambiguous", "high-level")
-ASIDE_M, COMFORT_M, ABOUT_M = 0.8, 1.0, 0.35
+ASIDE_M, COMFORT_M, ABOUT_M = 0.8, 1.0, 0.35  # see above
 FARTHEST_STOP_M = 4.0
 """A stop farther from an object than this does not count as going to it."""
 ESCAPE_M = 1.0
+"""A robot on a closed cell begins at the nearest open cell within this distance."""
 _AHEAD_RAD = math.radians(60.0)  # largest bearing of a task's objects
 _ASIDE_RAD = math.radians(8.0)  # a smaller bearing is neither left nor right
 _APART_M = 1.0  # least difference in distance between objects that are counted
-_ARC_FROM_RAD, _ARC_STEP_RAD = math.radians(60.0), math.radians(30.0)
+_ARC_FROM_RAD, _ARC_STEP_RAD = math.radians(60.0), math.radians(30.0)  # points of an arc
 _AROUND_RAD = math.radians(150.0), math.radians(300.0)  # of the next object, see `_abeam`
 _ORDER = ("nearest", "second", "third")
 # The viewer's left is clockwise from the direction object → viewer.
 _TURN = {"left": -1.0, "right": 1.0}
-_LEAST_LEG_M = 3.0
+_LEAST_LEG_M = 3.0  # least distance between the two parts of an instruction
 _OWN_CELLS = 1.5  # how far an object's occupied cells may lie outside its outline
 
 
@@ -179,10 +180,10 @@ def tasks(place: ReferenceScene, kind: str, dice: PortableRng) -> Iterator[Traje
                 continue
             for side in dice.shuffled(("left", "right")):
                 segments = _segments(place, kind, by_id[first], by_id[last], side)
-                reference_m = _way(place, segments) if segments else None
+                reference_m = _cheapest_path(place, segments) if segments else None
                 if reference_m is None:
                     continue
-                words = _words(kind, side, named[first], named[last])
+                words = _instruction(kind, side, named[first], named[last])
                 category = _category(kind, named[first])
                 things = (first,) if kind == "to" else (first, last)
                 yield TrajectoryTask(kind, category, words, things, segments, reference_m)
@@ -196,12 +197,12 @@ def referring_expression(place: ReferenceScene, thing: Landmark) -> str | None:
         return f"the {thing.label}"
     if thing.look and [other.look for other in like].count(thing.look) == 1:
         return f"the {thing.look} {thing.label}"
-    bearing, away_m = _seen(place, thing)
+    bearing, away_m = _bearing_and_distance(place, thing)
     if not _ASIDE_RAD < abs(bearing) < math.pi / 2:
         return None
     before = 0
     for other in like:
-        at_rad, at_m = _seen(place, other)
+        at_rad, at_m = _bearing_and_distance(place, other)
         if other is thing or at_m >= away_m + _APART_M:
             continue
         unclear = abs(at_rad) <= _ASIDE_RAD or (at_rad * bearing > 0 and abs(at_rad) >= math.pi / 2)
@@ -220,7 +221,7 @@ def box_outline_m(at_m: np.ndarray, size_m: np.ndarray, heading_rad: float) -> n
     return smoothing.resample(corners @ np.array([[c, s], [-s, c]]) + at_m[:2], 0.1)
 
 
-def _seen(place: ReferenceScene, thing: Landmark) -> tuple[float, float]:
+def _bearing_and_distance(place: ReferenceScene, thing: Landmark) -> tuple[float, float]:
     """Return bearing [rad] and distance [m] from the robot."""
     return place.pose.bearing_to(*thing.at_m), place.pose.distance_to(*thing.at_m)
 
@@ -231,7 +232,7 @@ def _category(kind: str, name: str) -> str:
     return "ambiguous" if name.startswith(tuple(f"the {word} " for word in _ORDER)) else "specific"
 
 
-def _words(kind: str, side: str, first: str, last: str) -> str:
+def _instruction(kind: str, side: str, first: str, last: str) -> str:
     return {
         "to": f"go to {first}",
         "past": f"drive past the {side} of {first}, then stop at {last}",
@@ -246,26 +247,29 @@ def _segments(
     """Return the points of the rule; () if it cannot be followed."""
     here = np.array([place.pose.x_m, place.pose.y_m])
     if kind == "to":
-        way = [_stop(place, last, here)]
+        parts = [_stop(place, last, here)]
     elif kind == "then":
-        way = [_stop(place, first, here)]
+        parts = [_stop(place, first, here)]
     elif kind == "past":
-        if _seen(place, last)[1] < _seen(place, first)[1] + _LEAST_LEG_M:
+        if (
+            _bearing_and_distance(place, last)[1]
+            < _bearing_and_distance(place, first)[1] + _LEAST_LEG_M
+        ):
             return ()
-        way = [_abeam(place, first, side, math.pi / 2)[None]]
+        parts = [_abeam(place, first, side, math.pi / 2)[None]]
     else:
         until_rad = _turn_rad(place, first, side, last.at_m)
         if not _AROUND_RAD[0] <= until_rad <= _AROUND_RAD[1]:
             return ()
         angles_rad = np.arange(_ARC_FROM_RAD, until_rad, _ARC_STEP_RAD)
-        way = [np.array([_abeam(place, first, side, angle) for angle in angles_rad])]
-    if kind != "to" and way[0] is not None:
-        way.append(_stop(place, last, way[0][-1]))
-    if any(points is None for points in way):
+        parts = [np.array([_abeam(place, first, side, angle) for angle in angles_rad])]
+    if kind != "to" and parts[0] is not None:
+        parts.append(_stop(place, last, parts[0][-1]))
+    if any(points is None for points in parts):
         return ()
-    if kind == "then" and math.dist(way[0][-1], way[1][-1]) <= _LEAST_LEG_M:
+    if kind == "then" and math.dist(parts[0][-1], parts[1][-1]) <= _LEAST_LEG_M:
         return ()
-    return tuple(way)
+    return tuple(parts)
 
 
 def _abeam(place: ReferenceScene, thing: Landmark, side: str, angle_rad: float) -> np.ndarray:
@@ -273,19 +277,19 @@ def _abeam(place: ReferenceScene, thing: Landmark, side: str, angle_rad: float) 
 
     The angle is 0 on the robot's side of the object, a right angle on its `side`, and pi behind it.
     """
-    toward = _back_rad(place, thing) + _TURN[side] * angle_rad
+    toward = _direction_to_robot(place, thing) + _TURN[side] * angle_rad
     ray = np.array([math.cos(toward), math.sin(toward)])
     reach_m = float(((thing.outline_m - thing.at_m) @ ray).max())
     return thing.at_m + (reach_m + ASIDE_M + place.robot_m) * ray
 
 
 def _turn_rad(place: ReferenceScene, thing: Landmark, side: str, at_m: np.ndarray) -> float:
-    """Return the angle, as in `_abeam`, of a point: in [0, 2 pi)."""
+    """Return the angle of a point around an object, as `_abeam` counts it, in [0, 2 pi)."""
     toward = math.atan2(at_m[1] - thing.at_m[1], at_m[0] - thing.at_m[0])
-    return (_TURN[side] * (toward - _back_rad(place, thing))) % math.tau
+    return (_TURN[side] * (toward - _direction_to_robot(place, thing))) % math.tau
 
 
-def _back_rad(place: ReferenceScene, thing: Landmark) -> float:
+def _direction_to_robot(place: ReferenceScene, thing: Landmark) -> float:
     """Return the direction from an object to the robot's start."""
     return math.atan2(place.pose.y_m - thing.at_m[1], place.pose.x_m - thing.at_m[0])
 
@@ -323,17 +327,17 @@ def _stops(place: ReferenceScene, thing: Landmark) -> np.ndarray:
 def _others(place: ReferenceScene, thing: Landmark) -> CostMap:
     """Return a cost map that is closed at obstacles other than the object."""
     grid = place.occupancy
-    mine = np.ones(grid.cells.shape, np.uint8)
+    outside = np.ones(grid.cells.shape, np.uint8)
     cells = np.floor(grid.to_cells(thing.outline_m)).astype(np.int64)
-    h, w = mine.shape
+    h, w = outside.shape
     column, row = cells[((cells >= 0) & (cells < (w, h))).all(axis=1)].T
-    mine[row, column] = 0
-    away = cv2.distanceTransform(mine, cv2.DIST_L2, 5)
+    outside[row, column] = 0
+    away = cv2.distanceTransform(outside, cv2.DIST_L2, 5)
     standing = (grid.cells > 0) & (away > _OWN_CELLS)
     return from_weights(replace(grid, cells=(~standing).astype(np.uint8)))
 
 
-def _way(place: ReferenceScene, segments: Sequence[np.ndarray]) -> np.ndarray | None:
+def _cheapest_path(place: ReferenceScene, segments: Sequence[np.ndarray]) -> np.ndarray | None:
     """Return the cheapest path by all points, smoothed; None if one cannot be reached."""
     costmap, begin = place.costmap, place.begin_m
     if begin is None:

@@ -62,25 +62,25 @@ def run_all(
     """
     writer = ", by ".join(filter(None, (writer_of(config), seen_by)))
     keys: list[tuple[str, str, str]] = []
-    asked = isinstance(config.planner, WriterModel)
+    is_first_question = isinstance(config.planner, WriterModel)
     for episode in found:
         if stop is not None and stop.is_set():
             break
-        there = methods_of(config, episode.scene)
-        mine = [(episode.id, name, writer) for name in names if name in there]
+        possible = methods_of(config, episode.scene)
+        episode_keys = [(episode.id, name, writer) for name in names if name in possible]
         have = folder.outcomes
-        missing = [key[1] for key in mine if key not in have or have[key].refused == RERUN]
+        missing = [key[1] for key in episode_keys if key not in have or have[key].refused == RERUN]
         if missing:
             made = make(episode, missing, config)
-            if asked and all(one.refused == "no answer" for one in made.values()):
+            if is_first_question and all(r.refused == "no answer" for r in made.values()):
                 raise UnavailableError(next(iter(made.values())).reason)
-            asked = False
+            is_first_question = False
             folder.add(facts_of(episode))
             for name in missing:
                 outcome = outcome_of(episode, name, writer, made[name])
                 folder.append(outcome)
                 tell(episode, outcome)
-        keys += mine
+        keys += episode_keys
     return keys
 
 
@@ -96,10 +96,10 @@ def writer_of(config: TasksConfig) -> str:
 def run(args: argparse.Namespace) -> int:
     """Handle `edge eval trajectories`."""
     config = _config(args)
-    names = _methods(args.methods, config)
+    names = _parse_methods(args.methods, config)
     logging.getLogger("edge").setLevel(logging.WARNING)
     folder = ResultsFolder(args.out)
-    with _seen_by(args) as (chain, seen_by):
+    with _detector(args) as (chain, seen_by):
         keys = run_all(
             episodes(args.places, args.limit, chain), names, config, folder,
             lambda episode, outcome: print(_line(episode, outcome), flush=True),
@@ -121,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _seen_by(args: argparse.Namespace) -> Iterator[tuple[PerceptionPipeline | None, str]]:
+def _detector(args: argparse.Namespace) -> Iterator[tuple[PerceptionPipeline | None, str]]:
     """Yield the pipeline of `--detector`'s configuration and its name; None and "" without it."""
     if args.detector is None:
         yield None, ""
@@ -151,19 +151,19 @@ def _config(args: argparse.Namespace) -> TasksConfig:
         raise ConfigError(explain(error.errors()[0], "--url, --model", TasksConfig)) from None
 
 
-def _methods(wanted: str | None, config: TasksConfig) -> tuple[str, ...]:
-    there = methods_of(config)
+def _parse_methods(wanted: str | None, config: TasksConfig) -> tuple[str, ...]:
+    possible = methods_of(config)
     if wanted is None:
-        return there
+        return possible
     names = tuple(dict.fromkeys(name.strip() for name in wanted.split(";")))
     for name in names:
-        if name in METHODS and name not in there:
+        if name in METHODS and name not in possible:
             raise UserError(
                 f"--methods: {name}: without --url the same as ours; omit {name}, or give --url"
             )
-        if name not in there:
+        if name not in possible:
             raise UserError(
-                f"--methods: no method {one_line(name)!r} (choices: {'; '.join(there)})"
+                f"--methods: no method {one_line(name)!r} (choices: {'; '.join(possible)})"
             )
     return names
 

@@ -138,9 +138,9 @@ def refusals(results: TrajectoryResults) -> ReportTable:
     causes = [c for c in REFUSALS if any(o.refused == c for o in results.outcomes.values())]
     rows = []
     for m, name in enumerate(results.methods):
-        mine = [o for (row, _), o in results.outcomes.items() if row == m]
-        counts = [sum(o.refused == cause for o in mine) for cause in causes]
-        rows.append([one_line(name), str(len(mine)), *map(str, counts)])
+        outcomes = [o for (row, _), o in results.outcomes.items() if row == m]
+        counts = [sum(o.refused == cause for o in outcomes) for cause in causes]
+        rows.append([one_line(name), str(len(outcomes)), *map(str, counts)])
     rows = rows if causes else []
     return ReportTable("refusals", "Refused", ("method", "n", *causes), rows)
 
@@ -171,7 +171,7 @@ def _mean(values: np.ndarray, results: TrajectoryResults, kept: np.ndarray) -> I
 
 
 def _clusters(results: TrajectoryResults) -> tuple[np.ndarray, str]:
-    """Return (E,) int of what is resampled, and its unit: "place" or "episode"."""
+    """Return (E,) int, the cluster of each episode, and the unit: "place" or "episode"."""
     names: Sequence[str] = [facts.world for facts in results.facts]
     worlds, index = np.unique(np.array(names, str), return_inverse=True)
     if len(worlds) >= LEAST_WORLDS:

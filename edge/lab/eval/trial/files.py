@@ -22,6 +22,7 @@ from edge.tasks.picture import draw_marks
 from edge.tasks.prompt import annotated_jpeg, system_prompt, task_text
 from edge.text import one_line
 
+# Names of the files.
 OBJECTS, CAMERA, MAP, PAGE = "objects.png", "camera.png", "map.png", "scene.html"
 JSON, CSV, MODEL = "trajectory.json", "trajectory.csv", "model"
 COLUMNS = ("x_m", "y_m", "z_m", "heading_rad", "speed_mps", "time_s")
@@ -47,8 +48,8 @@ class RunFolder:
             make_writable(path)
             # Files of an earlier run would look like results of this one.
             old = [path / name for name in (OBJECTS, CAMERA, MAP, PAGE, JSON, CSV)]
-            for one in (*old, *(path / MODEL).glob("*.*")):
-                one.unlink(missing_ok=True)
+            for file in (*old, *(path / MODEL).glob("*.*")):
+                file.unlink(missing_ok=True)
         except OSError as error:
             raise FileError(
                 f"--out {path}: cannot be written: {error.strerror}; choose another folder"
@@ -61,25 +62,27 @@ class RunFolder:
             FileError: a file cannot be written.
         """
         view, refined, scene = outcome.view, outcome.refined, outcome.view.scene
-        self._picture(OBJECTS, draw_marks(scene))
+        self._write_picture(OBJECTS, draw_marks(scene))
         coarse_m = outcome.coarse_m
-        laid_m = None
+        coarse_on_ground_m = None
         if coarse_m is not None:
-            laid_m = np.column_stack([coarse_m, ground_heights_m(view, coarse_m)])
+            coarse_on_ground_m = np.column_stack([coarse_m, ground_heights_m(view, coarse_m)])
             poses_m = None if refined is None else refined.poses[:, :3]
             half_m = outcome.config.robot.radius_m
-            self._picture(CAMERA, camera_picture.drawn(scene, laid_m, poses_m, half_m))
+            self._write_picture(
+                CAMERA, camera_picture.drawn(scene, coarse_on_ground_m, poses_m, half_m)
+            )
         self._write(MAP, trajectory_map.png(scene, coarse_m, refined, outcome.costmap))
-        self._write(PAGE, _bytes(_page(outcome, laid_m)))
+        self._write(PAGE, _bytes(_page(outcome, coarse_on_ground_m)))
         if refined is not None:
             text = json.dumps(as_json(outcome), indent=1, ensure_ascii=False)
             self._write(JSON, _bytes(text))
             self._write(CSV, _csv(outcome).encode())
         if isinstance(outcome.config.tasks.planner, WriterModel):
-            for name, content in _of_the_model(outcome).items():
+            for name, content in _model_files(outcome).items():
                 self._write(f"{MODEL}/{name}", content)
 
-    def _picture(self, name: str, rgb: np.ndarray | None) -> None:
+    def _write_picture(self, name: str, rgb: np.ndarray | None) -> None:
         if rgb is not None:
             ok, png = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
             assert ok, name
@@ -123,13 +126,13 @@ def _csv(outcome: TaskRun) -> str:
     return out.getvalue()
 
 
-def _page(outcome: TaskRun, laid_m: np.ndarray | None) -> str:
+def _page(outcome: TaskRun, coarse_on_ground_m: np.ndarray | None) -> str:
     view, refined = outcome.view, outcome.refined
     lines: tuple[Line, ...] = ()
-    if laid_m is not None and refined is not None:
-        lines = coarse_and_refined(laid_m, refined)
-    elif laid_m is not None:
-        lines = (Line("as it was written", laid_m, trajectory_map.COARSE, 2.0),)
+    if coarse_on_ground_m is not None and refined is not None:
+        lines = coarse_and_refined(coarse_on_ground_m, refined)
+    elif coarse_on_ground_m is not None:
+        lines = (Line("as it was written", coarse_on_ground_m, trajectory_map.COARSE, 2.0),)
     facts = [("place", view.name), ("objects from", view.by)]
     if outcome.written is not None and outcome.written.understood:
         facts.append(("understood", outcome.written.understood))
@@ -144,8 +147,8 @@ def _page(outcome: TaskRun, laid_m: np.ndarray | None) -> str:
     )  # fmt: skip
 
 
-def _of_the_model(outcome: TaskRun) -> dict[str, bytes]:
-    """Return the prompt and picture for the model, and each of its answers, by file name."""
+def _model_files(outcome: TaskRun) -> dict[str, bytes]:
+    """Return the prompt and picture for the model, and each answer of the model, by file name."""
     tasks, scene = outcome.config.tasks, outcome.view.scene
     assert isinstance(tasks.planner, WriterModel)
     question = task_text(outcome.instruction, scene, tasks.trajectory)
@@ -153,9 +156,9 @@ def _of_the_model(outcome: TaskRun) -> dict[str, bytes]:
     jpeg = annotated_jpeg(scene) if tasks.planner.picture else None
     if jpeg is not None:
         files["picture.jpg"] = jpeg
-    for k, round in enumerate(outcome.rounds, start=1):
+    for k, attempt in enumerate(outcome.rounds, start=1):
         kinds = {"answer": "txt", "code": "py", "printed": "txt", "error": "txt"}
-        for name, text in asdict(round).items():
+        for name, text in asdict(attempt).items():
             if text:
                 files[f"round-{k}-{name}.{kinds[name]}"] = _bytes(text)
     return files

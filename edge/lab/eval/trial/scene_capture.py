@@ -28,6 +28,7 @@ from edge.types import MASK_SIDE, Detections, Observation
 LEAST_PX, LEAST_SIDE_PX = 60, 4
 """An object with fewer pixels or a smaller side in the picture is not seen."""
 ON_GROUND_M = 0.05
+"""A return of the built-in street that is not higher is on the ground."""
 
 
 class SceneCaptureError(UserError):
@@ -69,11 +70,11 @@ def capture_kitti(
         UserError: a frame cannot be read, or there is no detector.
     """
     labelled = words is None
-    there = kitti.frames_in(folder, labelled)
-    numbers = list(dict.fromkeys(numbers)) or there[:1]
+    available = kitti.frames_in(folder, labelled)
+    numbers = list(dict.fromkeys(numbers)) or available[:1]
     for number in numbers:
-        if number not in there:
-            listed = ", ".join(map(str, there))
+        if number not in available:
+            listed = ", ".join(map(str, available))
             what = "image, scan and labels" if labelled else "image and scan"
             raise SceneCaptureError(
                 f"--frames: {folder}: no frame {number} with {what} (choices: {listed})"
@@ -125,20 +126,20 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
     kinds = tuple(dict.fromkeys(ground.label for ground in drawn.grounds))
     truth = Segmentation(camera.ids, labels)
 
-    def look(pipeline: PerceptionPipeline) -> Scene:
+    def build_scene(pipeline: PerceptionPipeline) -> Scene:
         clearance_m = config.tasks.trajectory.clearance_m
-        survey = SceneBuilder(pipeline, config.mapping, clearance_m, kinds)
-        survey.add(seen, _ground_kind(drawn, kinds, cloud_m))
-        return survey.scene()
+        builder = SceneBuilder(pipeline, config.mapping, clearance_m, kinds)
+        builder.add(seen, _ground_kind(drawn, kinds, cloud_m))
+        return builder.scene()
 
     if words is None:
-        scene, by = look(_oracle(truth)), "the simulator"
+        scene, by = build_scene(_oracle(truth)), "the simulator"
     else:
         with detector_pipeline(config, (*words, *dict.fromkeys(labels)), lambda _: truth) as (
             pipeline,
             by,
         ):
-            scene = look(pipeline)
+            scene = build_scene(pipeline)
     return SceneCapture(drawn.name, by, scene, cloud_m, 0.0)
 
 
@@ -237,7 +238,7 @@ def _oracle(truth: Segmentation) -> PerceptionPipeline:
 
 
 def _ground_kind(drawn: Street, kinds: Sequence[str], cloud_m: np.ndarray) -> np.ndarray:
-    """Return (n,) uint8: index into `kinds` plus 1 of the ground of a return; 0: no ground."""
+    """Return (n,) uint8 by return: index of its ground in `kinds` plus 1; 0: no ground."""
     x_m, y_m = drawn.to_road(cloud_m[:, :2].astype(np.float64)).T
     out = np.zeros(len(cloud_m), np.uint8)
     for ground in drawn.grounds:
@@ -249,5 +250,6 @@ def _ground_kind(drawn: Street, kinds: Sequence[str], cloud_m: np.ndarray) -> np
 
 
 def _in_map(seen: Observation) -> np.ndarray:
+    """Return the points of the cloud in `map`, (n, 3) float32."""
     T = seen.T_map_base @ seen.T_base_lidar
     return (seen.cloud_m @ T[:3, :3].T + T[:3, 3]).astype(np.float32)

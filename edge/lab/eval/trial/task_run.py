@@ -18,7 +18,7 @@ from edge.tasks.write import PlanAttempt, WrittenTrajectory, write_trajectory
 from edge.trajectory.costmap import CostMap
 from edge.trajectory.pursuit import MotionLimits
 
-GROUND_RANGE_M = 60.0
+GROUND_RANGE_M = 60.0  # ground farther from the robot is not estimated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class TaskRun:
         rounds: answers of a model.
         written: the coarse trajectory; None: there is none.
         refined: the refined trajectory, on the ground that the LiDAR saw; None: there is none.
-        costmap: of the refinement; None: there is none.
+        costmap: costs that the refinement used; None: there is none.
         error: one line; "" if all went well.
     """
 
@@ -61,7 +61,7 @@ class TaskRun:
         return float(np.hypot(*np.diff(self.refined.poses[:, :2], axis=0).T).sum())
 
     def steps(self) -> list[rules.InstructionStep]:
-        """Return the instruction's steps as the rules read them; [] with a model."""
+        """Return the instruction's steps as the rules read them; [] if a model writes."""
         if self.written is None or isinstance(self.config.tasks.planner, WriterModel):
             return []
         return rules.parse_steps(self.instruction, self.view.scene)

@@ -9,7 +9,9 @@ from edge.lab.sim.generator.layout import BATHROOM, BEDROOM, HALLWAY, KITCHEN, L
 SUPPORTS = ("desk", "table", "tv stand", "cabinet", "dresser", "nightstand", "coffee table")
 """Furniture that other objects are put on."""
 ON_TOP = ("laptop", "vase", "microwave", "television", "ball", "box", "plant")
+"""Objects that are put on them."""
 USUAL_ON = {"tv stand": "television", "desk": "laptop"}
+"""Support → the object that is usually on it."""
 
 FLOOR_COLORS = ((176, 132, 88), (150, 108, 72), (206, 202, 194), (168, 158, 150), (188, 206, 214),
                 (196, 156, 108), (120, 92, 70), (140, 142, 146))  # fmt: skip
@@ -152,4 +154,4 @@ STRAYS = (
     FurnitureRule("stool", 1.0), FurnitureRule("chair", 1.0), FurnitureRule("plant", 1.0),
     FurnitureRule("lamp", 1.0, "corner"),
 )  # fmt: skip
-"""Any room may hold one of these, for any kind of room."""
+"""With the probability `STRAY_P`, a room of any kind gets one of these."""

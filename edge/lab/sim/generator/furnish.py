@@ -17,11 +17,11 @@ PASSAGE_M = 0.3
 """Half the width of the passage that is left to every door and object."""
 NEAR_M, NEAR_RAISED_M = 0.6, 0.65
 """An object is reachable if the passage comes this near: on the floor, or on other objects."""
-_GAP_M = 0.03
-_OFF_WALL_M = 0.5 * WALL_M + 0.02
-_BEFORE_DOOR_M = 0.7
+_GAP_M = 0.03  # least gap between two objects on the floor
+_OFF_WALL_M = 0.5 * WALL_M + 0.02  # from the middle of a wall to the back of an object
+_BEFORE_DOOR_M = 0.7  # length of the free floor on each side of a door
 _CELL_M = 0.05
-_TRIES, _ROOM_TRIES = 10, 50
+_TRIES, _ROOM_TRIES = 10, 50  # poses to try for an object, and furnishings for a room
 _LOW_M = 1.15
 """Lower objects may stand below a picture."""
 
@@ -79,10 +79,10 @@ class RoomReachability:
         for box in (box for box, raised in boxes if not raised):
             free[self._cells(box.grown(PASSAGE_M))] = 0
         _, component = cv2.connectedComponents(free, connectivity=4)
-        way = component[self._doors[0]]
-        if way == 0 or any(component[door] != way for door in self._doors):
+        floor = component[self._doors[0]]
+        if floor == 0 or any(component[door] != floor for door in self._doors):
             return None
-        reached = component == way
+        reached = component == floor
         for box, raised in boxes:
             if not reached[self._cells(box.grown(NEAR_RAISED_M if raised else NEAR_M))].any():
                 return None
@@ -114,7 +114,7 @@ class RoomFurnisher:
     Attributes:
         things: objects placed so far.
         inside: the floor between the walls.
-        ways: the reachable floor.
+        ways: raster of the floor that a robot can reach.
     """
 
     def __init__(self, dice: PortableRng, kind: str, rect: Rect, doors: list[Door]) -> None:

@@ -17,7 +17,7 @@ from edge.lab.sim.generator.rng import PortableRng
 from edge.lab.sim.house import House, HouseObject, Opening, Room, Wall, build_house
 
 HELD_OUT = 1000
-_KEY = 12
+_RNG_KEY = 12
 _DOOR_HEIGHT_M = 2.05
 
 
@@ -36,7 +36,7 @@ def generated_house(seed: int) -> House:
         >>> generated_house(7).name
         'generated-7'
     """
-    dice = PortableRng(_KEY, seed)
+    dice = PortableRng(_RNG_KEY, seed)
     layout = draw_layout(dice)
     rooms, things, starts = [], [], []
     for k, room in enumerate(layout.rooms):

@@ -16,8 +16,8 @@ from edge.lab.sim.generator.rng import PortableRng, Rect
 
 MOST_ROOMS = 10
 FEWEST_ROOMS = 4
-DOOR_M = (0.8, 1.0)
-WALL_M = 0.12
+DOOR_M = (0.8, 1.0)  # smallest and largest width of a door
+WALL_M = 0.12  # thickness of a wall
 
 LIVING, KITCHEN, BEDROOM, BATHROOM, OFFICE, HALLWAY = KINDS = (
     "living room", "kitchen", "bedroom", "bathroom", "office", "hallway",
@@ -31,9 +31,9 @@ LEAST_SIDE_M = {
 MOST_OF_A_KIND = {LIVING: 2, BEDROOM: 4, BATHROOM: 3, OFFICE: 2}
 _MORE = (BEDROOM, BEDROOM, BEDROOM, BATHROOM, BATHROOM, OFFICE, OFFICE, LIVING)
 """Kinds that further rooms are drawn from."""
-_SLIMMEST = 2.6
+_MAX_RATIO = 2.6
 """Largest ratio of length to width of a room other than the hallway."""
-_OUTSIDE = "outside"
+_OUTSIDE = "outside"  # kind of a part of the footprint that is missing
 
 _DOOR_COST = {
     frozenset(pair): cost
@@ -54,10 +54,11 @@ _SECOND_DOOR = {
         ((LIVING,), 0.6), ((BEDROOM, BATHROOM), 0.2), ((LIVING, OFFICE), 0.15),
     )
 }  # fmt: skip
-"""Probability of a door that is not needed, so that some paths form loops."""
+"""Probability of a second way between two kinds of room, so that some paths form loops."""
+# Kinds of two rooms that may be joined by a wide opening, and its smallest and largest width.
 _WIDE = {frozenset((LIVING, KITCHEN)), frozenset((LIVING, HALLWAY)), frozenset((LIVING,))}
 _WIDE_M = (1.2, 1.8)
-_BESIDE_DOOR_M = 0.12
+_BESIDE_DOOR_M = 0.12  # least length of wall on each side of a door
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +120,7 @@ def draw_layout(dice: PortableRng) -> HouseLayout:
         if rooms is None:
             continue
         shared = _shared_walls(rooms)
-        joined = _joined(dice, rooms, shared)
+        joined = _choose_doors(dice, rooms, shared)
         if joined is None:
             continue
         doors = {pair: _draw_door(dice, rooms, pair, shared[pair]) for pair in joined}
@@ -154,7 +155,7 @@ def _draw_rooms(dice: PortableRng, kinds: Sequence[str]) -> list[PlannedRoom] | 
         short, long = sorted((rect.width_m, rect.depth_m))
         if kind == _OUTSIDE:
             continue
-        if short < LEAST_SIDE_M[kind] or (kind != HALLWAY and long > _SLIMMEST * short):
+        if short < LEAST_SIDE_M[kind] or (kind != HALLWAY and long > _MAX_RATIO * short):
             return None
         rooms.append(PlannedRoom(kind, rect))
     return rooms
@@ -218,7 +219,7 @@ def _shared_walls(rooms: list[PlannedRoom]) -> dict[tuple[int, int], WallSegment
     return shared
 
 
-def _joined(
+def _choose_doors(
     dice: PortableRng, rooms: list[PlannedRoom], shared: dict[tuple[int, int], WallSegment]
 ) -> list[tuple[int, int]] | None:
     """Return the pairs of rooms with a door: a spanning tree of the cheapest ones, and some more.
@@ -269,11 +270,11 @@ def _outer_walls(rooms: list[PlannedRoom], shared: list[WallSegment]) -> list[Wa
             WallSegment(r.x0, r.y0, r.x0, r.y1), WallSegment(r.x1, r.y0, r.x1, r.y1),
             WallSegment(r.x0, r.y0, r.x1, r.y0), WallSegment(r.x0, r.y1, r.x1, r.y1),
         ):  # fmt: skip
-            walls += _left_of(side, shared)
+            walls += _parts_outside(side, shared)
     return walls
 
 
-def _left_of(side: WallSegment, shared: list[WallSegment]) -> list[WallSegment]:
+def _parts_outside(side: WallSegment, shared: list[WallSegment]) -> list[WallSegment]:
     upright = side.x0 == side.x1
     taken = []
     for s in shared:

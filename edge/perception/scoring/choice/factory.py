@@ -33,7 +33,7 @@ def make_choice(
 
     Args:
         choice: the configuration of the scorer.
-        perception: decides if a local model runs in its own process.
+        perception: configuration that says if a local model runs in its own process.
 
     Raises:
         ChatError: the URL or the key of a server cannot be used.
@@ -50,7 +50,7 @@ def open_choice(choice: ChoiceOnnx, process: ModelProcessConfig | None = None) -
     """Open the scorer of a local model; the card's task decides its type.
 
     Args:
-        choice: names the card.
+        choice: configuration of the scorer; `card` names the model's card.
         process: rules for the model's own process; None: the model runs in this process.
 
     Raises:

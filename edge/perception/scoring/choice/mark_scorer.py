@@ -1,7 +1,7 @@
 """Frontier selection by a small network: image, target and marks in, answers in (ViTL eq. 4 and 5).
 
-It sees no letters in the image. It gets the positions of the marks as numbers, since a network of
-this size learns to use numbers sooner than to read letters.
+The network sees no letters in the image. It gets the positions of the marks as numbers, since a
+network of this size learns to use numbers sooner than to read letters.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from edge.perception.scoring.choice.question import (
 )
 
 FAR_M = 20.0
-"""Path lengths from here on, and unreachable marks, look the same to the network."""
-_KEY = "perception.choice.providers"
+"""Largest path length that the network gets; longer paths and unreachable marks get this value."""
+_KEY = "perception.choice.providers"  # configuration key, for messages
 
 
 class MarkModel(Protocol):
@@ -52,11 +52,11 @@ class MarkNetwork:
 
     Args:
         card: the network's card.
-        text: encodes the target.
+        text: encoder of the target.
         providers, threads, device_id: see `open_session`.
 
     Attributes:
-        name: its card.
+        name: name of the card.
 
     Raises:
         ModelError: the model is missing or unusable, its first run fails, or the text encoder's
@@ -89,8 +89,8 @@ class MarkNetwork:
         self._rows: dict[str, np.ndarray] = {}
         blank = np.zeros((card.input.height, card.input.width, 3), np.uint8)
         nowhere = np.zeros((1, card.text_dim), np.float32)
-        one, others = np.ones((1, MARK_FIELDS), np.float32), np.ones(OTHERS_FIELDS, np.float32)
-        self._run(blank, one, others, nowhere, FIRST_RUN_S)
+        marks, others = np.ones((1, MARK_FIELDS), np.float32), np.ones(OTHERS_FIELDS, np.float32)
+        self._run(blank, marks, others, nowhere, FIRST_RUN_S)
 
     def ask(
         self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
@@ -101,16 +101,16 @@ class MarkNetwork:
             image: (h, w, 3) uint8 RGB of the card's size.
             marks: (n, MARK_FIELDS) float32, n from 1 to MAX_MARKS; see `MarksCard`.
             others: (OTHERS_FIELDS,) float32; see `MarksCard`.
-            target: what is looked for.
-            limit_s: longest time.
+            target: name of the object that the robot looks for.
+            limit_s: longest time for the run.
 
         Returns:
-            (n + 1,) float32, probabilities of the marks and of "elsewhere" (ViTL eq. 4), and (2,),
-            those of yes and no (eq. 5).
+            Two float32 arrays: (n + 1,), probabilities of the marks and of "elsewhere" (ViTL
+            eq. 4), and (2,), probabilities of yes and no (eq. 5).
 
         Raises:
             PromptError: the text encoder does not know the target.
-            ModelError: it fails, takes too long, or returns values that are not finite; one line.
+            ModelError: the network fails, takes too long, or returns values that are not finite.
         """
         return self._run(image, marks, others, self._row(target), limit_s)
 
@@ -134,7 +134,7 @@ class MarkNetwork:
         logits = np.append(directions[0, :n], directions[0, MAX_MARKS])
         if not (np.isfinite(logits).all() and np.isfinite(scene).all()):
             raise ModelError(f"model {self.name}: returns logits that are not finite")
-        return [_shares(logits), _shares(np.array([scene[0, 0], 0.0]))]
+        return [_softmax(logits), _softmax(np.array([scene[0, 0], 0.0]))]
 
     def _row(self, target: str) -> np.ndarray:
         """Return the target's embedding, (1, dim); each target is encoded once."""
@@ -143,7 +143,7 @@ class MarkNetwork:
         return self._rows[target]
 
 
-def _shares(logits: np.ndarray) -> np.ndarray:
+def _softmax(logits: np.ndarray) -> np.ndarray:
     """Return the softmax, (n,) float32."""
     p = np.exp(logits.astype(np.float64) - logits.max())
     return (p / p.sum()).astype(np.float32)
@@ -153,6 +153,7 @@ class MarkInput(NamedTuple):
     """Input of the network for a view.
 
     Attributes:
+        view: the view that the input is made from.
         image: (h, w, 3) uint8, letterboxed.
         marks: (n, MARK_FIELDS) float32; see `MarksCard`.
         others: (OTHERS_FIELDS,) float32; see `MarksCard`.
@@ -169,11 +170,11 @@ class MarkScorer:
 
     Args:
         card: the network's card.
-        network: answers.
+        network: the network, here or in its own process.
         limit_s: time limit of both questions together.
 
     Attributes:
-        name: the model's card.
+        name: name of the network's card.
     """
 
     def __init__(self, card: MarksCard, network: MarkModel, limit_s: float) -> None:
@@ -225,7 +226,12 @@ class MarkScorer:
 def letterboxed(
     rgb: np.ndarray, hw: tuple[int, int], pad: int
 ) -> tuple[np.ndarray, float, int, int]:
-    """Scale an image to fit, centred on grey.
+    """Scale an image to fit into (h, w), and centre it on a uniform background.
+
+    Args:
+        rgb: (height, width, 3) uint8.
+        hw: height and width of the result in pixels.
+        pad: grey level of the background, 0 to 255.
 
     Returns:
         (h, w, 3) uint8 image, scale factor, top row, left column.
@@ -244,15 +250,24 @@ def letterboxed(
 
 
 def as_input(
-    marks: Sequence[Mark], ways: MarkCosts, scale: float, top: int, left: int, hw: tuple[int, int]
+    marks: Sequence[Mark], costs: MarkCosts, scale: float, top: int, left: int, hw: tuple[int, int]
 ) -> np.ndarray:
-    """Return the marks as the network takes them, (n, MARK_FIELDS) float32; see `MarksCard`."""
+    """Return the marks as the network takes them, (n, MARK_FIELDS) float32; see `MarksCard`.
+
+    Args:
+        marks: n marks.
+        costs: paths and gains of at least these marks.
+        scale: scale factor of the letterboxed image; see `letterboxed`.
+        top: top row of the image in the letterbox.
+        left: left column of the image in the letterbox.
+        hw: height and width of the letterbox in pixels.
+    """
     out = np.zeros((len(marks), MARK_FIELDS), np.float32)
-    path_m = np.minimum(ways.path_m, FAR_M)
-    for row, mark, *worth in zip(out, marks, path_m, ways.gain_m2, strict=False):
+    path_m = np.minimum(costs.path_m, FAR_M)
+    for row, mark, path, gain in zip(out, marks, path_m, costs.gain_m2, strict=False):
         u = ((mark.u_px + 0.5) * scale + left) / hw[1]
         v = ((mark.v_px + 0.5) * scale + top) / hw[0]
-        row[:] = u, v, mark.bearing_rad, mark.distance_m, *worth, 1.0
+        row[:] = u, v, mark.bearing_rad, mark.distance_m, path, gain, 1.0
     return out
 
 

@@ -42,7 +42,13 @@ class ChoiceModel(Protocol):
 
 
 class ModelPrompt(NamedTuple):
-    """A view as the model gets it: an image with letters, or text."""
+    """A view as the model gets it.
+
+    Attributes:
+        view: the view.
+        part: an image with letters, (h, w, 3) uint8, or text.
+        marks: the marks that have a letter, in the letters' order.
+    """
 
     view: MarkedView
     part: np.ndarray | str
@@ -53,12 +59,12 @@ class OnnxFrontierScorer:
     """A scorer (`edge.perception.worker`) of views, by a local language model.
 
     Args:
-        model: answers.
+        model: the model, here or in its own process.
         max_image_px: longest side of the image with letters.
-        time_limit_s: of both questions together.
+        time_limit_s: time limit of both questions together.
 
     Attributes:
-        name: the model's card.
+        name: name of the model's card.
     """
 
     def __init__(self, model: ChoiceModel, max_image_px: int, time_limit_s: float) -> None:
@@ -115,9 +121,9 @@ def open_model(config: ChoiceOnnx) -> LanguageModel:
     Raises:
         ModelError: there is no such card, it is of another task, or its model is unusable.
     """
-    every = asked_of(MAX_MARKS, "chair")
+    questions = asked_of(MAX_MARKS, "chair")  # with every answer that will ever be offered
     return LanguageModel(
-        choice_card(config), every, config.providers, config.threads, config.device_id
+        choice_card(config), questions, config.providers, config.threads, config.device_id
     )
 
 

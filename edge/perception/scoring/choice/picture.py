@@ -15,13 +15,15 @@ from edge.types import Observation
 
 ENLARGED_PX = 320  # smaller images are enlarged, so that letters do not cover too much
 JPEG_QUALITY = 90
-_RADIUS_SHARE, _MIN_RADIUS_PX = 0.035, 7
-_RINGS, _SPOKES = 24, 24
-NEAREST_M = 0.1
-OCCLUDED_M, OCCLUDED_SHARE = 0.3, 0.1
-"""A depth less than the frontier's by OCCLUDED_M plus OCCLUDED_SHARE of it hides the frontier.
-
-A frontier lies on the floor at the edge of the seen area."""
+_RADIUS_SHARE = 0.035  # radius of a letter's disc, as a share of the image's longer side
+_MIN_RADIUS_PX = 7
+_RINGS = 24  # rings around a mark on which a free spot is looked for
+_SPOKES = 24  # spots on each ring
+NEAREST_M = 0.1  # least depth of a frontier; nearer ones, and those behind the camera, are left out
+# A frontier is hidden if the depth image shows something nearer: by more than OCCLUDED_M plus
+# OCCLUDED_SHARE of the frontier's depth. Smaller differences are the floor in front of it.
+OCCLUDED_M = 0.3
+OCCLUDED_SHARE = 0.1
 
 
 def visible_marks(
@@ -34,7 +36,7 @@ def visible_marks(
     Args:
         observation: camera, pose and depth.
         xy_m: (n, 2) frontiers in `map`.
-        ids: (n,) ids of their candidates.
+        ids: (n,) ids of the frontiers' candidates.
         limit: largest number of marks; the nearest are taken.
 
     Returns:
@@ -74,7 +76,7 @@ def visible_marks(
 def _in_camera(
     T_map_base: np.ndarray, T_base_camera: np.ndarray, xy_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Transform points on the robot's floor into the camera's optical frame."""
+    """Transform points (n, 2) on the robot's floor into the camera's optical frame, x, y and z."""
     T = invert(T_map_base @ T_base_camera)
     a, b = T[:3, 0].tolist(), T[:3, 1].tolist()
     c = (T[:3, 2] * T_map_base[2, 3] + T[:3, 3]).tolist()
@@ -109,24 +111,24 @@ def draw(
     centers = place(spots[:MAX_MARKS], size, radius)
     shown = [i for i, at in enumerate(centers) if at is not None]
     for i in shown:
-        spot, at = _whole(spots[i]), _whole(centers[i])
+        spot, at = _rounded(spots[i]), _rounded(centers[i])
         cv2.line(image, spot, at, (0, 0, 0), 3, cv2.LINE_AA)
         cv2.line(image, spot, at, (255, 255, 255), 1, cv2.LINE_AA)
         cv2.circle(image, spot, 2, (255, 255, 255), -1, cv2.LINE_AA)
     for letter, i in zip(LETTERS, shown, strict=False):
-        _letter(image, letter, _whole(centers[i]), radius)
+        _draw_letter(image, letter, _rounded(centers[i]), radius)
     return image, tuple(marks[i] for i in shown)
 
 
 def place(
     spots: Sequence[tuple[float, float]], size: tuple[int, int], radius: int
 ) -> list[tuple[float, float] | None]:
-    """Place discs as near to their spots as possible without overlap.
+    """Place discs as near to their spots as possible without overlap, in the order of the spots.
 
     Args:
-        spots: (u, v) each.
-        size: width and height; discs stay inside.
-        radius: of a disc, in pixels.
+        spots: (u, v) of each, in pixels.
+        size: width and height of the image in pixels; discs stay inside.
+        radius: radius of a disc in pixels.
 
     Returns:
         A centre for each spot, or None if there is no room.
@@ -155,7 +157,7 @@ def data_url(rgb: np.ndarray) -> str:
 
 
 def _around(spot: tuple[float, float], radius: int) -> Iterator[tuple[float, float]]:
-    """Yield the spot, then places on rings around it, nearest first."""
+    """Yield the spot, then positions on rings around it, nearest first."""
     yield spot
     for ring in range(1, _RINGS + 1):
         reach = 0.5 * ring * radius
@@ -168,11 +170,11 @@ def _fits(at: tuple[float, float], size: tuple[int, int], radius: int) -> bool:
     return all(radius <= x <= side - 1 - radius for x, side in zip(at, size, strict=True))
 
 
-def _whole(at: tuple[float, float]) -> tuple[int, int]:
+def _rounded(at: tuple[float, float]) -> tuple[int, int]:
     return round(at[0]), round(at[1])
 
 
-def _letter(image: np.ndarray, letter: str, at: tuple[int, int], radius: int) -> None:
+def _draw_letter(image: np.ndarray, letter: str, at: tuple[int, int], radius: int) -> None:
     """Draw a black letter on a white disc with a black border, in place."""
     cv2.circle(image, at, radius, (255, 255, 255), -1, cv2.LINE_AA)
     cv2.circle(image, at, radius, (0, 0, 0), 1, cv2.LINE_AA)

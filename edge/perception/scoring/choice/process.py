@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 PROGRAM = python_module("edge.perception.scoring.choice.serve")
 LIMIT = "perception.choice.time_limit_s and perception.process.timeout_s"
-_SUM_ERROR = 1e-3
+_SUM_ERROR = 1e-3  # tolerance of the sum of probabilities, which is 1
 
 
 class _Process(SupervisedProcess):
@@ -48,10 +48,10 @@ class _Process(SupervisedProcess):
     ) -> None:
         super().__init__(card.name, rules)
         self._request = {"choice": choice.model_dump(mode="json")}
-        self._why = f"model {self.name}: its process is not ready"
+        self._not_ready = f"model {self.name}: its process is not ready"
         self._begin("choice-model")
 
-    def _put(
+    def _ask(
         self, request: dict[str, Any], rgb: np.ndarray | None, sizes: Sequence[int], limit_s: float
     ) -> list[np.ndarray]:
         """Send a request; return the probabilities of the answers of each question, see `_decode`.
@@ -63,7 +63,7 @@ class _Process(SupervisedProcess):
         """
         link = self._link
         if link is None:
-            raise ModelProcessError(self._why)
+            raise ModelProcessError(self._not_ready)
         patience_s = limit_s + self._rules.timeout_s
         request = {**request, "limit_s": limit_s}
         return link.ask(request, rgb, patience_s, LIMIT, partial(_decode, sizes))
@@ -80,9 +80,9 @@ class _Process(SupervisedProcess):
     def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
         """See `SupervisedProcess`."""
         often = "ended too often, " if pause.limit else ""
-        self._why = f"{why}; {often}restarts in {pause.seconds:.1f} s"
+        self._not_ready = f"{why}; {often}restarts in {pause.seconds:.1f} s"
         self._link = None
-        log.warning("%s", self._why)
+        log.warning("%s", self._not_ready)
 
 
 class ProcessModel(_Process):
@@ -103,10 +103,10 @@ class ProcessModel(_Process):
     def ask(
         self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice], limit_s: float
     ) -> list[np.ndarray]:
-        """See `LanguageModel.ask` and `_put`."""
+        """See `LanguageModel.ask` and `_ask`."""
         words, rgb = (view, None) if isinstance(view, str) else (None, view)
         request = {"rules": rules, "view": words, "asked": list(asked)}
-        return self._put(request, rgb, [len(one.answers) for one in asked], limit_s)
+        return self._ask(request, rgb, [len(question.answers) for question in asked], limit_s)
 
 
 class ProcessMarks(_Process):
@@ -119,9 +119,9 @@ class ProcessMarks(_Process):
     def ask(
         self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
     ) -> list[np.ndarray]:
-        """See `MarkNetwork.ask` and `_put`."""
+        """See `MarkNetwork.ask` and `_ask`."""
         request = {"marks": marks.tolist(), "others": others.tolist(), "target": target}
-        return self._put(request, image, (len(marks) + 1, len(YES_NO)), limit_s)
+        return self._ask(request, image, (len(marks) + 1, len(YES_NO)), limit_s)
 
 
 def _decode(
@@ -132,8 +132,8 @@ def _decode(
     Args:
         sizes: number of answers of each question.
         seq: expected sequence number.
-        header: of the reply.
-        block: unused.
+        header: header of the reply.
+        block: not used; a reply has no arrays.
 
     Raises:
         ValueError: the reply is invalid, for the reason given in one line.

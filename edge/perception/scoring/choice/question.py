@@ -27,17 +27,17 @@ DIRECTION = (
     "find a {target}? Answer with ONLY a single letter."
 )
 SCENE = "Does this view show paths or doorways that could lead to a {target}? Answer Yes or No."
-AHEAD_RAD = 0.2
+AHEAD_RAD = 0.2  # largest bearing that is described as "ahead"
 
 
 class Mark(NamedTuple):
     """A frontier in the camera's view.
 
     Attributes:
-        id: of the candidate.
+        id: id of the frontier's candidate.
         u_px: column in the observation's image.
         v_px: row in the observation's image.
-        bearing_rad: from the robot's heading, positive to the left.
+        bearing_rad: angle from the robot's heading, positive to the left.
         distance_m: straight distance from the robot.
     """
 
@@ -49,7 +49,13 @@ class Mark(NamedTuple):
 
 
 class DetectedObject(NamedTuple):
-    """An object that was just detected, with its position relative to the robot."""
+    """An object that was just detected.
+
+    Attributes:
+        label: name of the object.
+        bearing_rad: angle from the robot's heading, positive to the left.
+        distance_m: straight distance from the robot.
+    """
 
     label: str
     bearing_rad: float
@@ -62,8 +68,9 @@ class MarkCosts(NamedTuple):
     Attributes:
         path_m: (n,) float32, driving distance to each mark, inf if it is unreachable.
         gain_m2: (n,) float32, unknown area that each mark is expected to show.
-        others: (3,) float32, of the reachable frontiers without a mark: their number, the least
-            driving distance [m] (0: there are none), and the largest such area [m²].
+        others: (3,) float32, about the reachable frontiers without a mark: their number, the least
+            driving distance to one [m] (0: there are none), and the largest unknown area that one
+            is expected to show [m²].
     """
 
     path_m: np.ndarray
@@ -76,12 +83,12 @@ class MarkedView:
     """The input of VLM frontier selection: an image with marks, and a target.
 
     Attributes:
-        observation: its image is read while the caller holds it.
-        target: what is looked for.
+        observation: observation with the image, which is read while the caller holds it.
+        target: name of the object that the robot looks for.
         marks: from left to right; only the first `MAX_MARKS` get letters.
         objects: objects in view, for a model that takes no images.
-        likelihood_ratio: (n,) float32, of the target near each mark, compared with an average
-            place, by all that was seen; None: there is no prior.
+        likelihood_ratio: (n,) float32, P(target near the mark) / P(target near an average place),
+            given all objects seen so far; None: there is no prior.
         mark_costs: paths to the marks; None: there is no map.
     """
 
@@ -98,11 +105,12 @@ class FrontierChoice:
     """A model's answer for one view.
 
     Attributes:
-        stamp_ns: of the view's observation.
-        target: what it was asked about.
-        ids: (n,) candidates whose marks had letters; some may no longer exist.
-        p: (n,) float32, P(f_i | I_t, c_k) of ViTL eq. 4.
-        elsewhere: the probability of "explore elsewhere"; it and `p` sum to 1.
+        stamp_ns: stamp of the view's observation.
+        target: target of the view.
+        ids: (n,) ids of the candidates whose marks the model could choose; some of the candidates
+            may no longer exist.
+        p: (n,) float32, P(f_i | I_t, c_k) of ViTL eq. 4, the probability of each mark.
+        elsewhere: the probability of "explore elsewhere"; `p` and `elsewhere` sum to 1.
         scene: S_curr of ViTL eq. 5, in [0, 1].
     """
 
@@ -126,8 +134,8 @@ def choice_of(
 
     Args:
         view: the input.
-        marks: (n) marks that the model could choose among.
-        p: (n + 1,) probability of each of them, and of "explore elsewhere".
+        marks: n marks that the model could choose.
+        p: (n + 1,) probability of each mark, and of "explore elsewhere".
         scene: probability that the view leads to the target.
     """
     return FrontierChoice(
@@ -160,15 +168,17 @@ def describe(view: MarkedView) -> str:
     It can go on in these directions:
     - A: ahead, 3.0 m
     """
-    seen = [f"- {s.label}, {_where(s.bearing_rad, s.distance_m)}" for s in view.objects]
-    ways = [
-        f"- {letter}: {_where(mark.bearing_rad, mark.distance_m)}"
+    seen = [f"- {s.label}, {_describe_position(s.bearing_rad, s.distance_m)}" for s in view.objects]
+    directions = [
+        f"- {letter}: {_describe_position(mark.bearing_rad, mark.distance_m)}"
         for letter, mark in zip(LETTERS, view.marks[:MAX_MARKS], strict=False)
     ]
-    heads = ("The robot sees:", "It can go on in these directions:")
-    return "\n".join([heads[0], *(seen or ["- nothing that it knows"]), heads[1], *ways])
+    headings = ("The robot sees:", "It can go on in these directions:")
+    return "\n".join(
+        [headings[0], *(seen or ["- nothing that it knows"]), headings[1], *directions]
+    )
 
 
-def _where(bearing_rad: float, distance_m: float) -> str:
+def _describe_position(bearing_rad: float, distance_m: float) -> str:
     side = "ahead" if abs(bearing_rad) <= AHEAD_RAD else "left" if bearing_rad > 0 else "right"
     return f"{side}, {distance_m:.1f} m"

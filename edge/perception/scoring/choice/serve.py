@@ -27,9 +27,9 @@ Answer = Callable[[dict[str, Any], Any], list[np.ndarray]]
 
 
 def main() -> int:
-    """Read the request from stdin, load the model, and answer until the service ends it."""
+    """Load the model that stdin names, and answer requests until the service ends this process."""
     request, questions, control, frames = set_up_child()
-    lower_priority()  # before it starts threads
+    lower_priority()  # before the model starts threads, which inherit the priority
     try:
         answer = open_answer(ChoiceOnnx.model_validate(request["choice"]))
     except Exception as error:
@@ -69,7 +69,7 @@ def open_answer(choice: ChoiceOnnx) -> Answer:
 
 
 def answer_questions(questions: socket.socket, answer: Answer, frames: FrameView) -> None:
-    """Answer every request with the probabilities of its answers, or with the error raised."""
+    """Answer every request with the probabilities of the possible answers, or with the error."""
     while message := questions.recv(wire.MAX_BYTES):
         request = read_json_object(message)
         seq = request["seq"]

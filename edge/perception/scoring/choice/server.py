@@ -31,6 +31,7 @@ class ServerPrompt:
     """A view as the model gets it.
 
     Attributes:
+        view: the view.
         part: the part of a message's content with which both questions begin.
         marks: the marks that have a letter, in the letters' order.
     """
@@ -41,7 +42,11 @@ class ServerPrompt:
 
 
 def show_picture(max_px: int, view: MarkedView) -> ServerPrompt:
-    """Draw letters on the image; nothing of the observation is kept.
+    """Draw letters on a copy of the image; nothing of the observation is kept.
+
+    Args:
+        max_px: longest side of the copy.
+        view: image and marks.
 
     Raises:
         ValueError: the observation has no image.
@@ -62,8 +67,12 @@ def show_words(view: MarkedView) -> ServerPrompt:
 class ServerFrontierScorer:
     """A scorer (`edge.perception.worker`) of views, by a chat server.
 
-    Both messages begin alike (the rules, then the view) and differ only at the end. So a server
-    with a prompt cache reads the view once.
+    The messages of both questions begin with the rules and the view, and differ only at the end. So
+    a server with a prompt cache reads the view once.
+
+    Args:
+        client: client of the server.
+        show: makes the prompt of a view; see `show_picture` and `show_words`.
 
     Attributes:
         name: model and server, for people.
@@ -113,7 +122,10 @@ class ServerFrontierScorer:
 
 
 def _content(part: dict[str, Any], question: str) -> str | list[dict[str, Any]]:
-    """Return one text if all is text: some servers of text models accept no list."""
+    """Return the content of a message: one text if both parts are text, else a list.
+
+    Some servers of text models accept no list.
+    """
     if part["type"] == "text":
         return f"{part['text']}\n{question}"
     return [part, {"type": "text", "text": question}]

@@ -11,12 +11,14 @@ from edge.errors import UserError
 
 YES_NO = ("Yes", "No")
 MISSING_NATS = 1.0
-"""Log-probability of an answer without a listed token: this much below the least likely listed one.
+"""Penalty for an answer whose tokens the server does not list.
 
-The server lists only the likeliest tokens. The others are at most as likely as the last of them,
-and together have at most the probability that the list leaves of 1."""
-_LEAST_LEFT = 1e-9  # keeps the logarithm finite if rounding leaves 0
+The server lists only the likeliest tokens. An answer without a listed token gets the
+log-probability of the least likely listed token minus this. It gets less if all such answers would
+otherwise have more probability than the listed tokens leave of 1."""
+_LEAST_LEFT = 1e-9  # least remaining probability: keeps the logarithm finite if rounding leaves 0
 
+# Characters around an answer in a token: white space (also as tokenizers write it), punctuation.
 _WRAPPING = " \t\r\n▁ĠĊ\"'`*_([{<>}]).,:;"
 
 
@@ -33,7 +35,7 @@ def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -
 
     Args:
         tokens: the likeliest next tokens with their log-probabilities, at most 0.
-        answers: at least one, all different.
+        answers: the n possible answers, at least one, all different.
 
     Returns:
         (n,) float32, positive or zero, sums to 1.
@@ -41,10 +43,10 @@ def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -
     Raises:
         NoAnswerError: none of the answers is among the tokens.
     """
-    place = {_key(answer): i for i, answer in enumerate(answers)}
+    index_of = {_key(answer): i for i, answer in enumerate(answers)}
     logits = np.full(len(answers), -math.inf)
     for token, logprob in tokens:
-        i = place.get(_key(token.strip(_WRAPPING)))
+        i = index_of.get(_key(token.strip(_WRAPPING)))
         if i is not None:
             logits[i] = np.logaddexp(logits[i], logprob)
     if not np.isfinite(logits).any():
@@ -63,6 +65,7 @@ def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -
 
 
 def _key(text: str) -> str:
+    """Return the form of an answer that is compared; see `probabilities`."""
     return text if len(text) == 1 else text.casefold()
 
 
@@ -71,7 +74,7 @@ def answer_token_ids(vocabulary: Sequence[str], answers: Sequence[str]) -> list[
 
     Args:
         vocabulary: the text of each token, by id.
-        answers: all different.
+        answers: the possible answers, all different.
 
     Returns:
         For each answer, the ids of its tokens, (k,) int64; k may be 0.
@@ -79,10 +82,10 @@ def answer_token_ids(vocabulary: Sequence[str], answers: Sequence[str]) -> list[
     >>> [ids.tolist() for ids in answer_token_ids(["A", "b", " A", "B", "yes"], ("A", "B", "Yes"))]
     [[0, 2], [3], [4]]
     """
-    place = {_key(answer): i for i, answer in enumerate(answers)}
+    index_of = {_key(answer): i for i, answer in enumerate(answers)}
     found: list[list[int]] = [[] for _ in answers]
     for token, text in enumerate(vocabulary):
-        i = place.get(_key(text.strip(_WRAPPING)))
+        i = index_of.get(_key(text.strip(_WRAPPING)))
         if i is not None:
             found[i].append(token)
     return [np.array(ids, np.int64) for ids in found]
@@ -92,15 +95,15 @@ def answer_probabilities(logits: np.ndarray, ids: Sequence[np.ndarray]) -> np.nd
     """Return the softmax over exactly the answers, from all logits (ViTL eq. 4).
 
     Args:
-        logits: (v,) of the next token.
-        ids: of the tokens of each answer, at least one each; they are one event, as in
-            `probabilities`.
+        logits: (v,) logits of the next token, one for each token of the vocabulary.
+        ids: for each answer, the ids of its tokens, at least one. The tokens of one answer are one
+            event, as in `probabilities`.
 
     Returns:
         (n,) float32, sums to 1; NaN if a logit of an answer is not finite.
     """
-    each = [logits[some].astype(np.float64) for some in ids]
-    top = max(float(some.max()) for some in each)
+    by_answer = [logits[tokens].astype(np.float64) for tokens in ids]
+    top = max(float(values.max()) for values in by_answer)
     with np.errstate(invalid="ignore"):
-        p = np.array([np.exp(some - top).sum() for some in each])
+        p = np.array([np.exp(values - top).sum() for values in by_answer])
         return (p / p.sum()).astype(np.float32)

@@ -12,6 +12,7 @@ from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.sessions import DTYPES
 from edge.perception.scoring.vlm.files import ModelFiles
 
+# Names, or beginnings of names, of the decoder's inputs and outputs.
 _PAST, _PRESENT, _LOGITS = "past_key_values.", "present.", "logits"
 
 
@@ -38,17 +39,17 @@ class Decoder:
     """A decoder with its key-value cache as input and output, and the embedding of its tokens.
 
     Args:
-        files: of the model.
-        session: of the decoder.
+        files: files of the model.
+        session: session of the decoder.
         embedding: session of the token embedding; None: the decoder embeds tokens itself.
         deadline: time limit of the runs.
 
     Attributes:
-        takes_ids: True if it embeds tokens itself.
+        takes_ids: True if the decoder embeds tokens itself.
         nothing: the empty cache.
 
     Raises:
-        ModelError: its inputs and outputs are not those of a published decoder.
+        ModelError: inputs and outputs are not those of a published decoder.
     """
 
     def __init__(
@@ -61,7 +62,7 @@ class Decoder:
         self.takes_ids = embedding is None
         self._check()
         self._presents = [name for name in self._outputs if name.startswith(_PRESENT)]
-        self.nothing = KeyValueCache(0, dict(self._no_past()))
+        self.nothing = KeyValueCache(0, dict(self._empty_arrays()))
 
     def _check(self) -> None:
         first = "input_ids" if self.takes_ids else "inputs_embeds"
@@ -81,7 +82,7 @@ class Decoder:
             "of the usual layout (decoder_model_merged)"
         )
 
-    def _no_past(self) -> Iterator[tuple[str, np.ndarray]]:
+    def _empty_arrays(self) -> Iterator[tuple[str, np.ndarray]]:
         """Yield an empty cache, shaped by the decoder or else by the configuration."""
         config = self._files.text_config
         heads = config.get("num_key_value_heads", config.get("num_attention_heads"))
@@ -116,7 +117,7 @@ class Decoder:
         Args:
             rows: (n, d), or (n,) ids; at least one.
             places: (3, n) int64; see `pictures.positions`.
-            past: the tokens read before.
+            past: cache of the tokens read before.
 
         Returns:
             The cache with the new tokens.
@@ -136,7 +137,7 @@ class Decoder:
             "input_ids": rows[None],
             "inputs_embeds": rows[None],
             "attention_mask": np.ones((1, length), np.int64),
-            "position_ids": self._places(places),
+            "position_ids": self._as_position_ids(places),
             "num_logits_to_keep": np.array(1, np.int64),
         }
         feeds = {
@@ -155,7 +156,7 @@ class Decoder:
             )
         return KeyValueCache(length, kept), logits
 
-    def _places(self, places: np.ndarray) -> np.ndarray:
+    def _as_position_ids(self, places: np.ndarray) -> np.ndarray:
         """Return positions as the decoder takes them: (1, n), or (3, 1, n) for M-RoPE."""
         declared = self._inputs.get("position_ids")
         threefold = declared is not None and len(declared.shape) == 3

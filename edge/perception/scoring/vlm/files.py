@@ -22,8 +22,9 @@ TOKENIZER_CONFIG = "tokenizer_config.json"
 PREPROCESSOR = "preprocessor_config.json"
 PROCESSOR = "processor_config.json"
 TEMPLATES = ("chat_template.jinja", "chat_template.json")
-"""Files of a chat template that is not in the tokenizer's configuration."""
+"""Files that may hold the chat template, if it is not in the tokenizer's configuration."""
 EXTRA = "pip install 'edge-vln[choice]'"
+"""Command that installs the packages of these models, for messages."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +32,12 @@ class ModelFiles:
     """The content of a model's folder.
 
     Attributes:
-        name: of the model's card.
-        config: `config.json` of the network.
-        image: preparation of images; None for a model that takes no images.
-        processor: combination of texts and images; often empty.
-        special: texts that a template may name: `bos_token`, `eos_token` …
+        name: name of the model's card.
+        folder: folder of the files.
+        config: content of `config.json`, the configuration of the network.
+        image: settings for the preparation of images; None for a model that takes no images.
+        processor: settings for the combination of texts and images; often empty.
+        special: texts of the special tokens that a template may name: `bos_token`, `eos_token` …
         template: the chat template's source, in Jinja.
     """
 
@@ -105,9 +107,9 @@ def _special(tokenizer: dict[str, Any]) -> dict[str, str]:
 
 def _template(card: ChoiceCard, tokenizer: dict[str, Any]) -> str:
     """Return the chat template: from its own file, else from the tokenizer's configuration."""
-    here = {part.file for part in card.others}
+    listed = {part.file for part in card.others}
     for name in TEMPLATES:
-        if name not in here:
+        if name not in listed:
             continue
         path = card.path / name
         try:
@@ -126,10 +128,13 @@ def _template(card: ChoiceCard, tokenizer: dict[str, Any]) -> str:
 
 
 def _text_of(template: Any) -> str:
-    """Return the text of a template, which is a text or a list of named ones with a `default`."""
+    """Return the text of a template.
+
+    The template is a text, or a list of templates with names, of which `default` counts.
+    """
     if isinstance(template, str):
         return template
-    return str(next(one["template"] for one in template if one["name"] == "default"))
+    return str(next(item["template"] for item in template if item["name"] == "default"))
 
 
 def open_tokenizer(files: ModelFiles) -> Any:
@@ -142,7 +147,7 @@ def open_tokenizer(files: ModelFiles) -> Any:
 
 
 def vocabulary(tokenizer: Any) -> Sequence[str]:
-    """Return the text of each token, by id; "" if it has none."""
+    """Return the text of each token, by id; "" for a token without a text."""
     size = tokenizer.get_vocab_size(with_added_tokens=True)
     return tokenizer.decode_batch([[i] for i in range(size)], skip_special_tokens=False)
 

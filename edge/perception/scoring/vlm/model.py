@@ -1,8 +1,8 @@
 """A published model that answers multiple-choice questions about one view.
 
-A choice needs no generation: the questions are read up to their last token, and the logits of the
-answers' tokens are compared. The common beginning of the questions (the rules and the view) is
-read once; the rules stay in the cache from one view to the next.
+The model generates no text. It reads a question up to the last token, and the logits of the
+answers' tokens are compared. The common beginning of the questions (the rules and the view) is read
+once. The rules stay in the cache from one view to the next.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from edge.perception.scoring.vlm.pictures import make_prepare, positions
 from edge.perception.scoring.vlm.prompt import Prompter
 
 PROVIDERS_KEY = "perception.choice.providers"
-_BLANK_PX = 64
+_BLANK_PX = 64  # side of the image for the first run
 
 
 class MultipleChoice(NamedTuple):
@@ -40,11 +40,11 @@ class LanguageModel:
 
     Args:
         card: the model's card.
-        asked: questions with every answer that will ever be offered; asked once for a test.
+        asked: questions with every answer that will ever be offered. The first run asks them.
         providers, threads, device_id: see `open_session`.
 
     Attributes:
-        name: its card.
+        name: name of the card.
         takes_images: True if it takes images, False if it takes text only.
 
     Raises:
@@ -72,7 +72,7 @@ class LanguageModel:
         self.name, self.takes_images = card.name, card.vision_encoder is not None
         self._card, self._deadline = card, InferenceTimeout(card.name)
         self._prompter = Prompter(files)
-        self._ids = self._spelled({answer for one in asked for answer in one.answers})
+        self._ids = self._token_ids({answer for choice in asked for answer in choice.answers})
         self._vision: Any = None
         if self.takes_images:
             token = self._prompter.image_token
@@ -84,7 +84,8 @@ class LanguageModel:
         blank = np.zeros((_BLANK_PX, _BLANK_PX, 3), np.uint8)
         self.ask("Be brief.", blank if self.takes_images else "Nothing.", asked, FIRST_RUN_S)
 
-    def _spelled(self, answers: set[str]) -> dict[str, np.ndarray]:
+    def _token_ids(self, answers: set[str]) -> dict[str, np.ndarray]:
+        """Return the ids of each answer's tokens; raise ModelError if an answer has none."""
         ordered = sorted(answers)
         found = dict(
             zip(
@@ -108,14 +109,14 @@ class LanguageModel:
         Args:
             rules: the system message.
             view: (h, w, 3) uint8 RGB for a model that takes images, else text.
-            asked: at least one.
+            asked: the questions, at least one.
             limit_s: time limit of all questions together.
 
         Returns:
             For each question (n,) float32, the probability of each of its answers (ViTL eq. 4).
 
         Raises:
-            ModelError: it fails, takes too long, or returns values that are not finite; one line.
+            ModelError: the model fails, takes too long, or returns values that are not finite.
         """
         with self._deadline.within(limit_s):
             return self._ask(rules, view, asked)
@@ -124,7 +125,7 @@ class LanguageModel:
         self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice]
     ) -> list[np.ndarray]:
         prompter, words = self._prompter, view if isinstance(view, str) else None
-        texts = [prompter.text(rules, words, one.question) for one in asked]
+        texts = [prompter.text(rules, words, choice.question) for choice in asked]
         features, grid = np.empty((0, 0), np.float32), None
         if words is None:
             picture = self._prepare(view)
@@ -133,22 +134,23 @@ class LanguageModel:
         ids = [prompter.ids(text) for text in texts]
         self._check_sizes(ids, features)
         shared = min(common_prefix(ids[0], other) for other in ids)
-        shared = min(shared, *(len(some) - 1 for some in ids))
+        shared = min(shared, *(len(row) - 1 for row in ids))  # the last token gives the logits
         past = self._read(ids[0][:shared], features, grid)
         answered = []
-        for some, one in zip(ids, asked, strict=True):
-            rows = self._rows(some, past.length, features)
-            places = positions(some, prompter.image_id, grid)[:, past.length :]
+        for question_ids, choice in zip(ids, asked, strict=True):
+            rows = self._decoder_input(question_ids, past.length, features)
+            places = positions(question_ids, prompter.image_id, grid)[:, past.length :]
             logits = self._decoder.next_logits(rows, places, past)
-            answered.append(self._shares(logits, one.answers))
+            answered.append(self._probabilities(logits, choice.answers))
         return answered
 
     def _read(
         self, ids: np.ndarray, features: np.ndarray, grid: tuple[int, int, int] | None
     ) -> KeyValueCache:
-        """Return the cache after `ids`; the common beginning with the last call is not read again.
+        """Return the cache after `ids`.
 
-        The image tokens of all images are alike, so only tokens before an image are kept.
+        Tokens with which the last call began, too, are not read again. The tokens of all images
+        have the same id, so only tokens before an image are kept for the next call.
         """
         image_id = self._prompter.image_id
         images = np.flatnonzero(ids == image_id) if len(features) else ids[:0]
@@ -156,21 +158,21 @@ class LanguageModel:
         known = min(common_prefix(self._kept_ids, ids), keepable)
         past = self._kept.first(known)
         if known < len(ids):
-            rows = self._rows(ids, known, features)
+            rows = self._decoder_input(ids, known, features)
             past = self._decoder.read(rows, positions(ids, image_id, grid)[:, known:], past)
         if known < keepable:
             self._kept_ids, self._kept = ids[:keepable], past.first(keepable)
         return past
 
-    def _rows(self, ids: np.ndarray, begin: int, features: np.ndarray) -> np.ndarray:
+    def _decoder_input(self, ids: np.ndarray, begin: int, features: np.ndarray) -> np.ndarray:
         """Return the decoder's input from token `begin` on; image features replace image tokens."""
         rows = self._decoder.embed(ids[begin:])
         if len(features):
             is_image = ids == self._prompter.image_id
-            before, here = int(is_image[:begin].sum()), is_image[begin:]
-            if here.any():
+            n_before, to_replace = int(is_image[:begin].sum()), is_image[begin:]
+            if to_replace.any():
                 rows = rows.copy()
-                rows[here] = features[before : before + int(here.sum())]
+                rows[to_replace] = features[n_before : n_before + int(to_replace.sum())]
         return rows
 
     def _image_features(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
@@ -188,22 +190,23 @@ class LanguageModel:
         return features.reshape(-1, features.shape[-1])
 
     def _check_sizes(self, ids: Sequence[np.ndarray], features: np.ndarray) -> None:
-        for some in ids:
-            if len(some) > self._card.max_tokens:
+        for question_ids in ids:
+            if len(question_ids) > self._card.max_tokens:
                 raise ModelError(
-                    f"model {self.name}: a question has {len(some)} tokens, but max_tokens of its "
-                    f"card is {self._card.max_tokens}"
+                    f"model {self.name}: a question has {len(question_ids)} tokens, but max_tokens "
+                    f"of its card is {self._card.max_tokens}"
                 )
-            images = int((some == self._prompter.image_id).sum()) if len(features) else 0
+            is_image = question_ids == self._prompter.image_id
+            images = int(is_image.sum()) if len(features) else 0
             if images != len(features):
                 raise ModelError(
                     f"model {self.name}: its vision encoder makes {len(features)} rows of an "
                     f"image, but its prompt has {images} image tokens: the files are of two models"
                 )
 
-    def _shares(self, logits: np.ndarray, answers: Sequence[str]) -> np.ndarray:
+    def _probabilities(self, logits: np.ndarray, answers: Sequence[str]) -> np.ndarray:
         ids = [self._ids[answer] for answer in answers]
-        if max(int(some.max()) for some in ids) >= len(logits):
+        if max(int(tokens.max()) for tokens in ids) >= len(logits):
             raise ModelError(
                 f"model {self.name}: its decoder returns {len(logits)} logits, fewer than its "
                 "tokenizer has tokens: the files are of two models"

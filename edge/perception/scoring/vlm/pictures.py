@@ -1,8 +1,8 @@
 """Image preparation for the vision encoders of published models, by their own configuration.
 
-A family is one function, for each `image_processor_type` of `preprocessor_config.json`. Sizes,
-means and the rest are read from that file. Each function computes the same as the processor of
-that name in transformers, so that a model gets images as in its training.
+There is one function for each supported `image_processor_type` of `preprocessor_config.json`; see
+`FAMILIES`. Sizes, means and other settings are read from that file. Each function computes the same
+as the processor of that name in transformers, so that a model gets images as in its training.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from edge.text import bounded_repr
 
 MAX_EDGE_PX = 4096
 """Longest side of an image, also if Idefics3's processor or an invalid configuration wants more."""
-_MAX_FRAMES = 16
+_MAX_FRAMES = 16  # limit of `temporal_patch_size`
 
 
 class PreparedImage(NamedTuple):
@@ -29,8 +29,8 @@ class PreparedImage(NamedTuple):
     Attributes:
         feeds: arrays for the vision encoder, by the input names that it may have.
         text: replaces the image token in the prompt.
-        grid: (time, rows, columns) of its tokens for a model with 3-D positions (M-RoPE); else
-            None.
+        grid: (time, rows, columns), numbers of the image's tokens, for a model with 3-D positions
+            (M-RoPE); else None.
     """
 
     feeds: dict[str, np.ndarray]
@@ -46,9 +46,10 @@ def make_prepare(files: ModelFiles, image_token: str, most_tokens: int) -> Prepa
     """Return the function that prepares a model's images.
 
     Args:
-        files: of the model.
+        files: files of the model.
         image_token: text of the image token.
-        most_tokens: most tokens of an image. More tokens show more detail and take longer to read.
+        most_tokens: largest number of tokens of an image. More tokens show more detail and take
+            longer to read.
 
     Raises:
         ModelError: the processor is not supported, or its configuration lacks something.
@@ -98,7 +99,7 @@ class _Normalise:
 
 
 def _size(settings: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
-    """Return a whole number of 1 to `most`; raise KeyError or ValueError."""
+    """Return a setting that must be a whole number of 1 to `most`; raise KeyError or ValueError."""
     found = int(settings[key] if default is None else settings.get(key, default))
     if not 1 <= found <= most:
         raise ValueError(f"{key} is {found}, expected 1 to {most}")
@@ -152,7 +153,7 @@ def _check_limit(most_tokens: int, least: int) -> None:
 
 
 def _to_longest(rgb: np.ndarray, longest: int) -> tuple[int, int]:
-    """Return (width, height) with `longest` as the longer side, the shorter one even."""
+    """Return (width, height) of the scaled image: longer side `longest`, shorter side even."""
     height, width = rgb.shape[:2]
     longest = min(longest, MAX_EDGE_PX)
     shorter = int(longest * min(width, height) / max(width, height))
@@ -237,17 +238,18 @@ FAMILIES: dict[str, Callable[[dict[str, Any], ModelFiles, str, int], Prepare]] =
 def positions(ids: np.ndarray, image_id: int, grid: tuple[int, int, int] | None) -> np.ndarray:
     """Return the positions of tokens for the rotary embedding, (3, n) int64: time, row, column.
 
-    Text counts on in all three. An image's tokens with a grid have their positions in it; the text
-    after it continues after the largest one (M-RoPE, Qwen2-VL 2.1).
+    A text token's three positions are equal, one more than those of the token before. The tokens of
+    an image with a grid have their positions in the grid. The text after the image continues after
+    the largest position (M-RoPE, Qwen2-VL 2.1).
 
     >>> positions(np.array([5, 9, 9, 9, 9, 6]), 9, (1, 2, 2)).tolist()
     [[0, 1, 1, 1, 1, 3], [0, 1, 1, 2, 2, 3], [0, 1, 2, 1, 2, 3]]
     """
     n = len(ids)
     places = np.tile(np.arange(n, dtype=np.int64), (3, 1))
-    where = np.flatnonzero(ids == image_id) if grid is not None else ids[:0]
-    if len(where):
-        first, count = int(where[0]), len(where)
+    image_at = np.flatnonzero(ids == image_id) if grid is not None else ids[:0]
+    if len(image_at):
+        first, count = int(image_at[0]), len(image_at)
         places[:, first : first + count] = first + np.indices(grid).reshape(3, -1)
         places[:, first + count :] = np.arange(n - first - count) + first + max(grid)
     return places

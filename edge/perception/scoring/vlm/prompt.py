@@ -1,4 +1,4 @@
-"""Questions as the model's tokens, by its own chat template."""
+"""Encoder of questions as a model's tokens, with the model's own chat template."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Prompter:
     """Turns messages into token ids.
 
     Args:
-        files: of the model.
+        files: files of the model.
 
     Attributes:
-        tokenizer: the model's own.
+        tokenizer: tokenizer of the model.
         image_id: id of the token that image features replace; -1 if the model takes no images.
-        image_token: its text.
+        image_token: text of that token; "" if the model takes no images.
 
     Raises:
         ModelError: a package or file is missing or unusable.
@@ -77,6 +77,7 @@ class Prompter:
 
 
 def _image_token(files: ModelFiles, tokenizer: Any) -> tuple[int, str]:
+    """Return id and text of the image token; raise ModelError if the tokenizer does not have it."""
     found = files.config.get("image_token_id", files.config.get("image_token_index"))
     token = tokenizer.id_to_token(found) if isinstance(found, int) and found >= 0 else None
     if token is None:

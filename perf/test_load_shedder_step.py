@@ -12,7 +12,7 @@ from edge.loop import load_shedder
 
 
 def test_load_shedder_step(benchmark, monkeypatch):
-    """A new image before each step; a tenth of the steps look back on a second."""
+    """Measure a step after a new image; each tenth step evaluates the last second."""
     benchmark.extra_info["budget"] = "load_shedder_step"
     monkeypatch.setattr(load_shedder, "_check_here", lambda name: None)
     bench = Bench()
