@@ -174,7 +174,12 @@ def _check_points(points: np.ndarray, segment: int, ground: ReachableGround) -> 
         if not all(map(math.isfinite, (x, y, *z))):
             raise TrajectoryError(f"{where}, is not finite")
         cell = occupancy.cell_of(x, y)
-        if cell is None or any(abs(height_m) > MOST_HEIGHT_M for height_m in z):
+        if any(abs(height_m) > MOST_HEIGHT_M for height_m in z):
+            raise TrajectoryError(
+                f"{where}, has height {z[0]:g} m; it must be from {-MOST_HEIGHT_M:g} to "
+                f"{MOST_HEIGHT_M:g} m"
+            )
+        if cell is None:
             x0, x1, y0, y1 = occupancy.extent_m
             raise TrajectoryError(
                 f"{where}, is outside the map (x {x0:g} to {x1:g}, y {y0:g} to {y1:g})"

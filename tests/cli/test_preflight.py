@@ -51,10 +51,10 @@ NAMED = [
     ({"source": {"kind": "zmk"}}, "mine.yaml: source.kind: unknown 'zmk' (choices: zenoh, ros2"),
     ({"source": CAMERA}, "mine.yaml: source.options.address: tcp/127.0.0.1:5555: "),
     ({"mapping": {"input": "cloud"}}, "mine.yaml: mapping.input: cloud needs sensors.lidar"),
-    ({"policy": {"kind": "no.such:Policy"}}, "mine.yaml: policy.kind: 'no.such:Policy': Module"),
+    ({"policy": {"kind": "no.such:Policy"}}, "mine.yaml: policy.kind: 'no.such:Policy' cannot"),
     (
         {"mission": {"planner": {"kind": "no.such:Planner"}}},
-        "mine.yaml: mission.planner.kind: 'no.such:Planner': ModuleNotFoundError",
+        "mine.yaml: mission.planner.kind: 'no.such:Planner' cannot be imported: Module",
     ),
     (
         {"mission": {"translator": {"kind": "auto", "card": "nobody"}}},

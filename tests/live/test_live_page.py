@@ -220,7 +220,7 @@ def test_places_and_zones_are_drawn_on_the_map_and_removed_from_the_list(page, h
     page.says("#toast", "letters, digits")
     page.run("document.getElementById('site-name').value = ''")
     choose(page, "place", "shelf")
-    page.says("#site-hint", "Drag on the map")
+    page.says("#site-hint", "drag from the place")
     press(page, (560, 330), (560, 280))
     page.says("#site-list", "shelf")
     choose(page, "keep_out", "stairs")
@@ -254,7 +254,7 @@ def test_escape_ends_the_drawing_and_adds_nothing(page, house):
 def test_a_room_is_named_by_a_click_in_it_and_listed(page, house):
     page.until("document.querySelector('#rooms-list button') !== null")
     choose(page, "room", "office")
-    page.says("#site-hint", "Click in the room")
+    page.says("#site-hint", "click into the room")
     page.click("#rooms-list button")  # the map moves, until the room is in its middle
     box = page.run("document.getElementById('map').getBoundingClientRect().toJSON()")
     press(page, (round(box["x"] + box["width"] / 2), round(box["y"] + box["height"] / 2)))
@@ -304,7 +304,7 @@ def test_the_answer_to_a_question_is_shown(page, house, monkeypatch):
 
 def test_cancelling_takes_two_clicks(page, house):
     page.click("#cancel")
-    page.says("#cancel", "Really?")
+    page.says("#cancel", "Really cancel?")
     assert not house.service.mission.done
     page.click("#cancel")
     page.says("#phase", "FAILED")

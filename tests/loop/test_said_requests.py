@@ -57,7 +57,9 @@ def test_a_place_is_learned_and_forgotten(loop):
 
 
 def test_a_room_is_named_closed_and_opened(loop):
-    assert say(loop, "This is the ballroom.")["text"].startswith("room: ballroom is the one")
+    assert say(loop, "This is the ballroom.")["text"].startswith(
+        "room: ballroom is the room around"
+    )
     loop.step()
     assert say(loop, "Where are you?")["text"].startswith("in the ballroom, at (")
     assert say(loop, "Stay out of the ballroom, please.")["text"].startswith("zone: keep out of")

@@ -24,7 +24,13 @@ from edge.mission.language.tidy import tidied
 from edge.mission.language.tokens import TranslationError
 from edge.mission.spec import prepare, translate
 
-EVERYDAY = {"everyday": 150, "everyday_b": 149, "everyday_c": 140, "everyday_d": 150}
+EVERYDAY = {
+    "everyday": 150,
+    "everyday_b": 149,
+    "everyday_c": 140,
+    "everyday_d": 150,
+    "everyday_e": 131,
+}
 """Name of a file of 150 sentences → least number that must be right."""
 NAMES = [item.name for item in SITE.items]
 

@@ -281,7 +281,7 @@ def test_prompts_that_turn_out_not_to_do_are_what_detect_raises(make, seen, monk
         damaged.setattr(link, "_receive", lambda channel: b"\xff")
         pid = pid_of(detector)
         detector.set_prompts(["nonsense"])
-        assert "damaged message (not JSON): killed" in detector.health().detail
+        assert "sent a damaged message (not JSON); it was killed" in detector.health().detail
     eventually(lambda: pid_of(detector) != pid and detector.health().state != "restarting")
     assert detector.health() == Health()
     with pytest.raises(PromptError, match="'nonsense'"):
@@ -332,7 +332,11 @@ def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, s
         ("tiny.onnx: truncated", ModelError, "^tiny.onnx: truncated$"),
         ("exit", ModelProcessError, "ended with exit code 4 before it was ready"),
         ("wait", ModelProcessError, r"not ready after 0\.1 s \(.*start_timeout_s\)"),
-        ("lie", ModelProcessError, r"damaged message \(health 'splendid' .*\): killed$"),
+        (
+            "lie",
+            ModelProcessError,
+            r"sent a damaged message before it was ready \(health 'splendid' .*\); it was killed$",
+        ),
         ("", PromptError, "'nonsense': not in the vocabulary"),
     ],
 )

@@ -121,9 +121,9 @@ def test_it_is_told_what_is_void(written):
 @pytest.mark.parametrize(
     ("code", "policy", "message"),
     [
-        ("", {"kind": "my_policy:Gone"}, "policy.kind: 'my_policy:Gone': AttributeError: "),
+        ("", {"kind": "my_policy:Gone"}, "policy.kind: 'my_policy:Gone' cannot be imported: Attr"),
         ("1 / 0", {"kind": "my_policy:P"}, "policy.kind: 'my_policy:P': ZeroDivisionError: "),
-        ("", {"kind": "no_such.module:P"}, "policy.kind: 'no_such.module:P': ModuleNotFoundError"),
+        ("", {"kind": "no_such.module:P"}, "policy.kind: 'no_such.module:P' cannot be imported: M"),
         ("class P: pass", {"kind": "my_policy:P"}, "policy.kind: my_policy:P is no policy: "),
         ("def P(): 1 / 0", {"kind": "my_policy:P"}, "policy.kind: my_policy:P is no policy: it is"),
         (

@@ -82,7 +82,7 @@ def test_regions_that_are_none(regions):
         ((np.empty((0, 2)),), "the trajectory, or one of its segments, has no points"),
         ([(0.5, math.nan)], r"point 1 of segment 1, \(0.5, nan\), is not finite"),
         ([(0, 0, math.inf)], "point 1 of segment 1, .*, is not finite"),
-        ([(0, 0, -1e4)], "point 1 of segment 1, .*, is outside the map"),
+        ([(0, 0, -1e4)], "point 1 of segment 1, .*, has height -10000 m; it must be from -"),
         ([(0, 0), (25, 0)], r"point 2 of segment 1, \(25, 0\), is outside the map \(x -20 to 20"),
         (line((0, 0), (8, 0)), r"point 7 of segment 1, \(6, 0\), is occupied; the nearest"),
         ([(5.9, 0)], "point 1 of segment 1, .*, is too close to what is occupied"),

@@ -56,7 +56,7 @@ _CHECKS = compiled(
     {then} {goes} {check} {if} you [can] see <thing> {at} [there|around|here]
     {then} {goes} {check} [if] (is|are) [there] <thing> {at} [there]
     {then} {goes} check for <thing> {at}
-    {then} {goes} check [on] <thing> {at}
+    {then} {goes} check [on] <thing> {at} [for me|for us]*
     {then} {goes} {check} <room> for <thing>
     """,
     PARTS,

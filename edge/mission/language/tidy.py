@@ -32,7 +32,10 @@ _SMALL = (
     "that|here|for|then|with|where|what|can|could|would|do|did|have|please|go|come|find|look|stop|"
     "wait|no|not|never|me|from|ever)"
 )
-_BEGINS = "(?:where|what|go|come|is|are|was|did|do|have|can|could|find|look|stop|wait)"
+_BEGINS = (
+    "(?:where|what|go|come|is|are|was|did|do|have|can|could|find|look|stop|wait|check|explore|visit|"
+    "patrol|drive|get|show|tell|return|search)"
+)
 _REPEATED = re.compile(
     rf"(?<![\w'-])(?:({_SMALL}(?: {_SMALL}){{0,3}}|the [\w']+)(?: \1(?![\w'-]))+"
     rf"|({_BEGINS}(?: (?!(?:and|or|then)\b)[\w']+){{0,3}})(?: the| an?| my)?(?:,? \2(?![\w'-]))+)",

@@ -92,7 +92,8 @@ PARTS = {
     "reason": """
         [, [and] ((until|while|because|so) (i|we|he|she|they|it|someone|somebody|you hear) ...|
         for (me|us|him|her|them)|until (further notice|then)|then (go on|continue)|
-        (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would|come|go) ...|
+        (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would|come|go|do not need|do
+        not want) ...|wrong (one|order|room|place|thing|way)|
         there (is|are) ...|let <thing> (through|past|by|pass|in|out))]
         """,
 }  # fmt: skip
@@ -280,9 +281,8 @@ CONTROL = {
             by|
             hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
             [right here|right there|here|there|in here|in place|on the spot|where you are|for me|me|
-            still|please|just|in this (spot|place)|at this (spot|place)|exactly|for a (bit|moment|
-            second|while)|a (bit|moment|
-            second|sec|while)]*
+            still|please|just|stop|in this (spot|place)|at this (spot|place)|exactly|
+            for a (bit|moment|second|while)|a (bit|moment|second|sec|while)]*
             [for] [<span>] [here|there|please|now|more|longer|then]* {reason}
     """,
 }

@@ -125,7 +125,9 @@ class ModelProcessClient:
         try:
             return decode(message)
         except ValueError as error:
-            raise self.kill(f"damaged message ({error}): killed") from None
+            raise self.kill(
+                f"sent a damaged message before it was ready ({error}); it was killed"
+            ) from None
 
     def detect(
         self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float
@@ -231,7 +233,7 @@ class ModelProcessClient:
                     try:
                         header = read_json_object(message)
                     except ValueError as error:  # not the fault of the prompts
-                        self.kill(f"damaged message ({error}): killed")
+                        self.kill(f"sent a damaged message ({error}); it was killed")
                         return False
         wire.raise_error(header, self.name)
         return True

@@ -87,7 +87,9 @@ def _read(card: ChoiceCard, name: str, needed: bool = True) -> dict[str, Any]:
     path = card.path / name
     if not any(part.file == name for part in card.others):
         if needed:
-            raise ModelError(f"model {card.name}: add {name} to the list others of its card")
+            raise ModelError(
+                f"model {card.name}: needs {name}; add that file under `others` in the model's card"
+            )
         return {}
     try:
         return read_json_object(read_regular(path))
