@@ -394,7 +394,7 @@ def test_a_process_that_cannot_be_ended_is_left_behind(monkeypatch, caplog):
     outlive(monkeypatch)
     detector.close()
     (told,) = (r.getMessage() for r in caplog.records if r.levelno == logging.ERROR)
-    assert f"its process {pid} does not end, though it was killed: left behind" in told
+    assert f"its process {pid} was killed, but does not end: left behind" in told
     os.kill(pid, signal.SIGKILL)
     thread.join(PATIENCE_S)
 
@@ -404,7 +404,7 @@ def test_one_that_cannot_be_ended_while_it_starts_is_left_behind(monkeypatch, ca
     outlive(monkeypatch)
     with pytest.raises(ModelProcessError, match="not ready after"):
         steered(script=tmp_path / "script", start_timeout_s=0.01)
-    pid = int(re.search(r"its process (\d+) does not end, .*left behind", caplog.text)[1])
+    pid = int(re.search(r"its process (\d+) was killed, but does not end: left behind", caplog.text)[1])
     with contextlib.suppress(ProcessLookupError, ChildProcessError):  # it ends with its thread
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
