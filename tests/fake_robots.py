@@ -25,6 +25,7 @@ from edge.geometry import SE2
 from edge.loop import requests
 from edge.loop.input_log import InputLog
 from edge.loop.service import Service
+from edge.memory import Site
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec, prepare
 
@@ -54,6 +55,7 @@ class FakeService:
             for label, away_m in known.items()
         ]
         self.map = SimpleNamespace(tracker=SimpleNamespace(all=things))
+        self.site = SimpleNamespace(known=Site())
         self.detector_swap = self.scorers = None
         self.behaviour = SimpleNamespace(facts=lambda: None)
         self.events: list[str] = []

@@ -404,7 +404,8 @@ def test_one_that_cannot_be_ended_while_it_starts_is_left_behind(monkeypatch, ca
     outlive(monkeypatch)
     with pytest.raises(ModelProcessError, match="not ready after"):
         steered(script=tmp_path / "script", start_timeout_s=0.01)
-    pid = int(re.search(r"its process (\d+) was killed, but does not end: left behind", caplog.text)[1])
+    found = re.search(r"its process (\d+) was killed, but does not end: left behind", caplog.text)
+    pid = int(found[1])
     with contextlib.suppress(ProcessLookupError, ChildProcessError):  # it ends with its thread
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
