@@ -103,9 +103,10 @@ def _find_class(kind: str, registry: Mapping[str, str], where: str) -> Any:
     try:
         return getattr(import_module(module), name)
     except Exception as error:  # the import of a plugin may raise anything
+        missing = isinstance(error, ModuleNotFoundError)
         raise ConfigError(
-            f"{where}: {bounded_repr(kind)} cannot be imported: {_describe_error(error)}; "
-            "the folder of the module must be on PYTHONPATH"
+            f"{where}: {bounded_repr(kind)} cannot be imported: {_describe_error(error)}"
+            + ("; the folder of the module must be on PYTHONPATH" if missing else "")
         ) from None
 
 

@@ -95,7 +95,7 @@ class _Served:
     def __init__(self, queue: RequestQueue) -> None:
         self._queue = queue
 
-    def take(self, payload, reply) -> None:
+    def accept(self, payload, reply) -> None:
         self._queue.accept(payload, reply)
         self._queue.serve(0)
 

@@ -58,4 +58,4 @@ def test_who_speaks_no_zenoh_takes_no_session(port, monkeypatch):
     for limit in ("PROBE_S", "_NAME_S"):
         monkeypatch.setattr(refusal, limit, PATIENCE_S)
     assert "refuses the session" in why(f"tcp/127.0.0.1:{port}")
-    assert why(f"tls/127.0.0.1:{port}").startswith("it does not speak TLS")
+    assert why(f"tls/127.0.0.1:{port}").startswith("the server does not speak TLS")

@@ -311,7 +311,7 @@ def test_a_mission_that_is_given_twice_is_begun_once(port, robots):
         seen.send("anna", {"do": "new", "formula": "F sofa"}, PATIENCE_S)
         with pytest.raises(UserError, match=r"mission x\.1 is already over"):
             seen.send("anna", request, PATIENCE_S)
-        with pytest.raises(UserError, match="no such mission is running"):
+        with pytest.raises(UserError, match=r"no mission x\.1 is running"):
             seen.send("anna", {"do": "cancel", "id": "x.1"}, PATIENCE_S)
         assert anna.mission.target == "sofa"
         assert not anna.mission.done

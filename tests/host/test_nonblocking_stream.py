@@ -91,13 +91,13 @@ def test_a_stream_without_a_descriptor_stays():
 
 PROGRAM = f"""
 import sys
-from edge.cli.main import _leave
+from edge.cli.main import _exit_now_if_needed
 from edge.host.nonblocking_stream import nonblocking_stderr
 with nonblocking_stderr():
     for _ in range({MUCH}):
         sys.stderr.write({LINE!r})
     print("went on", flush=True)
-sys.exit(_leave(3))
+sys.exit(_exit_now_if_needed(3))
 """
 
 

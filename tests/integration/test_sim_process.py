@@ -180,4 +180,4 @@ def test_a_start_in_a_wall_ends_with_one_line():
         [sys.executable, "-c", SIMULATE, json.dumps(data)], capture_output=True, text=True
     )
     assert done.returncode != 0
-    assert "sim.start: (0.00, 0.00) in demo" in done.stderr.splitlines()[-1]
+    assert "sim.start: (0.00, 0.00) m in demo" in done.stderr.splitlines()[-1]

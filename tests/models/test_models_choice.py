@@ -171,7 +171,7 @@ def test_variants_are_compared_on_the_same_views(tmp_path, monkeypatch, capsys):
 
 def test_cards_of_models_that_choose_keep_no_figures(published, capsys):
     said = says(capsys, "bench", "--models", "smolvlm", "--update-cards", code=os.EX_DATAERR)
-    assert "only detector cards keep figures: drop the option" in said
+    assert "only the cards of detectors hold measured times; drop --update-cards" in said
 
 
 class Corridor:

@@ -132,8 +132,16 @@ def test_a_card_of_each_task_is_only_given_to_who_asks_for_it(place, tmp_path, t
         ),
         ("image", {"input": {"height": 224}}, "input.width: missing"),
         ("image", {"measured": {"here": [1]}}, "measured.here: "),
-        ("similarity", {"detector": None}, "name image_encoder and text_encoder, or detector"),
-        ("similarity", {"text_encoder": "t"}, "name image_encoder and text_encoder, or detector"),
+        (
+            "similarity",
+            {"detector": None},
+            "set image_encoder and text_encoder, or only detector",
+        ),
+        (
+            "similarity",
+            {"text_encoder": "t"},
+            "set image_encoder and text_encoder, or only detector",
+        ),
     ],
 )
 def test_a_bad_card_of_any_task_names_file_and_key(place, tmp_path, task, changes, message):

@@ -101,10 +101,10 @@ def test_words_go_there_too_where_the_configuration_isolates(tmp_path, monkeypat
         ({"seq": 2}, "p None"),
         ({"seq": 2, "p": []}, "p"),
         ({"seq": 2, "p": [["x", 1]]}, "p"),
-        ({"seq": 2, "p": [[1.0]]}, "for 2 answers"),
-        ({"seq": 2, "p": [[0.5, float("nan")]]}, "for 2 answers"),
-        ({"seq": 2, "p": [[1.5, -0.5]]}, "for 2 answers"),
-        ({"seq": 2, "p": [[0.5, 0.2]]}, "for 2 answers"),
+        ({"seq": 2, "p": [[1.0]]}, "expected 2 probabilities"),
+        ({"seq": 2, "p": [[0.5, float("nan")]]}, "expected 2 probabilities"),
+        ({"seq": 2, "p": [[1.5, -0.5]]}, "expected 2 probabilities"),
+        ({"seq": 2, "p": [[0.5, 0.2]]}, "expected 2 probabilities"),
     ],
 )
 def test_a_dying_process_may_say_anything(header, says):

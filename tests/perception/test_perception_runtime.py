@@ -82,7 +82,7 @@ def test_providers_that_cannot_be(tmp_path, providers, precision, says):
 @pytest.mark.parametrize("content", [b"", b"not onnx", b"\x08\x07" * 50])
 def test_a_file_that_is_no_model_is_one_line(tmp_path, content):
     (tmp_path / "tiny.onnx").write_bytes(content)
-    with pytest.raises(ModelError, match="onnxruntime cannot load it") as error:
+    with pytest.raises(ModelError, match="onnxruntime cannot load the model") as error:
         open_session(tmp_path / "tiny.onnx", [CPU], 1)
     assert "\n" not in str(error.value)
 
@@ -90,9 +90,9 @@ def test_a_file_that_is_no_model_is_one_line(tmp_path, content):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"op": "NoSuchOperator"}, "load it: No Op registered for NoSuchOperator"),
-        ({"ir": 99}, "load it: Unsupported model IR version: 99"),
-        ({"opset": 99}, r"load it: ONNX Runtime only .*Opset 99"),
+        ({"op": "NoSuchOperator"}, "load the model: No Op registered for NoSuchOperator"),
+        ({"ir": 99}, "load the model: Unsupported model IR version: 99"),
+        ({"opset": 99}, r"load the model: ONNX Runtime only .*Opset 99"),
     ],
 )
 def test_a_model_that_onnxruntime_cannot_run_is_one_line(tmp_path, change, says):

@@ -88,7 +88,7 @@ def test_an_image_without_end_is_given_up(put):
 def test_two_exports_do_not_go_together(put):
     sam2 = put("sam2-tiny")
     put("mobile-sam", encoder=sam2["encoder"])
-    with pytest.raises(ModelError, match="take both from one export"):
+    with pytest.raises(ModelError, match="take both files from one export"):
         opened("mobile-sam")
 
 
@@ -97,7 +97,7 @@ def test_two_exports_do_not_go_together(put):
     [
         ({"providers": ()}, "perception.segmenter.providers: empty"),
         ({"providers": ("NoProvider",)}, "perception.segmenter.providers: 'NoProvider' is not"),
-        ({"providers": ("tensorrt",)}, "perception.segmenter.providers: 'tensorrt' alone"),
+        ({"providers": ("tensorrt",)}, "perception.segmenter.providers: 'tensorrt' runs only"),
     ],
 )
 def test_a_provider_that_cannot_be_had(put, settings, message):

@@ -122,7 +122,7 @@ def test_it_is_told_what_is_void(written):
     ("code", "policy", "message"),
     [
         ("", {"kind": "my_policy:Gone"}, "policy.kind: 'my_policy:Gone' cannot be imported: Attr"),
-        ("1 / 0", {"kind": "my_policy:P"}, "policy.kind: 'my_policy:P': ZeroDivisionError: "),
+        ("1 / 0", {"kind": "my_policy:P"}, "policy.kind: 'my_policy:P' cannot be imported: ZeroD"),
         ("", {"kind": "no_such.module:P"}, "policy.kind: 'no_such.module:P' cannot be imported: M"),
         ("class P: pass", {"kind": "my_policy:P"}, "policy.kind: my_policy:P is no policy: "),
         ("def P(): 1 / 0", {"kind": "my_policy:P"}, "policy.kind: my_policy:P is no policy: it is"),

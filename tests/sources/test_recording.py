@@ -154,5 +154,5 @@ def test_a_loop_plays_until_it_is_stopped(tmp_path):
 def test_a_loop_over_nothing_is_an_error(tmp_path):
     path = tmp_path / "empty.mcap"
     record_messages(path, [])
-    with pytest.raises(RecordingError, match="no message of a sensor in it"):
+    with pytest.raises(RecordingError, match="holds no message of a sensor"):
         recording.play(Tape(), ZenohConfig(), path, loop=True)

@@ -184,12 +184,12 @@ class ToRos:
                     log.warning("%s: dropped: %s (further ones are not logged)", self._key, error)
 
 
-def cdr_of(payload: Any, max_bytes: int) -> bytes:
-    """Return a payload for ROS, which does not check it; raise ValueError if it is no CDR."""
-    if payload is None or len(payload) > max_bytes:
-        size = 0 if payload is None else len(payload)
+def cdr_of(zbytes: Any, max_bytes: int) -> bytes:
+    """Return a Zenoh payload for ROS, which does not check it; raise ValueError if it is no CDR."""
+    if zbytes is None or len(zbytes) > max_bytes:
+        size = 0 if zbytes is None else len(zbytes)
         raise ValueError(f"the message has {size} bytes, at most {max_bytes} are allowed")
-    data = payload.to_bytes()
+    data = zbytes.to_bytes()
     if data[:2] != _CDR:
         begin = data[:4].hex() or "nothing"
         raise ValueError(f"not little-endian CDR: the message begins with {begin}, expected 0001")

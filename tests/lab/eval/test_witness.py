@@ -25,10 +25,8 @@ class Stage:
         self.targets = targets
         config = small_house(tmp_path)
         self.world = load_world(config)
-        self.distinguishing_trace = GroundTruthLogger(
-            config, self.world, lambda stamp_ns: self._truth
-        )
-        self._steps = []
+        self.logger = GroundTruthLogger(config, self.world, lambda stamp_ns: self._truth)
+        self._log = []
         self.tick(0.0)
 
     def tick(
@@ -41,22 +39,22 @@ class Stage:
             ids[10 * k : 10 * k + 10] = next(o.id for o in self.world.objects if o.label == label)
         self._truth = GroundTruth(*xy, 0.0, at_s, 0, ids)
         if reached is not None:
-            self._steps.append(MissionEvent(0, "reached", reached, 0, ""))
+            self._log.append(MissionEvent(0, "reached", reached, 0, ""))
         seen = Observation(0, int(at_s * SECOND_NS), np.eye(4), depth_m=np.full((20, 20), near_m))
-        self.distinguishing_trace.tick(
+        self.logger.tick(
             SimpleNamespace(
                 targets=self.targets,
                 goals=(Goal(0, None, "frontier", 0, (0.0, 0.0), 0.0, "bed"),),
                 status=MissionStatus(target, phase, reason),
                 observation=seen,
                 events=() if reached is None else ("reached",),
-                mission=lambda: SimpleNamespace(steps=tuple(self._steps)),
+                mission=lambda: SimpleNamespace(log=tuple(self._log)),
                 instances=lambda: list(instances),
             )
         )
 
     def failure(self):
-        return self.distinguishing_trace.failure("bed")
+        return self.logger.failure("bed")
 
 
 def instance(number, xy, state="confirmed"):
@@ -73,20 +71,20 @@ def test_an_episode_that_reaches_the_thing_is_no_failure(stage):
     stage.tick(5.0, shown=["bed"])
     stage.tick(9.0, (5.2, 2.0), phase="reached", reached="bed")
     assert stage.failure() is None
-    assert stage.distinguishing_trace.wrong_stops == []
+    assert stage.logger.wrong_stops == []
 
 
 def test_a_stop_far_from_it_is_the_wrong_thing(stage):
     stage.tick(5.0, shown=["bed"])
     stage.tick(9.0, (2.0, 2.0), phase="reached", reached="bed")
     assert stage.failure() == "wrong thing"
-    assert [label for label, _ in stage.distinguishing_trace.wrong_stops] == ["bed"]
+    assert [label for label, _ in stage.logger.wrong_stops] == ["bed"]
 
 
 def test_what_never_came_into_view_was_never_seen(stage):
     stage.tick(5.0, (3.0, 2.0), shown=["sofa"], phase="failed", reason="nothing left to search")
     assert stage.failure() == "never seen"
-    assert stage.distinguishing_trace.first_sight() is None
+    assert stage.logger.first_sight() is None
 
 
 def test_what_was_in_view_and_not_confirmed(stage):
@@ -103,7 +101,7 @@ def test_a_mission_without_an_end_is_out_of_budget(stage):
 def test_a_minute_in_one_place_is_stuck(stage):
     stage.tick(30.0, (3.0, 2.0))
     stage.tick(95.0, (3.4, 2.0), phase="failed", reason="time limit of 95 s")
-    assert stage.distinguishing_trace.stuck_s == pytest.approx(65.0)
+    assert stage.logger.stuck_s == pytest.approx(65.0)
     assert stage.failure() == "stuck"
 
 
@@ -117,14 +115,14 @@ def test_a_confirmed_one_that_was_given_up_is_stuck(stage):
 def test_it_is_seen_within_the_detectors_range(stage, near_m, seen):
     stage.tick(5.0, shown=["bed"], near_m=near_m)
     stage.tick(7.0, shown=["bed"], near_m=2.0)
-    assert stage.distinguishing_trace.first_sight().seconds == (5.0 if seen else 7.0)
+    assert stage.logger.first_sight().seconds == (5.0 if seen else 7.0)
 
 
 def test_an_error_of_its_own_is_kept(stage):
-    stage.distinguishing_trace._truth = None
+    stage.logger._truth = None
     with pytest.raises(TypeError):
         stage.tick(1.0)
-    assert isinstance(stage.distinguishing_trace.fault, TypeError)
+    assert isinstance(stage.logger.fault, TypeError)
 
 
 def test_things_are_those_of_the_name_else_of_the_noun(tmp_path):
@@ -147,17 +145,17 @@ def test_visible_px_agrees_with_a_plain_one(seed, range_m):
 
 def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):
     stage = Stage(tmp_path, ("bed", "sofa"))
-    assert stage.distinguishing_trace.revisited_m2 == 0.0
+    assert stage.logger.revisited_m2 == 0.0
     stage.tick(1.0, target="sofa")
-    seen_m2 = stage.distinguishing_trace.revisited_m2
+    seen_m2 = stage.logger.revisited_m2
     assert seen_m2 > 1.0
     stage.tick(2.0, target="sofa")
-    assert stage.distinguishing_trace.revisited_m2 == seen_m2
+    assert stage.logger.revisited_m2 == seen_m2
 
 
 def test_what_is_known_already_is_not_searched_for(tmp_path):
     stage = Stage(tmp_path, ("sofa", "bed"))
     stage.tick(1.0, target="sofa")
-    before_m2 = stage.distinguishing_trace.revisited_m2
+    before_m2 = stage.logger.revisited_m2
     stage.tick(2.0, target="bed", instances=[instance(1, BED)])
-    assert stage.distinguishing_trace.revisited_m2 == before_m2
+    assert stage.logger.revisited_m2 == before_m2

@@ -51,4 +51,4 @@ def test_in_lockstep_the_clock_stands_still_until_somebody_answers(monkeypatch, 
     process.run_lockstep(simulated(), None, drive, bus, stop)
     assert drive.told == [(0.5, 0.1)]
     assert bus.sent == late
-    assert ("is the controller running?" in caplog.text) == (late > 1)
+    assert ("check that the controller runs" in caplog.text) == (late > 1)
