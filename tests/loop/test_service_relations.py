@@ -54,6 +54,6 @@ def test_the_vase_on_the_cabinet_is_found_and_the_choice_told():
     loop = ClosedLoop(simulated(data), colour=False).run(600)
     assert loop.service.status.phase == "reached", loop.notes.events
     assert loop.distance_m("vase") <= 1.0
-    (taken,) = [text for text in loop.notes.events if "taken" in text]
-    assert taken.startswith("vase on the cabinet: vase ")
-    assert " m from cabinet " in taken
+    (chosen,) = [text for text in loop.notes.events if "chosen" in text]
+    assert chosen.startswith("vase on the cabinet: vase ")
+    assert " m from cabinet " in chosen
