@@ -99,7 +99,7 @@ def redirect(handler):
         (closes_midway, "before its answer was complete"),
         (closes_midway_in_a_chunk, "before its answer was complete"),
         (no_http, "does not speak HTTP"),
-        (redirect, "HTTP 307, see http://"),
+        (redirect, "(HTTP 307); configure the right URL"),
         (body(b"<html>hi</html>", Content_Type="text/html"), "not JSON (text/html): '<html>hi"),
         (body(b"\xff\xfe\x00"), "not JSON"),
         (body(b"null"), "no choices[0].message.content"),
