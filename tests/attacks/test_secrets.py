@@ -149,7 +149,7 @@ def test_no_secret_is_told(edge, config, tmp_path, environ, say):
         "config": '"password": "***"',
         "fault": "zenoh.prefix",
         "another fault": "cannot be read as YAML",
-        "key in endpoint": "put it into zenoh.file",
+        "key in endpoint": "path of that file into zenoh.file",
         "service": "zenoh",
     }.items():
         assert words in said[name], f"{name}: {said[name]}"

@@ -138,7 +138,7 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
         for _ in range(20):  # by then nothing more fits between the service and the viewer
             eventually(maps.try_recv)
     assert service.stop(signal.SIGTERM) == 0, service.output
-    assert "accepts no data: closing without it" in service.output
+    assert "accepts no data: the session is given up" in service.output
     assert "Traceback" not in service.output
 
 

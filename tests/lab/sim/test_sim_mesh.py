@@ -204,7 +204,7 @@ def test_bad_files_give_one_clear_line(tmp_path: Path, mesh, objects, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "not a list of objects"),
+        ("{", "not a JSON list of objects"),
         ("3", "not"),
         ('[{"name": "a"}]', "[0] (counted from 0): the field 'category' is missing"),
         (
