@@ -206,10 +206,10 @@ def test_bad_files_give_one_clear_line(tmp_path: Path, mesh, objects, message):
     [
         ("{", "not a JSON list of objects"),
         ("3", "not"),
-        ('[{"name": "a"}]', "[0] (counted from 0): the field 'category' is missing"),
+        ('[{"name": "a"}]', "object 0 .*: the field 'category' is missing"),
         (
             '[{"name": "a", "category": "-", "yaw": 0, "aabb_min": [], "aabb_max": []}]',
-            "object 0: category: '-' is no name: it needs a letter or a digit",
+            "object 0 .*: category: '-' is no name",
         ),
     ],
 )
