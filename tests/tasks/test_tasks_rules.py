@@ -516,3 +516,15 @@ def test_left_and_right_are_the_robots(x_m, y_m, yaw_rad):
             continue
         bearing_rad = wrap_angle(pose.bearing_to(*step.things[0].position_m[:2]))
         assert math.copysign(1.0, bearing_rad) == sign
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("go to the left", "'the left': expected the name of a thing"),
+        ("go to the car left", "'left': say 'the left …'"),
+    ],
+)
+def test_a_side_alone_is_no_object_and_a_side_after_one_is_asked_about(text, message):
+    with pytest.raises(TranslationError, match=message):
+        named_objects(text)
