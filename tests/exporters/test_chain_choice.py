@@ -135,10 +135,10 @@ def test_what_cannot_be_quantized_is_one_line(edge, pictures, tmp_path):
         (
             "my-vlm-fp32",
             "int8",
-            "my-vlm-int8: a card has this name already, and is not made from my-vlm",
+            "model my-vlm-int8: a card has this name already, and is not made from my-vlm",
         ),
-        ("my-vlm-fp16", "q4", "my-vlm-fp16: is fp16; give an FP32 model"),
-        ("blind-fp32", "q4", "blind-fp32: has no vision encoder; give an FP32 card"),
+        ("my-vlm-fp16", "q4", "model my-vlm-fp16: is fp16; give an FP32 model"),
+        ("blind-fp32", "q4", "model blind-fp32: has no vision encoder; give an FP32 model"),
     ]:
         words = ("export", "--quantize", name, "--precision", precision, "--calibration", pictures)
         process = edge("models", *words, **own)
