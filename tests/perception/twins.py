@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from edge.perception.detection.kernels import ROUNDING
-from edge.perception.tracking.lift_kernels import APART, MASKED, NEARLY, OTHER_M
-from edge.perception.tracking.look_kernels import LOOK_MIN_M, LOOK_RIM, MOST, OCCLUDED_M
+from edge.perception.tracking.lift_kernels import CLAIM_RATIO, LEAST_ON_MASK, MAX_IOU, OTHER_M
+from edge.perception.tracking.look_kernels import LOOK_MIN_M, LOOK_RIM, OCCLUDED_M, WHOLE_SHARE
 from edge.perception.tracking.sighting_kernels import FORGET, PARTIAL, PRIOR, SAME_M, WITHIN
 
 
@@ -129,10 +129,10 @@ def without_others(samples, view, boxes, word, mine, depth, claim):
     keep = np.ones(len(samples), bool)
     box = boxes[mine]
     for other, (near, far), fits, of in zip(boxes, depth, claim, word, strict=True):
-        if fits <= NEARLY * float(claim[mine]) or of == word[mine]:
+        if fits <= CLAIM_RATIO * float(claim[mine]) or of == word[mine]:
             continue
         apart = np.minimum(other[2:], box[2:]) <= np.maximum(other[:2], box[:2])
-        if apart.any() or iou(other, box) > APART:
+        if apart.any() or iou(other, box) > MAX_IOU:
             continue
         inside = (other[0] <= u) & (u <= other[2]) & (other[1] <= v) & (v <= other[3])
         z = samples[:, 2]
@@ -245,7 +245,7 @@ def look_weight(xyz, points, T, view, depth, near_m, far_m):
         return 0.0
     across, down = u / width, v / height
     whole = LOOK_RIM < across < 1 - LOOK_RIM and LOOK_RIM < down < 1 - LOOK_RIM and z > LOOK_MIN_M
-    whole &= not len(points) or share_in_view(points, T, view) >= MOST
+    whole &= not len(points) or share_in_view(points, T, view) >= WHOLE_SHARE
     return min(1.0, (near_m / z) ** 2) * (1.0 if whole else PARTIAL)
 
 
@@ -295,4 +295,4 @@ def on_mask(samples, view, box, mask):
         v = (fy * y / z + cy + 0.5 - box[1]) / (box[3] - box[1]) * rows
         if 0 <= u < columns and 0 <= v < rows and mask[int(v), int(u)]:
             kept.append((x, y, z))
-    return np.array(kept) if len(kept) >= MASKED * len(samples) else samples
+    return np.array(kept) if len(kept) >= LEAST_ON_MASK * len(samples) else samples

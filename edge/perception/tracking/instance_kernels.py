@@ -1,4 +1,4 @@
-"""Kernels for the surface points of instances. Arrays only."""
+"""Kernels that merge, filter and measure the surface points of an instance. Arrays only."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ NEAR_M = 0.25
 CORE_SHARE = 0.1
 """A point with less than this share of the largest support may belong to another object."""
 
-# Points farther from the centre than both limits are dropped: they belong to what is in front of or
-# behind the object.
+# A point farther from the centre than both limits is dropped: it belongs to an object in front of
+# this one or behind it.
 STRAY = 1.6  # limit as a multiple of the median distance from the centre
 LEAST_RADIUS_M = 0.3
 
 
 @jit
-def merge_points(old, support, new, voxel_m, cap):
-    """Merge two point sets into one point per voxel, at most `cap` in all.
+def merge_points(old, support, new, voxel_m, max_points):
+    """Merge two point sets into one point per voxel, at most `max_points` in all.
 
     The points kept are spread evenly over the voxels' order. A point of `old` wins over one of
     `new` in the same voxel. Each point of `old` counts one more view if a point of `new` is within
@@ -31,7 +31,7 @@ def merge_points(old, support, new, voxel_m, cap):
         support: (k,) int32, number of views of each point of `old`.
         new: (m, 3) float32, finite.
         voxel_m: side of a voxel.
-        cap: largest number of points.
+        max_points: largest number of points.
 
     Returns:
         (points (n, 3) float32, their support (n,) int32).
@@ -49,20 +49,21 @@ def merge_points(old, support, new, voxel_m, cap):
             dx, dy = joined[j, 0] - old[i, 0], joined[j, 1] - old[i, 1]
             if dx * dx + dy * dy <= NEAR_M * NEAR_M:
                 counts[j] = max(counts[j], counts[i])
+    # Key of a voxel: its three numbers in 21 bits each, shifted so that none is negative.
     keys = np.empty(total, np.int64)
     for i in range(total):
         key = np.int64(0)
         for axis in range(3):
             key = (key << 21) | (np.int64(np.floor(joined[i, axis] / voxel_m)) + (1 << 20))
         keys[i] = key
-    order = np.argsort(keys, kind="mergesort")
+    order = np.argsort(keys, kind="mergesort")  # stable: `old` stays before `new` in a voxel
     first = np.empty(total, np.int64)
     n = 0
     for j in range(total):
         if j == 0 or keys[order[j]] != keys[order[j - 1]]:
             first[n] = order[j]
             n += 1
-    kept = min(n, cap)
+    kept = min(n, max_points)
     points, views = np.empty((kept, 3), np.float32), np.empty(kept, np.int32)
     for j in range(kept):
         points[j] = joined[first[j * n // kept]]

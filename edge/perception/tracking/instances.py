@@ -1,4 +1,7 @@
-"""Instances: objects that may be the target, merged over time (VL-Nav III.C)."""
+"""Instances: objects that may be the target, merged over time (VL-Nav III.C).
+
+`InstanceTracker` decides which of them is confirmed as the target, and which is rejected.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +38,8 @@ RISE = 0.5  # if the new score is above the running one
 FALL = 0.15  # if it is below
 DECAY = 0.9
 """Factor on the score of an instance that was in view and not detected."""
-GONE = 0.5
-"""An instance that is not confirmed is forgotten once its score is below GONE * `tau_det`."""
+FORGET_SHARE = 0.5
+"""An instance that is not confirmed is forgotten if its score is below this share of `tau_det`."""
 FORGET_VIEWS = 100
 """After this many views the counts for confirmation are halved, so that old views fade."""
 REJECT_VIEWS = 30
@@ -48,7 +51,7 @@ SURER = 1.6
 From near by the object is only partly in view, and what stands in front of it fills the image."""
 _PROTECTED = ("confirmed", "rejected", "reached")  # states that `_limit` never drops
 _STATES: tuple[InstanceState, ...] = get_args(InstanceState)
-# Checkpoint columns: of an instance, and of the evidence of its track.
+# Attributes that a checkpoint saves: of an instance, and of the evidence of its track.
 _COLUMNS = (
     ("id", np.int64), ("score", np.float64), ("hits", np.int64), ("first_seen_ns", np.int64),
     ("last_seen_ns", np.int64),
@@ -100,7 +103,7 @@ class _Track:
         points_m: (k, 3) float32 in `map`, all surface points. `instance` has only the
             well-supported ones (`core_points`).
         support: (k,) int32, number of views that support each of these points.
-        contested: True if another object explains the place better (see `_doubt`).
+        contested: True if another object explains the place better (see `_update_contested`).
     """
 
     instance: Instance
@@ -174,7 +177,7 @@ class InstanceTracker:
         Args:
             label: a prompt.
             only_confirmed: True: leave out instances that are not confirmed.
-            doubted: True: keep instances whose place another object explains better.
+            doubted: True: keep contested instances, whose place another object explains better.
         """
         if self.resolver is not None:
             plain = partial(self._with_name, only_confirmed=only_confirmed, doubted=doubted)
@@ -211,7 +214,7 @@ class InstanceTracker:
         pose = seen.observation.pose
         words = [names.canonical(prompt) for prompt in seen.prompts]
         unsuppressed = seen.not_suppressed()
-        hit: set[int] = set()
+        hit: set[int] = set()  # instances with a strong detection in this image
         for i in np.flatnonzero(lifted.valid).tolist():
             class_id, score = int(seen.class_id[i]), float(seen.score[i])
             strong = score > self.config.tau_det and bool(unsuppressed[i])
@@ -222,7 +225,7 @@ class InstanceTracker:
                 if not strong:
                     continue
                 track = self._create(seen.prompts[class_id], points, score, stamp_ns)
-            elif track.instance.id in hit:
+            elif track.instance.id in hit:  # a second box of one object: only its points count
                 if strong:
                     self._grow(track, points)
                 continue
@@ -236,9 +239,9 @@ class InstanceTracker:
                 )
             if strong:
                 hit.add(track.instance.id)
-                self._confirm(track, points, score, pose, stamp_ns)
+                self._count_good_hit(track, points, score, pose, stamp_ns)
         for instance_id in hit:
-            self._unite(instance_id)
+            self._merge_overlapping(instance_id)
         self._limit()
 
     def expire(self, observation: Observation, prompts: Sequence[str]) -> list[int]:
@@ -260,6 +263,7 @@ class InstanceTracker:
         T = invert(observation.T_map_base @ observation.T_base_camera)
         view = view_of(camera)
         depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
+        # Farther than this, a missing detection is no evidence.
         far_m = min(1.5 * self.config.confirm_range_m, self.config.back_projection_max_range_m)
         pose, near_m = observation.pose, self.config.confirm_range_m
         asked = {names.canonical(prompt) for prompt in prompts}
@@ -269,23 +273,23 @@ class InstanceTracker:
             if instance.state in ("rejected", "reached") or track.name not in asked:
                 continue
             points = instance.points_m
-            look = visibility(
+            shown = visibility(
                 track.x_m, track.y_m, track.z_m, points, len(points), T, view, depth, far_m
             )
-            if look == HIDDEN:
+            if shown == HIDDEN:
                 track.now_target = track.now_competing = 0.0
                 continue
-            self._doubt(track)
+            self._update_contested(track)
             near = track.distance_m(pose.x_m, pose.y_m) <= near_m + track.radius_m
             if near:
                 # A partial view is weaker evidence, for and against.
-                self._count_view(track, 1.0 if look == WHOLE else PARTIAL)
+                self._count_view(track, 1.0 if shown == WHOLE else PARTIAL)
             track.now_target = track.now_competing = 0.0
-            if look == AT_EDGE or track.evidence_ns >= observation.stamp_ns:
+            if shown == AT_EDGE or track.evidence_ns >= observation.stamp_ns:
                 continue
             instance.score *= DECAY
             # A few misses do not undo a confirmation: the object may be hidden, or too near.
-            if instance.score < GONE * self.config.tau_det and not self.confirmed(instance):
+            if instance.score < FORGET_SHARE * self.config.tau_det and not self.confirmed(instance):
                 gone.append(instance.id)
         for instance_id in gone:
             self._tracks.pop(instance_id, None)
@@ -385,12 +389,12 @@ class InstanceTracker:
     def promote_context(self, labels: Sequence[str]) -> None:
         """Make instances from the context objects that these labels name, with their evidence.
 
-        So a new target that was already seen as context need not be found again. Weak context
-        objects, which would be forgotten at once, are skipped.
+        A new target that was already seen as context then need not be found again. Weak context
+        objects, which would be forgotten at once, are skipped, and so are known instances.
         """
         if self._objects is None:
             return
-        least = GONE * self.config.tau_det
+        least = FORGET_SHARE * self.config.tau_det
         for label in labels:
             name = names.canonical(label)
             for seen in self._objects.named(label):
@@ -403,7 +407,7 @@ class InstanceTracker:
                 track.good_hits, track.views, track.target_sum = (
                     seen.near_hits, seen.weight, seen.total,
                 )  # fmt: skip
-                self._doubt(track)
+                self._update_contested(track)
                 self._update_state(track)
         self._limit()
 
@@ -452,6 +456,7 @@ class InstanceTracker:
         return best
 
     def _create(self, label: str, points: np.ndarray, score: float, stamp_ns: int) -> _Track:
+        """Start a new instance from its first strong detection."""
         instance = Instance(
             id=self._next_id,
             label=label,
@@ -469,6 +474,7 @@ class InstanceTracker:
         return track
 
     def _merge(self, track: _Track, points: np.ndarray, score: float, stamp_ns: int) -> None:
+        """Merge a detection into a known instance; into a rejected one, only its stamp."""
         track.evidence_ns = max(track.evidence_ns, stamp_ns)
         if track.instance.state == "rejected":
             return
@@ -481,26 +487,26 @@ class InstanceTracker:
             self._grow(track, points)
 
     def _grow(self, track: _Track, points: np.ndarray) -> None:
-        """Add surface points to an instance that is not rejected; see `_place`."""
+        """Add surface points: one per voxel, at most MAX_POINTS, spread over all voxels.
+
+        A rejected instance keeps its points.
+        """
         if track.instance.state != "rejected":
-            self._place(track, points)
+            track.points_m, track.support = kernels.merge_points(
+                track.points_m, track.support, points, self.config.voxel_m, MAX_POINTS
+            )
+            self._update_outline(track)
 
     def _adopt(self, instance: Instance, points_m: np.ndarray, support: np.ndarray) -> _Track:
+        """Add an existing instance with its id and all its points."""
         track = _Track(instance, names.canonical(instance.label), instance.last_seen_ns)
         track.points_m, track.support = points_m, support
-        self._outline(track)
+        self._update_outline(track)
         self._tracks[instance.id] = track
         self._next_id = max(self._next_id, instance.id + 1)
         return track
 
-    def _place(self, track: _Track, points: np.ndarray) -> None:
-        """Merge surface points: one per voxel, at most MAX_POINTS, spread over all voxels."""
-        track.points_m, track.support = kernels.merge_points(
-            track.points_m, track.support, points, self.config.voxel_m, MAX_POINTS
-        )
-        self._outline(track)
-
-    def _outline(self, track: _Track) -> None:
+    def _update_outline(self, track: _Track) -> None:
         """Update the instance's points, centre and radius from the well-supported points."""
         instance = track.instance
         instance.points_m, instance.center_m, track.radius_m = kernels.core_points(
@@ -508,20 +514,22 @@ class InstanceTracker:
         )
         track.x_m, track.y_m, track.z_m = instance.center_m.tolist()
 
-    def _confirm(
+    def _count_good_hit(
         self, track: _Track, points: np.ndarray, score: float, pose: SE2, now_ns: int
     ) -> None:
+        """Count a detection as a good hit if it is good enough and from near by."""
         c, instance = self.config, track.instance
         if instance.state in ("rejected", "reached") or score < c.confirm_score:
             return
         if kernels.nearest(points, pose.x_m, pose.y_m) > c.confirm_range_m:
             return
-        if track.good_ns != now_ns:
+        if track.good_ns != now_ns:  # at most one good hit for each image
             track.good_ns = now_ns
             track.good_hits += 1
             self._update_state(track)
 
     def _count_view(self, track: _Track, weight: float) -> None:
+        """Add the scores of the current frame to the evidence, with a weight of up to 1."""
         track.views += weight
         track.target_sum += weight * track.now_target
         track.competing_sum += weight * track.now_competing
@@ -539,7 +547,7 @@ class InstanceTracker:
         - it had at least `confirm_hits` good hits;
         - its mean score over all near views is at least `confirm_mean`;
         - its mean score is at least `confirm_lead` times that of its competing classes;
-        - it is not contested (`_doubt`).
+        - it is not contested (`_update_contested`).
 
         So neither a rare false positive nor a bed that is also a fair sofa is confirmed. A
         confirmed instance needs no lead to stay confirmed: from near by the object is only partly
@@ -553,13 +561,13 @@ class InstanceTracker:
             track.good_hits >= c.confirm_hits
             and track.target_sum >= c.confirm_mean * track.views
             and track.target_sum >= lead * track.competing_sum
-            and not self._doubt(track)
+            and not self._update_contested(track)
         )
         instance.state = "confirmed" if is_confirmed else "tentative"
         if track.views >= REJECT_VIEWS and track.competing_sum > track.target_sum:
             self.reject(instance.id)
 
-    def _doubt(self, track: _Track) -> bool:
+    def _update_contested(self, track: _Track) -> bool:
         """Update and return `contested`: True if another object explains the place better."""
         if self._objects is not None:
             instance = track.instance
@@ -569,15 +577,15 @@ class InstanceTracker:
             )
         return track.contested
 
-    def _unite(self, instance_id: int) -> None:
-        """Merge an instance with those of its label that overlap it; the oldest one stays."""
+    def _merge_overlapping(self, instance_id: int) -> None:
+        """Merge an instance with those of its name that overlap it; the oldest one stays."""
         track = self._tracks.get(instance_id)
         if track is None or track.instance.state in ("rejected", "reached"):
             return
         for other in list(self._tracks.values()):
             if other is track or other.name != track.name:
                 continue
-            if other.instance.id not in self._tracks:
+            if other.instance.id not in self._tracks:  # a merge before has rejected and removed it
                 continue
             if other.instance.state in ("rejected", "reached") or not self._overlap(track, other):
                 continue
@@ -596,6 +604,7 @@ class InstanceTracker:
         return min(a_to_b, kernels.nearest(b.instance.points_m, a.x_m, a.y_m)) < near_m
 
     def _absorb(self, old: _Track, new: _Track) -> None:
+        """Add the evidence and points of a removed track to an older one."""
         a, b = old.instance, new.instance
         a.score = max(a.score, b.score)
         a.hits += b.hits

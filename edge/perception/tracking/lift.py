@@ -1,4 +1,7 @@
-"""Back-projection of 2-D boxes to 3-D points in `map`, by depth or LiDAR cloud (VL-Nav III.C)."""
+"""Back-projection of 2-D boxes to 3-D points in `map`, by depth or LiDAR cloud (VL-Nav III.C).
+
+`BackProjector` is the stage between the detector and the trackers.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +73,7 @@ class BackProjector:
         self.config = perception
         self.skipped = 0
         side = kernels.SIDE
-        self._scratch = (
+        self._scratch = (  # see `lift_kernels.back_project_boxes`
             np.empty((side * side, 3), np.float32),
             np.empty((4, side * side, 3), np.float32),
             np.empty(4, np.int32),
@@ -97,13 +100,13 @@ class BackProjector:
             The targets' boxes, and the boxes of context words (None: the detector does not look for
             them). All are processed together, since one object may hide much of another.
         """
-        seen, around = detections.observation, detections.around()
+        seen, context = detections.observation, detections.around()
         k, boxes, word = len(detections), detections.xyxy_px, detections.class_id
-        if around is not None:
-            boxes = np.concatenate((boxes, around.xyxy_px))
-            word = np.concatenate((word, around.class_id + np.int32(len(detections.prompts))))
+        if context is not None:
+            boxes = np.concatenate((boxes, context.xyxy_px))
+            word = np.concatenate((word, context.class_id + np.int32(len(detections.prompts))))
         n = len(boxes)
-        out = (
+        out = (  # in the order of `BackProjectedBoxes`
             np.zeros((n, 3), np.float32),
             np.zeros((n, POINTS, 3), np.float32),
             np.zeros(n, np.int32),
@@ -125,7 +128,7 @@ class BackProjector:
                 self.config.back_projection_min_points, self._scratch, out,
             )  # fmt: skip
         others = (
-            None if around is None else BackProjectedBoxes(around, *(array[k:] for array in out))
+            None if context is None else BackProjectedBoxes(context, *(array[k:] for array in out))
         )
         return BackProjectedBoxes(detections, *(array[:k] for array in out)), others
 
@@ -155,7 +158,7 @@ class BackProjector:
 
     def _project(self, seen: Observation, camera: CameraModel) -> int:
         """Project the cloud into the raster; return the side of a raster cell in pixels."""
-        cell_px = max(1, -(-camera.width_px // _RASTER_COLUMNS))
+        cell_px = max(1, -(-camera.width_px // _RASTER_COLUMNS))  # -(-a // b): a / b rounded up
         shape = (-(-camera.height_px // cell_px), -(-camera.width_px // cell_px))
         if self._raster.shape != shape:
             self._raster = np.empty(shape, np.int32)

@@ -1,4 +1,10 @@
-"""Kernels that back-project boxes to points in space. Arrays only."""
+"""Kernels that back-project boxes to points in space, for `lift.BackProjector`. Arrays only.
+
+A box is sampled at a grid of pixels. Samples of the floor and of other boxes' objects are dropped.
+The rest is split into surfaces by depth, and the surface that fits the box best is the object's.
+
+`-(-a // b)` is a / b rounded up.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +22,11 @@ SPARSE = 60
 """A depth bin with at most 1/SPARSE of the samples counts as a gap between surfaces."""
 GAP_M = 0.3
 """Surfaces further apart than this along the viewing axis are different objects."""
-BESIDE = 0.12
+STRIP_WIDTH = 0.12
 """Width of the strips next to a box, as a share of the box's size.
 
 The strips show which surfaces continue beyond the box."""
-BESIDE_OFF = 0.05
+STRIP_DISTANCE = 0.05
 """Distance of the strips from the box, as a share of its size, since no box is exact."""
 FARTHER = 1.2
 """Factor by which a surface must fit better than a surface in front of it, to be chosen."""
@@ -28,17 +34,19 @@ LEAST_SHARE = 0.15
 """The object fills at least this share of its box."""
 # Limits for samples of a box that belong to another box. Another box claims the samples in it that
 # are close to the depth of its surface. The limits were measured on 6,100 boxes in 70 houses of
-# `procthor_train`: 2.0 % of them keep more than a quarter of another object's surface. With NEARLY
-# at 1.0 it is 3.2 %, with LEFT at 0.25 it is 2.4 %.
-APART = 0.5  # largest IoU of two boxes of different objects
+# `procthor_train`: 2.0 % of them keep more than a quarter of another object's surface. With
+# CLAIM_RATIO at 1.0 it is 3.2 %, with LEAST_LEFT at 0.25 it is 2.4 %.
+MAX_IOU = 0.5  # two boxes that overlap more show the same object, and claim nothing
 OTHER_M = 0.1  # tolerance in depth of the other box's surface
-NEARLY = 0.8  # the other box's fit, as a share of this box's fit, above which it claims samples
-LEFT = 0.1  # least share of this box's samples that must remain; else it keeps all
-MOSTLY = 0.5  # a box whose surface keeps at least this share of its samples keeps the surface
-MASKED = 0.05
+CLAIM_RATIO = 0.8  # the other box claims samples if its fit is above this share of this box's fit
+LEAST_LEFT = 0.1  # least share of this box's samples that must remain; else it keeps all
+LEAST_KEPT = 0.5  # a box keeps its surface if at least this share of its samples is not claimed
+LEAST_ON_MASK = 0.05
 """A mask with less than this share of the box's samples is ignored."""
 FLOOR_M = 0.06
-"""Points lower than this over the floor count only if the box shows nothing else."""
+"""Points lower than this over the floor count only if the box shows hardly anything else."""
+LEAST_ABOVE, LEAST_ABOVE_SHARE = 8, 0.1
+"""Least number and share of samples above the floor; with fewer, the floor's samples count too."""
 
 
 @jit
@@ -66,7 +74,7 @@ def cloud_raster(cloud, T_camera_cloud, fx, fy, cx, cy, cell_px, raster, points)
         if not np.isfinite(px + py + pz):
             continue
         z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-        if z < 0.05:
+        if z < 0.05:  # behind the camera or at its lens
             continue
         x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
         y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
@@ -75,8 +83,8 @@ def cloud_raster(cloud, T_camera_cloud, fx, fy, cx, cy, cell_px, raster, points)
         if r < 0 or c < 0 or r >= rows or c >= columns:
             continue
         points[i, 0], points[i, 1], points[i, 2] = x, y, z
-        held = raster[r, c]
-        if held < 0 or z < points[held, 2]:
+        nearest = raster[r, c]
+        if nearest < 0 or z < points[nearest, 2]:
             raster[r, c] = i
 
 
@@ -154,7 +162,7 @@ def drop_floor(samples, n, T, floor_z):
         z = T[2, 0] * samples[i, 0] + T[2, 1] * samples[i, 1] + T[2, 2] * samples[i, 2] + T[2, 3]
         if z > floor_z:
             above += 1
-    if above < 8 or above < 0.1 * n:
+    if above < LEAST_ABOVE or above < LEAST_ABOVE_SHARE * n:
         return n
     k = 0
     for i in range(n):
@@ -166,18 +174,18 @@ def drop_floor(samples, n, T, floor_z):
 
 
 @jit
-def drop_unmasked(samples, n, view, boxes, masks, mine):
+def drop_unmasked(samples, n, view, boxes, masks, own):
     """Move the samples that lie on their box's mask to the front.
 
-    `view`, `boxes` and `masks` are those of `back_project_boxes`; `mine` is the index of the
+    `view`, `boxes` and `masks` are those of `back_project_boxes`; `own` is the index of the
     sampled box.
 
     Returns:
         Number of samples on the mask; `n` if the mask has hardly any (an empty mask).
     """
-    if mine >= len(masks):
+    if own >= len(masks):
         return n
-    box, mask = boxes[mine], masks[mine]
+    box, mask = boxes[own], masks[own]
     _, _, _, _, fx, fy, cx, cy = view
     rows, columns = mask.shape
     across, down = columns / (box[2] - box[0]), rows / (box[3] - box[1])
@@ -194,11 +202,11 @@ def drop_unmasked(samples, n, view, boxes, masks, mine):
                 samples[k, axis] = samples[i, axis]
                 samples[i, axis] = kept
             k += 1
-    return k if k >= MASKED * n else n
+    return k if k >= LEAST_ON_MASK * n else n
 
 
 @jit
-def drop_others(samples, n, view, boxes, word, mine, depth, claim):
+def drop_others(samples, n, view, boxes, word, own, depths, fit):
     """Move the samples that no box of another word claims to the front.
 
     Args:
@@ -207,27 +215,27 @@ def drop_others(samples, n, view, boxes, word, mine, depth, claim):
         view: see `back_project_boxes`.
         boxes: see `back_project_boxes`.
         word: see `back_project_boxes`.
-        mine: index of the box that was sampled.
-        depth: (m, 2) float32, nearest and farthest depth of each box's surface.
-        claim: (m,) float32, fit of that surface to the box.
+        own: index of the box that was sampled.
+        depths: (m, 2) float32, nearest and farthest depth of each box's surface.
+        fit: (m,) float32, fit of that surface to the box; see `choose_surface`.
 
     Returns:
         Number of samples that no other box claims.
     """
     _, _, _, _, fx, fy, cx, cy = view
-    box = boxes[mine]
+    box = boxes[own]
     area = (box[2] - box[0]) * (box[3] - box[1])
     left = n
     for j in range(len(boxes)):
-        if float(claim[j]) <= NEARLY * float(claim[mine]) or word[j] == word[mine]:
+        if float(fit[j]) <= CLAIM_RATIO * float(fit[own]) or word[j] == word[own]:
             continue
         u0, v0, u1, v1 = boxes[j]
         wide, high = min(u1, box[2]) - max(u0, box[0]), min(v1, box[3]) - max(v0, box[1])
         if wide <= 0.0 or high <= 0.0:
             continue
-        if wide * high > APART * (area + (u1 - u0) * (v1 - v0) - wide * high):
+        if wide * high > MAX_IOU * (area + (u1 - u0) * (v1 - v0) - wide * high):
             continue
-        low, far = depth[j, 0] - OTHER_M, depth[j, 1] + OTHER_M
+        low, far = depths[j, 0] - OTHER_M, depths[j, 1] + OTHER_M
         k = 0
         for i in range(left):
             z = samples[i, 2]
@@ -323,21 +331,21 @@ def sample(view, x0, y0, x1, y1, max_range, samples):
 
 
 @jit
-def sample_margins(view, box, max_range, beside, n):
+def sample_strips(view, box, max_range, strips, n):
     """Sample a strip next to each side of a box.
 
     Args:
         view: see `back_project_boxes`.
         box: (4,) float32, the whole box.
         max_range: largest depth in metres.
-        beside: (4, SIDE*SIDE, 3) float32 out.
+        strips: (4, SIDE*SIDE, 3) float32 out.
         n: (4,) int32 out, rows written of each.
     """
     x0, y0, x1, y1 = box[0], box[1], box[2], box[3]
-    near_u, near_v = BESIDE_OFF * (x1 - x0), BESIDE_OFF * (y1 - y0)
-    far_u = near_u + max(3.0, BESIDE * (x1 - x0))
-    far_v = near_v + max(3.0, BESIDE * (y1 - y0))
-    strips = np.array(
+    near_u, near_v = STRIP_DISTANCE * (x1 - x0), STRIP_DISTANCE * (y1 - y0)
+    far_u = near_u + max(3.0, STRIP_WIDTH * (x1 - x0))
+    far_v = near_v + max(3.0, STRIP_WIDTH * (y1 - y0))
+    sides = np.array(
         [
             [x0 - far_u, y0, x0 - near_u, y1],
             [x1 + near_u, y0, x1 + far_u, y1],
@@ -346,36 +354,36 @@ def sample_margins(view, box, max_range, beside, n):
         ]
     )
     for side in range(4):
-        u0, v0, u1, v1 = strips[side]
-        n[side] = sample(view, u0, v0, u1, v1, max_range, beside[side])
+        u0, v0, u1, v1 = sides[side]
+        n[side] = sample(view, u0, v0, u1, v1, max_range, strips[side])
 
 
 @jit
-def share_beyond_box(beside, n, low, high, T, floor_z):
+def share_beyond_box(strips, n, low, high, T, floor_z):
     """Return how far a surface goes on beyond the box: its mean share of the samples in the strips.
 
     An object ends at its box; the wall behind it, or a table in front of it, mostly does not.
     Points on the floor do not count. Strips without returns (`n` is 0) are ignored.
 
     Args:
-        beside: (4, SIDE*SIDE, 3) float32, samples of the strips; see `sample_margins`.
+        strips: (4, SIDE*SIDE, 3) float32, samples of the strips; see `sample_strips`.
         n: (4,) int32, number of samples of each strip.
         low: nearest depth of the surface.
         high: farthest depth of the surface.
         T: (4, 4) float64, map from optical frame.
         floor_z: height in `map` below which points are floor.
     """
-    total, sides = 0.0, 0
+    total, used = 0.0, 0
     for side in range(4):
         inside = 0
         for i in range(n[side]):
-            x, y, z = beside[side, i, 0], beside[side, i, 1], beside[side, i, 2]
+            x, y, z = strips[side, i, 0], strips[side, i, 1], strips[side, i, 2]
             if low <= z <= high and T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3] > floor_z:
                 inside += 1
         if n[side] > 0:
             total += inside / n[side]
-            sides += 1
-    return total / sides if sides else 0.0
+            used += 1
+    return total / used if used else 0.0
 
 
 @jit
@@ -408,26 +416,26 @@ def choose_surface(view, box, samples, n, T, floor_z, max_range, scratch):
         scratch: see `back_project_boxes`.
 
     Returns:
-        (nearest depth, farthest depth, claim): claim is the fit to the box, in [0, 1].
+        (nearest depth, farthest depth, fit of the surface to the box in [0, 1]).
     """
-    _, beside, n_beside, histogram, found, _ = scratch
+    _, strips, n_strips, histogram, found, _ = scratch
     k = surfaces(samples, n, max_range, histogram, found)
     if k == 0:
         return 0.0, max_range, 0.0  # no dense depth bin: take all samples
     chosen = np.argmax(found[:k, 2])
-    claim = found[chosen, 2] / n
-    if claim < 1.0 - LEAST_SHARE:
-        sample_margins(view, box, max_range, beside, n_beside)
-        best, before, claim = 0.0, 1.0, 0.0
+    fit = found[chosen, 2] / n
+    if fit < 1.0 - LEAST_SHARE:  # else no other surface is large enough
+        sample_strips(view, box, max_range, strips, n_strips)
+        best, handicap, fit = 0.0, 1.0, 0.0  # handicap: FARTHER for each surface in front
         for j in range(k):
             if found[j, 2] < LEAST_SHARE * n:
                 continue
-            taken = share_beyond_box(beside, n_beside, found[j, 0], found[j, 1], T, floor_z)
-            fits = found[j, 2] / n * (1.0 - taken) ** 5
-            if fits / before > best:
-                chosen, best, claim = j, fits / before, fits
-            before *= FARTHER
-    return found[chosen, 0], found[chosen, 1], claim
+            beyond = share_beyond_box(strips, n_strips, found[j, 0], found[j, 1], T, floor_z)
+            fit_j = found[j, 2] / n * (1.0 - beyond) ** 5
+            if fit_j / handicap > best:
+                chosen, best, fit = j, fit_j / handicap, fit_j
+            handicap *= FARTHER
+    return found[chosen, 0], found[chosen, 1], fit
 
 
 @jit
@@ -449,7 +457,7 @@ def back_project_boxes(
         floor_z: height in `map` below which points are floor.
         max_range: largest depth in metres.
         min_points: least number of samples of a valid box.
-        scratch: samples (SIDE*SIDE, 3), `beside` (4, SIDE*SIDE, 3), n_beside (4,) int32,
+        scratch: samples (SIDE*SIDE, 3), `strips` (4, SIDE*SIDE, 3), n_strips (4,) int32,
             histogram (BINS,) int32, found (BINS, 3), in_map (3, SIDE*SIDE); float32 by default.
         out: center (n, 3), points (n, k, 3) float32 in `map`; n_points, n_samples (n,) int32,
             valid (n,) bool.
@@ -458,7 +466,7 @@ def back_project_boxes(
     center, points, n_points, n_samples, valid = out
     T, shrink = T_map_camera, 0.5 * (1.0 - INNER)
     inner = np.empty_like(boxes)
-    depth, claim = np.empty((len(boxes), 2), np.float32), np.zeros(len(boxes), np.float32)
+    depths, fit = np.empty((len(boxes), 2), np.float32), np.zeros(len(boxes), np.float32)
     for i in range(len(boxes)):
         valid[i] = False
         n_points[i] = n_samples[i] = 0
@@ -469,34 +477,35 @@ def back_project_boxes(
             n = sample(view, inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3], max_range, samples)
             n = drop_unmasked(samples, n, view, boxes, masks, i)
             n = drop_floor(samples, n, T, floor_z)
-            depth[i, 0], depth[i, 1], claim[i] = choose_surface(
+            depths[i, 0], depths[i, 1], fit[i] = choose_surface(
                 view, boxes[i], samples, n, T, floor_z, max_range, scratch
             )
+    # All boxes have chosen: now those whose surface another box claims choose again.
     for i in range(len(boxes)):
         if not np.isfinite(boxes[i].sum()):
             continue
-        low, high = depth[i]
+        low, high = depths[i]
         n = sample(view, inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3], max_range, samples)
         n = drop_unmasked(samples, n, view, boxes, masks, i)
-        whole = count_between(samples, n, low, high)  # samples of the surface, claimed or not
-        left = drop_others(samples, n, view, boxes, word, i, depth, claim)
-        if left < LEFT * n:
-            left = n
-        rest = drop_floor(samples, left, T, floor_z)
-        mine = True
+        n_surface = count_between(samples, n, low, high)  # claimed or not
+        n_left = drop_others(samples, n, view, boxes, word, i, depths, fit)
+        if n_left < LEAST_LEFT * n:
+            n_left = n
+        n_above = drop_floor(samples, n_left, T, floor_z)
+        keeps = True
         # A box keeps a surface that is mostly its own: a cushion does not hide a sofa.
-        if left < n and count_between(samples, left, low, high) < MOSTLY * whole:
-            first = claim[i]
-            low, high, fits = choose_surface(
-                view, boxes[i], samples, rest, T, floor_z, max_range, scratch
+        if n_left < n and count_between(samples, n_left, low, high) < LEAST_KEPT * n_surface:
+            first_fit = fit[i]
+            low, high, second_fit = choose_surface(
+                view, boxes[i], samples, n_above, T, floor_z, max_range, scratch
             )
             # The second choice may belong to another box, too: then this box is invalid.
-            claim[i] = fits * rest / n
-            whole = count_between(samples, rest, low, high)
-            own = drop_others(samples, rest, view, boxes, word, i, depth, claim)
-            mine = count_between(samples, own, low, high) >= MOSTLY * whole
-            claim[i] = first
-        x, y, z, m, used = surface_points(samples, rest, low, high, T, points[i], in_map)
+            fit[i] = second_fit * n_above / n  # as a share of all samples, like the others
+            n_surface = count_between(samples, n_above, low, high)
+            n_own = drop_others(samples, n_above, view, boxes, word, i, depths, fit)
+            keeps = count_between(samples, n_own, low, high) >= LEAST_KEPT * n_surface
+            fit[i] = first_fit  # what later boxes compare with must not depend on their order
+        x, y, z, m, used = surface_points(samples, n_above, low, high, T, points[i], in_map)
         center[i, 0], center[i, 1], center[i, 2] = x, y, z
         n_samples[i], n_points[i] = m, used
-        valid[i] = mine and m >= min_points
+        valid[i] = keeps and m >= min_points

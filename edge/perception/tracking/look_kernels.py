@@ -1,4 +1,7 @@
-"""Kernels for the visibility of an object at a known place in an image. Arrays only."""
+"""Kernels that compute how well a known object should be visible in an image. Arrays only.
+
+Only if it should be visible is a missing detection evidence that the object is not there.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ LOOK_RIM = 0.1
 """Share of the image at each border in which a view is unreliable."""
 OCCLUDED_M = 0.4
 """A return that is nearer than the object by more than this hides the object."""
-MOST = 0.7
+WHOLE_SHARE = 0.7
 """An object is wholly in the image if at least this share of its surface is."""
 
 HIDDEN, AT_EDGE, IN_PART, WHOLE = range(4)
@@ -34,7 +37,7 @@ def view_of(camera: CameraModel) -> np.ndarray:
 
 @jit
 def ahead_m(T_camera_map, x, y, z):
-    """Return the depth of a place in `map`, along the camera's axis."""
+    """Return the depth of a place in `map`, along the camera's axis, in metres."""
     T = T_camera_map
     return T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
 
@@ -57,7 +60,7 @@ def visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
     T = T_camera_map
     fx, fy, cx, cy, width, height = view[0], view[1], view[2], view[3], view[4], view[5]
     zc = ahead_m(T, x, y, z)
-    if not 0.1 < zc < far_m:
+    if not 0.1 < zc < far_m:  # behind the camera, at its lens, or too far
         return HIDDEN
     u = fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / zc + cx
     v = fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / zc + cy
@@ -71,7 +74,7 @@ def visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
     inside = rim_u < u < width - rim_u and rim_v < v < height - rim_v
     if not inside or zc <= LOOK_MIN_M:
         return AT_EDGE
-    if n_points > 0 and share_in_view(points, n_points, T, view) < MOST:
+    if n_points > 0 and share_in_view(points, n_points, T, view) < WHOLE_SHARE:
         return IN_PART
     return WHOLE
 
@@ -87,12 +90,13 @@ def share_in_view(points, n, T_camera_map, view):
         view: see `view_of`.
     """
     T = T_camera_map
+    fx, fy, cx, cy, width, height = view[0], view[1], view[2], view[3], view[4], view[5]
     inside = 0
     for i in range(n):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         zc = ahead_m(T, x, y, z)
         if zc > 0.0:
-            u = view[0] * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / zc + view[2]
-            v = view[1] * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / zc + view[3]
-            inside += 0.0 <= u < view[4] and 0.0 <= v < view[5]
+            u = fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / zc + cx
+            v = fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / zc + cy
+            inside += 0.0 <= u < width and 0.0 <= v < height
     return inside / n

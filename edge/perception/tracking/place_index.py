@@ -1,4 +1,6 @@
-"""Grid hash over the centres of objects, which finds the rows near a place without visiting all.
+"""Grid hash over the centres of objects: it finds the rows near a place without visiting all rows.
+
+`ObjectTracker` uses it to match detections; a row is one object.
 
 The rows whose cells have the same hash form a bucket, which is a linked list. The index is three
 arrays, so that kernels can use it: the first row of each bucket, the row that follows each row in
@@ -20,7 +22,8 @@ _END = -1  # end of a linked list
 _FARTHEST = 1e6  # largest cell number; a centre beyond has this cell
 
 PlaceIndex = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""(first, following, cell): (buckets,) int32, (capacity,) int32, (capacity, 2) int32."""
+"""(first, following, cell): the first row of each bucket (buckets,), the next row in the bucket of
+each row (capacity,), and the cell (ix, iy) of each row (capacity, 2); all int32, -1: none."""
 
 
 def make_index(capacity: int) -> PlaceIndex:
@@ -40,6 +43,7 @@ def _cell(x):
 
 @jit
 def _bucket(ix, iy):
+    """Return the bucket of a cell: its hash by two large primes."""
     return ((ix * 73856093) ^ (iy * 19349663)) & (_BUCKETS - 1)
 
 

@@ -1,4 +1,4 @@
-"""Kernels of the object map: records of objects, fused over time. Arrays only."""
+"""Kernels of the object map (`sightings`): they match and fuse its rows. Arrays only."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from edge.perception.tracking.look_kernels import HIDDEN, WHOLE, ahead_m, visibi
 from edge.perception.tracking.place_index import rows_near
 
 POINTS = 32
-"""Number of surface points kept of each record."""
-_TAKEN = 6
-"""Most points added from one view: later views bring others."""
+"""Number of surface points kept of each row, that is, of each object."""
+_POINTS_OF_VIEW = 6
+"""About this many points of a view are added, evenly spread: later views bring others."""
 PARTIAL = 0.25
 """Weight of a view that does not show the object as a whole."""
 FORGET = 40.0
@@ -19,24 +19,24 @@ FORGET = 40.0
 SAME_M = 0.2
 """Surface points at most this far apart (along each axis) belong to one surface."""
 WITHIN = 0.5
-"""Share of a record's points that must lie on an object's surface, to count fully against it.
+"""Share of a row's points that must lie on an object's surface, to count fully against it.
 
-With a smaller share the record counts in proportion."""
+With a smaller share the row counts in proportion."""
 PRIOR = 0.5
-"""Weight of the prior confidence of 0, so that one view is not enough for a high confidence."""
+"""Weight of a prior view with score 0, so that one view is not enough for a high confidence."""
 
 
 @jit
 def match(centers, points, n_points, reach, word, rows, of_word, x, y, merge_m):
-    """Return the record of a word that is nearest to a place, -1 if none is within `merge_m`.
+    """Return the row of a word that is nearest to a place, -1 if none is within `merge_m`.
 
     Args:
         centers: (cap, 3) float32 in `map`.
-        points: (cap, POINTS, 3) float32 in `map`; the first `n_points[i]` of record i count.
+        points: (cap, POINTS, 3) float32 in `map`; the first `n_points[i]` of row i count.
         n_points: (cap,) int32.
         reach: (cap,) float32, see `reach_of`.
-        word: (cap,) int16, index of each record's word.
-        rows: (k,) int32, the records that may match.
+        word: (cap,) int16, index of each row's word.
+        rows: (k,) int32, the rows that may match.
         of_word: index of the word to match.
         x: x of the place in `map`.
         y: y of the place in `map`.
@@ -60,7 +60,7 @@ def match(centers, points, n_points, reach, word, rows, of_word, x, y, merge_m):
 
 @jit
 def reach_of(centers, points, n_points, i):
-    """Return the largest planar distance of record `i`'s points from its centre, rounded up."""
+    """Return the largest planar distance of row `i`'s points from its centre, rounded up."""
     most = 0.0
     for k in range(n_points[i]):
         dx, dy = points[i, k, 0] - centers[i, 0], points[i, k, 1] - centers[i, 1]
@@ -69,16 +69,16 @@ def reach_of(centers, points, n_points, i):
 
 
 @jit
-def drifted(index, centers, word, n, now, near_m, rows):
-    """Find two records of one word whose centres are closer than `near_m`.
+def find_duplicate(index, centers, word, n, now, near_m, rows):
+    """Find two rows of one word whose centres are closer than `near_m`.
 
-    Such records are one object that was first seen from its two ends.
+    Such rows are one object that was first seen from its two ends.
 
     Args:
         index: see `place_index.PlaceIndex`.
         centers: see `match`.
         word: see `match`.
-        n: number of records.
+        n: number of rows.
         now: (cap,) float32, above 0 if the object was detected in this image.
         near_m: planar distance.
         rows: (cap,) int32, scratch.
@@ -102,20 +102,20 @@ def drifted(index, centers, word, n, now, near_m, rows):
 
 @jit
 def add_points(points, n_points, cursor, i, surface, n_surface, voxel_m):
-    """Add some points of a new view to record `i`, one for each voxel.
+    """Add some points of a new view to row `i`, one for each voxel.
 
-    If the record has POINTS points, the oldest are replaced.
+    If the row has POINTS points, the oldest are replaced.
 
     Args:
         points: see `match`.
         n_points: see `match`.
         cursor: (cap,) int32, position of the next point.
-        i: index of the record.
+        i: index of the row.
         surface: (k, 3) float32 in `map`.
         n_surface: number of rows of `surface` that count.
         voxel_m: side of a voxel.
     """
-    step = max(1, n_surface // _TAKEN)
+    step = max(1, n_surface // _POINTS_OF_VIEW)
     for j in range(0, n_surface, step):
         known = False
         for k in range(n_points[i]):
@@ -151,20 +151,20 @@ def weight_of(x, y, z, points, n_points, T_camera_map, view, depth, near_m, far_
 
 @jit
 def fuse(
-    centers, points, n_points, word, n, now, asked, T_camera_map, view, depth, near_m, far_m,
+    centers, points, n_points, word, n, now, looked_for, T_camera_map, view, depth, near_m, far_m,
     weight, total, confidence,
 ):  # fmt: skip
-    """Update every record by one image: detections are evidence for a record, misses against it.
+    """Update every row by one image: a detection is evidence for the object, a miss against it.
 
     Args:
         centers: see `match`.
         points: see `match`.
         n_points: see `match`.
         word: see `match`.
-        n: number of records.
-        now: (cap,) float32, score of each record in this image, 0 if it was not detected. All are
+        n: number of rows.
+        now: (cap,) float32, score of each row in this image, 0 if it was not detected. All are
             set to 0 at the end.
-        asked: (words,) bool, True for words that the detector looked for.
+        looked_for: (words,) bool, True for words that the detector looked for.
         T_camera_map: see `look_kernels.visibility`.
         view: see `look_kernels.visibility`.
         depth: see `look_kernels.visibility`.
@@ -175,7 +175,7 @@ def fuse(
         confidence: (cap,) float32 out.
     """
     for i in range(n):
-        if not asked[word[i]]:
+        if not looked_for[word[i]]:
             now[i] = 0.0
             continue
         x, y, z = centers[i, 0], centers[i, 1], centers[i, 2]
@@ -202,9 +202,9 @@ def competing_confidence(
 ):  # fmt: skip
     """Return the confidence that another object stands at the place of an object.
 
-    A record counts for the part of the object that it covers: a row of chairs may cover all of a
-    sofa, a pillow covers little of a bed. A record that lies mostly elsewhere, such as the table
-    under a vase, counts little. Records of one word count together.
+    Another object counts for the part of the surface that it covers: several chairs may cover all
+    of a sofa, a pillow covers little of a bed. An object that lies mostly elsewhere, such as the
+    table under a vase, counts little. Objects of one word count together.
 
     Args:
         surface: (k, 3) float32 in `map`, surface points of the object; k > 0.
@@ -212,15 +212,15 @@ def competing_confidence(
         points: see `match`.
         n_points: see `match`.
         word: see `match`.
-        confidence: (cap,) float32, confidence of each record.
-        rows: (r,) int32, the records that may cover the object.
+        confidence: (cap,) float32, confidence of each row.
+        rows: (r,) int32, the rows that may cover the object.
         against: (words,) float32, weight of each word's confidence; 0: the word names the same
             object.
-        reach_m: largest planar distance of a record's centre from the centre of the surface.
+        reach_m: largest planar distance of a row's centre from the centre of the surface.
 
     Returns:
         The maximum over words of the mean, over the surface, of the confidence of the word's
-        records that cover it.
+        rows that cover it.
     """
     k = len(surface)
     x, y = np.mean(surface[:, 0]), np.mean(surface[:, 1])
@@ -230,23 +230,23 @@ def competing_confidence(
         dx, dy = centers[i, 0] - x, centers[i, 1] - y
         if against[word[i]] == 0.0 or n_points[i] == 0 or dx * dx + dy * dy > reach_m * reach_m:
             continue
-        on = np.zeros(k, np.bool_)
+        is_covered = np.zeros(k, np.bool_)
         inside = 0
         for j in range(n_points[i]):
-            lies = False
+            is_on_surface = False
             for s in range(k):
                 if (
                     abs(points[i, j, 0] - surface[s, 0]) < SAME_M
                     and abs(points[i, j, 1] - surface[s, 1]) < SAME_M
                     and abs(points[i, j, 2] - surface[s, 2]) < SAME_M
                 ):
-                    on[s] = True
-                    lies = True
-            inside += lies
+                    is_covered[s] = True
+                    is_on_surface = True
+            inside += is_on_surface
         share = min(1.0, inside / (WITHIN * n_points[i]))
         found[word[i]] = True
         for s in range(k):
-            if on[s]:
+            if is_covered[s]:
                 cover[word[i], s] = max(cover[word[i], s], share * confidence[i])
     best = np.float32(0.0)
     for w in range(len(against)):

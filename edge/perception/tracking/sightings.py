@@ -1,4 +1,8 @@
-"""The object map: every object that the detector names, by word and place, fused over time."""
+"""The object map: all objects that the detector found, merged by word and place over time.
+
+`ObjectTracker` updates it with each image. The memory, the prior, rooms and policies read it as
+`TrackedObjects`. The targets among the objects are tracked in more detail, in `instances`.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +23,22 @@ from edge.types import Observation
 
 MAX_SIGHTINGS = 5000
 """Largest number of objects in the map."""
-GONE = 0.1
-"""A record whose confidence is below this share of `tau_det` was a mistake, or the object is gone.
-"""
-_MATTERS = 0.1
-"""Change of a confidence that raises the generation; so does a shift of a place by twice this [m].
-"""
-_BROADER = 0.75
+_DROP_SHARE = 0.1
+"""An object is dropped if its confidence is below this share of `tau_det`.
+
+It was a false detection, or it is gone."""
+_CONFIDENCE_CHANGE = 0.1
+"""Change of a confidence that raises the generation."""
+_SHIFT_M = 0.2
+"""Shift of an object along one axis that raises the generation."""
+_BROADER_WEIGHT = 0.75
 """Weight of a broader word against a narrower one.
 
 An armchair is a chair. But an object that is clearly a chair and hardly an armchair is no armchair.
 """
-_NONE = np.zeros(0, np.float32)
+_MOST_VIEWS = 20
+"""Views in the running mean of a centre: later views still move it, each by 1/20 of the error."""
+_NO_WEIGHTS = np.zeros(0, np.float32)
 MAX_VANISHED = 64
 """Number of vanished objects that are kept until they are seen elsewhere; the oldest go first."""
 
@@ -172,46 +180,51 @@ class ObjectTracker:
         cap = MAX_SIGHTINGS
         self.config = perception
         self._objects = TrackedObjects(cap)
+        # More columns of the objects. Score in the present image, 0: not detected.
         self._now = np.zeros(cap, np.float32)
+        # Sums of the views' weights, and of weights times scores; position of the next point.
         self._weight = np.zeros(cap, np.float32)
         self._total = np.zeros(cap, np.float32)
         self._cursor = np.zeros(cap, np.int32)
-        # Confidence and place at the last generation.
+        # Confidence, x, y, z when they last raised the generation.
         self._counted = np.zeros((cap, 4), np.float32)
-        self._number: dict[str, int] = {}
-        self._competing: dict[str, np.ndarray] = {}
-        self._looked_for = np.zeros(0, np.bool_)
-        self._asked_for: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
-        self._columns: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int16),) * 2
-        self._next_id = 1
-        self._index = place_index.make_index(cap)
-        self._rows = np.zeros(cap, np.int32)
-        self._farthest_m = 0.0  # at least the largest reach
         # Highest confidence so far. A row that was never certain was a mistake, and cannot move.
         self._peak_confidence = np.zeros(cap, np.float32)
+        # Index of each word in `TrackedObjects.words`; weights of all words against an object.
+        self._word_index: dict[str, int] = {}
+        self._competing: dict[str, np.ndarray] = {}
+        # The detector's words in the newest image: a flag for each word of `TrackedObjects.words`,
+        # the prompts and context words, and the word of each of their class ids.
+        self._looked_for = np.zeros(0, np.bool_)
+        self._prompts_and_words: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+        self._word_of_class: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int16),) * 2
+        self._next_id = 1
+        self._index = place_index.make_index(cap)
+        self._rows = np.zeros(cap, np.int32)  # scratch for rows found in the index
+        self._farthest_m = 0.0  # no smaller than the largest reach
         self.observed: list[ObservedObject] = []
         self.vanished: list[VanishedObject] = []
         self.renamed: dict[int, int] = {}
         self.read_only = self._objects.read_only()
 
-    def update(self, targets: BackProjectedBoxes, around: BackProjectedBoxes | None) -> None:
+    def update(self, targets: BackProjectedBoxes, context: BackProjectedBoxes | None) -> None:
         """Update the objects with all detections of one image, and with what it did not show.
 
         Args:
             targets: boxes of targets, with positions.
-            around: boxes of context words, with positions; None: not looked for.
+            context: boxes of context words, with positions; None: not looked for.
         """
         observation = targets.detections.observation
         self._set_words(
-            targets.detections.prompts, () if around is None else around.detections.prompts
+            targets.detections.prompts, () if context is None else context.detections.prompts
         )
         self.observed.clear()
         self.renamed.clear()
         self._farthest_m = float(self._objects.reach_m[: self._objects.n].max(initial=0.0))
-        for lifted, numbers in zip((targets, around), self._columns, strict=True):
+        for lifted, words in zip((targets, context), self._word_of_class, strict=True):
             if lifted is not None:
-                self._merge_boxes(lifted, numbers, observation)
-        self._unite()
+                self._merge_boxes(lifted, words, observation)
+        self._merge_duplicates()
         if observation.camera is not None:
             self._fuse(observation)
         self._drop_missed()
@@ -248,7 +261,7 @@ class ObjectTracker:
         """
         s, merge_m = self._objects, self.config.merge_m
         x_m, y_m, _ = surface_m.mean(axis=0).tolist()
-        own, word = 0.0, self._number.get(name, -1)
+        own, word = 0.0, self._word_index.get(name, -1)
         at = self._match(word, x_m, y_m, merge_m + radius_m)
         if at >= 0:
             own = float(s.confidence[at])
@@ -260,12 +273,18 @@ class ObjectTracker:
         return against > surer * own
 
     def _rows_near(self, x_m: float, y_m: float, within_m: float) -> np.ndarray:
-        """Return the rows with a centre near a place, and others; valid until the next call."""
+        """Return all rows with a centre within a distance of a place, and some farther ones.
+
+        The array is valid until the next call.
+        """
         k = place_index.rows_near(self._index, self._objects.n, x_m, y_m, within_m, self._rows)
         return self._rows[:k]
 
     def _match(self, word: int, x_m: float, y_m: float, within_m: float) -> int:
-        """Return the row of a word nearest to a place, by centre and surface; -1: none is near."""
+        """Return the row of a word whose centre or surface is nearest to a place.
+
+        Return -1 if none is within `within_m`.
+        """
         s, rows = self._objects, self._rows_near(x_m, y_m, within_m + self._farthest_m)
         return int(
             kernels.match(
@@ -275,7 +294,7 @@ class ObjectTracker:
 
     def _competing_with(self, name: str) -> np.ndarray:
         """Return the weight of each word's confidence against an object, (words,) float32."""
-        known = self._competing.get(name, _NONE)
+        known = self._competing.get(name, _NO_WEIGHTS)
         if len(known) < len(self._objects.words):
             more = [_weight_against(word, name) for word in self._objects.words[len(known) :]]
             known = self._competing[name] = np.append(known, np.array(more, np.float32))
@@ -315,6 +334,7 @@ class ObjectTracker:
             ValueError: the state is invalid.
         """
         s, words = self._objects, state.get("words", np.zeros(0))
+        # Most rows of each group of arrays, and largest values: a file may be damaged.
         rows = {
             tuple(name for name, _ in self._saved()): 1 << 13,
             ("words",): 1 << 15,
@@ -329,13 +349,14 @@ class ObjectTracker:
         s.n = min(len(state["word"]), len(s.word))
         for name, array in self._saved():
             array[: s.n] = state[name][: s.n]
-        numbers = self._numbers(words.tolist())
-        s.word[: s.n] = numbers[state["word"][: s.n]]
+        # Words of this tracker may have other indices than those of the state.
+        new_index = self._word_indices(words.tolist())
+        s.word[: s.n] = new_index[state["word"][: s.n]]
         s.first_seen_ns[: s.n] += later_ns
         s.last_seen_ns[: s.n] += later_ns
         self.vanished = [
             VanishedObject(
-                i, int(numbers[word]), first + later_ns, last + later_ns, (x, y, z), moves
+                i, int(new_index[word]), first + later_ns, last + later_ns, (x, y, z), moves
             )
             for i, word, first, last, (x, y, z), moves in zip(
                 *(state[name].tolist() for name in _VANISHED), strict=True
@@ -346,7 +367,7 @@ class ObjectTracker:
             self._place(at)
         self._next_id = max(self._next_id, int(state["next_id"]))
         # This run has not looked for anything yet.
-        self._looked_for, self._asked_for = np.zeros(len(s.words), np.bool_), ((), ())
+        self._looked_for, self._prompts_and_words = np.zeros(len(s.words), np.bool_), ((), ())
         s.generation += 1
         self._update_view()
 
@@ -358,39 +379,40 @@ class ObjectTracker:
             ("last_seen_ns", s.last_seen_ns), ("id", s.id), ("hits", s.hits),
             ("near_hits", s.near_hits), ("points_m", s.points_m), ("n_points", s.n_points),
             ("weight", self._weight), ("total", self._total), ("cursor", self._cursor),
+            # "told" and "peak": names that older checkpoints have.
             ("told", self._counted), ("peak", self._peak_confidence), ("moves", s.moves),
             ("first_seen_ns", s.first_seen_ns), ("came_from_m", s.came_from_m),
         )  # fmt: skip
 
     def _set_words(self, prompts: tuple[str, ...], words: tuple[str, ...]) -> None:
         """Set the words that the detector looked for in this image."""
-        if (prompts, words) == self._asked_for:
+        if (prompts, words) == self._prompts_and_words:
             return
-        self._asked_for = prompts, words
-        self._columns = (
-            self._numbers([names.canonical(names.head_phrase(prompt)) for prompt in prompts]),
-            self._numbers(words),
+        self._prompts_and_words = prompts, words
+        self._word_of_class = (
+            self._word_indices([names.canonical(names.head_phrase(prompt)) for prompt in prompts]),
+            self._word_indices(words),
         )  # fmt: skip
         self._looked_for = np.zeros(len(self._objects.words), np.bool_)
-        for numbers in self._columns:
-            self._looked_for[numbers] = True
+        for indices in self._word_of_class:
+            self._looked_for[indices] = True
 
-    def _numbers(self, words: Sequence[str]) -> np.ndarray:
+    def _word_indices(self, words: Sequence[str]) -> np.ndarray:
         """Return the indices of words in `TrackedObjects.words`; new words are appended to it."""
         for word in words:
-            if word not in self._number:
-                self._number[word] = len(self._objects.words)
+            if word not in self._word_index:
+                self._word_index[word] = len(self._objects.words)
                 self._objects.words.append(word)
-        return np.array([self._number[word] for word in words], np.int16)
+        return np.array([self._word_index[word] for word in words], np.int16)
 
     def _merge_boxes(
-        self, lifted: BackProjectedBoxes, numbers: np.ndarray, observation: Observation
+        self, lifted: BackProjectedBoxes, word_of_class: np.ndarray, observation: Observation
     ) -> None:
-        """Merge the boxes of one image, strongest first."""
+        """Merge the boxes of one image; they come strongest first."""
         seen, s, c = lifted.detections, self._objects, self.config
         pose = observation.pose
         for i in np.flatnonzero(lifted.valid).tolist():
-            score, word = float(seen.score[i]), int(numbers[seen.class_id[i]])
+            score, word = float(seen.score[i]), int(word_of_class[seen.class_id[i]])
             x_m, y_m, z_m = lifted.center_m[i].tolist()
             at = self._match(word, x_m, y_m, c.merge_m)
             strong = score > c.tau_det
@@ -407,7 +429,7 @@ class ObjectTracker:
             s.hits[at] += 1
             near = np.hypot(x_m - pose.x_m, y_m - pose.y_m) <= c.confirm_range_m
             s.near_hits[at] += near and score >= c.confirm_score
-            s.xyz_m[at] += (lifted.center_m[i] - s.xyz_m[at]) / min(s.hits[at], 20)
+            s.xyz_m[at] += (lifted.center_m[i] - s.xyz_m[at]) / min(s.hits[at], _MOST_VIEWS)
             kernels.add_points(
                 s.points_m, s.n_points, self._cursor, at, lifted.points_m[i], lifted.n_points[i],
                 c.voxel_m,
@@ -467,11 +489,11 @@ class ObjectTracker:
             return
         self.vanished = [*self.vanished, gone][-MAX_VANISHED:]
 
-    def _unite(self) -> None:
+    def _merge_duplicates(self) -> None:
         """Merge pairs of rows that are one object."""
         s, near_m = self._objects, 0.5 * self.config.merge_m
         while True:
-            kept, gone = kernels.drifted(
+            kept, gone = kernels.find_duplicate(
                 self._index, s.xyz_m, s.word, s.n, self._now, near_m, self._rows
             )
             if kept < 0:
@@ -491,6 +513,7 @@ class ObjectTracker:
             self._drop(gone)
 
     def _create(self, word: int, xyz_m: tuple[float, float, float], stamp_ns: int) -> int:
+        """Add a row and return its index; if all are in use, drop the least confident first."""
         s = self._objects
         if s.n == len(s.word):
             self._drop(int(np.argmin(s.confidence[: s.n] + self._now[: s.n])))
@@ -507,6 +530,7 @@ class ObjectTracker:
         return at
 
     def _fuse(self, observation: Observation) -> None:
+        """Update the confidence of all rows: detected, in view but not detected, or not in view."""
         s, c, camera = self._objects, self.config, observation.camera
         far_m = min(2.0 * c.confirm_range_m, c.back_projection_max_range_m)
         depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
@@ -519,7 +543,9 @@ class ObjectTracker:
     def _drop_missed(self) -> None:
         """Drop the rows that were in view and not detected too often."""
         s = self._objects
-        weak = (s.confidence[: s.n] < GONE * self.config.tau_det) & (self._weight[: s.n] > 1.0)
+        # One view alone (weight 1) drops nothing.
+        least = _DROP_SHARE * self.config.tau_det
+        weak = (s.confidence[: s.n] < least) & (self._weight[: s.n] > 1.0)
         for at in np.flatnonzero(weak)[::-1].tolist():
             self._vanish(at)
 
@@ -546,8 +572,8 @@ class ObjectTracker:
         np.maximum(
             self._peak_confidence[: s.n], s.confidence[: s.n], out=self._peak_confidence[: s.n]
         )
-        moved = np.abs(s.confidence[: s.n] - counted[: s.n, 0]) > _MATTERS
-        moved |= np.abs(s.xyz_m[: s.n] - counted[: s.n, 1:]).max(axis=1, initial=0) > 2 * _MATTERS
+        moved = np.abs(s.confidence[: s.n] - counted[: s.n, 0]) > _CONFIDENCE_CHANGE
+        moved |= np.abs(s.xyz_m[: s.n] - counted[: s.n, 1:]).max(axis=1, initial=0) > _SHIFT_M
         if moved.any():
             at = np.flatnonzero(moved)
             counted[at, 0], counted[at, 1:] = s.confidence[at], s.xyz_m[at]
@@ -570,4 +596,4 @@ def _weight_against(word: str, name: str) -> float:
     """
     if names.is_kind_of(word, name):
         return 0.0
-    return _BROADER if names.is_kind_of(name, word) else 1.0
+    return _BROADER_WEIGHT if names.is_kind_of(name, word) else 1.0
