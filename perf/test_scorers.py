@@ -17,7 +17,7 @@ from edge.loop.scorers import Scorers
 from edge.mapping import grid
 from edge.mapping.results import Frontiers
 from edge.perception.detection.onnx import OnnxDetector
-from edge.perception.scoring.choice.factory import ViewScorer, open_choice
+from edge.perception.scoring.choice.factory import ViewScorer, open_view_scorer
 from edge.perception.scoring.choice.question import Mark, MarkCosts, MarkedView
 from edge.perception.tracking.instances import InstanceTracker
 from edge.types import Observation
@@ -65,7 +65,7 @@ def test_choose_mini_house(benchmark, against):
     benchmark.extra_info["budget"] = "choose_mini_house"
     rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
     observation = Observation(0, 1, np.eye(4), rgb=rgb)
-    scorer = open_choice(config.ChoiceOnnx(card="mini-house-choice", threads=1))
+    scorer = open_view_scorer(config.ChoiceOnnx(card="mini-house-choice", threads=1))
     marks = tuple(Mark(i, 60.0 * i, 150.0, 0.5 - 0.3 * i, 2.0) for i in range(4))
     ways = MarkCosts(np.full(4, 2.5, np.float32), np.ones(4, np.float32), np.zeros(3, np.float32))
     view = MarkedView(observation, "bed", marks, mark_costs=ways)
@@ -100,7 +100,7 @@ def test_tick(benchmark, monkeypatch, asks):
     """Measure a tick while a scorer's network runs, and one without scorers, on the same drive."""
     benchmark.extra_info["budget"] = "tick_choosing" if asks else "tick_not_choosing"
     choice = config.ChoiceOnnx(card="mini-house-choice", threads=1)
-    busy = Busy(open_choice(choice))
+    busy = Busy(open_view_scorer(choice))
     scorers = Scorers(None, busy) if asks else None
     monkeypatch.setattr("edge.lab.eval.closed_loop.make_scorers", lambda *_: scorers)
     loop = ClosedLoop(

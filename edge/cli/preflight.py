@@ -45,7 +45,7 @@ from edge.perception.runtime.cards import check_installed, load_card, load_card_
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.sessions import CPU_ALONE, check_providers
 from edge.perception.scoring.choice.mark_scorer import check_size
-from edge.perception.scoring.choice.server import make_server_choice
+from edge.perception.scoring.choice.server import make_server_scorer
 from edge.perception.scoring.similarity import is_running_detector
 from edge.perception.scoring.vlm.files import EXTRA
 from edge.policies import find_policy
@@ -127,7 +127,7 @@ def _translator(config: Config) -> None:
 def _choice(config: Config) -> None:
     choice = config.perception.choice
     if isinstance(choice, (ChoiceOpenai, ChoiceText)):
-        make_server_choice(choice).close()
+        make_server_scorer(choice).close()
 
 
 def _tasks(config: Config) -> None:

@@ -18,7 +18,7 @@ from edge.config.root import ValueSource
 from edge.geometry import SE2
 from edge.loop.cooccurrence import PriorChoice, RelatedScores
 from edge.mapping.values import RangeProfile, ValueMap
-from edge.perception.scoring.choice.factory import ViewScorer, make_choice
+from edge.perception.scoring.choice.factory import ViewScorer, make_view_scorer
 from edge.perception.scoring.choice.picture import visible_marks
 from edge.perception.scoring.choice.question import (
     DetectedObject,
@@ -405,7 +405,7 @@ def make_scorers(
     config: Config,
     targets: Sequence[str],
     make_similarity: Callable[..., SimilarityScorer] = make_similarity,
-    make_choice: Callable[..., ViewScorer] = make_choice,
+    make_choice: Callable[..., ViewScorer] = make_view_scorer,
 ) -> Scorers | None:
     """Return the configured scorers, or None if there are none.
 

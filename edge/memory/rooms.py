@@ -106,7 +106,7 @@ def kinds_by_region(
         border: see `edge.mapping.regions.border_lengths`.
         held: see `objects_by_region`.
     """
-    return kinds.room_posterior_at(table, chance, held, held[kinds.neighbours(border, held)])
+    return kinds.room_posterior_at(table, chance, held, held[kinds.adjacent_regions(border, held)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

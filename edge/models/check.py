@@ -42,7 +42,7 @@ from edge.perception.runtime.health import UNSOUND, log_progress
 from edge.perception.runtime.kserve import KServeSession
 from edge.perception.runtime.onnx_file import MASK_OUTPUTS
 from edge.perception.runtime.sessions import DTYPES, open_session
-from edge.perception.scoring.choice.onnx_scorer import asked_of
+from edge.perception.scoring.choice.onnx_scorer import both_questions
 from edge.perception.scoring.choice.question import LETTERS, MAX_MARKS, SYSTEM
 from edge.perception.scoring.vlm.model import FIRST_RUN_S, LanguageModel
 from edge.text import one_line, redact
@@ -177,11 +177,11 @@ def _check_detector(path: Path | str, session: Any, card: DetectCard) -> str:
 
 def _check_choice(card: ChoiceCard) -> str:
     """Check all files, and ask both questions of ViTL about an image of noise."""
-    model = LanguageModel(card, asked_of(MAX_MARKS, _TARGET))
+    model = LanguageModel(card, both_questions(MAX_MARKS, _TARGET))
     noise = np.random.default_rng(0).integers(0, 255, _VIEW_HWC, np.uint8)
     view = noise if model.takes_images else "The robot sees:\n- nothing that it knows"
     began = time.perf_counter()
-    p, scene = model.ask(SYSTEM, view, asked_of(_TEXTS, _TARGET), FIRST_RUN_S)
+    p, scene = model.ask(SYSTEM, view, both_questions(_TEXTS, _TARGET), FIRST_RUN_S)
     took_ms = (time.perf_counter() - began) * 1e3
     letters = ", ".join(f"{letter} {share:.2f}" for letter, share in zip(LETTERS, p, strict=False))
     return (

@@ -25,7 +25,7 @@ from edge.perception.scoring.choice.question import (
     Mark,
     MarkedView,
 )
-from edge.perception.scoring.choice.server import ServerFrontierScorer, make_server_choice
+from edge.perception.scoring.choice.server import ServerFrontierScorer, make_server_scorer
 from edge.types import Observation
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
@@ -55,7 +55,7 @@ def put_to(scorer: ServerFrontierScorer, question: MarkedView) -> FrontierChoice
 
 @pytest.fixture(scope="module")
 def scorer(url: str) -> ServerFrontierScorer:
-    return make_server_choice(ChoiceText(url=url, model="default", time_limit_s=PATIENCE_S))
+    return make_server_scorer(ChoiceText(url=url, model="default", time_limit_s=PATIENCE_S))
 
 
 @pytest.mark.parametrize(("target", "n_marks"), [("chair", MAX_MARKS), ("tall white trash can", 1)])
@@ -94,7 +94,7 @@ def test_the_second_question_reuses_what_was_computed_for_the_first(scorer, monk
 
 
 def test_an_image_for_a_model_without_eyes_is_one_clear_line(url):
-    blind = make_server_choice(ChoiceOpenai(url=url, model="default", time_limit_s=PATIENCE_S))
+    blind = make_server_scorer(ChoiceOpenai(url=url, model="default", time_limit_s=PATIENCE_S))
     with pytest.raises(ChatError, match=r"answered HTTP [45]\d\d: .*image") as raised:
         put_to(blind, view("chair", 2, rgb=np.zeros((64, 80, 3), np.uint8)))
     assert "\n" not in str(raised.value)

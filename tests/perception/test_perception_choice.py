@@ -31,7 +31,7 @@ from edge.perception.scoring.choice.question import (
     direction_question,
     scene_question,
 )
-from edge.perception.scoring.choice.server import make_server_choice
+from edge.perception.scoring.choice.server import make_server_scorer
 from edge.perception.scoring.vlm.answers import MISSING_NATS, probabilities
 from edge.types import Observation
 
@@ -227,7 +227,7 @@ SCENE = {"Yes": LOG_QUARTER, "No": LOG_HALF, " yes": LOG_QUARTER}
 
 def scorer_of(server, kind="openai", **settings):
     make = ChoiceOpenai if kind == "openai" else ChoiceText
-    return make_server_choice(make(url=server.url, model="vlm", **settings))
+    return make_server_scorer(make(url=server.url, model="vlm", **settings))
 
 
 def put_to(asks, question):
@@ -306,7 +306,7 @@ def test_a_server_that_lies_is_one_clear_line(make_observation, behave, expected
 
 
 def test_the_time_limit_is_for_both_questions(make_observation, monkeypatch):
-    made = make_server_choice(ChoiceText(url="http://127.0.0.1:1/v1", model="m", time_limit_s=5.0))
+    made = make_server_scorer(ChoiceText(url="http://127.0.0.1:1/v1", model="m", time_limit_s=5.0))
     clock = itertools.count(100.0, 2.0)
     monkeypatch.setattr(scorer, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     left = []
@@ -334,4 +334,4 @@ def test_the_key_is_sent_and_never_shown(make_observation, monkeypatch, caplog):
 @pytest.mark.parametrize("url", ["", "localhost:8080", "ftp://host/v1", "http://user:pw@host/v1"])
 def test_an_unusable_url_is_refused_at_once(url):
     with pytest.raises(ChatError, match=r"^perception\.choice: .*http://HOST:PORT/v1"):
-        make_server_choice(ChoiceText(url=url, model="m"))
+        make_server_scorer(ChoiceText(url=url, model="m"))

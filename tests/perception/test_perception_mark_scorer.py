@@ -18,7 +18,7 @@ from edge.perception.runtime.cards import load_card_of, verify_model
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.onnx_file import check_fixed
 from edge.perception.scoring.choice import mark_scorer
-from edge.perception.scoring.choice.factory import make_choice, open_choice
+from edge.perception.scoring.choice.factory import make_view_scorer, open_view_scorer
 from edge.perception.scoring.choice.mark_scorer import (
     MarkNetwork,
     MarkScorer,
@@ -177,7 +177,7 @@ def test_a_text_encoder_of_another_length_is_refused(monkeypatch):
 )
 def test_a_card_that_is_none_is_named_with_its_key(card, says):
     with pytest.raises(ModelError, match=says):
-        make_choice(ChoiceOnnx(card=card), simulated().perception)
+        make_view_scorer(ChoiceOnnx(card=card), simulated().perception)
 
 
 class Slow(FakeSession):
@@ -202,18 +202,18 @@ def test_a_closed_one_gives_up_what_is_asked(monkeypatch):
 
 @pytest.fixture(scope="module")
 def shipped() -> MarkScorer:
-    return open_choice(ChoiceOnnx(card=NAME, threads=1))
+    return open_view_scorer(ChoiceOnnx(card=NAME, threads=1))
 
 
 def test_an_image_smaller_than_the_networks_cannot_be_demanded():
     with pytest.raises(ModelError, match=r"max_image_px: 319, but mini-house-choice .* least 320"):
-        open_choice(ChoiceOnnx(card=NAME, max_image_px=319))
-    open_choice(ChoiceOnnx(card=NAME, max_image_px=320)).close()
+        open_view_scorer(ChoiceOnnx(card=NAME, max_image_px=319))
+    open_view_scorer(ChoiceOnnx(card=NAME, max_image_px=320)).close()
 
 
 def test_tensorrt_by_itself_is_refused():
     with pytest.raises(ModelError, match="'tensorrt' runs only detectors"):
-        open_choice(ChoiceOnnx(card=NAME, providers=("tensorrt",)))
+        open_view_scorer(ChoiceOnnx(card=NAME, providers=("tensorrt",)))
 
 
 def test_in_a_process_of_its_own_it_says_the_same(shipped):
@@ -225,7 +225,7 @@ def test_in_a_process_of_its_own_it_says_the_same(shipped):
             "choice": {"kind": "onnx", "card": NAME, "threads": 1, "time_limit_s": PATIENCE_S},
         }
     )
-    there = make_choice(perception.choice, perception)
+    there = make_view_scorer(perception.choice, perception)
     assert isinstance(there._network, ProcessMarks)
     rgb = np.random.default_rng(0).integers(0, 255, (120, 160, 3), np.uint8)
     asked = view(mark(4, 10.0, bearing_rad=0.4), mark(9, 120.0, away_m=5.0), rgb=rgb)
@@ -267,4 +267,4 @@ def test_every_input_has_one_shape_as_tensorrt_wants_it():
 def test_int8_for_a_cpu_is_none_for_tensorrt():
     config = ChoiceOnnx(card=NAME, providers=("TensorrtExecutionProvider",))
     with pytest.raises(ModelError, match="mini-house-choice: quantized for CPUs"):
-        open_choice(config)
+        open_view_scorer(config)

@@ -14,13 +14,13 @@ from tiny_vlm import publish
 from edge.config import ChoiceOnnx, ModelProcessConfig, PerceptionConfig
 from edge.host import priority, resources
 from edge.perception.runtime.model_file import ModelError
-from edge.perception.scoring.choice.factory import make_choice
-from edge.perception.scoring.choice.onnx_scorer import asked_of, open_model
+from edge.perception.scoring.choice.factory import make_view_scorer
+from edge.perception.scoring.choice.onnx_scorer import both_questions, open_model
 from edge.perception.scoring.choice.process import ProcessModel, _decode
 from edge.perception.scoring.choice.question import SYSTEM
 
 RULES = ModelProcessConfig(timeout_s=PATIENCE_S, start_timeout_s=PATIENCE_S)
-ASKED = asked_of(2, "lamp")
+ASKED = both_questions(2, "lamp")
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_words_go_there_too_where_the_configuration_isolates(tmp_path, monkeypat
             "choice": choice,
         }
     )
-    asks = make_choice(perception.choice, perception)
+    asks = make_view_scorer(perception.choice, perception)
     there = asks._model
     assert isinstance(there, ProcessModel)
     assert not there.takes_images

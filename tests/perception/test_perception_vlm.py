@@ -18,8 +18,8 @@ from tiny_vlm import F32, HIDDEN, SIDE, Graph, pin, publish, train_tokenizer
 from edge.config import PerceptionConfig
 from edge.host import resources
 from edge.perception.runtime.cards import ModelError, load_card
-from edge.perception.scoring.choice.factory import make_choice
-from edge.perception.scoring.choice.onnx_scorer import OnnxFrontierScorer, asked_of
+from edge.perception.scoring.choice.factory import make_view_scorer
+from edge.perception.scoring.choice.onnx_scorer import OnnxFrontierScorer, both_questions
 from edge.perception.scoring.choice.question import SYSTEM, DetectedObject, Mark, MarkedView
 from edge.perception.scoring.vlm.answers import (
     answer_probabilities,
@@ -31,7 +31,7 @@ from edge.perception.scoring.vlm.model import LanguageModel
 from edge.perception.scoring.vlm.pictures import make_prepare, positions, smart_resize
 
 FAMILIES = ("text", "smolvlm", "qwen2-vl")
-EVERY = asked_of(8, "chair")
+EVERY = both_questions(8, "chair")
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_what_is_read_once_says_the_same(models_dir, family):
     model = opened(card)
     for seed, n, target in [(0, 2, "lamp"), (1, 2, "lamp"), (1, 8, "bed"), (1, 8, "bed")]:
         view = a_view(model, seed)
-        asked = asked_of(n, target)
+        asked = both_questions(n, target)
         found = model.ask(SYSTEM, view, asked, PATIENCE_S)
         for p, one in zip(found, asked, strict=True):
             assert len(p) == len(one.answers)
@@ -210,7 +210,7 @@ def test_places_of_tokens(ids, grid, expected):
 def made(**choice):
     choice = {"kind": "onnx", "threads": 1, **choice}
     perception = PerceptionConfig.model_validate({"detector": {"kind": "sim"}, "choice": choice})
-    return make_choice(perception.choice, perception)
+    return make_view_scorer(perception.choice, perception)
 
 
 def view_of(make_observation, **arrays):
@@ -232,7 +232,7 @@ def test_a_view_becomes_a_choice(models_dir, make_observation, family):
     assert choice.p.sum() + choice.elsewhere == pytest.approx(1.0, abs=1e-5)
     assert 0.0 <= choice.scene <= 1.0
     np.testing.assert_allclose(choice.value, choice.scene * choice.p, rtol=1e-5)
-    p, scene = opened(card).ask(SYSTEM, shown.part, asked_of(2, "lamp"), PATIENCE_S)
+    p, scene = opened(card).ask(SYSTEM, shown.part, both_questions(2, "lamp"), PATIENCE_S)
     np.testing.assert_allclose(
         [*choice.p, choice.elsewhere, choice.scene], [*p, scene[0]], atol=1e-5
     )
@@ -563,20 +563,22 @@ def test_weights_next_to_a_network_must_be_among_the_cards_files(models_dir):
     others = [*card.model_dump()["others"], {"file": "onnx/decoder.onnx_data"}]
     whole = card.model_validate({**card.model_dump(), "others": others})
     pin(whole)
-    assert opened(whole).ask(SYSTEM, "nothing", asked_of(2, "lamp"), PATIENCE_S)[0].sum() > 0.99
+    assert (
+        opened(whole).ask(SYSTEM, "nothing", both_questions(2, "lamp"), PATIENCE_S)[0].sum() > 0.99
+    )
 
 
 def test_a_question_that_is_too_long_is_not_asked(models_dir):
     model = opened(publish(models_dir, "text").model_copy(update={"max_tokens": 300}))
     with pytest.raises(ModelError, match=r"has \d+ tokens, but max_tokens of its card is 300"):
-        model.ask(SYSTEM, "bed " * 400, asked_of(2, "lamp"), PATIENCE_S)
-    assert len(model.ask(SYSTEM, "bed", asked_of(2, "lamp"), PATIENCE_S)) == 2
+        model.ask(SYSTEM, "bed " * 400, both_questions(2, "lamp"), PATIENCE_S)
+    assert len(model.ask(SYSTEM, "bed", both_questions(2, "lamp"), PATIENCE_S)) == 2
 
 
 def test_a_word_that_is_the_image_token_shows_no_second_image(models_dir):
     model = opened(publish(models_dir, "smolvlm"))
     with pytest.raises(ModelError, match=r"shows 2 images .<image>., expected 1"):
-        model.ask(SYSTEM, a_view(model), asked_of(2, "<image>"), PATIENCE_S)
+        model.ask(SYSTEM, a_view(model), both_questions(2, "<image>"), PATIENCE_S)
 
 
 # -- time -------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from edge.errors import UserError
 from edge.lab.bench import isolated
 from edge.lab.bench.choices import ChoiceJob, ChoiceMeasurement
 from edge.lab.bench.service import resident_mb
-from edge.perception.scoring.choice.factory import open_choice
+from edge.perception.scoring.choice.factory import open_view_scorer
 
 
 def measure(job: ChoiceJob) -> ChoiceMeasurement:
@@ -24,7 +24,7 @@ def measure(job: ChoiceJob) -> ChoiceMeasurement:
     of "elsewhere", and the answer to the scene question.
     """
     before_mb, began = resident_mb(), time.perf_counter()
-    scorer = open_choice(job.choice)
+    scorer = open_view_scorer(job.choice)
     load_s, took_ms, rows = time.perf_counter() - began, [], []
     for view in job.views:
         began = time.perf_counter()

@@ -1,6 +1,6 @@
 """P(target near a place | objects near it in sight): one logistic model for each target.
 
-Only objects near the place count: a house may have two bedrooms.
+Only objects near the place count, not all of the house: it may have two bedrooms.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def likelihood_ratio(table: ObjectPrior, row: int, near: np.ndarray, out: np.nda
 
     Args:
         table: the prior.
-        row: the target's row in the table; -1: the ratio is 1.
+        row: the target's row in the table; -1: unknown, so the ratio is 1.
         near: (n, things) float32 in [0, 1], confidence that each thing is near; see `nearby`.
         out: (n,) float32; 1 if nothing is near.
     """

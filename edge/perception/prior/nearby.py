@@ -1,4 +1,4 @@
-"""Kernels that find the objects near a place and in sight of it. Arrays only."""
+"""Kernels that find the objects near a place and in sight of it, for the prior. Arrays only."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _UNCHECKED_M = 0.25
 
 
 @jit
-def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, thing_m, row, weight, n_things, radius_m, out):
+def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, object_m, kind, weight, n_objects, radius_m, out):
     """Write the confidence that each kind of thing is near each place and in sight of it.
 
     Of several objects of a kind, the one with the highest confidence counts.
@@ -23,20 +23,20 @@ def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, thing_m, row, weight, n_things, ra
         cell_m: side of a cell.
         xy_m: (n or more, 2) float32, places in `map`.
         n: number of places.
-        thing_m: (n_things or more, 2 or more) float32, x and y in `map`.
-        row: (n_things or more,) int32, kind of each object; -1: the object is ignored.
-        weight: (n_things or more,) float32 in [0, 1], confidence of each object.
-        n_things: number of objects.
+        object_m: (n_objects or more, 2 or more) float32, x and y of the objects in `map`.
+        kind: (n_objects or more,) int32, kind of each object; -1: the object is ignored.
+        weight: (n_objects or more,) float32 in [0, 1], confidence of each object.
+        n_objects: number of objects.
         radius_m: largest distance.
         out: (n or more, kinds) float32, written for the first n.
     """
     out[:n] = 0.0
     for i in range(n):
-        for j in range(n_things):
-            k = row[j]
+        for j in range(n_objects):
+            k = kind[j]
             if k < 0 or weight[j] <= out[i, k]:
                 continue
-            dx, dy = thing_m[j, 0] - xy_m[i, 0], thing_m[j, 1] - xy_m[i, 1]
+            dx, dy = object_m[j, 0] - xy_m[i, 0], object_m[j, 1] - xy_m[i, 1]
             if dx * dx + dy * dy <= radius_m * radius_m and in_sight(
                 wall, x0_m, y0_m, cell_m, xy_m[i, 0], xy_m[i, 1], dx, dy
             ):
@@ -45,7 +45,7 @@ def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, thing_m, row, weight, n_things, ra
 
 @jit
 def in_sight(wall, x0_m, y0_m, cell_m, x_m, y_m, dx_m, dy_m):
-    """Return True if no wall lies on the line (dx_m, dy_m) from a place, except in `_UNCHECKED_M`.
+    """Return True if no wall lies on the line (dx_m, dy_m) from a place, without its end.
 
     The other arguments are those of `nearby`.
     """

@@ -1,4 +1,9 @@
-"""Kind of room of a region, by the objects seen there; and likelihood of a target in it."""
+"""Kind of room of a region, by the objects seen there; and likelihood of a target in it.
+
+The location prior (`edge.loop.prior`) and the rooms (`edge.memory.rooms`) use these functions. A
+thing is a kind of object that the table has, such as chair. A region is a part of the map behind
+doors; it holds one room, or two without a wall between them.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +15,11 @@ from edge.perception.prior.table import ObjectPrior
 
 _PRIOR_ROOMS = 4.0
 """Pseudo-count of average rooms, added to each kind; pulls small counts to the average."""
-# A region of the map may hold two rooms without a wall between them, such as a kitchen and a living
-# room. These numbers were tuned on houses for training.
-_EVIDENCE = 0.5  # weight of a thing as evidence for what the region holds
-_TWO = 0.1  # probability of two rooms in a region of at least _TWO_M2
-_TWO_M2 = 20.0  # area; below it, two rooms are less likely by a factor of e per m²
+# A region may hold two rooms, such as a kitchen and a living room. These numbers of
+# `included_kinds` were tuned on houses for training.
+_PAIR_EVIDENCE = 0.5  # weight of a thing as evidence for the one or two kinds of a region
+_P_TWO = 0.1  # probability of two rooms in a region of at least _TWO_ROOMS_M2
+_TWO_ROOMS_M2 = 20.0  # area; below it, two rooms are less likely by a factor of e per m²
 
 
 def object_given_room(table: ObjectPrior) -> np.ndarray:
@@ -33,50 +38,50 @@ def room_prior(table: ObjectPrior) -> np.ndarray:
     return table.kind_rooms / table.kind_rooms.sum()
 
 
-def room_posterior(table: ObjectPrior, chance: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Return P(kind | objects seen in the region): naive Bayes, discounted by `evidence`.
+def room_posterior(table: ObjectPrior, p_thing: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return P(kind | things seen in the region): naive Bayes.
 
-    `ObjectPrior.evidence` is the weight of an object.
-
-    Objects that were not seen do not count: a region is seldom seen as a whole.
+    Each thing counts with the weight `ObjectPrior.evidence`, since things are not independent.
+    Things that were not seen do not count: a region is seldom seen as a whole.
 
     Args:
-        table: the prior.
-        chance: see `object_given_room`.
-        held: (m, things) float32 in [0, 1], confidence that each thing is in each region.
+        table: the learned counts.
+        p_thing: see `object_given_room`.
+        seen: (m, things) float32 in [0, 1], confidence that each thing is in each region.
 
     Returns:
         (m, kinds) float64, rows sum to 1.
     """
     prior = room_prior(table)
-    log_ratio = np.log(chance) - np.log(prior @ chance)
-    log_p = np.log(prior) + table.evidence * (held @ log_ratio.T)
+    log_ratio = np.log(p_thing) - np.log(prior @ p_thing)
+    log_p = np.log(prior) + table.evidence * (seen @ log_ratio.T)
     p = np.exp(log_p - log_p.max(1, keepdims=True))
     return p / p.sum(1, keepdims=True)
 
 
 def included_kinds(
-    table: ObjectPrior, chance: np.ndarray, held: np.ndarray, area_m2: np.ndarray
+    table: ObjectPrior, p_thing: np.ndarray, seen: np.ndarray, area_m2: np.ndarray
 ) -> np.ndarray:
-    """Return P(a region holds a room of a kind | objects seen in it): (m, kinds) float64.
+    """Return P(a region holds a room of a kind | things seen in it): (m, kinds) float64.
 
     A region holds one room, or two of different kinds. So rows may sum to more than 1.
 
     Args:
-        table: the prior.
-        chance: see `object_given_room`.
-        held: (m, things) float32 in [0, 1], confidence that each thing is in each region.
+        table: the learned counts.
+        p_thing: see `object_given_room`.
+        seen: (m, things) float32 in [0, 1], confidence that each thing is in each region.
         area_m2: (m,) areas.
     """
     prior, k = room_prior(table), len(table.kinds)
+    # Hypotheses: each kind alone, then each pair of kinds.
     members = [(i,) for i in range(k)] + list(combinations(range(k), 2))
-    log_p = np.empty((len(held), len(members)))
+    log_p = np.empty((len(seen), len(members)))
     for column, kinds in enumerate(members):
-        in_view = 1.0 - np.prod(1.0 - chance[list(kinds)], axis=0)  # in at least one of the rooms
-        base = np.log(prior[list(kinds)]).sum() + np.log(1.0 - _TWO)
-        if len(kinds) == 2:
-            base += np.log(2.0 * _TWO / (1.0 - _TWO)) - np.maximum(_TWO_M2 - area_m2, 0.0)
-        log_p[:, column] = base + _EVIDENCE * (held @ np.log(in_view / (prior @ chance)))
+        in_view = 1.0 - np.prod(1.0 - p_thing[list(kinds)], axis=0)  # in at least one of the rooms
+        base = np.log(prior[list(kinds)]).sum() + np.log(1.0 - _P_TWO)
+        if len(kinds) == 2:  # 2: the pair may come in either order
+            base += np.log(2.0 * _P_TWO / (1.0 - _P_TWO)) - np.maximum(_TWO_ROOMS_M2 - area_m2, 0.0)
+        log_p[:, column] = base + _PAIR_EVIDENCE * (seen @ np.log(in_view / (prior @ p_thing)))
     p = np.exp(log_p - log_p.max(1, keepdims=True))
     p /= p.sum(1, keepdims=True)
     return p @ np.array([[i in kinds for i in range(k)] for kinds in members], np.float64)
@@ -86,7 +91,7 @@ def adjacent_room_posterior(table: ObjectPrior, belief: np.ndarray) -> np.ndarra
     """Return P(kind) of the room behind a door of each region: (m, kinds) float64.
 
     Args:
-        table: the prior.
+        table: the learned counts.
         belief: (m, kinds), P(kind) of each region.
     """
     p = belief @ (table.neighbours * room_prior(table))
@@ -94,50 +99,52 @@ def adjacent_room_posterior(table: ObjectPrior, belief: np.ndarray) -> np.ndarra
 
 
 def room_posterior_at(
-    table: ObjectPrior, chance: np.ndarray, held: np.ndarray, beside: np.ndarray
+    table: ObjectPrior, p_thing: np.ndarray, seen: np.ndarray, seen_adjacent: np.ndarray
 ) -> np.ndarray:
     """Return P(kind) of the room that each place is in: (m, kinds) float64.
 
-    The evidence is the objects in the place's region. If there are none, it is the objects in the
+    The evidence is the things in the place's region. If there are none, it is the things in the
     adjacent region. If there are none either, the result is `room_prior`.
 
     Args:
-        table: the prior.
-        chance: see `object_given_room`.
-        held: (m, things) float32 in [0, 1], objects in each place's region; see `room_posterior`.
-        beside: (m, things) float32 in [0, 1], objects in the adjacent region; see `neighbours`.
+        table: the learned counts.
+        p_thing: see `object_given_room`.
+        seen: (m, things) float32 in [0, 1], things in each place's region; see `room_posterior`.
+        seen_adjacent: (m, things) float32 in [0, 1], things in the adjacent region; see
+            `adjacent_regions`.
     """
-    belief = room_posterior(table, chance, held)
-    nothing = ~held.any(1)
-    belief[nothing] = adjacent_room_posterior(table, room_posterior(table, chance, beside[nothing]))
-    belief[nothing & ~beside.any(1)] = room_prior(table)
+    belief = room_posterior(table, p_thing, seen)
+    nothing = ~seen.any(1)
+    adjacent = room_posterior(table, p_thing, seen_adjacent[nothing])
+    belief[nothing] = adjacent_room_posterior(table, adjacent)
+    belief[nothing & ~seen_adjacent.any(1)] = room_prior(table)
     return belief
 
 
-def neighbours(border: np.ndarray, held: np.ndarray) -> np.ndarray:
+def adjacent_regions(border: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Return, for each region, the adjacent region with the longest common border.
 
-    Only regions in which objects were seen count.
+    Only regions in which things were seen count.
 
     Args:
         border: (n + 1, n + 1), length of each common border.
-        held: (n + 1, things), see `room_posterior`; index 0 stands for no region.
+        seen: (n + 1, things), see `room_posterior`; index 0 stands for no region.
 
     Returns:
         (n + 1,) int64, indices of regions; 0: there is none.
     """
-    return np.where(held.any(1), border, 0).argmax(1)
+    return np.where(seen.any(1), border, 0).argmax(1)
 
 
 def likelihood_ratio(
-    chance: np.ndarray, prior: np.ndarray, row: int, belief: np.ndarray
+    p_thing: np.ndarray, prior: np.ndarray, row: int, belief: np.ndarray
 ) -> np.ndarray:
     """Return P(the room holds the target | belief) / P(a room holds the target).
 
     Args:
-        chance: see `object_given_room`.
+        p_thing: see `object_given_room`.
         prior: see `room_prior`.
-        row: the target's row in the table; -1: the ratio is 1.
+        row: the target's row in the table; -1: unknown, so the ratio is 1.
         belief: (m, kinds), P(kind) of each room.
 
     Returns:
@@ -145,4 +152,4 @@ def likelihood_ratio(
     """
     if row < 0:
         return np.ones(len(belief))
-    return (belief @ chance[:, row]) / (prior @ chance[:, row])
+    return (belief @ p_thing[:, row]) / (prior @ p_thing[:, row])

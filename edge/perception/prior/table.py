@@ -1,7 +1,8 @@
 """Table of the prior: things in the same room, things near each other, and things by kind of room.
 
-The table (`table.json` next to this file) was learned from the 400 training houses of ProcTHOR
-(AllenAI, Apache-2.0) by `exporters.training.prior`. The file names its source and the command.
+A thing is a kind of object, such as chair. The table (`table.json` next to this file) was learned
+from the 400 training houses of ProcTHOR (AllenAI, Apache-2.0) by `exporters.training.prior`. The
+file names its source and the command.
 """
 
 from __future__ import annotations
@@ -28,12 +29,13 @@ SCALE = 100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectPrior:
-    """Counts and weights; n things, k kinds of room.
+    """The learned counts and weights; n things, k kinds of room.
 
     Attributes:
         n_rooms: number of rooms.
         things: canonical names, n.
-        rooms_with_both: (n, n) int64, symmetric; the diagonal counts rooms with at least one.
+        rooms_with_both: (n, n) int64, symmetric, number of rooms that hold both things; on the
+            diagonal, rooms that hold the thing.
         near_bias: (n,) float32, log-odds of a thing near a place without evidence.
         near_weight: (n, n) float32; row t: log-odds that each thing in sight adds for thing t. All
             zero if that did not help on held-out houses.
@@ -90,6 +92,7 @@ class ObjectPrior:
 
 @lru_cache(maxsize=8)
 def _rows(things: tuple[str, ...]) -> dict[str, int]:
+    """Return the row of each thing."""
     return {name: i for i, name in enumerate(things)}
 
 

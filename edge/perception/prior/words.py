@@ -1,4 +1,7 @@
-"""Mapping of words to the things that the prior knows."""
+"""Index of words: it maps any word to a thing that the prior knows, by name or by embedding.
+
+A phrase ("red sofa") or a synonym finds the row of its thing in the table (`table.ObjectPrior`).
+"""
 
 from __future__ import annotations
 
@@ -25,15 +28,15 @@ class PriorWordIndex:
 
     Args:
         table: the prior.
-        vocabulary: words and their unit rows, (v, d) float32; None: words match by name only.
+        vocabulary: words and their unit embeddings, (v, d) float32; None: words match by name only.
     """
 
     def __init__(
         self, table: ObjectPrior, vocabulary: tuple[list[str], np.ndarray] | None = None
     ) -> None:
         self._table = table
-        self._found: dict[str, int] = {}
-        self._row_of: dict[str, int] = {}
+        self._found: dict[str, int] = {}  # rows of the table, by word
+        self._row_of: dict[str, int] = {}  # rows of the vocabulary, by word
         if vocabulary is not None:
             words, self._vectors = vocabulary
             for i, word in enumerate(words):
@@ -66,6 +69,7 @@ class PriorWordIndex:
         return sorted((n for n, c in cosine.items() if c >= ALIKE), key=lambda n: (-cosine[n], n))
 
     def _find(self, word: str) -> int:
+        """Find the row of a word for the first time; see `row`."""
         if not names.is_name(word):
             return -1
         for noun in names.head_nouns(word):
@@ -78,6 +82,7 @@ class PriorWordIndex:
         return int(self._rows[alike.argmax()]) if alike.max() >= ALIKE else -1
 
     def _vector(self, word: str) -> np.ndarray | None:
+        """Return the embedding of a word or of another name of it; None if there is none."""
         at = next((self._row_of[n] for n in names.names_of(word) if n in self._row_of), None)
         return None if at is None else self._vectors[at]
 

@@ -37,7 +37,7 @@ class Samples:
         house: (n,) int32.
         near: (n, m) bool, objects seen near the place, in line of sight.
         held: (n, m) bool, objects seen in the place's region.
-        beside: (n, m) bool, objects seen in the neighbouring region (see `rooms.neighbours`).
+        beside: (n, m) bool, objects seen in the neighbouring region (see `rooms.adjacent_regions`).
         kind: (n,) int8, kind of the room that most of the region belongs to; -1 for none.
         wanted: (n, m) bool, objects of the house that were not seen yet.
         found: (n, m) bool, wanted objects near the place, in line of sight.
@@ -85,7 +85,7 @@ class PriorInputs:
         held = np.zeros((n_regions + 1, m), np.bool_)
         held[at, rows] = True
         held[0] = False
-        next_to = rooms.neighbours(regions.border_lengths(self.label, n_regions), held)
+        next_to = rooms.adjacent_regions(regions.border_lengths(self.label, n_regions), held)
         self.near, self.held = near > 0, held[self.region]
         self.beside = held[next_to[self.region]]
 

@@ -1,4 +1,4 @@
-"""The scorer for VLM frontier selection that a configuration names."""
+"""Factory of the scorer for VLM frontier selection, by the configuration (`perception.choice`)."""
 
 from __future__ import annotations
 
@@ -11,22 +11,34 @@ from edge.perception.runtime.model_file import ModelError
 from edge.perception.scoring.choice.mark_scorer import MarkScorer, check_size, open_network
 from edge.perception.scoring.choice.process import ProcessMarks, ProcessModel
 from edge.perception.scoring.choice.question import FrontierChoice, MarkedView
-from edge.perception.scoring.choice.server import make_server_choice
+from edge.perception.scoring.choice.server import make_server_scorer
 
 
 class ViewScorer(Protocol):
-    """Chooses among the frontiers of a view; a `Scorer` of `edge.perception.worker`."""
+    """Chooses among the frontiers of a view: a `Scorer` of `edge.perception.worker`.
+
+    The worker's thread calls `prepare`, releases the observation, and calls `answer`.
+
+    Attributes:
+        name: name of the model's card, or model and server.
+    """
 
     name: str
 
-    def prepare(self, view: MarkedView) -> Any: ...
+    def prepare(self, view: MarkedView) -> Any:
+        """Return the model's input, which needs nothing of the observation."""
+        ...
 
-    def answer(self, looked: Any) -> FrontierChoice | None: ...
+    def answer(self, prepared: Any) -> FrontierChoice | None:
+        """Ask the model about a prepared view; None if there is no mark to choose from."""
+        ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Abort the current answer; may be called from another thread."""
+        ...
 
 
-def make_choice(
+def make_view_scorer(
     choice: ChoiceOnnx | ChoiceOpenai | ChoiceText, perception: PerceptionConfig
 ) -> ViewScorer:
     """Make the scorer that the configuration names, ready to be asked.
@@ -42,12 +54,14 @@ def make_choice(
     """
     if isinstance(choice, ChoiceOnnx):
         isolated = perception.isolation == "process"
-        return open_choice(choice, perception.process if isolated else None)
-    return make_server_choice(choice)
+        return open_view_scorer(choice, perception.process if isolated else None)
+    return make_server_scorer(choice)
 
 
-def open_choice(choice: ChoiceOnnx, process: ModelProcessConfig | None = None) -> ViewScorer:
-    """Open the scorer of a local model; the card's task decides its type.
+def open_view_scorer(choice: ChoiceOnnx, process: ModelProcessConfig | None = None) -> ViewScorer:
+    """Open the scorer of a local model: a mark network or a language model, by the card's task.
+
+    A mark network is a small network that gets the marks' positions as numbers (`mark_scorer`).
 
     Args:
         choice: configuration of the scorer; `card` names the model's card.
@@ -67,6 +81,7 @@ def open_choice(choice: ChoiceOnnx, process: ModelProcessConfig | None = None) -
             open_network(card, choice) if process is None else ProcessMarks(card, choice, process)
         )
         return MarkScorer(card, network, choice.time_limit_s)
+    # Import late: it loads packages that only language models need.
     from edge.perception.scoring.choice.onnx_scorer import (
         OnnxFrontierScorer,
         choice_card,

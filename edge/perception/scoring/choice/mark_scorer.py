@@ -36,7 +36,7 @@ _KEY = "perception.choice.providers"  # configuration key, for messages
 
 
 class MarkModel(Protocol):
-    """Interface of the mark network; see `MarkNetwork`."""
+    """A mark network in this process (`MarkNetwork`) or in its own (`ProcessMarks`)."""
 
     name: str
 
@@ -86,11 +86,11 @@ class MarkNetwork:
         path = verify_model(card, believe_cache=True)
         engine = EngineOptions(card.name, card.precision)
         self._session = open_session(path, providers, threads, device_id, engine, _KEY)
-        self._rows: dict[str, np.ndarray] = {}
+        self._embeddings: dict[str, np.ndarray] = {}
         blank = np.zeros((card.input.height, card.input.width, 3), np.uint8)
-        nowhere = np.zeros((1, card.text_dim), np.float32)
+        no_target = np.zeros((1, card.text_dim), np.float32)
         marks, others = np.ones((1, MARK_FIELDS), np.float32), np.ones(OTHERS_FIELDS, np.float32)
-        self._run(blank, marks, others, nowhere, FIRST_RUN_S)
+        self._run(blank, marks, others, no_target, FIRST_RUN_S)
 
     def ask(
         self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
@@ -112,21 +112,22 @@ class MarkNetwork:
             PromptError: the text encoder does not know the target.
             ModelError: the network fails, takes too long, or returns values that are not finite.
         """
-        return self._run(image, marks, others, self._row(target), limit_s)
+        return self._run(image, marks, others, self._embedding(target), limit_s)
 
     def close(self) -> None:
         """Abort the current run; may be called from another thread."""
         self._deadline.end()
 
     def _run(
-        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, row: np.ndarray,
+        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, embedding: np.ndarray,
         limit_s: float,
     ) -> list[np.ndarray]:  # fmt: skip
+        """Run the network; see `ask`. `embedding` is the target's, (1, dim) float32."""
         n, padded = len(marks), np.zeros((1, MAX_MARKS, MARK_FIELDS), np.float32)
         padded[0, :n] = marks
         planes = image.transpose(2, 0, 1)[None].astype(np.float32, order="C")
         planes *= self._scale
-        feed = {"images": planes, "txt_feats": row, "marks": padded, "others": others[None]}
+        feed = {"images": planes, "txt_feats": embedding, "marks": padded, "others": others[None]}
         with self._deadline.within(limit_s):
             options = self._deadline.options
             directions, scene = self._session.run(["directions", "scene"], feed, options)
@@ -134,13 +135,14 @@ class MarkNetwork:
         logits = np.append(directions[0, :n], directions[0, MAX_MARKS])
         if not (np.isfinite(logits).all() and np.isfinite(scene).all()):
             raise ModelError(f"model {self.name}: returns logits that are not finite")
+        # The scene has one logit: that of "yes" against "no".
         return [_softmax(logits), _softmax(np.array([scene[0, 0], 0.0]))]
 
-    def _row(self, target: str) -> np.ndarray:
+    def _embedding(self, target: str) -> np.ndarray:
         """Return the target's embedding, (1, dim); each target is encoded once."""
-        if target not in self._rows:
-            self._rows[target] = self._text.embed([target])[0]
-        return self._rows[target]
+        if target not in self._embeddings:
+            self._embeddings[target] = self._text.embed([target])[0]
+        return self._embeddings[target]
 
 
 def _softmax(logits: np.ndarray) -> np.ndarray:
@@ -197,12 +199,12 @@ class MarkScorer:
             raise ModelError(f"model {self.name}: cannot choose a direction: {why}")
         hw = (self._card.input.height, self._card.input.width)
         image, scale, top, left = letterboxed(rgb, hw, self._card.preprocess.letterbox_pad)
-        if image is rgb:
+        if image is rgb:  # the observation's array is not kept
             image = rgb.copy()
         rows = as_input(view.marks[:MAX_MARKS], view.mark_costs, scale, top, left, hw)
         return MarkInput(view, image, rows, view.mark_costs.others)
 
-    def answer(self, looked: MarkInput) -> FrontierChoice | None:
+    def answer(self, prepared: MarkInput) -> FrontierChoice | None:
         """Get both answers at once.
 
         Returns:
@@ -212,7 +214,7 @@ class MarkScorer:
             PromptError: the text encoder does not know the target.
             ModelError: the network gave no usable answer within the time limit; one line.
         """
-        view, image, rows, others = looked
+        view, image, rows, others = prepared
         if not len(rows):
             return None
         p, scene = self._network.ask(image, rows, others, view.target, self._limit_s)
@@ -244,8 +246,8 @@ def letterboxed(
     top, left = (h - inner[1]) // 2, (w - inner[0]) // 2
     if (h, w) != image.shape[:2]:
         bottom, right = h - inner[1] - top, w - inner[0] - left
-        frame = (cv2.BORDER_CONSTANT, None, (pad, pad, pad))
-        image = cv2.copyMakeBorder(image, top, bottom, left, right, *frame)
+        border = (cv2.BORDER_CONSTANT, None, (pad, pad, pad))
+        image = cv2.copyMakeBorder(image, top, bottom, left, right, *border)
     return image, scale, top, left
 
 

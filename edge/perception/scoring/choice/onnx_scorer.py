@@ -29,20 +29,24 @@ from edge.perception.scoring.vlm.model import LanguageModel, MultipleChoice
 
 
 class ChoiceModel(Protocol):
-    """Interface of the model; see `LanguageModel`."""
+    """A language model in this process (`LanguageModel`) or in its own (`ProcessModel`)."""
 
     name: str
     takes_images: bool
 
     def ask(
-        self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice], limit_s: float
+        self,
+        rules: str,
+        view: np.ndarray | str,
+        questions: Sequence[MultipleChoice],
+        limit_s: float,
     ) -> list[np.ndarray]: ...
 
     def close(self) -> None: ...
 
 
 class ModelPrompt(NamedTuple):
-    """A view as the model gets it.
+    """A view as the model gets it; what `prepare` makes and `answer` takes.
 
     Attributes:
         view: the view.
@@ -87,7 +91,7 @@ class OnnxFrontierScorer:
             )
         return ModelPrompt(view, *draw(rgb, view.marks, self._max_px))
 
-    def answer(self, shown: ModelPrompt) -> FrontierChoice | None:
+    def answer(self, prompt: ModelPrompt) -> FrontierChoice | None:
         """Ask both questions.
 
         Returns:
@@ -96,18 +100,20 @@ class OnnxFrontierScorer:
         Raises:
             ModelError: the model gave no usable answer within the time limit; one line.
         """
-        view, n = shown.view, len(shown.marks)
+        view, n = prompt.view, len(prompt.marks)
         if n == 0:
             return None
-        p, scene = self._model.ask(SYSTEM, shown.part, asked_of(n, view.target), self._limit_s)
-        return choice_of(view, shown.marks, p, float(scene[0]))
+        p, scene = self._model.ask(
+            SYSTEM, prompt.part, both_questions(n, view.target), self._limit_s
+        )
+        return choice_of(view, prompt.marks, p, float(scene[0]))
 
     def close(self) -> None:
         """Abort the current run; may be called from another thread."""
         self._model.close()
 
 
-def asked_of(n_marks: int, target: str) -> tuple[MultipleChoice, MultipleChoice]:
+def both_questions(n_marks: int, target: str) -> tuple[MultipleChoice, MultipleChoice]:
     """Return both questions of ViTL IV-B1 with their possible answers."""
     return (
         MultipleChoice(direction_question(n_marks, target), tuple(LETTERS[: n_marks + 1])),
@@ -121,7 +127,7 @@ def open_model(config: ChoiceOnnx) -> LanguageModel:
     Raises:
         ModelError: there is no such card, it is of another task, or its model is unusable.
     """
-    questions = asked_of(MAX_MARKS, "chair")  # with every answer that will ever be offered
+    questions = both_questions(MAX_MARKS, "chair")  # with every answer that will ever be offered
     return LanguageModel(
         choice_card(config), questions, config.providers, config.threads, config.device_id
     )

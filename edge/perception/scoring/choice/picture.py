@@ -1,4 +1,7 @@
-"""Set-of-marks: frontiers that the camera sees, and an image with their letters (ViTL fig. 3a)."""
+"""Set-of-marks: frontiers that the camera sees, and an image with their letters (ViTL fig. 3a).
+
+`visible_marks` finds the marks of a view, `draw` shows them to a model that reads images.
+"""
 
 from __future__ import annotations
 
@@ -77,6 +80,7 @@ def _in_camera(
     T_map_base: np.ndarray, T_base_camera: np.ndarray, xy_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Transform points (n, 2) on the robot's floor into the camera's optical frame, x, y and z."""
+    # A point has the height of the robot's base, so its z adds the same to all: c.
     T = invert(T_map_base @ T_base_camera)
     a, b = T[:3, 0].tolist(), T[:3, 1].tolist()
     c = (T[:3, 2] * T_map_base[2, 3] + T[:3, 3]).tolist()
@@ -104,11 +108,11 @@ def draw(
     height, width = rgb.shape[:2]
     scale = min(max(1.0, ENLARGED_PX / max(width, height)), max_px / max(width, height))
     size = max(1, round(width * scale)), max(1, round(height * scale))
-    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR  # to shrink, or to enlarge
     image = rgb.copy() if scale == 1.0 else cv2.resize(rgb, size, interpolation=how)
     radius = max(_MIN_RADIUS_PX, round(_RADIUS_SHARE * max(size)))
     spots = [((m.u_px + 0.5) * scale - 0.5, (m.v_px + 0.5) * scale - 0.5) for m in marks]
-    centers = place(spots[:MAX_MARKS], size, radius)
+    centers = place_discs(spots[:MAX_MARKS], size, radius)
     shown = [i for i, at in enumerate(centers) if at is not None]
     for i in shown:
         spot, at = _rounded(spots[i]), _rounded(centers[i])
@@ -120,7 +124,7 @@ def draw(
     return image, tuple(marks[i] for i in shown)
 
 
-def place(
+def place_discs(
     spots: Sequence[tuple[float, float]], size: tuple[int, int], radius: int
 ) -> list[tuple[float, float] | None]:
     """Place discs as near to their spots as possible without overlap, in the order of the spots.
@@ -167,6 +171,7 @@ def _around(spot: tuple[float, float], radius: int) -> Iterator[tuple[float, flo
 
 
 def _fits(at: tuple[float, float], size: tuple[int, int], radius: int) -> bool:
+    """Return True if a disc lies inside the image."""
     return all(radius <= x <= side - 1 - radius for x, side in zip(at, size, strict=True))
 
 

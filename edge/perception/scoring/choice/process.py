@@ -26,11 +26,12 @@ log = logging.getLogger(__name__)
 
 PROGRAM = python_module("edge.perception.scoring.choice.serve")
 LIMIT = "perception.choice.time_limit_s and perception.process.timeout_s"
+"""Configuration keys of the time limit, for messages."""
 _SUM_ERROR = 1e-3  # tolerance of the sum of probabilities, which is 1
 
 
 class _Process(SupervisedProcess):
-    """The process of a card; see `edge.perception.process`.
+    """The process of a card's model, which answers questions; see `edge.perception.process`.
 
     While no process is ready, each question raises at once.
 
@@ -54,9 +55,15 @@ class _Process(SupervisedProcess):
     def _ask(
         self, request: dict[str, Any], rgb: np.ndarray | None, sizes: Sequence[int], limit_s: float
     ) -> list[np.ndarray]:
-        """Send a request; return the probabilities of the answers of each question, see `_decode`.
+        """Send a request; return the probabilities of the answers of each question.
 
         A process that exceeds `limit_s` by `timeout_s` is killed.
+
+        Args:
+            request: header fields for the program (`serve.py`).
+            rgb: (h, w, 3) uint8; None: no image.
+            sizes: number of answers of each question.
+            limit_s: time limit of the model.
 
         Raises:
             ModelError: no process is ready, it ended or was killed, or the model failed.
@@ -101,12 +108,16 @@ class ProcessModel(_Process):
         super().__init__(card, choice, rules)
 
     def ask(
-        self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice], limit_s: float
+        self,
+        rules: str,
+        view: np.ndarray | str,
+        questions: Sequence[MultipleChoice],
+        limit_s: float,
     ) -> list[np.ndarray]:
         """See `LanguageModel.ask` and `_ask`."""
         words, rgb = (view, None) if isinstance(view, str) else (None, view)
-        request = {"rules": rules, "view": words, "asked": list(asked)}
-        return self._ask(request, rgb, [len(question.answers) for question in asked], limit_s)
+        request = {"rules": rules, "view": words, "asked": list(questions)}
+        return self._ask(request, rgb, [len(question.answers) for question in questions], limit_s)
 
 
 class ProcessMarks(_Process):

@@ -19,6 +19,7 @@ LETTERS = "ABCDEFGHJ"
 
 There is no I: it often begins a sentence and would pass for an answer."""
 
+# The system message, and the questions of ViTL.
 SYSTEM = (
     "You guide a robot that explores a building. Answer each question with one letter or one word."
 )

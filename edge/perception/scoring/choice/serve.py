@@ -1,4 +1,7 @@
-"""Program of a process for VLM frontier selection, started by `process.py` only."""
+"""Program of a model's own process for VLM frontier selection, started by `process.py` only.
+
+It loads the model and answers its requests; `edge.perception.process` describes the messages.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ Answer = Callable[[dict[str, Any], Any], list[np.ndarray]]
 
 def main() -> int:
     """Load the model that stdin names, and answer requests until the service ends this process."""
-    request, questions, control, frames = set_up_child()
+    request, requests, control, frames = set_up_child()
     lower_priority()  # before the model starts threads, which inherit the priority
     try:
         answer = open_answer(ChoiceOnnx.model_validate(request["choice"]))
@@ -37,7 +40,7 @@ def main() -> int:
         return 1
     control.send(wire.encode())
     try:
-        answer_questions(questions, answer, frames)
+        answer_questions(requests, answer, frames)
     except BaseException:
         log.exception("model %s: its process ends after an error", request["choice"]["card"])
         os._exit(1)
@@ -61,25 +64,25 @@ def open_answer(choice: ChoiceOnnx) -> Answer:
     model = open_model(choice)
 
     def answer(request: dict[str, Any], image: np.ndarray | None) -> list[np.ndarray]:
-        asked = [MultipleChoice(question, tuple(answers)) for question, answers in request["asked"]]
+        questions = [MultipleChoice(text, tuple(answers)) for text, answers in request["asked"]]
         view = request["view"] if image is None else image
-        return model.ask(request["rules"], view, asked, request["limit_s"])
+        return model.ask(request["rules"], view, questions, request["limit_s"])
 
     return answer
 
 
-def answer_questions(questions: socket.socket, answer: Answer, frames: FrameView) -> None:
+def answer_questions(requests: socket.socket, answer: Answer, frames: FrameView) -> None:
     """Answer every request with the probabilities of the possible answers, or with the error."""
-    while message := questions.recv(wire.MAX_BYTES):
+    while message := requests.recv(wire.MAX_BYTES):
         request = read_json_object(message)
         seq = request["seq"]
         try:
             image = None if request["hw"] is None else frames.read(seq, request["hw"])
             found = answer(request, image)
         except Exception as error:
-            questions.send(wire.encode_error(as_memory_error(error), seq=seq))
+            requests.send(wire.encode_error(as_memory_error(error), seq=seq))
         else:
-            questions.send(wire.encode(seq=seq, p=[p.tolist() for p in found]))
+            requests.send(wire.encode(seq=seq, p=[p.tolist() for p in found]))
 
 
 if __name__ == "__main__":

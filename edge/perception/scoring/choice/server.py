@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
+
+import numpy as np
 
 from edge.chat import ChatClient, ChatError
 from edge.config import ChoiceOpenai, ChoiceText
@@ -28,7 +30,7 @@ from edge.perception.scoring.vlm.answers import YES_NO, NoAnswerError, probabili
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ServerPrompt:
-    """A view as the model gets it.
+    """A view as the server gets it; what `prepare` makes and `answer` takes.
 
     Attributes:
         view: the view.
@@ -41,8 +43,8 @@ class ServerPrompt:
     marks: tuple[Mark, ...]
 
 
-def show_picture(max_px: int, view: MarkedView) -> ServerPrompt:
-    """Draw letters on a copy of the image; nothing of the observation is kept.
+def picture_prompt(max_px: int, view: MarkedView) -> ServerPrompt:
+    """Make a prompt with a copy of the image with letters; nothing of the observation is kept.
 
     Args:
         max_px: longest side of the copy.
@@ -59,8 +61,8 @@ def show_picture(max_px: int, view: MarkedView) -> ServerPrompt:
     return ServerPrompt(view, part, marks)
 
 
-def show_words(view: MarkedView) -> ServerPrompt:
-    """Describe detections and letters in words."""
+def text_prompt(view: MarkedView) -> ServerPrompt:
+    """Make a prompt that describes detections and lettered frontiers in words."""
     return ServerPrompt(view, {"type": "text", "text": describe(view)}, view.marks)
 
 
@@ -72,22 +74,24 @@ class ServerFrontierScorer:
 
     Args:
         client: client of the server.
-        show: makes the prompt of a view; see `show_picture` and `show_words`.
+        make_prompt: makes the prompt of a view: `picture_prompt` or `text_prompt`.
 
     Attributes:
         name: model and server, for people.
     """
 
-    def __init__(self, client: ChatClient, show: Callable[[MarkedView], ServerPrompt]) -> None:
+    def __init__(
+        self, client: ChatClient, make_prompt: Callable[[MarkedView], ServerPrompt]
+    ) -> None:
         self.name = f"{client.model} at {client.url}"
         self._client = client
-        self._show = show
+        self._make_prompt = make_prompt
 
     def prepare(self, view: MarkedView) -> ServerPrompt:
         """Prepare the model's input; the observation is not needed afterwards."""
-        return self._show(view)
+        return self._make_prompt(view)
 
-    def answer(self, shown: ServerPrompt) -> FrontierChoice | None:
+    def answer(self, prompt: ServerPrompt) -> FrontierChoice | None:
         """Ask both questions, one after the other, within the client's time limit for both.
 
         Returns:
@@ -96,22 +100,25 @@ class ServerFrontierScorer:
         Raises:
             ChatError: the server gave no usable answer.
         """
-        view, n = shown.view, len(shown.marks)
+        view, n = prompt.view, len(prompt.marks)
         if n == 0:
             return None
         begin_s = time.monotonic()
-        p = self._ask(shown, direction_question(n, view.target), LETTERS[: n + 1], begin_s)
-        scene = self._ask(shown, scene_question(view.target), YES_NO, begin_s)
-        return choice_of(view, shown.marks, p, float(scene[0]))
+        p = self._ask(prompt, direction_question(n, view.target), LETTERS[: n + 1], begin_s)
+        scene = self._ask(prompt, scene_question(view.target), YES_NO, begin_s)
+        return choice_of(view, prompt.marks, p, float(scene[0]))
 
     def close(self) -> None:
         """Abort the current request; may be called from another thread."""
         self._client.close()
 
-    def _ask(self, shown: ServerPrompt, question: str, answers: Any, begin_s: float) -> Any:
+    def _ask(
+        self, prompt: ServerPrompt, question: str, answers: Sequence[str], begin_s: float
+    ) -> np.ndarray:
+        """Return the probability of each answer to one question, (n,) float32; see `answer`."""
         messages = [
             {"role": "system", "content": SYSTEM},
-            {"role": "user", "content": _content(shown.part, question)},
+            {"role": "user", "content": _content(prompt.part, question)},
         ]
         left_s = self._client.time_limit_s - (time.monotonic() - begin_s)
         tokens = self._client.next_tokens(messages, left_s)
@@ -131,7 +138,7 @@ def _content(part: dict[str, Any], question: str) -> str | list[dict[str, Any]]:
     return [part, {"type": "text", "text": question}]
 
 
-def make_server_choice(config: ChoiceOpenai | ChoiceText) -> ServerFrontierScorer:
+def make_server_scorer(config: ChoiceOpenai | ChoiceText) -> ServerFrontierScorer:
     """Make the scorer that the configuration names; the key comes from the environment.
 
     Raises:
@@ -143,5 +150,5 @@ def make_server_choice(config: ChoiceOpenai | ChoiceText) -> ServerFrontierScore
     except ChatError as error:
         raise ChatError(f"perception.choice: {error}") from None
     if config.kind == "openai":
-        return ServerFrontierScorer(client, partial(show_picture, config.max_image_px))
-    return ServerFrontierScorer(client, show_words)
+        return ServerFrontierScorer(client, partial(picture_prompt, config.max_image_px))
+    return ServerFrontierScorer(client, text_prompt)

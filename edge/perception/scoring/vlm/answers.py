@@ -1,4 +1,8 @@
-"""Probabilities of the answers from the next token's logits (ViTL eq. 4 and 5)."""
+"""Probabilities of a question's answers from the model's next token (ViTL eq. 4 and 5).
+
+`probabilities` reads a chat server's list of likely tokens, `answer_probabilities` all logits of a
+local model.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The decoder network with its key-value cache, so that no token is read twice."""
+"""The decoder network of a language model with its key-value cache, so no token is read twice."""
 
 from __future__ import annotations
 
@@ -65,6 +65,7 @@ class Decoder:
         self.nothing = KeyValueCache(0, dict(self._empty_arrays()))
 
     def _check(self) -> None:
+        """Raise ModelError if inputs and outputs are not those of a published decoder."""
         first = "input_ids" if self.takes_ids else "inputs_embeds"
         pasts = {name for name in self._inputs if name.startswith(_PAST)}
         known = {first, "attention_mask", "position_ids", "num_logits_to_keep"} | pasts
@@ -132,6 +133,20 @@ class Decoder:
     def _run(
         self, rows: np.ndarray, places: np.ndarray, past: KeyValueCache, wanted: Sequence[str]
     ) -> tuple[KeyValueCache, np.ndarray]:
+        """Run the decoder on more tokens; see `read`.
+
+        Args:
+            rows: see `read`.
+            places: see `read`.
+            past: see `read`.
+            wanted: names of the outputs to compute.
+
+        Returns:
+            (cache of the wanted key and value outputs, logits or an empty array).
+
+        Raises:
+            ModelError: the cache has another length than the tokens read.
+        """
         n, length = len(rows), past.length + len(rows)
         offered = {
             "input_ids": rows[None],

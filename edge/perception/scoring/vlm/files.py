@@ -1,4 +1,7 @@
-"""Files of a published model next to its networks: configuration, tokenizer, chat template."""
+"""Files of a published language model next to its networks: configuration, tokenizer, template.
+
+`read_files` reads them all, as `ModelFiles`.
+"""
 
 from __future__ import annotations
 
@@ -83,12 +86,13 @@ def read_files(card: ChoiceCard) -> ModelFiles:
 
 
 def _read(card: ChoiceCard, name: str, needed: bool = True) -> dict[str, Any]:
-    """Read a JSON file of the model; {} if the card does not list it and it is optional."""
+    """Read a JSON file of the model; {} if the card does not name it and it is not needed."""
     path = card.path / name
     if not any(part.file == name for part in card.others):
         if needed:
             raise ModelError(
-                f"model {card.name}: needs {name}; add that file under `others` in the model's card"
+                f"model {card.name}: needs {name}, but its card does not name it; add {name} under "
+                "`others` in the card"
             )
         return {}
     try:

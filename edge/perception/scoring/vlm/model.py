@@ -40,7 +40,7 @@ class LanguageModel:
 
     Args:
         card: the model's card.
-        asked: questions with every answer that will ever be offered. The first run asks them.
+        questions: questions with every answer that will ever be offered. The first run asks them.
         providers, threads, device_id: see `open_session`.
 
     Attributes:
@@ -55,7 +55,7 @@ class LanguageModel:
     def __init__(
         self,
         card: ChoiceCard,
-        asked: Sequence[MultipleChoice],
+        questions: Sequence[MultipleChoice],
         providers: Sequence[str] = ("CPUExecutionProvider",),
         threads: int = 2,
         device_id: int = 0,
@@ -64,15 +64,17 @@ class LanguageModel:
         files = read_files(card)
 
         def open_part(part: Any) -> Any:
-            where = card.path_of(part)
+            path = card.path_of(part)
             if TENSORRT_PROVIDERS.intersection(providers):
-                check_fixed(where, PROVIDERS_KEY)
-            return open_session(where, providers, threads, device_id, key=PROVIDERS_KEY)
+                check_fixed(path, PROVIDERS_KEY)
+            return open_session(path, providers, threads, device_id, key=PROVIDERS_KEY)
 
         self.name, self.takes_images = card.name, card.vision_encoder is not None
         self._card, self._deadline = card, InferenceTimeout(card.name)
         self._prompter = Prompter(files)
-        self._ids = self._token_ids({answer for choice in asked for answer in choice.answers})
+        self._ids = self._token_ids(
+            {answer for question in questions for answer in question.answers}
+        )
         self._vision: Any = None
         if self.takes_images:
             token = self._prompter.image_token
@@ -80,9 +82,10 @@ class LanguageModel:
             self._vision = open_part(card.vision_encoder)
         embedding = open_part(card.embed_tokens) if card.embed_tokens is not None else None
         self._decoder = Decoder(files, open_part(card.decoder), embedding, self._deadline)
+        # Token ids that are kept in the cache from one call to the next, and their cache.
         self._kept_ids, self._kept = np.empty(0, np.int64), self._decoder.nothing
         blank = np.zeros((_BLANK_PX, _BLANK_PX, 3), np.uint8)
-        self.ask("Be brief.", blank if self.takes_images else "Nothing.", asked, FIRST_RUN_S)
+        self.ask("Be brief.", blank if self.takes_images else "Nothing.", questions, FIRST_RUN_S)
 
     def _token_ids(self, answers: set[str]) -> dict[str, np.ndarray]:
         """Return the ids of each answer's tokens; raise ModelError if an answer has none."""
@@ -102,14 +105,18 @@ class LanguageModel:
         return found
 
     def ask(
-        self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice], limit_s: float
+        self,
+        rules: str,
+        view: np.ndarray | str,
+        questions: Sequence[MultipleChoice],
+        limit_s: float,
     ) -> list[np.ndarray]:
         """Answer questions about one view.
 
         Args:
             rules: the system message.
             view: (h, w, 3) uint8 RGB for a model that takes images, else text.
-            asked: the questions, at least one.
+            questions: the questions, at least one.
             limit_s: time limit of all questions together.
 
         Returns:
@@ -119,13 +126,14 @@ class LanguageModel:
             ModelError: the model fails, takes too long, or returns values that are not finite.
         """
         with self._deadline.within(limit_s):
-            return self._ask(rules, view, asked)
+            return self._ask(rules, view, questions)
 
     def _ask(
-        self, rules: str, view: np.ndarray | str, asked: Sequence[MultipleChoice]
+        self, rules: str, view: np.ndarray | str, questions: Sequence[MultipleChoice]
     ) -> list[np.ndarray]:
+        """Answer the questions without a time limit of its own; see `ask`."""
         prompter, words = self._prompter, view if isinstance(view, str) else None
-        texts = [prompter.text(rules, words, choice.question) for choice in asked]
+        texts = [prompter.text(rules, words, choice.question) for choice in questions]
         features, grid = np.empty((0, 0), np.float32), None
         if words is None:
             picture = self._prepare(view)
@@ -137,7 +145,7 @@ class LanguageModel:
         shared = min(shared, *(len(row) - 1 for row in ids))  # the last token gives the logits
         past = self._read(ids[0][:shared], features, grid)
         answered = []
-        for question_ids, choice in zip(ids, asked, strict=True):
+        for question_ids, choice in zip(ids, questions, strict=True):
             rows = self._decoder_input(question_ids, past.length, features)
             places = positions(question_ids, prompter.image_id, grid)[:, past.length :]
             logits = self._decoder.next_logits(rows, places, past)
@@ -176,20 +184,25 @@ class LanguageModel:
         return rows
 
     def _image_features(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
-        """Return the (n, d) features of an image."""
-        taken = {}
+        """Return the (n, d) features of an image.
+
+        Args:
+            feeds: see `PreparedImage.feeds`.
+        """
+        inputs = {}
         for value in self._vision.get_inputs():
             if value.name not in feeds:
                 raise ModelError(
                     f"model {self.name}: its vision encoder needs the input {value.name!r:.40}, "
                     f"but its image processor makes only {', '.join(feeds)}; take another model"
                 )
-            taken[value.name] = feeds[value.name].astype(DTYPES[value.type], copy=False)
+            inputs[value.name] = feeds[value.name].astype(DTYPES[value.type], copy=False)
         first = self._vision.get_outputs()[0].name
-        features = self._vision.run([first], taken, self._deadline.options)[0]
+        features = self._vision.run([first], inputs, self._deadline.options)[0]
         return features.reshape(-1, features.shape[-1])
 
     def _check_sizes(self, ids: Sequence[np.ndarray], features: np.ndarray) -> None:
+        """Raise ModelError if a question is too long, or image tokens and features do not match."""
         for question_ids in ids:
             if len(question_ids) > self._card.max_tokens:
                 raise ModelError(
@@ -205,6 +218,7 @@ class LanguageModel:
                 )
 
     def _probabilities(self, logits: np.ndarray, answers: Sequence[str]) -> np.ndarray:
+        """Return the probability of each answer, (n,) float32, from all logits; see `ask`."""
         ids = [self._ids[answer] for answer in answers]
         if max(int(tokens.max()) for tokens in ids) >= len(logits):
             raise ModelError(

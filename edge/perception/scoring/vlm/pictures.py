@@ -78,7 +78,14 @@ def _resize(rgb: np.ndarray, size_wh: tuple[int, int], resample: Image.Resamplin
 
 
 class _Normalise:
-    """Converts pixels to the encoder's numbers, (3, h, w) float32."""
+    """Converts pixels, (h, w, 3) uint8, to the encoder's numbers, (3, h, w) float32.
+
+    Args:
+        settings: settings of the processor.
+
+    Raises:
+        KeyError, ValueError: mean or standard deviation are missing or invalid.
+    """
 
     def __init__(self, settings: dict[str, Any]) -> None:
         scale = (
@@ -117,10 +124,13 @@ def _idefics3(
     length = _size(files.processor, "image_seq_len", 1 << 30, 169)
     _check_limit(most_tokens, length)
     most_squares = most_tokens // length if settings.get("do_image_splitting", True) else 1
-    fake, whole, marks = "<fake_token_around_image>", "<global-img>", image_token * length
+    # Texts of Idefics3's prompt: around each square, before the whole image, and of one square.
+    around, whole, square_tokens = (
+        "<fake_token_around_image>", "<global-img>", image_token * length
+    )  # fmt: skip
 
     def prepare(rgb: np.ndarray) -> PreparedImage:
-        edge = longest
+        edge = longest  # shrunk until the tiles have at most `most_tokens`
         while edge > side and 1 + math.prod(_tiling(rgb, edge, side)) > most_squares:
             edge = (math.ceil(edge / side) - 1) * side
         columns, rows = _tiling(rgb, edge, side)
@@ -134,18 +144,20 @@ def _idefics3(
             )
             for r, c in np.ndindex(rows, columns):
                 squares.append(rgb[r * side : (r + 1) * side, c * side : (c + 1) * side])
-                text += f"{fake}<row_{r + 1}_col_{c + 1}>{marks}" + "\n" * (c + 1 == columns)
+                end_of_row = "\n" if c + 1 == columns else ""
+                text += f"{around}<row_{r + 1}_col_{c + 1}>{square_tokens}{end_of_row}"
             text += "\n"
         squares.append(_resize(rgb, (side, side), resample))
         pixels = np.stack([normalise(square) for square in squares])[None]
         mask = np.ones((1, len(squares), side, side), bool)
         feeds = {"pixel_values": pixels, "pixel_attention_mask": mask}
-        return PreparedImage(feeds, f"{text}{fake}{whole}{marks}{fake}", None)
+        return PreparedImage(feeds, f"{text}{around}{whole}{square_tokens}{around}", None)
 
     return prepare
 
 
 def _check_limit(most_tokens: int, least: int) -> None:
+    """Raise ValueError if the smallest image has more tokens than the card allows."""
     if most_tokens < least:
         raise ValueError(
             f"an image takes {least} tokens, but image_tokens of the card is {most_tokens}"

@@ -1,4 +1,4 @@
-"""Encoder of questions as a model's tokens, with the model's own chat template."""
+"""Turns rules, a view and a question into tokens, with the model's own chat template."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Messages = list[dict[str, Any]]
 
 
 class Prompter:
-    """Turns messages into token ids.
+    """Builds the text that a language model reads, and encodes it as token ids.
 
     Args:
         files: files of the model.
