@@ -15,7 +15,7 @@ import onnxruntime as ort
 import pytest
 
 from edge.host import resources
-from edge.perception.scoring.choice.onnx_scorer import asked_of
+from edge.perception.scoring.choice.onnx_scorer import both_questions
 from edge.perception.scoring.choice.question import (
     SYSTEM,
     DetectedObject,
@@ -53,8 +53,8 @@ def test_two_questions_against_two_prefills(benchmark, against, tmp_path, monkey
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     resources.models_dir().mkdir(parents=True)
     card = publish(resources.models_dir(), "text", size=SIZE)
-    questions, views = asked_of(4, "chair"), iter(range(1 << 30))
-    model = LanguageModel(card, asked_of(8, "chair"), threads=1)
+    questions, views = both_questions(4, "chair"), iter(range(1 << 30))
+    model = LanguageModel(card, both_questions(8, "chair"), threads=1)
     found = benchmark.pedantic(
         lambda: model.ask(SYSTEM, view(next(views)), questions, LIMIT_S), rounds=15, warmup_rounds=2
     )
@@ -86,7 +86,7 @@ def test_prefill_against_genai(benchmark, against, tmp_path, monkeypatch):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     resources.models_dir().mkdir(parents=True)
     card = publish(resources.models_dir(), "text", size=SIZE)
-    model = LanguageModel(card, asked_of(8, "chair"), threads=1)
+    model = LanguageModel(card, both_questions(8, "chair"), threads=1)
     tokens = model._prompter.tokenizer.get_vocab_size()
     ids = np.random.default_rng(0).integers(0, tokens, 200)
     ours = prefill_of(model, ids)
@@ -130,7 +130,7 @@ def test_prefill_against_llama_cpp(
         network = quantize_weights(network, precision)
     onnx.save(network, card.path_of(card.decoder))
     pin(card)
-    model = LanguageModel(card, asked_of(8, "chair"), threads=1)
+    model = LanguageModel(card, both_questions(8, "chair"), threads=1)
     ids = np.random.default_rng(0).integers(0, LLAMA.tokens, 200)
     ours = prefill_of(model, ids)
 

@@ -43,7 +43,7 @@ from edge.perception.runtime.card_types import (
 )
 from edge.perception.runtime.cards import check_installed, load_card, load_card_of
 from edge.perception.runtime.model_file import ModelError
-from edge.perception.runtime.sessions import CPU_ALONE, check_providers
+from edge.perception.runtime.sessions import CPU_ONLY, check_providers
 from edge.perception.scoring.choice.mark_scorer import check_size
 from edge.perception.scoring.choice.server import make_server_scorer
 from edge.perception.scoring.similarity import is_running_detector
@@ -162,7 +162,7 @@ def named_models(config: Config) -> Iterator[NamedModel]:
     """Yield each model that the section perception names."""
     perception = config.perception
     detector, segmenter, choice = perception.detector, perception.segmenter, perception.choice
-    providers: Sequence[str] = CPU_ALONE
+    providers: Sequence[str] = CPU_ONLY
     if isinstance(detector, DetectorOnnx):
         providers = detector.providers
         yield NamedModel("perception.detector.model", detector.model, DetectCard, providers)
@@ -186,9 +186,9 @@ def _model(model: NamedModel, config: Config) -> None:
     if any(file.server is None for card in cards for file in card.files):
         # A model in a separate process must not load onnxruntime into this one.
         isolated = config.perception.isolation == "process"
-        look_in_process = not isolated and tuple(model.providers) != CPU_ALONE
+        ask_onnxruntime = not isolated and tuple(model.providers) != CPU_ONLY
         check_providers(
-            model.providers, f"{model.key.rpartition('.')[0]}.providers", look_in_process
+            model.providers, f"{model.key.rpartition('.')[0]}.providers", ask_onnxruntime
         )
 
 

@@ -38,7 +38,7 @@ from edge.perception.runtime.card_types import (
     TranslateCard,
 )
 from edge.perception.runtime.cards import ModelError, all_cards, verify_file, verify_model
-from edge.perception.runtime.health import UNSOUND, log_progress
+from edge.perception.runtime.health import WHY_INVALID, log_progress
 from edge.perception.runtime.kserve import KServeSession
 from edge.perception.runtime.onnx_file import MASK_OUTPUTS
 from edge.perception.runtime.sessions import DTYPES, open_session
@@ -140,23 +140,28 @@ def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
     else:
         path, compared = file, verify_file(card, file)
     session = open_session(path, ["CPUExecutionProvider"], threads=2)
-    seen = _CHECKS.get(type(card), _check_encoder)(path, session, card)
+    details = _CHECKS.get(type(card), _check_encoder)(path, session, card)
     hashed = "hash" if compared else "hash not known"
-    return f"{card.name}: ok ({hashed}, interface, {seen})"
+    return f"{card.name}: ok ({hashed}, interface, {details})"
 
 
 def _check_remote(card: DetectCard | ImageCard) -> str:
+    """Check a model on its server; see `check_model`."""
     session, where = KServeSession(card), redact(card.server.url)
     try:
         check = _check_detector if isinstance(card, DetectCard) else _check_encoder
-        seen = check(where, session, card)
+        details = check(where, session, card)
     finally:
         session.close()
     tensors = "bytes" if session.binary else "JSON, which is slow"
-    return f"{card.name}: ok (on {where}, interface, {seen}; tensors go as {tensors})"
+    return f"{card.name}: ok (on {where}, interface, {details}; tensors go as {tensors})"
+
+
+# Each of these checks runs a model on noise, and returns what it found, for the result line.
 
 
 def _check_detector(path: Path | str, session: Any, card: DetectCard) -> str:
+    """Detect two random texts in an image of noise."""
     random = np.random.default_rng(0)
     text = random.normal(size=(1, _TEXTS, card.text_dim)).astype(np.float32)
     text /= np.linalg.norm(text, axis=2, keepdims=True)
@@ -165,11 +170,12 @@ def _check_detector(path: Path | str, session: Any, card: DetectCard) -> str:
     a = boxes.shape[1] if boxes.ndim == 3 else 0
     _check_output(path, "boxes", boxes, (1, a, 4))
     _check_output(path, "scores", scores, (1, a, _TEXTS))
-    folded = np.empty_like(scores[0])
-    kernels.best_per_class(scores[0], np.arange(_TEXTS, dtype=np.int32), folded)
-    if n := kernels.count_unsound(boxes[0], folded, far_px(card)):  # as in the running service
+    # As in the running service, with one text for each class.
+    class_scores = np.empty_like(scores[0])
+    kernels.best_per_class(scores[0], np.arange(_TEXTS, dtype=np.int32), class_scores)
+    if n := kernels.count_invalid(boxes[0], class_scores, far_px(card)):
         raise ModelError(
-            f"{path}: {n} of {a} boxes are {UNSOUND}: scores must be from 0 to 1 (after the "
+            f"{path}: {n} of {a} boxes are {WHY_INVALID}: scores must be from 0 to 1 (after the "
             "sigmoid), boxes in pixels of the input: export the model again"
         )
     return f"{a} boxes, finite"
@@ -191,12 +197,13 @@ def _check_choice(card: ChoiceCard) -> str:
 
 
 def _check_marks(path: Path | str, session: Any, card: MarksCard) -> str:
+    """Choose among random marks in an image of noise."""
     random = np.random.default_rng(0)
     text = random.normal(size=(1, card.text_dim)).astype(np.float32)
     text /= np.linalg.norm(text, axis=1, keepdims=True)
     images = random.random((1, 3, card.input.height, card.input.width), dtype=np.float32)
     marks = random.random((1, MAX_MARKS, MARK_FIELDS), dtype=np.float32)
-    marks[..., -1] = 1.0
+    marks[..., -1] = 1.0  # each mark is there
     others = random.random((1, OTHERS_FIELDS), dtype=np.float32)
     feed = {"images": images, "txt_feats": text, "marks": marks, "others": others}
     directions, scene = _infer(path, session, feed)
@@ -206,6 +213,7 @@ def _check_marks(path: Path | str, session: Any, card: MarksCard) -> str:
 
 
 def _check_encoder(path: Path | str, session: Any, card: FileCard) -> str:
+    """Encode an image of noise, or two texts of padding."""
     if isinstance(card, ImageCard):
         random, rows = np.random.default_rng(0), 1
         shape = (1, 3, card.input.height, card.input.width)
@@ -221,6 +229,7 @@ def _check_encoder(path: Path | str, session: Any, card: FileCard) -> str:
 
 
 def _check_mask_encoder(path: Path, session: Any, card: MaskEncoderCard) -> str:
+    """Encode an image of noise."""
     pixels = np.random.default_rng(0).random(
         (1, 3, card.input.height, card.input.width), dtype=np.float32
     )
@@ -272,12 +281,13 @@ _CHECKS = {
     MarksCard: _check_marks,
     TranslateCard: _check_translator,
 }
-"""Card → test of a model; all other models are encoders of one embedding."""
+"""Class of the card → check of its model; all other models are encoders of one embedding."""
 
 
 def _infer(
     path: Path | str, session: Any, feed: dict[str, np.ndarray], outputs: list[str] | None = None
 ) -> list[np.ndarray]:
+    """Run a session; raise ModelError if that fails."""
     try:
         return session.run(outputs, feed)
     except ModelError:  # from a server, with a complete message

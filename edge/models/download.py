@@ -85,7 +85,7 @@ def download(url: str, part: PartialFile, limits: DownloadLimits = LIMITS) -> No
 
 
 def read_small(url: str, limits: DownloadLimits = LIMITS) -> bytes:
-    """Return the content of a small file.
+    """Download a small file, and return its content.
 
     Raises:
         FetchError: the download failed, or the file is too large.
@@ -93,7 +93,7 @@ def read_small(url: str, limits: DownloadLimits = LIMITS) -> bytes:
     content = bytearray()
     try:
         with (
-            _Watch(limits, limits.small_s) as watch,
+            _SpeedWatch(limits, limits.small_s) as watch,
             _answer(url, {}, watch, limits.answer_s) as response,
         ):
             for block in response.iter_raw():
@@ -120,13 +120,13 @@ def _fetch(url: str, part: PartialFile, limits: DownloadLimits) -> None:
     headers = {"Range": f"bytes={part.have}-"} if part.have else {}
     try:
         with (
-            _Watch(limits) as watch,
+            _SpeedWatch(limits) as watch,
             _answer(url, headers, watch, limits.answer_s) as response,
         ):
             total = _agree_on_start(response, part)
             if total is not None and total > MAX_BYTES:
                 raise FetchError(f"the file there has {total} bytes, over the limit of {MAX_BYTES}")
-            if None not in (total, part.size) and total != part.size:
+            if total is not None and part.size is not None and total != part.size:
                 raise FetchError(
                     f"the file there has {total} bytes, but the model card says {part.size}: "
                     "another file or version; choose another place with --from"
@@ -143,7 +143,14 @@ def _fetch(url: str, part: PartialFile, limits: DownloadLimits) -> None:
 
 
 def _agree_on_start(response: httpx.Response, part: PartialFile) -> int | None:
-    """Restart `part` if the response begins at 0; return the file's size, None if unknown."""
+    """Make `part` end where the response begins; return the whole file's size, None if unknown.
+
+    A server may ignore the requested range, and send the file from its start: `part` is then
+    emptied.
+
+    Raises:
+        InterruptedFetchError: the response begins elsewhere; `part` is emptied.
+    """
     length = response.headers.get("Content-Length", "")
     if response.status_code == 206:
         sent = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers.get("Content-Range", ""))
@@ -156,7 +163,7 @@ def _agree_on_start(response: httpx.Response, part: PartialFile) -> int | None:
     return int(length) if length.isdecimal() else None
 
 
-class _Watch:
+class _SpeedWatch:
     """Context that cuts the connection of a slow server; enter it before the request.
 
     If it cut the connection, the end of the context raises InterruptedFetchError with the reason.
@@ -176,7 +183,7 @@ class _Watch:
         self._limits, self._whole_s, self._ended = limits, whole_s, threading.Event()
         self._why = ""
 
-    def __enter__(self) -> _Watch:
+    def __enter__(self) -> _SpeedWatch:
         threading.Thread(target=self._watch, name="download watch", daemon=True).start()
         return self
 
@@ -187,6 +194,7 @@ class _Watch:
             raise InterruptedFetchError(self._why) from None
 
     def _watch(self) -> None:
+        """Wait for the header, then for the content; runs on a thread of its own."""
         limits, before = self._limits, 0
         if not self.has_header.wait(limits.answer_s):
             self._cut(f"no answer within {limits.answer_s:g} s")
@@ -200,13 +208,14 @@ class _Watch:
                     return self._cut(f"only {came} bytes came in {limits.slow_s:g} s")
 
     def _cut(self, why: str) -> None:
+        """Cut the connection, for a reason that the end of the context raises."""
         self._why = why
         self.connection.cut()
 
 
 @contextlib.contextmanager
 def _answer(
-    url: str, headers: dict[str, str], watch: _Watch, connect_s: float
+    url: str, headers: dict[str, str], watch: _SpeedWatch, connect_s: float
 ) -> Iterator[httpx.Response]:
     """Yield a response of status 2xx, before its content is read.
 
@@ -261,6 +270,7 @@ def _follow(client: httpx.Client, request: httpx.Request) -> httpx.Response:
 
 
 def _check_status(response: httpx.Response) -> None:
+    """Raise FetchError, or InterruptedFetchError if another try may help, unless all is well."""
     if response.is_success:
         return
     if response.status_code == 416:

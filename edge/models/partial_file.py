@@ -1,4 +1,4 @@
-"""A partial file: written next to its target, and moved there only when it is complete.
+"""A partial file: a download in progress, moved to its target only when it is complete.
 
 The package pooch is not used, since it does not keep partial downloads.
 """
@@ -29,7 +29,7 @@ class InterruptedFetchError(FetchError):
 
 
 class PartialFile:
-    """Partial file, used as a context.
+    """A file that is being downloaded or copied, next to its target; used as a context.
 
     If it is not complete at the end of the context, it is kept for the next run, unless it is
     empty.
@@ -38,12 +38,13 @@ class PartialFile:
         target: path of the complete file.
         sha256: hash of the complete file; None: unknown.
         size: size of the complete file in bytes; None: unknown.
-        beside: another file and its content, written when the file is complete.
+        companion: path and content of another file, written when this one is complete.
 
     Attributes:
         target: path of the complete file.
         sha256: hash of the complete file; None: unknown.
         size: size of the complete file in bytes; None: unknown.
+        path: path of the partial file.
         have: number of bytes so far.
 
     Raises:
@@ -55,13 +56,13 @@ class PartialFile:
         target: Path,
         sha256: str | None,
         size: int | None = None,
-        beside: tuple[Path, bytes] | None = None,
+        companion: tuple[Path, bytes] | None = None,
     ) -> None:
-        self.target, self.sha256, self.size, self._companion = target, sha256, size, beside
+        self.target, self.sha256, self.size, self._companion = target, sha256, size, companion
         key = (sha256 or "unknown")[:12]
         self.path = target.with_name(f".{target.name}.{key}.part")
         self.have = 0
-        self._resumed = False
+        self._resumed = False  # see `mark_resumed`
         self._file: BinaryIO | None = None
         self._digest = hashlib.sha256()
 
@@ -122,7 +123,7 @@ class PartialFile:
         self._resumed = self.have > 0
 
     def restart(self) -> None:
-        """Empty the file."""
+        """Empty the file, to begin again."""
         self._file.truncate(0)
         self._digest = hashlib.sha256()
         self.have, self._resumed = 0, False
@@ -168,5 +169,6 @@ class PartialFile:
         return self.target
 
     def _close(self) -> None:
+        """Close the file, if it is open."""
         if self._file is not None:
             self._file.close()  # releases the lock, too

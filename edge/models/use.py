@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def follow_swap(
-    ask: Ask, name: str, force: bool, patient: Callable[[], bool], pause_s: float = _PERIOD_S
+    ask: Ask, name: str, force: bool, is_patient: Callable[[], bool], pause_s: float = _PERIOD_S
 ) -> Iterator[dict]:
     """Request a swap, and yield its state at every change until it has ended.
 
@@ -58,7 +58,7 @@ def follow_swap(
         ask: sends a request to the service and returns its answer.
         name: name of the new model.
         force: True: accept a model that is too slow or finds too few boxes.
-        patient: returns False when the caller does not want to wait any longer.
+        is_patient: returns False when the caller does not want to wait any longer.
         pause_s: pause between two requests of the state.
 
     Raises:
@@ -77,7 +77,7 @@ def follow_swap(
             yield swap
         if swap["state"] in ("kept", "rolled back", "refused"):
             return
-        if not patient():
+        if not is_patient():
             progress = f", {swap['progress']}" if swap["progress"] else ""
             raise RequestError(
                 f"{_WHAT}: the change to {name} is not finished within --timeout (state: "

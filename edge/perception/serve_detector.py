@@ -1,4 +1,7 @@
-"""Program of a process that runs a detector, started by `process/link.py` only."""
+"""Program of a process that runs a detector, started by `process/link.py` only.
+
+`edge.perception.process` describes the messages.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ def main(make: Make = make_detector) -> int:
     """Read the request from stdin, load the model, and answer until the service ends this process.
 
     Args:
-        make: makes the detector.
+        make: makes the detector, like `make_detector`.
     """
     request, images, control, frames = set_up_child()
     sending = threading.Lock()
@@ -57,7 +60,10 @@ def main(make: Make = make_detector) -> int:
 
 
 def _run_empty(detector: Detector) -> None:
-    """Detect in an empty image. Else the first real one would wait for kernels, as in a hang."""
+    """Detect in an empty image, so that all kernels are compiled.
+
+    Else the first real image would wait for them, which looks like a hang.
+    """
     detector.detect(Observation(0, 0, np.eye(4), rgb=np.zeros((64, 64, 3), np.uint8)))
     detector.invalid_boxes = 0  # this image is not from a camera
 

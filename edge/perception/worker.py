@@ -1,4 +1,7 @@
-"""Models in the background of the loop: the detector, and scorers that may answer slowly."""
+"""Workers that run models in the background of the loop: the detector, and scorers.
+
+A scorer answers questions about a view, such as which frontier to drive to, and may answer slowly.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,7 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
     ) -> None:
         self.model = model
         self.on_result: Callable[[Model, Item, Any], object] | None = None
-        self._using: Model | None = None
+        self._using: Model | None = None  # runs on the current item
         self._exchange_lock = threading.Lock()
         super().__init__(what, work, **more)
 
@@ -79,9 +82,9 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
     def _used(self, item: Item, outcome: object) -> None:
         """Call `on_result` with the outcome of the item."""
         model, self._using = self._using, None
-        if (watch := self.on_result) is not None:
+        if (callback := self.on_result) is not None:
             try:
-                watch(model, item, outcome)
+                callback(model, item, outcome)
             except Exception:
                 log.exception("model %s: a bug in its watch during probation; please report this "
                               "traceback", model.name)  # fmt: skip
@@ -123,7 +126,7 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
         return self.model
 
     def submit(self, observation: Observation) -> None:
-        """Detect in this observation next; never block, unless inline.
+        """Detect in this observation next; return at once, unless inline.
 
         An observation without an image, such as a LiDAR sweep between two images, is skipped.
         """
@@ -211,7 +214,7 @@ class Scorer(Protocol[Q, A]):
         """
         ...
 
-    def answer(self, looked: Any) -> A | None:
+    def answer(self, prepared: Any) -> A | None:
         """Compute the result from what `prepare` returned. This may take long, but must end.
 
         May raise anything.
@@ -274,14 +277,15 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
         }  # fmt: skip
 
     def _ask(self, question: Q) -> A | None:
+        """Ask the scorer; release the observation as soon as the question is prepared."""
         scorer = self._use()
         outcome: A | Exception | None = None
         try:
             try:
-                looked = scorer.prepare(question)
+                prepared = scorer.prepare(question)
             finally:
                 question.observation.release()
-            outcome = scorer.answer(looked)
+            outcome = scorer.answer(prepared)
         except Exception as error:
             outcome = error
             raise

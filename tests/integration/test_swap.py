@@ -31,7 +31,7 @@ from edge.launch import open_service
 from edge.loop.runner import loop
 from edge.loop.status import status_message
 from edge.models import use
-from edge.perception.runtime.health import UNSOUND
+from edge.perception.runtime.health import WHY_INVALID
 from edge.types import Observation
 
 pytest.importorskip("onnxruntime")
@@ -202,7 +202,7 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
         code, lines = use_one("good", force=True)
         assert code == 1
         assert lines[-1] == (
-            f"rolled back: it returns 3 boxes of an image that are {UNSOUND}; elsewhere runs again"
+            f"rolled back: it returns 3 boxes of an image that are {WHY_INVALID}; elsewhere runs again"
         )
         assert seen[-1] == "elsewhere"
         assert "good" in seen

@@ -40,7 +40,7 @@ def found_in(boxes, scores, n_targets, tau=TAU):
     m, invalid = kernels.candidates(
         boxes, scores, n_targets, tau, FAR_PX, anchor, label, score, top
     )
-    assert kernels.count_unsound(boxes, scores, FAR_PX) == invalid
+    assert kernels.count_invalid(boxes, scores, FAR_PX) == invalid
     return anchor, label, score, top, m, invalid
 
 

@@ -18,7 +18,7 @@ from edge.perception.embedding.text import PromptError, TextEmbeddings
 from edge.perception.factory import make_detector
 from edge.perception.runtime import model_file
 from edge.perception.runtime.cards import ModelError, load_detector_card
-from edge.perception.runtime.health import UNSOUND
+from edge.perception.runtime.health import WHY_INVALID
 from edge.perception.runtime.model_file import TRUST_CACHE
 
 pytest.importorskip("onnxruntime")
@@ -205,9 +205,9 @@ def test_boxes_that_cannot_be_are_dropped_counted_and_told_once(
     assert list(found.class_id) == [0]
     assert detector.invalid_boxes == 3
     assert [r.message for r in caplog.records] == [
-        f"model tiny: 1 of 3 boxes are {UNSOUND}: dropped (further ones are only counted)"
+        f"model tiny: 1 of 3 boxes are {WHY_INVALID}: dropped (further ones are only counted)"
     ]
-    with pytest.raises(ModelError, match=f"model tiny: 1 boxes are {UNSOUND}"):
+    with pytest.raises(ModelError, match=f"model tiny: 1 boxes are {WHY_INVALID}"):
         detector.best_scores(image())
     with pytest.raises(ModelError, match=r"tiny\.onnx: (1 of 3 boxes|returns boxes) .*not finite"):
         check_model(detector.card)

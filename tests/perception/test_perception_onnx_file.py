@@ -66,7 +66,7 @@ def test_an_empty_file(check):
 def test_a_sound_model(check):
     check(detector())
     found = parse_onnx(detector())
-    assert (found.ir, found.opset, found.strange, found.external) == (9, 19, [], [])
+    assert (found.ir, found.opset, found.unknown_domains, found.external) == (9, 19, [], [])
     assert found.inputs == [
         Value("images", FLOAT, (1, 3, 64, 64)), Value("txt_feats", FLOAT, (1, None, 512)),
     ]  # fmt: skip

@@ -14,7 +14,7 @@ from simulated import simulated
 
 from edge.perception.embedding.text import PromptError
 from edge.perception.runtime.cards import ModelError
-from edge.perception.runtime.health import UNSOUND, Health
+from edge.perception.runtime.health import WHY_INVALID, Health
 from edge.perception.swap import detector as swapped
 from edge.perception.swap.base import SwapError
 from edge.perception.swap.detector import DetectorSwap
@@ -167,7 +167,7 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
         (Fake(words=("bed",)), "prompt 'chair': not in the vocabulary"),
         (Fake(error=RuntimeError("bad\nnode")), "it fails: RuntimeError: bad node"),
         (Fake(from_=3, error=RuntimeError("bad")), "it fails: RuntimeError: bad"),
-        (Fake(invalid=7), f"it returns 7 boxes of an image that are {UNSOUND}"),
+        (Fake(invalid=7), f"it returns 7 boxes of an image that are {WHY_INVALID}"),
         (Fake(box=(0, 0, NAN, 9)), "it returns boxes that are not finite"),
         *((Fake(score=score), "it returns scores that are not in 0 to 1")
           for score in (float("inf"), NAN, 1e30, -0.5)),
@@ -211,7 +211,7 @@ def test_for_a_thread_a_model_is_tried_in_a_process_first(bench, fails):
     ("then", "reason"),
     [
         ({"error": ValueError("no")}, "it fails: ValueError: no"),
-        ({"invalid": 1}, f"it returns 1 boxes of an image that are {UNSOUND}"),
+        ({"invalid": 1}, f"it returns 1 boxes of an image that are {WHY_INVALID}"),
         ({"box": (NAN, 0, 1, 1)}, "it returns boxes that are not finite"),
         ({"score": 1e30}, "it returns scores that are not in 0 to 1"),
         ({"ms": 30}, "too slow: 5 images, median 30.0 ms, perception.swap.budget_ms is 20"),

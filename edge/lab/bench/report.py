@@ -17,7 +17,7 @@ from edge.host import machine, resources
 from edge.host.files import save
 from edge.lab.bench.variants import RUNTIMES
 from edge.perception.runtime.cards import card_path
-from edge.perception.runtime.health import UNSOUND
+from edge.perception.runtime.health import WHY_INVALID
 
 Report = dict[str, Any]
 _CARD_WIDTH = 110  # of a line in a model card
@@ -124,7 +124,9 @@ def _footnotes(report: Report) -> list[str]:
         lines.append("MB: growth of the process + growth of the GPU memory in use")
     for row in ran:
         if row["invalid_boxes"]:
-            lines.append(f"{row['name']} on {row['on']}: {row['invalid_boxes']} boxes {UNSOUND}")
+            lines.append(
+                f"{row['name']} on {row['on']}: {row['invalid_boxes']} boxes {WHY_INVALID}"
+            )
     return lines
 
 

@@ -1,4 +1,4 @@
-"""The interface of a detector."""
+"""The interface of a detector: boxes of the objects that prompts name, in an image."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ class Detector(Protocol):
     Attributes:
         name: the model's card, or a description if there is no model.
         prompts: names of the objects to look for; `Detections.class_id` is an index into them.
-        invalid_boxes: number of boxes since the start that were dropped as invalid (`UNSOUND`).
-        looks_at: attribute of an observation that the detector needs: observations without it are
-            skipped. A detector need not have `looks_at`; the default is `rgb`.
+        invalid_boxes: number of boxes since the start that were dropped as invalid
+            (`health.WHY_INVALID`).
+        looks_at: name of the observation's attribute that the detector needs; observations without
+            it are skipped. A detector need not have `looks_at`; the default is `rgb`.
     """
 
     name: str

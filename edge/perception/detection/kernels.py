@@ -1,4 +1,8 @@
-"""Kernels around a detector's network: image to input, output to boxes. Arrays only."""
+"""Kernels around a detector's network: image to input, output to boxes. Arrays only.
+
+The network returns one box for each anchor (a place and size in its input), with a score for each
+text. The texts are names of classes (`TextClasses`). The last kernel is for simulated detectors.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +37,7 @@ def to_planes(rgb, scale, top, left, out):
 
 
 @jit
-def is_sound(boxes, scores, i, far_px):
+def is_valid(boxes, scores, i, far_px):
     """Return True if the box and all scores of anchor `i` are valid.
 
     Args:
@@ -42,20 +46,20 @@ def is_sound(boxes, scores, i, far_px):
         i: index of the anchor.
         far_px: largest distance of a corner from the origin.
     """
-    sound = True
+    valid = True
     for k in range(4):
-        sound &= abs(boxes[i, k]) <= far_px
+        valid &= abs(boxes[i, k]) <= far_px
     for j in range(scores.shape[1]):
-        sound &= 0.0 <= scores[i, j] <= 1.0
-    return sound
+        valid &= 0.0 <= scores[i, j] <= 1.0
+    return valid
 
 
 @jit
-def count_unsound(boxes, scores, far_px):
-    """Return the number of anchors that are not valid; see `is_sound`."""
+def count_invalid(boxes, scores, far_px):
+    """Return the number of anchors that are not valid; see `is_valid`."""
     n = 0
     for i in range(len(boxes)):
-        n += not is_sound(boxes, scores, i, far_px)
+        n += not is_valid(boxes, scores, i, far_px)
     return n
 
 
@@ -77,45 +81,46 @@ def iou(boxes, i, j):
 
 
 @jit
-def best_per_class(scores, thing, out):
-    """Write the best score of each thing (class) over its columns (texts); NaN if one is NaN.
+def best_per_class(scores, class_of_text, out):
+    """Write the best score of each class over its texts; NaN if one is NaN.
 
     A score over 1 by at most `ROUNDING` becomes 1, a score under 0 by at most `ROUNDING` becomes 0.
 
     Args:
-        scores: (a, columns) float32.
-        thing: (columns,) int32, index of each column's thing, ascending.
-        out: (a, things) float32.
+        scores: (a, texts) float32.
+        class_of_text: (texts,) int32, index of each text's class, ascending.
+        out: (a, classes) float32.
     """
     for i in range(len(scores)):
         last = -1
-        for j in range(len(thing)):
-            k, s = thing[j], scores[i, j]
+        for j in range(len(class_of_text)):
+            k, s = class_of_text[j], scores[i, j]
             if 1.0 < s <= 1.0 + ROUNDING:
                 s = np.float32(1.0)
             elif -ROUNDING <= s < 0.0:
                 s = np.float32(0.0)
-            if k != last or s > out[i, k] or s != s:
+            if k != last or s > out[i, k] or s != s:  # s != s: NaN
                 out[i, k] = s
             last = k
 
 
 @jit
 def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
-    """Collect every target and context label that scores at least `tau`, for every anchor.
+    """Collect the targets and context words that score at least `tau`, for every anchor.
 
-    One anchor may give several candidates; see `suppress`.
+    A candidate is an anchor with one class, its label. One anchor may give several candidates; see
+    `suppress`.
 
     Args:
         boxes: (a, 4) float32.
         scores: (a, n) float32, from `best_per_class`.
-        n_named: number of targets and context words. Columns from there on only compete.
+        n_named: number of targets and context words. Classes from there on only compete.
         tau: least score.
-        far_px: see `is_sound`.
+        far_px: see `is_valid`.
         anchor: (a * n_named,) int32 out, row of `boxes`.
         label: (a * n_named,) int32 out, column of `scores`.
         score: (a * n_named,) float32 out.
-        top: (a,) float32 out, the best score of any thing, 0 if it is below `tau`.
+        top: (a,) float32 out, the best score of any class, 0 if it is below `tau`.
 
     Returns:
         (number of candidates, number of anchors that were skipped as invalid).
@@ -123,7 +128,7 @@ def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
     m, invalid = 0, 0
     for i in range(len(boxes)):
         top[i] = 0.0
-        if not is_sound(boxes, scores, i, far_px):
+        if not is_valid(boxes, scores, i, far_px):
             invalid += 1
             continue
         for j in range(scores.shape[1]):
@@ -157,19 +162,19 @@ def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep
     Returns:
         Number of kept candidates, at most k.
     """
-    mine = np.flatnonzero((label[:m] >= first) & (label[:m] < end))
-    order = mine[np.argsort(-score[mine], kind="mergesort")]
+    in_range = np.flatnonzero((label[:m] >= first) & (label[:m] < end))
+    order = in_range[np.argsort(-score[in_range], kind="mergesort")]
     n = 0
     for i in order:
         if n == len(keep):
             break
-        alone = True
+        is_best = True
         for k in range(n):
             j = keep[k]
             if (one_word or label[j] == label[i]) and iou(boxes, anchor[i], anchor[j]) > iou_max:
-                alone = False
+                is_best = False
                 break
-        if alone:
+        if is_best:
             keep[n] = i
             n += 1
     return n
@@ -179,7 +184,7 @@ def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep
 def competing_scores(
     boxes, scores, competes, tau, top, anchor, label, keep, n, cut, iou_max, out
 ):  # fmt: skip
-    """Write the best score of any competing thing at the place of each kept box.
+    """Write the best score of any competing class at the place of each kept box.
 
     Args:
         boxes: (a, 4) float32.

@@ -28,7 +28,7 @@ from edge.perception.runtime.cards import (
     verify_model,
 )
 from edge.perception.runtime.engines import EngineOptions
-from edge.perception.runtime.health import UNSOUND, Health, ProgressCallback, log_progress
+from edge.perception.runtime.health import WHY_INVALID, Health, ProgressCallback, log_progress
 from edge.perception.runtime.sessions import (
     TENSORRT_PROVIDERS,
     open_session,
@@ -42,9 +42,9 @@ INPUTS = ("images", "txt_feats")
 OUTPUTS = ("boxes", "scores")
 NMS_IOU = 0.5  # overlap above which the box with the lower score is suppressed
 MAX_DETECTIONS = 64  # boxes of targets, and boxes of the context
-# Numbers of texts: prompts, synonyms, background and contrasts all count.
-USUAL_COLUMNS = 16  # a TensorRT engine is tuned for this number
-MAX_COLUMNS = 256  # a TensorRT engine takes at most this number
+# Numbers of texts (`TextClasses`): prompts, synonyms, background and contrasts all count.
+USUAL_TEXTS = 16  # a TensorRT engine is tuned for this number
+MAX_TEXTS = 256  # a TensorRT engine takes at most this number
 
 
 def engine_options(
@@ -58,7 +58,7 @@ def engine_options(
     """
     shapes = {}
     if isinstance(card, DetectCard):
-        few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_COLUMNS, MAX_COLUMNS))
+        few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_TEXTS, MAX_TEXTS))
         shapes["txt_feats"] = (few, usual, many)
     cache = None if detector.engine_cache is None else resources.expand(detector.engine_cache)
     return EngineOptions(card.name, card.precision, shapes, cache, progress, expected_sha256(card))
@@ -78,15 +78,15 @@ class _PromptSet:
 
     Attributes:
         prompts: names of the objects to look for.
-        columns: the text classes of the prompts.
-        folded: (anchors, classes) float32, score of each class.
+        classes: the text classes of the prompts.
+        class_scores: (anchors, classes) float32, buffer for the score of each class.
         anchor, label, score: (anchors * (prompts + context),), see `kernels.candidates`.
         bound: the session with its inputs and outputs; None after `close`.
     """
 
     prompts: tuple[str, ...]
-    columns: TextClasses
-    folded: np.ndarray
+    classes: TextClasses
+    class_scores: np.ndarray
     anchor: np.ndarray
     label: np.ndarray
     score: np.ndarray
@@ -126,7 +126,8 @@ class _BoxBuffer(NamedTuple):
     cut: np.ndarray
 
     @classmethod
-    def of(cls, n: int) -> _BoxBuffer:
+    def empty(cls, n: int) -> _BoxBuffer:
+        """Allocate a buffer for `n` boxes."""
         return cls(np.empty(n, np.int32), np.empty((n, 4), np.float32), np.empty(n, np.bool_))
 
 
@@ -138,7 +139,7 @@ class OnnxDetector:
     Each prompt keeps its own boxes, even if another prompt scores higher at the same place, because
     the trackers need the weaker scores, too. Background words (`config.background`) are the
     context. Of context boxes that overlap, only the one with the best score is kept. The
-    `Detections.competing_score` of a box is the best score of a competing thing at its place. Words
+    `Detections.competing_score` of a box is the best score of a competing class at its place. Words
     for the same thing (chair, armchair) do not compete. A thing is looked for under all names that
     the text encoder has for it; see `TextClasses`.
 
@@ -150,7 +151,7 @@ class OnnxDetector:
         text: encoder of prompts; None: open the card's encoder.
 
     Attributes:
-        invalid_boxes: number of boxes dropped as invalid (`UNSOUND`).
+        invalid_boxes: number of boxes dropped as invalid (`WHY_INVALID`).
         stages_ns: time of the last image for filling the input, for the session, and for selecting
             boxes.
 
@@ -182,7 +183,7 @@ class OnnxDetector:
         self._background = self._known_background()
         height, width = self.card.input.height, self.card.input.width
         self._images = np.empty((1, 3, height, width), np.float32)
-        self._place = _Placement(0, 0, 1.0, 0, 0, None)
+        self._place = _Placement(0, 0, 1.0, 0, 0, None)  # of no image yet
         self._scale = np.float32(self.card.preprocess.scale)
         self._far_px = far_px(self.card)
         self._session = session or open_session(
@@ -193,9 +194,11 @@ class OnnxDetector:
             engine_options(self.card, detector, progress),
         )
         self._anchors = self._count_anchors()
-        self._top = np.empty(self._anchors, np.float32)
+        self._top = np.empty(self._anchors, np.float32)  # see `kernels.candidates`
         self._competing_score = np.empty(MAX_DETECTIONS, np.float32)
-        self._target_boxes, self._context_boxes = (_BoxBuffer.of(MAX_DETECTIONS) for _ in range(2))
+        self._target_boxes, self._context_boxes = (
+            _BoxBuffer.empty(MAX_DETECTIONS) for _ in range(2)
+        )
         self.set_prompts(prompts)
 
     @property
@@ -209,12 +212,12 @@ class OnnxDetector:
 
     def _encode_prompts(self, prompts: tuple[str, ...]) -> _PromptSet:
         """Encode prompts and bind buffers for them, which may take GPU memory."""
-        columns = text_classes_for(prompts, self._background, self._text)
-        text = self._text.embed(columns.words)
-        if text.shape[1] > MAX_COLUMNS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
+        classes = text_classes_for(prompts, self._background, self._text)
+        text = self._text.embed(classes.words)
+        if text.shape[1] > MAX_TEXTS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
             raise PromptError(
                 f"{text.shape[1]} text classes (prompts, synonyms, background and contrast words), "
-                f"but TensorRT engines are built for at most {MAX_COLUMNS}: name fewer"
+                f"but TensorRT engines are built for at most {MAX_TEXTS}: name fewer"
             )
         bound = bind(
             self._session,
@@ -222,10 +225,10 @@ class OnnxDetector:
             {"boxes": (1, self._anchors, 4), "scores": (1, self._anchors, text.shape[1])},
             live=("images",),
         )
-        most = self._anchors * (len(prompts) + len(columns.context))
+        n = self._anchors * (len(prompts) + len(classes.context))
         return _PromptSet(
-            prompts, columns, np.empty((self._anchors, columns.n_classes), np.float32),
-            np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32), bound,
+            prompts, classes, np.empty((self._anchors, classes.n_classes), np.float32),
+            np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.float32), bound,
         )  # fmt: skip
 
     def _known_background(self) -> tuple[str, ...]:
@@ -247,22 +250,22 @@ class OnnxDetector:
         filled_ns = time.perf_counter_ns()
         boxes, scores = prompt_set.bound.run()
         ran_ns = time.perf_counter_ns()
-        found, around = self._select_boxes(prompt_set, boxes[0], scores[0])
+        targets, context = self._select_boxes(prompt_set, boxes[0], scores[0])
         end_ns = time.perf_counter_ns()
         self.stages_ns = (filled_ns - start_ns, ran_ns - filled_ns, end_ns - ran_ns)
-        targets_kept, others = found.selected, around.selected
+        target_rows, context_rows = targets.selected, context.selected
         return Detections(
             observation=observation,
-            xyxy_px=found.xyxy_px.copy(),
-            score=prompt_set.score[targets_kept],
-            class_id=prompt_set.label[targets_kept],
+            xyxy_px=targets.xyxy_px.copy(),
+            score=prompt_set.score[target_rows],
+            class_id=prompt_set.label[target_rows],
             prompts=prompt_set.prompts,
-            competing_score=self._competing_score[: len(targets_kept)].copy(),
+            competing_score=self._competing_score[: len(target_rows)].copy(),
             context=ContextBoxes(
-                around.xyxy_px.copy(),
-                prompt_set.score[others],
-                prompt_set.label[others] - np.int32(len(prompt_set.prompts)),
-                prompt_set.columns.context,
+                context.xyxy_px.copy(),
+                prompt_set.score[context_rows],
+                prompt_set.label[context_rows] - np.int32(len(prompt_set.prompts)),
+                prompt_set.classes.context,
             ),
             model=self.name,
             latency_ns=end_ns - start_ns,
@@ -283,10 +286,10 @@ class OnnxDetector:
         prompt_set = self._prompt_set
         self._fill_input(np.ascontiguousarray(rgb))
         boxes, scores = prompt_set.bound.run()
-        kernels.best_per_class(scores[0], prompt_set.columns.class_of_text, prompt_set.folded)
-        if invalid := kernels.count_unsound(boxes[0], prompt_set.folded, self._far_px):
-            raise ModelError(f"model {self.name}: {invalid} boxes are {UNSOUND}")
-        return prompt_set.folded[:, : len(prompt_set.prompts)].max(axis=0)
+        kernels.best_per_class(scores[0], prompt_set.classes.class_of_text, prompt_set.class_scores)
+        if invalid := kernels.count_invalid(boxes[0], prompt_set.class_scores, self._far_px):
+            raise ModelError(f"model {self.name}: {invalid} boxes are {WHY_INVALID}")
+        return prompt_set.class_scores[:, : len(prompt_set.prompts)].max(axis=0)
 
     def health(self) -> Health:
         """See `Detector.health`."""
@@ -320,6 +323,7 @@ class OnnxDetector:
         return anchors
 
     def _fill_input(self, rgb: np.ndarray) -> None:
+        """Scale the image and write it into the network's input."""
         height, width = rgb.shape[:2]
         if (width, height) != (self._place.width_px, self._place.height_px):
             self._place = self._placement(width, height)
@@ -350,25 +354,25 @@ class OnnxDetector:
         Args:
             prompt_set: the current prompts.
             boxes: (a, 4) float32.
-            scores: (a, columns) float32.
+            scores: (a, texts) float32.
         """
         tau, targets = np.float32(self.config.tau_vl), len(prompt_set.prompts)
-        named = targets + len(prompt_set.columns.context)
-        kernels.best_per_class(scores, prompt_set.columns.class_of_text, prompt_set.folded)
+        named = targets + len(prompt_set.classes.context)
+        kernels.best_per_class(scores, prompt_set.classes.class_of_text, prompt_set.class_scores)
         found, invalid = kernels.candidates(
-            boxes, prompt_set.folded, named, tau, self._far_px, prompt_set.anchor,
+            boxes, prompt_set.class_scores, named, tau, self._far_px, prompt_set.anchor,
             prompt_set.label, prompt_set.score, self._top,
         )  # fmt: skip
         if invalid:
             if not self.invalid_boxes:
                 log.error(
                     "model %s: %d of %d boxes are %s: dropped (further ones are only counted)",
-                    self.name, invalid, self._anchors, UNSOUND,
+                    self.name, invalid, self._anchors, WHY_INVALID,
                 )  # fmt: skip
             self.invalid_boxes += invalid
         kept = self._suppress(prompt_set, boxes, found, (0, targets), self._target_boxes)
         kernels.competing_scores(
-            boxes, prompt_set.folded, prompt_set.columns.competes, tau, self._top,
+            boxes, prompt_set.class_scores, prompt_set.classes.competes, tau, self._top,
             prompt_set.anchor, prompt_set.label, kept.selected, len(kept.selected), kept.cut,
             NMS_IOU, self._competing_score,
         )  # fmt: skip
@@ -395,6 +399,7 @@ class OnnxDetector:
         Returns:
             Views of `out`.
         """
+        # A place in the context has one word; targets keep the boxes of all prompts.
         place, one_word = self._place, labels[0] > 0
         n = kernels.suppress(
             boxes, prompt_set.anchor, prompt_set.label, prompt_set.score, found, *labels, one_word,

@@ -50,11 +50,12 @@ class ProcessDetector(SupervisedProcess):
         super().__init__(perception.detector.model, perception.process)
         self.invalid_boxes = 0
         self._perception = perception.model_copy(update={"isolation": "thread"})
-        self._prompts = self._looked_for = tuple(prompts)
+        # The prompts to use, and those of the last answer, which the model accepted.
+        self._prompts = self._accepted_prompts = tuple(prompts)
         self._progress = progress
         self._process_health, self._model_health = Health(), Health()
-        self._answered: ModelProcessClient | None = None
-        self._invalid_before = 0
+        self._last_link: ModelProcessClient | None = None  # the process that answered last
+        self._invalid_before = 0  # invalid boxes of earlier processes
         self._cancelled = cancelled or threading.Event()
         self._begin("model-process")
 
@@ -85,9 +86,9 @@ class ProcessDetector(SupervisedProcess):
             raise ModelProcessError(self._process_health.detail)
         link = self._link
         answer = link.detect(rgb, self._prompts, self._rules.timeout_s)
-        if link is not self._answered:  # a new process counts from 0
-            self._answered, self._invalid_before = link, self.invalid_boxes
-        self._looked_for, self._model_health = answer.found.prompts, answer.health
+        if link is not self._last_link:  # a new process counts from 0
+            self._last_link, self._invalid_before = link, self.invalid_boxes
+        self._accepted_prompts, self._model_health = answer.found.prompts, answer.health
         self.invalid_boxes = self._invalid_before + answer.invalid_boxes
         took_ns = time.perf_counter_ns() - start_ns
         return replace(answer.found, observation=observation, model=self.name, latency_ns=took_ns)
@@ -111,11 +112,12 @@ class ProcessDetector(SupervisedProcess):
         try:
             return self._run_with(wanted, first)
         except PromptError:
-            if wanted == self._looked_for:
+            if wanted == self._accepted_prompts:
                 raise
-            return self._run_with(self._looked_for, first)
+            return self._run_with(self._accepted_prompts, first)
 
     def _run_with(self, prompts: Sequence[str], first: Future[None]) -> tuple[float, str]:
+        """Run one process that starts with these prompts; see `_run_once`."""
         perception = self._perception.model_dump(mode="json")
         request = {"perception": perception, "prompts": list(prompts)}
         return self._run_link(first, request, self._report_loading)
@@ -132,6 +134,7 @@ class ProcessDetector(SupervisedProcess):
         self._set_state(Health(state, f"{why}; {self._describe_restart(pause)}"))
 
     def _is_cancelled(self, first: Future[None]) -> bool:
+        """See `SupervisedProcess`; `cancelled` counts for the first start only."""
         return self._closing.is_set() or (self._cancelled.is_set() and not first.done())
 
     def _report_loading(self, health: Health) -> None:
@@ -140,6 +143,7 @@ class ProcessDetector(SupervisedProcess):
         self._progress(health)
 
     def _describe_restart(self, pause: RestartDelay) -> str:
+        """Return when the process is restarted, for the end of a message."""
         if not pause.limit:
             return f"restarts in {pause.seconds:.1f} s"
         return f"ended too often, restarts in {pause.seconds:.0f} s"

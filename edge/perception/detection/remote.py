@@ -60,7 +60,7 @@ class RemoteDetector:
         self._invalid_before = 0  # invalid boxes of earlier models
         self._health = Health()
         self._last_error: ModelError | None = None
-        self._failures, self._next_s = 0, 0.0
+        self._failures, self._next_s = 0, 0.0  # failures in a row, end of the pause
         self._asking = threading.Lock()
         self._prompts: tuple[str, ...] = ()
         self.set_prompts(prompts)
@@ -103,19 +103,23 @@ class RemoteDetector:
         self._session.close()
 
     def _with_model(self, work: Callable[[OnnxDetector], T]) -> T:
-        """Call `work` with the detector, unless the server is in a pause; note failures."""
+        """Call `work` with the detector, and record a failure.
+
+        Raises:
+            ModelError: the last error during a pause; else the error of `work`.
+        """
         with self._asking:
             if self._last_error is not None and self._clock() < self._next_s:
                 raise self._last_error.with_traceback(None)
             try:
-                found = work(self._model())
+                found = work(self._detector())
             except ModelError as error:
-                self._failed(error)
+                self._record_failure(error)
                 raise
             self._last_error, self._failures, self._health = None, 0, Health()
             return found
 
-    def _model(self) -> OnnxDetector:
+    def _detector(self) -> OnnxDetector:
         """Return the detector that uses the server's network, with the current prompts."""
         wanted = self._prompts
         if self._inner is None:
@@ -126,12 +130,14 @@ class RemoteDetector:
             self._inner.set_prompts(wanted)
         return self._inner
 
-    def _failed(self, error: ModelError) -> None:
-        pause_s = min(PAUSE_S * 2.0 ** min(self._failures, 10), MAX_PAUSE_S)
+    def _record_failure(self, error: ModelError) -> None:
+        """Begin a pause, and set the health."""
+        pause_s = min(PAUSE_S * 2.0 ** min(self._failures, 10), MAX_PAUSE_S)  # 10: no overflow
         self._last_error = error
         self._failures += 1
         self._next_s = self._clock() + pause_s
         self._health = Health("degraded", str(error))
+        # An error without a kind is of the answer's content.
         if getattr(error, "kind", "invalid answer") == "invalid answer":
             # The server may run another model by now: make a new detector for it.
             self._invalid_before, self._inner = self.invalid_boxes, None

@@ -59,6 +59,20 @@ class _Roles(NamedTuple):
     classes: tuple[int, ...]
 
 
+class _NoisyBox(NamedTuple):
+    """A box that the detector reports.
+
+    Attributes:
+        score: score in (0, 1].
+        class_id: see `_Roles.classes`.
+        xyxy_px: (4,) float32.
+    """
+
+    score: float
+    class_id: int
+    xyxy_px: np.ndarray
+
+
 class SimDetector:
     """A detector (`Detector`) that puts imperfect boxes around the visible pixels of known objects.
 
@@ -98,6 +112,7 @@ class SimDetector:
     ) -> None:
         self.config = detector
         self._truth = truth
+        # The world's objects: labels, and canonical names in order and as a set.
         self._labels: tuple[str, ...] = ()
         self._names: tuple[str, ...] = ()
         self._present: set[str] = set()
@@ -107,7 +122,7 @@ class SimDetector:
 
     @property
     def prompts(self) -> tuple[str, ...]:
-        return self._asked[0]
+        return self._prompts_and_nouns[0]
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
         """See `Detector.set_prompts`."""
@@ -116,7 +131,7 @@ class SimDetector:
             nouns = tuple(_noun(prompt) for prompt in prompts)
         except names.NotANameError as error:
             raise PromptError(f"prompt: {error}, such as 'chair'") from None
-        self._asked = (prompts, nouns)
+        self._prompts_and_nouns = (prompts, nouns)
 
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`; needs depth and a segmentation of the same shape."""
@@ -136,26 +151,26 @@ class SimDetector:
             self._roles = _Roles((), (), ())
             self._resize(len(self._labels))
         kernels.object_boxes(ids, depth, self._box, self._pixels, self._distance)
-        prompts, nouns = self._asked
+        prompts, nouns = self._prompts_and_nouns
         if self._roles.prompts != prompts:
             self._roles = self._assign_roles(prompts, nouns)
         roles = self._roles
         found = self._detect_with_noise(observation.seq, roles, ids.shape)
-        found.sort(key=lambda row: -row[0])
-        xyxy_px = np.array([row[2] for row in found], np.float32).reshape(-1, 4)
-        score = np.array([row[0] for row in found], np.float32)
-        class_id = np.array([row[1] for row in found], np.int32)
-        mine, other = class_id < len(prompts), class_id >= len(prompts)
+        found.sort(key=lambda box: -box.score)
+        xyxy_px = np.array([box.xyxy_px for box in found], np.float32).reshape(-1, 4)
+        score = np.array([box.score for box in found], np.float32)
+        class_id = np.array([box.class_id for box in found], np.int32)
+        is_target, is_context = class_id < len(prompts), class_id >= len(prompts)
         return Detections(
             observation=observation,
-            xyxy_px=xyxy_px[mine],
-            score=score[mine],
-            class_id=class_id[mine],
+            xyxy_px=xyxy_px[is_target],
+            score=score[is_target],
+            class_id=class_id[is_target],
             prompts=prompts,
             context=ContextBoxes(
-                xyxy_px[other],
-                score[other],
-                class_id[other] - np.int32(len(prompts)),
+                xyxy_px[is_context],
+                score[is_context],
+                class_id[is_context] - np.int32(len(prompts)),
                 roles.words,
             ),
             model=self.name,
@@ -170,6 +185,7 @@ class SimDetector:
         """Do nothing: there is nothing to release."""
 
     def _resize(self, n: int) -> None:
+        """Allocate the buffers for `n` objects; see `kernels.object_boxes`."""
         self._box = np.empty((n, 4), np.int32)
         self._pixels = np.empty(n, np.int32)
         self._distance = np.empty(n, np.float32)
@@ -184,19 +200,19 @@ class SimDetector:
         else:
             context = [names.canonical(word) for word in background]
         words = names.non_targets(context, (*wanted, *prompts))
-        number = {word: len(prompts) + i for i, word in enumerate(words)}
+        class_of = {word: len(prompts) + i for i, word in enumerate(words)}
         for i in reversed(range(len(wanted))):  # the first of two prompts for one thing wins
-            number[wanted[i]] = i
-        return _Roles(prompts, words, tuple(number.get(name, -1) for name in self._names))
+            class_of[wanted[i]] = i
+        return _Roles(prompts, words, tuple(class_of.get(name, -1) for name in self._names))
 
     def _detect_with_noise(
         self, seq: int, roles: _Roles, image_hw: tuple[int, int]
-    ) -> list[tuple[float, int, np.ndarray]]:
-        """Return (score, class, box) of every reported object, unsorted; see `_Roles`."""
+    ) -> list[_NoisyBox]:
+        """Return the box of every reported object, unsorted."""
         c, targets = self.config, len(roles.prompts)
         random = np.random.default_rng((c.seed, seq))
         h, w = image_hw
-        found = []
+        found: list[_NoisyBox] = []
         for i in np.flatnonzero(self._pixels >= MIN_VISIBLE_PX):
             # Draw for every visible object, so that prompts do not change each other's noise.
             missed, mistaken, noise, edges = (
@@ -206,17 +222,19 @@ class SimDetector:
             if not 0.0 < distance <= c.max_range_m:
                 continue
             far = distance / c.max_range_m
+            # An object at the largest distance has 60 % of the quality of one near by.
             quality = (1.0 - 0.4 * far) * min(
                 1.0, math.sqrt(self._pixels[i] / (_FULL_VIEW * (h * w)))
             )
             class_id = roles.classes[i]
+            # Another object is taken for a target; its random number also chooses which target.
             if not 0 <= class_id < targets and mistaken < c.false_positive_rate:
                 class_id, quality = int(mistaken * 1e6) % targets, 0.5 * quality
             elif class_id < 0 or missed < c.miss_rate * (1.0 + 2.0 * far):
                 continue
             score = min(1.0, max(0.0, 0.9 * quality + c.score_noise * noise))
             if score >= c.tau_vl and score > 0.0:
-                found.append((score, class_id, _jitter(self._box[i], edges, w, h)))
+                found.append(_NoisyBox(score, class_id, _jitter(self._box[i], edges, w, h)))
         return found
 
 

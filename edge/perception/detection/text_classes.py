@@ -1,4 +1,8 @@
-"""Text classes of a detector: the prompts, the context words, and competing words."""
+"""Text classes of a detector: the prompts, the context words, and words that compete with them.
+
+A class is a thing to look for; it has one text for each of its names (sofa: "sofa", "couch"). The
+network scores an image for each text.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +19,15 @@ from edge.perception.embedding.text import TextEncoder, words_for
 class TextClasses:
     """The text embeddings that a detector's network compares an image with.
 
-    A thing (class) has one column (text) for each of its names. The score of a thing is the best
-    score of its columns. Things are the prompts, then the context words, then other words that
-    compete with a prompt.
+    The score of a class is the best score of its texts. Classes are the prompts, then the context
+    words, then other words that compete with a prompt.
 
     Attributes:
-        words: text of each column, for the text encoder.
-        class_of_text: (columns,) int32, index of each column's thing, ascending.
-        n_classes: number of things.
-        context: canonical names of the things from `len(prompts)` on.
-        competes: (2, prompts, things) bool, True if a thing is another object than the prompt
+        words: all texts, for the text encoder, in the order of their classes.
+        class_of_text: (texts,) int32, index of each text's class, ascending.
+        n_classes: number of classes.
+        context: canonical names of the classes from `len(prompts)` on.
+        competes: (2, prompts, classes) bool, True if a class is another object than the prompt
             names. Row 0 is for an object wholly in view, row 1 for an object that the image border
             cuts off.
     """
@@ -50,34 +53,35 @@ def text_classes_for(
         PromptError: see `TextEncoder.resolve`.
     """
     context: dict[str, list[str]] = {}
-    around = names.non_targets(background, prompts)
+    context_names = names.non_targets(background, prompts)
     for word in background:
         context.setdefault(names.canonical(word), []).append(word)
     # A kind of one prompt's thing may still compete with another prompt.
-    rest = [word for word in background if names.canonical(word) not in around]
+    rest = [word for word in background if names.canonical(word) not in context_names]
     rest += [c for prompt in prompts for c in text.contrasts(prompt)]
     rest = [word for word in dict.fromkeys(rest) if word not in prompts]
-    named = [*prompts, *around, *rest]
+    named = [*prompts, *context_names, *rest]
     competes = competing_classes(prompts, named, text)
+    # Drop words that compete with nothing: they would only cost time.
     useful = competes.any(axis=(0, 1))
-    useful[: len(prompts) + len(around)] = True
-    things = [[prompt, *text.synonyms(prompt)] for prompt in prompts]
-    things += [context[name] for name in around]
-    things += [[word] for word in rest]
-    things = [words for words, kept in zip(things, useful, strict=True) if kept]
+    useful[: len(prompts) + len(context_names)] = True
+    classes = [[prompt, *text.synonyms(prompt)] for prompt in prompts]
+    classes += [context[name] for name in context_names]
+    classes += [[word] for word in rest]
+    classes = [texts for texts, kept in zip(classes, useful, strict=True) if kept]
     return TextClasses(
-        tuple(word for words in things for word in words),
-        np.repeat(np.arange(len(things), dtype=np.int32), [len(words) for words in things]),
-        len(things),
-        around,
+        tuple(word for texts in classes for word in texts),
+        np.repeat(np.arange(len(classes), dtype=np.int32), [len(texts) for texts in classes]),
+        len(classes),
+        context_names,
         np.ascontiguousarray(competes[:, :, useful]),
     )
 
 
 def competing_classes(
-    prompts: Sequence[str], things: Sequence[str], text: TextEncoder
+    prompts: Sequence[str], classes: Sequence[str], text: TextEncoder
 ) -> np.ndarray:
-    """Return which things compete with which prompt; see `TextClasses.competes`.
+    """Return which classes compete with which prompt; see `TextClasses.competes`.
 
     Two things that look almost alike in one view (`names.look_alike`) do not compete in one image.
     A contrast of the prompt (another colour, another size if it is visible) competes all the same.
@@ -85,22 +89,24 @@ def competing_classes(
 
     Args:
         prompts: names of the objects to look for.
-        things: all things, the prompts first.
+        classes: a name of each class, the prompts first.
         text: the detector's text encoder.
 
     Returns:
-        (2, prompts, things) bool.
+        (2, prompts, classes) bool.
     """
-    known = words_for(things, text.resolve)
-    words = [(thing, known.get(thing, thing)) for thing in things]
-    competes = np.ones((2, len(prompts), len(things)), np.bool_)
+    # Each name in two forms: as given, and as the text encoder reads it.
+    known = words_for(classes, text.resolve)
+    words = [(name, known.get(name, name)) for name in classes]
+    competes = np.ones((2, len(prompts), len(classes)), np.bool_)
     for row, prompt in enumerate(prompts):
         contrasts = set(text.contrasts(prompt))
-        seen_in_part = set(text.contrasts(prompt, whole=False))
+        visible_in_part = set(text.contrasts(prompt, whole=False))
         for column, others in enumerate(words):
-            contrast = not contrasts.isdisjoint(others)
-            unseen = contrast and seen_in_part.isdisjoint(others)
-            near = any(names.look_alike(a, b) for a in words[row] for b in others)
-            competes[0, row, column] = contrast or not near
-            competes[1, row, column] = competes[0, row, column] and not unseen
+            is_contrast = not contrasts.isdisjoint(others)
+            # A contrast, such as the height, that cannot be seen if the object is cut off.
+            is_hidden = is_contrast and visible_in_part.isdisjoint(others)
+            look_alike = any(names.look_alike(a, b) for a in words[row] for b in others)
+            competes[0, row, column] = is_contrast or not look_alike
+            competes[1, row, column] = competes[0, row, column] and not is_hidden
     return competes

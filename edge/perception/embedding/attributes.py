@@ -54,7 +54,7 @@ ALIKE: dict[str, tuple[str, ...]] = {
     "large": ("tall", "wide"),
     "small": ("short", "narrow"),
 }
-"""Size → other sizes that the same object may have; `contrasting` leaves these out."""
+"""Size → other sizes that the same object may have; they are no contrast (`contrasting`)."""
 
 _PLAIN = {canonical: canonical for canonical in SYNONYMS} | {
     other: canonical for canonical, others in SYNONYMS.items() for other in others
@@ -64,7 +64,7 @@ _PLAIN = {canonical: canonical for canonical in SYNONYMS} | {
 
 @dataclass(frozen=True, slots=True)
 class Vocabulary:
-    """The words that the model was trained on."""
+    """The words that the model was trained on; their positions are the model's numbers."""
 
     categories: tuple[str, ...]
     colors: tuple[str, ...]
@@ -90,7 +90,7 @@ class Vocabulary:
 
 @dataclass(frozen=True, slots=True)
 class Phrase:
-    """A parsed prompt; None for what it does not name.
+    """A parsed prompt, as words of the vocabulary; color and size are None if it names none.
 
     Attributes:
         ignored: words of the prompt that the model does not know, and the part after its noun.
@@ -138,7 +138,7 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
 
 
 def _category(noun: str, vocabulary: Vocabulary) -> str | None:
-    """Return the category of a noun or of a kind of it (dining table: table), else None."""
+    """Return the category that a noun names or is a kind of (dining table: table), else None."""
     try:
         thing = names.canonical(noun)
     except names.NotANameError:  # a character that no name has
@@ -152,6 +152,7 @@ def _category(noun: str, vocabulary: Vocabulary) -> str | None:
 
 
 def _describe(prompt: str, adjectives: list[str], category: str, vocabulary: Vocabulary) -> Phrase:
+    """Return the phrase of a category with the colour and size that the adjectives name."""
     if denied := next((word for word in adjectives if word in NEGATIONS), None):
         raise PromptError(
             f"prompt {prompt!r}: {denied!r} is not understood; say what the thing is like, not "
@@ -260,6 +261,7 @@ class AttributeEncoder:
         return str(self.card.path)
 
     def _read(self, prompt: str) -> Phrase:
+        """Parse a prompt; warn once of words that are ignored."""
         phrase = parse(prompt, self.vocabulary)
         if phrase.ignored and phrase.ignored not in self._warned:
             self._warned.add(phrase.ignored)
@@ -270,6 +272,7 @@ class AttributeEncoder:
         return phrase
 
     def _tokens(self, phrase: Phrase) -> tuple[int, int, int]:
+        """Return category, colour and size as numbers from 1; 0 for none."""
         v = self.vocabulary
         return (
             v.categories.index(phrase.category) + 1,

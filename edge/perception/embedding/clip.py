@@ -40,8 +40,8 @@ CPU = ("CPUExecutionProvider",)
 class ClipTextEncoder:
     """A `TextEncoder` that understands whole phrases.
 
-    Embeddings are cached, some 2 KB a text. So a mission that arrives while the robot drives costs
-    the loop the time for the mission's own words only: the background classes are cached.
+    Embeddings are cached, some 2 KB a text. When a mission arrives while the robot drives, the loop
+    waits only for the mission's own words: the background classes are in the cache.
 
     Args:
         card: card of the model.
@@ -58,7 +58,7 @@ class ClipTextEncoder:
         path = verify_model(card, believe_cache=True)
         self._tokenizer = open_tokenizer(card)
         self._session = open_session(path, CPU, threads=1)
-        self._rows: dict[str, np.ndarray] = {}
+        self._rows: dict[str, np.ndarray] = {}  # unit row of each text encoded so far
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
         """See `TextEncoder.embed`."""
@@ -79,6 +79,7 @@ class ClipTextEncoder:
         return np.stack([self._rows[text] for text in texts])
 
     def _encode(self, texts: Sequence[str]) -> np.ndarray:
+        """Run the model on texts; see `encode`."""
         tokens = np.full((len(texts), self._context), self._pad, np.int64)
         for row, text in zip(tokens, texts, strict=True):
             ids = self._tokenizer.encode(text).ids
@@ -205,6 +206,7 @@ def open_tokenizer(card: TextCard) -> Any:
 def _unit_rows(
     session: Any, card: TextCard | ImageCard, name: str, batch: np.ndarray
 ) -> np.ndarray:
+    """Run an encoder, and scale each row to length 1; see `run_encoder`."""
     rows = run_encoder(session, card.file or f"model {card.name}", name, batch, card.dim)
     norms = np.linalg.norm(rows, axis=-1, keepdims=True)
     return np.ascontiguousarray(rows / norms, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Choice of the text encoder for prompts."""
+"""Opens the text encoder for prompts: that of the card, CLIP's, or the vocabulary."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def check_text_encoder(named: str | None, vocabulary: str | None) -> None:
     card = None if named is None else load_card_of(TextCard, named)
     models = [card] if card is not None else _vocabulary_models()
     here = [model for model in models if model.path.is_file()]
-    if not here:
+    if not here:  # opens the vocabulary, which has no network, or raises
         open_text_encoder(card, vocabulary)
     elif isinstance(here[0].tokenizer, ClipTokenizer):
         open_tokenizer(here[0])
@@ -73,6 +73,7 @@ def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEnc
         return AttributeEncoder(named)
     models = [named] if named is not None else _vocabulary_models()
     for model in models:
+        # A model of another family that is missing is an error: no vocabulary replaces it.
         if model.path.is_file() or model.family != VOCABULARY_FAMILY:
             return ClipTextEncoder(model)
     try:

@@ -113,7 +113,7 @@ def tidy(prompt: str) -> str:
 
 
 def run_encoder(session: Any, file: str, name: str, batch: np.ndarray, dim: int) -> np.ndarray:
-    """Run an encoder on a batch: (n, dim) float32, finite, no row zero.
+    """Run an encoder on a batch; return (n, dim) float32, finite, without a row of zeros.
 
     Args:
         session: session of the encoder.
@@ -211,7 +211,7 @@ class TextEmbeddings:
         self.path = find_vocabulary(vocabulary)
         words, self._rows = load_vocabulary(self.path)
         self._row_of: dict[str, int] = {}
-        for row, word in enumerate(words):
+        for row, word in enumerate(words):  # the first of two equal words counts
             self._row_of.setdefault(word, row)
 
     @property
@@ -283,4 +283,5 @@ class TextEmbeddings:
         return str(self.path)
 
     def _lookup(self, word: str) -> str | None:
+        """Return the vocabulary word that is one of a word's names; None if there is none."""
         return next((name for name in names.names_of(word) if name in self._row_of), None)

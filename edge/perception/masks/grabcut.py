@@ -23,7 +23,7 @@ LEAST_PX = 4
 
 
 class GrabcutSegmenter:
-    """A segmenter that models the colours around a box as background.
+    """A segmenter (`Segmenter`) that models the colours around a box as background.
 
     GrabCut fits one colour model to the margin and another to the inside, then cuts along edges in
     the image. Depth did not help: not as a channel, not as a seed of the background, not as a vote
@@ -53,27 +53,28 @@ def _cut(rgb: np.ndarray, box: np.ndarray, out: np.ndarray) -> None:
     result spans too little of the box.
     """
     height, width = rgb.shape[:2]
-    beside_u, beside_v = MARGIN * (box[2] - box[0]), MARGIN * (box[3] - box[1])
-    left, top = max(0, int(box[0] - beside_u)), max(0, int(box[1] - beside_v))
-    right, bottom = min(width, int(box[2] + beside_u) + 1), min(height, int(box[3] + beside_v) + 1)
+    margin_u, margin_v = MARGIN * (box[2] - box[0]), MARGIN * (box[3] - box[1])
+    left, top = max(0, int(box[0] - margin_u)), max(0, int(box[1] - margin_v))
+    right, bottom = min(width, int(box[2] + margin_u) + 1), min(height, int(box[3] + margin_v) + 1)
     if right <= left or bottom <= top:
         return
     shrink = min(1.0, SIDE_PX / max(right - left, bottom - top))
     columns = max(1, round((right - left) * shrink))
     rows = max(1, round((bottom - top) * shrink))
     window = cv2.resize(rgb[top:bottom, left:right], (columns, rows), interpolation=cv2.INTER_AREA)
+    # The box in the window, and GrabCut's labels: background, or perhaps foreground.
     scale = columns / (right - left), rows / (bottom - top)
     u0, u1 = (round((u - left) * scale[0]) for u in (box[0], box[2]))
     v0, v1 = (round((v - top) * scale[1]) for v in (box[1], box[3]))
-    marks = np.full((rows, columns), cv2.GC_BGD, np.uint8)
-    marks[max(0, v0) : v1, max(0, u0) : u1] = cv2.GC_PR_FGD
+    labels = np.full((rows, columns), cv2.GC_BGD, np.uint8)
+    labels[max(0, v0) : v1, max(0, u0) : u1] = cv2.GC_PR_FGD
     inside = min(v1, rows) - max(0, v0), min(u1, columns) - max(0, u0)
-    if min(inside) < LEAST_PX or (marks == cv2.GC_BGD).sum() < LEAST_PX:
+    if min(inside) < LEAST_PX or (labels == cv2.GC_BGD).sum() < LEAST_PX:
         return
     cv2.setRNGSeed(0)  # of this thread, for k-means: a run must replay the same
-    models = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(window, marks, None, *models, ITERATIONS, cv2.GC_INIT_WITH_MASK)
-    foreground = (marks & 1).astype(np.float32) - 0.5  # GC_FGD is 1, GC_PR_FGD is 3
+    models = np.zeros((1, 65)), np.zeros((1, 65))  # scratch of GrabCut, in OpenCV's size
+    cv2.grabCut(window, labels, None, *models, ITERATIONS, cv2.GC_INIT_WITH_MASK)
+    foreground = (labels & 1).astype(np.float32) - 0.5  # GC_FGD is 1, GC_PR_FGD is 3
     rasterise(foreground, (left, top), scale, box, out)
     for axis in range(2):
         covered = np.flatnonzero(out.any(axis=axis))

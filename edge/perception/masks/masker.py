@@ -1,4 +1,7 @@
-"""Masks for detections, by the segmenter that a configuration names."""
+"""Adds masks to detections, by the segmenter that the configuration names.
+
+A mask says which pixels of a box show the object; back-projection then ignores the others.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +65,7 @@ class Masker:
                 self.n_skipped += len(rows) - done
                 self.n_masks += int(drawn.any(axis=(1, 2)).sum())
             except Exception as error:  # keep the detections
-                self._failed(error)
+                self._record_failure(error)
         took_ns = perf_counter_ns() - start_ns
         return replace(found, mask=masks, latency_ns=found.latency_ns + took_ns)
 
@@ -77,7 +80,8 @@ class Masker:
         """Release the segmenter."""
         self._segmenter.close()
 
-    def _failed(self, error: Exception) -> None:
+    def _record_failure(self, error: Exception) -> None:
+        """Count a failure of the segmenter; log the first."""
         text = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
         self.failed, self.last_error = self.failed + 1, one_line(text, _LONGEST_ERROR)
         if self.failed == 1:

@@ -40,7 +40,7 @@ _BOX_LABELS = np.array([[2.0, 3.0]], np.float32)
 
 
 class SamSegmenter:
-    """A segmenter that runs an image encoder and a mask decoder.
+    """A segmenter (`Segmenter`) that runs an image encoder and a mask decoder.
 
     All buffers are allocated once, except onnxruntime's outputs.
 
@@ -66,6 +66,7 @@ class SamSegmenter:
         )  # fmt: skip
         self._pixel_input = self._encoder.get_inputs()[0].name
         self._features = self._match_features()
+        # Inputs of the decoder besides the features, by name; `segment` changes the points.
         self._prompt = {
             value.name: np.zeros([n if isinstance(n, int) else 1 for n in value.shape],
                                  DTYPES[value.type])
@@ -73,16 +74,16 @@ class SamSegmenter:
         }  # fmt: skip
         self._prompt["point_coords"] = np.zeros((1, 2, 2), np.float32)
         self._prompt["point_labels"] = _BOX_LABELS.astype(self._prompt["point_labels"].dtype)
-        made = {value.name for value in self._decoder.get_outputs()}
-        self._mask_output = next(name for name in MASK_OUTPUTS if name in made)
+        decoder_outputs = {value.name for value in self._decoder.get_outputs()}
+        self._mask_output = next(name for name in MASK_OUTPUTS if name in decoder_outputs)
         self._pixels = np.zeros((1, 3, card.input.height, card.input.width), np.float32)
         std = np.array(card.preprocess.std, np.float32)
         self._gain = np.float32(card.preprocess.scale) / std
         self._offset = -np.array(card.preprocess.mean, np.float32) / std
         with raise_as_model_error(f"model {self.name}: it fails at its first image"):
-            whole = np.array([[0, 0, 32, 32]], np.float32)
+            box = np.array([[0, 0, 32, 32]], np.float32)
             out = np.zeros((1, MASK_SIDE, MASK_SIDE), np.bool_)
-            self.segment(np.zeros((32, 32, 3), np.uint8), whole, out, Deadline(None))
+            self.segment(np.zeros((32, 32, 3), np.uint8), box, out, Deadline(None))
 
     def segment(
         self, rgb: np.ndarray, boxes: np.ndarray, out: np.ndarray, deadline: Deadline
@@ -99,8 +100,10 @@ class SamSegmenter:
             features = _run(self._encoder, None, {self._pixel_input: self._pixels}, options)
             if features is None:
                 return 0
-            made = dict(zip((v.name for v in self._encoder.get_outputs()), features, strict=True))
-            feed = {name: made[output] for name, output in self._features.items()} | self._prompt
+            by_name = dict(
+                zip((v.name for v in self._encoder.get_outputs()), features, strict=True)
+            )
+            feed = {name: by_name[output] for name, output in self._features.items()} | self._prompt
             if "orig_im_size" in feed:
                 feed["orig_im_size"][:] = rgb.shape[:2]
             outputs = [self._mask_output, "iou_predictions"]
@@ -121,16 +124,16 @@ class SamSegmenter:
 
         Inputs and outputs match by name; or, whatever their names are, if there is one of each.
         """
-        made = [value.name for value in self._encoder.get_outputs()]
-        taken = [v.name for v in self._decoder.get_inputs() if v.name not in PROMPTS]
-        if taken and set(taken) <= set(made):
-            return dict(zip(taken, taken, strict=True))
-        if len(taken) == len(made) == 1:
-            return {taken[0]: made[0]}
+        outputs = [value.name for value in self._encoder.get_outputs()]
+        inputs = [v.name for v in self._decoder.get_inputs() if v.name not in PROMPTS]
+        if inputs and set(inputs) <= set(outputs):
+            return dict(zip(inputs, inputs, strict=True))
+        if len(inputs) == len(outputs) == 1:
+            return {inputs[0]: outputs[0]}
         encoder, decoder = self.card.files
         raise ModelError(
-            f"{decoder.file}: needs the inputs {', '.join(taken) or 'none'}, but {encoder.file} "
-            f"makes {', '.join(made)}: take both files from one export"
+            f"{decoder.file}: needs the inputs {', '.join(inputs) or 'none'}, but {encoder.file} "
+            f"makes {', '.join(outputs)}: take both files from one export"
         )
 
     def _fill_pixels(self, rgb: np.ndarray) -> np.ndarray:

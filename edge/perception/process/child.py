@@ -1,4 +1,4 @@
-"""Parts that the programs of all model processes share."""
+"""Start of a model process: code that the programs of all model processes share."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def set_up_child() -> tuple[dict[str, Any], socket.socket, socket.socket, FrameV
         The request, the sockets `images` and `control`, and the shared images.
     """
     request = json.loads(sys.stdin.buffer.read())
-    _end_with(request["parent"])
+    _end_with_parent(request["parent"])
     faulthandler.enable()
     show_stacks_on_signals()
     logs.setup(request["log_level"], request["log_json"])
@@ -41,7 +41,7 @@ def set_up_child() -> tuple[dict[str, Any], socket.socket, socket.socket, FrameV
     return request, socket.socket(fileno=images), socket.socket(fileno=control), FrameView(frames)
 
 
-def _end_with(parent: int) -> None:
+def _end_with_parent(parent: int) -> None:
     """Have the kernel kill this process when the thread that started it ends."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # the parent ended before prctl

@@ -1,4 +1,7 @@
-"""Client of one model process: start it, send it requests, watch it and end it."""
+"""Client of one model process: it starts the process, sends it requests, and ends it.
+
+`edge.perception.process` describes the protocol.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ T = TypeVar("T")
 
 
 class ModelProcessClient:
-    """A process that was started; it can be asked once `wait_ready` has returned.
+    """Starts a model's process and talks to it; requests may be sent after `wait_ready` returned.
 
     If the thread that made this object ends, the kernel kills the process.
 
@@ -62,9 +65,11 @@ class ModelProcessClient:
         self._frames = frames
         self._n_asked = self._n_checked = 0
         self._ended = threading.Event()
+        # One request at a time on each socket.
         self._asking, self._checking = threading.Lock(), threading.Lock()
         with contextlib.ExitStack() as stack:
             try:
+                # Our ends of the sockets, and those of the process.
                 self._images, images = _channel(stack)
                 self._control, control = _channel(stack)
                 with images, control:
@@ -199,14 +204,14 @@ class ModelProcessClient:
     def _exchange(self, request: bytes, timeout_s: float, limit: str) -> bytes:
         """Send a request and return the answer, both encoded; see `ask`."""
         deadline_s = time.monotonic() + timeout_s
-        sent, before_s = _send(self._images, request), None
+        sent, core_wait_before_s = _send(self._images, request), None
         while (message := _receive(self._images)) is None:
             if self._ended.is_set():
                 raise ModelProcessError(self.fault)
-            if before_s is None:
-                before_s = _core_wait_s(self._process.pid)
+            if core_wait_before_s is None:  # read only for slow answers
+                core_wait_before_s = _core_wait_s(self._process.pid)
             elif time.monotonic() - deadline_s >= min(
-                _core_wait_s(self._process.pid) - before_s, timeout_s
+                _core_wait_s(self._process.pid) - core_wait_before_s, timeout_s
             ):
                 raise self.kill(f"no answer within {timeout_s:g} s ({limit}): killed")
         if not (sent and message):  # the other end is closed

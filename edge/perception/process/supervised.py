@@ -20,18 +20,18 @@ BACKOFF_S = 0.2
 BACKOFF_MAX_S = 5.0
 """Longest such pause [s]. A process that was ready for longer starts with `BACKOFF_S` again."""
 MOST_ENDS = 8
-"""After more ends in a row than this, there is only one restart in `WINDOW_S`."""
+"""After more ends of the process in a series than this, there is one restart in `WINDOW_S`."""
 WINDOW_S = 60.0
-"""A process that was ready for longer than this [s] starts a new row of ends."""
+"""If a process was ready for longer than this [s], its end starts a new series."""
 _CLOSE_S = 10.0  # wait for the thread to end after its process was killed
 
 
 class RestartDelay(NamedTuple):
-    """The wait before a restart.
+    """The pause before a restart.
 
     Attributes:
-        seconds: length of the wait.
-        limit: True if the limit of restarts was reached.
+        seconds: length of the pause.
+        limit: True if the process has ended too often (`MOST_ENDS`).
     """
 
     seconds: float
@@ -39,11 +39,12 @@ class RestartDelay(NamedTuple):
 
 
 class RestartBackoff:
-    """Backoff and limit of restarts.
+    """Computes the pause before each restart of a process.
 
-    The ends of the process are counted in a row, however long each start takes. If the process was
-    ready for over `WINDOW_S`, its end starts a new row. If it was ready for over `BACKOFF_MAX_S`,
-    the backoff starts again.
+    The pause doubles with each end, up to `BACKOFF_MAX_S`. It is `BACKOFF_S` again after the
+    process was ready for over `BACKOFF_MAX_S`. After more than `MOST_ENDS` ends in a series, the
+    pause is at least `WINDOW_S`. The end of a process that was ready for over `WINDOW_S` starts a
+    new series.
     """
 
     def __init__(self) -> None:
@@ -112,7 +113,11 @@ class SupervisedProcess(ABC):
         self._frames.close()
 
     def _run(self, first: Future[None]) -> None:
-        """Keep a process running until `close`; `first` gets the result of the first start."""
+        """Keep a process running until `close`.
+
+        Args:
+            first: gets the outcome of the first start: a result, or the error.
+        """
         restarts = RestartBackoff()
         while not self._closing.is_set():
             ran_s, failed = 0.0, None
@@ -120,7 +125,7 @@ class SupervisedProcess(ABC):
                 ran_s, why = self._run_once(first)
             except Exception as error:  # such as a model that can no longer be loaded
                 failed, why = error, str(error) if isinstance(error, UserError) else repr(error)
-            if not first.done():
+            if not first.done():  # the first start failed: `_begin` raises the error
                 first.set_exception(failed)
                 return
             pause = restarts.after(ran_s)
@@ -131,7 +136,7 @@ class SupervisedProcess(ABC):
 
     @abstractmethod
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
-        """Run one process from its start to its end.
+        """Run one process from its start to its end; by `_run_link`, which describes `first`.
 
         Returns:
             (seconds that the process was ready, how it ended).
@@ -147,7 +152,14 @@ class SupervisedProcess(ABC):
         progress: ProgressCallback,
         program: Sequence[str] = (),
     ) -> tuple[float, str]:
-        """See `_run_once`; `request` and `program` as `ModelProcessClient` takes them."""
+        """Run one process from its start to its end; see `_run_once`.
+
+        Args:
+            first: gets a result when the process is ready for the first time.
+            request: see `ModelProcessClient`.
+            progress: see `ModelProcessClient.wait_ready`.
+            program: see `ModelProcessClient`.
+        """
         link = ModelProcessClient(request, self.name, self._frames, program)
         try:
             link.wait_ready(

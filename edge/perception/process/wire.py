@@ -1,7 +1,8 @@
-"""Messages over sockets and images in shared memory, between the service and a model process.
+"""Encoding of what the service and a model process exchange: messages, and images in memory.
 
-A message is a JSON header; an answer has one block of bytes with arrays after it. Data from the
-model process is not trusted: that process may be failing.
+A message goes over a socket. It is a JSON header; an answer has one block of bytes with arrays
+after it. An image lies in shared memory. Data from the model process is not trusted: that process
+may be failing.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ MAX_BYTES = 1 << 18
 
 A longer message is cut off and so refused; most systems do not even send it."""
 END_OF_HEADER = b"\n"
-_BOX_BYTES = 28  # four float32 corners, score, class and competing score of four bytes each
+# Four corners, score, class and competing score (`Detections.competing_score`), of four bytes each.
+_BOX_BYTES = 28
 _STATES = get_args(get_type_hints(Health)["state"])
 SHARED_MEMORY = Path("/dev/shm")
 PIXELS_AT = 64
-"""Offset of the pixels in bytes: a cache line. The two sequence numbers are before it."""
+"""Offset of the pixels in the frame file in bytes: a cache line, with the two sequence numbers."""
 _BEFORE = 0  # index of the sequence number that is written before the pixels
 _AFTER = 1  # index of the one that is written after them
 
@@ -53,7 +55,10 @@ def encode(**header: object) -> bytes:
 
 
 def encode_answer(seq: int, found: Detections, health: Health, invalid_boxes: int) -> bytes:
-    """Encode the detections of image `seq` and the detector's health: header, line end, block."""
+    """Encode the detections of an image, by its number, and the detector's health.
+
+    The message is the header, a line end, and a block with the arrays.
+    """
     context_boxes = found.context
     header = {
         "seq": seq,
@@ -73,7 +78,8 @@ def encode_answer(seq: int, found: Detections, health: Health, invalid_boxes: in
 
 
 def _pack(boxes: Detections | ContextBoxes, competing_score: np.ndarray | None) -> bytes:
-    if competing_score is None:
+    """Return the arrays of boxes as bytes, one array after the other."""
+    if competing_score is None:  # zeros keep `_BOX_BYTES`; the header says that they do not count
         competing_score = np.zeros(len(boxes), np.float32)
     arrays = (
         (boxes.xyxy_px, "<f4"),
@@ -127,6 +133,7 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
 
 
 def _check_words(what: str, words: Any) -> None:
+    """Raise ValueError unless a field of a header is a list of words."""
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
         raise ValueError(f"{what} {bounded_repr(words, 40)}, expected a list of words")
 
@@ -135,6 +142,7 @@ def _unpack(
     block: bytes, n: int, words: list[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return boxes, scores, classes and competing scores of `n` boxes, each checked."""
+    # The arrays follow each other as in `_pack`.
     reals = np.frombuffer(block, "<f4").astype(np.float32)
     xyxy, score, competing_score = (
         reals[: 4 * n].reshape(n, 4),
@@ -189,7 +197,7 @@ def shared_dir() -> str:
 
 
 class FrameFile:
-    """The writer's end of the frame file.
+    """The writer's end of the frame file: two sequence numbers, then the pixels of one image.
 
     The file has no name, so nothing is left of it however the writer ends.
 
@@ -221,6 +229,7 @@ class FrameFile:
         self._seq[_AFTER] = seq
 
     def _grow(self, size: int) -> None:
+        """Make the file large enough, and map it again."""
         # Reserve now: writing to a full /dev/shm later would end this process with SIGBUS.
         os.posix_fallocate(self.fd, 0, size)
         self._bytes, self._seq = _map(self.fd, size)

@@ -105,6 +105,7 @@ class DeviceBound:
         for name, value in on_device.items():
             binding.bind_ortvalue_input(name, value)
         self._live = [(on_device[name], inputs[name]) for name in live]
+        # Keep the other inputs' memory on the device.
         self._fixed = [value for name, value in on_device.items() if name not in live]
         self._outputs = [
             values.ortvalue_from_shape_and_type(shape, np.float32, device, index)

@@ -1,4 +1,7 @@
-"""Fields of model cards, one class for each task."""
+"""Fields of model cards, one class for each task.
+
+A card is a YAML file that describes a model: its files, inputs and origin. `cards.py` reads it.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ from pydantic import (
 from edge.host import resources
 from edge.text import split_url
 
+# Types of fields. An image side is a multiple of 32, the step of the networks.
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
 OnnxName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.onnx$")]
@@ -36,6 +40,8 @@ Measured = dict[str, dict[str, Union[float, int, str]]]
 
 
 class _Part(BaseModel):
+    """Base of all parts of a card: unknown keys are errors, and nothing can be changed."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
@@ -59,8 +65,8 @@ class SourceUrl(_Source):
 
     @field_validator("url")
     @classmethod
-    def _is_address(cls, url: str) -> str:
-        urlsplit(url)  # a ValueError for `http://[bad`
+    def _check_url(cls, url: str) -> str:
+        urlsplit(url)  # raises ValueError for `http://[bad`
         return url
 
 
@@ -126,7 +132,8 @@ class Normalise(_Part):
 class ClipTokenizer(_Part):
     """Byte-pair encoding, or SentencePiece, from a file next to the ONNX file.
 
-    A text is filled up to `context` tokens with `pad`: SigLIP reads the padding, too.
+    A text is filled up to `context` tokens with `pad`: SigLIP reads the padding, too. `sha256` is
+    the hash of the tokenizer's file; None: it is not checked.
     """
 
     kind: Literal["clip"] = "clip"
@@ -191,7 +198,7 @@ class InferenceServer(_Part):
 
     @field_validator("url")
     @classmethod
-    def _is_address(cls, url: str) -> str:
+    def _check_url(cls, url: str) -> str:
         split_url(url, "a model's server", "give it as http://HOST:PORT")
         return url
 
@@ -240,7 +247,7 @@ class _FileCard(BaseCard):
 
     @field_validator("file")
     @classmethod
-    def _or_a_server(cls, file: str | None, others: ValidationInfo) -> str | None:
+    def _check_file_or_server(cls, file: str | None, others: ValidationInfo) -> str | None:
         if "server" not in others.data:  # invalid, which has its own error
             return file
         if file is None and others.data["server"] is None:
@@ -251,7 +258,7 @@ class _FileCard(BaseCard):
 
     @field_validator("sha256", mode="before")
     @classmethod
-    def _of_a_file(cls, sha256: object, others: ValidationInfo) -> object:
+    def _check_has_sha256(cls, sha256: object, others: ValidationInfo) -> object:
         if sha256 == _NOT_GIVEN and others.data.get("file") is not None:
             raise ValueError(
                 "missing: give the file's SHA-256, or null if FILE.json next to it does"
@@ -277,6 +284,7 @@ class _FileCard(BaseCard):
         return tuple(s for s in self.sources if s.sha256 not in self._own_hashes())
 
     def _own_hashes(self) -> set[str | None]:
+        """Return the hashes of the files that are not weights to make the model from."""
         return {self.sha256}
 
 
@@ -316,6 +324,7 @@ class TextCard(_FileCard):
         return self.path.with_name(t.file) if isinstance(t, ClipTokenizer) else None
 
     def _own_hashes(self) -> set[str | None]:
+        """See `_FileCard._own_hashes`: model and tokenizer."""
         return {self.sha256, getattr(self.tokenizer, "sha256", None)}
 
 
@@ -456,7 +465,7 @@ class SimilarityCard(BaseCard):
     related: Literal["cooccurrence"] | None = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> SimilarityCard:
+    def _check_one_kind(self) -> SimilarityCard:
         named = tuple(bool(n) for n in (self.image_encoder, self.text_encoder, self.detector))
         if named not in ((True, True, False), (False, False, True)):
             raise ValueError("set image_encoder and text_encoder, or only detector")
@@ -512,7 +521,7 @@ class ChoiceCard(BaseCard):
     max_tokens: Positive = 1024
 
     @model_validator(mode="after")
-    def _can_be_shown_images(self) -> ChoiceCard:
+    def _check_embed_tokens(self) -> ChoiceCard:
         if self.vision_encoder is not None and self.embed_tokens is None:
             raise ValueError(
                 "vision_encoder: set embed_tokens too: image features replace rows of its output"
@@ -550,6 +559,7 @@ class ChoiceCard(BaseCard):
 
 DirectionsCard = ChoiceCard | MarksCard
 """A card that `perception.choice.card` may name."""
+# Cards with one file, and cards of any task.
 FileCard = Union[
     DetectCard, TextCard, ImageCard, MarksCard, MaskEncoderCard, MaskDecoderCard, TranslateCard
 ]
@@ -560,5 +570,6 @@ Card = Union[
 
 
 def _locate(file: str) -> Path:
+    """Return the path of a file: in the package if it is there, else in the models' cache."""
     shipped = resources.data_dir("models") / file
     return shipped if shipped.is_file() else resources.models_dir() / file

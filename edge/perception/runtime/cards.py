@@ -1,4 +1,4 @@
-"""Functions that read model cards, and check a model's files against the cards.
+"""Reads model cards, and checks a model's files against them.
 
 Cards come with the package or are in the models' cache. If both have a card of one name, the
 package's card counts.
@@ -54,6 +54,7 @@ _BY_TASK: dict[str, type[Card]] = {
 
 
 def card_names() -> list[str]:
+    """Return the names of all cards, sorted."""
     return sorted(_card_paths())
 
 
@@ -201,9 +202,10 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
                 f"{sidecar(path)}: no sha256 to check the file against; {install_hint(card)}"
             )
         _check_hash_and_size(card, path, sha256, size, believe_cache)
-    covered = {part.file for part in card.parts}
+    covered = {part.file for part in card.parts}  # files whose hashes were checked
     for part in card.networks:
         folder = os.path.dirname(part.file)
+        # `d=folder` binds the folder of this part.
         check_network(card.path_of(part), lambda file, d=folder: os.path.join(d, file) in covered)
 
 
@@ -231,7 +233,11 @@ def verify_file(card: FileCard, path: Path) -> bool:
 
 
 def _check_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bool:
-    """Return False if no hash is known; raise ModelError for a file of another hash or size."""
+    """Check the file's hash and size; return False if no hash is known to compare with.
+
+    Raises:
+        ModelError: the file has another hash or size.
+    """
     expected, size = _expected(card, path)
     if expected is None:
         return False
@@ -284,13 +290,14 @@ def _expected(card: FileCard, path: Path) -> tuple[str | None, int | None]:
 
 
 def _recorded_hash_and_size(path: Path) -> tuple[str | None, int | None]:
-    made = _read_sidecar(path)
-    digest, size = made.get("sha256"), made.get("bytes")
+    """Return (sha256, size in bytes) from the file's `sidecar`; None for what it does not have."""
+    record = _read_sidecar(path)
+    digest, size = record.get("sha256"), record.get("bytes")
     return digest if isinstance(digest, str) else None, size if isinstance(size, int) else None
 
 
 def sidecar(path: Path) -> Path:
-    """Return the path of the export's record of a file."""
+    """Return the path of a file's record (hash, size, parity), which its export or pull wrote."""
     return path.with_name(path.name + ".json")
 
 

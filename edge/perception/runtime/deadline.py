@@ -1,4 +1,4 @@
-"""Time limit of models for frontier selection (`perception.choice.time_limit_s`)."""
+"""Time limit for runs of models for frontier selection (`perception.choice.time_limit_s`)."""
 
 from __future__ import annotations
 

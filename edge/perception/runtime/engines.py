@@ -1,4 +1,6 @@
-"""Cache of TensorRT engines: one folder per model and machine.
+"""Cache of TensorRT engines, since a build takes minutes: one folder per model and machine.
+
+An engine is a network that TensorRT has tuned for one GPU.
 
     <cache>/<key>/engine.json     what the engine was built from, and the digests of its files
     <cache>/<key>/…               the engine, as TensorRT or onnxruntime wrote it
@@ -228,7 +230,7 @@ def check_usable(cache: Path) -> None:
 
 
 def damage(folder: Path) -> str | None:
-    """Return the fault of an engine's folder; None if all files are there and undamaged."""
+    """Return the damage of an engine's folder; None if all files are there as written."""
     try:
         files = json.loads(read_regular(folder / _MANIFEST))["files"]
         for name, digest in files.items():

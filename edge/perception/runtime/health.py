@@ -28,12 +28,11 @@ class Health(NamedTuple):
     detail: str = ""
 
 
-UNSOUND = "not finite, far outside the image, or scored outside 0 to 1"
-"""Description of dropped boxes, in every message about them."""
+WHY_INVALID = "not finite, far outside the image, or scored outside 0 to 1"
+"""Reason why boxes are invalid and dropped, for every message about them."""
 
 ProgressCallback = Callable[[Health], None]
-"""Function that is called every few seconds, on any thread, with the health of a loading detector.
-"""
+"""Called every few seconds, on any thread, with the health of a detector that is loading."""
 
 
 def log_progress(health: Health) -> None:

@@ -28,7 +28,7 @@ from edge.host.http import (
 from edge.perception.runtime import kserve_messages as messages
 from edge.perception.runtime.card_types import DetectCard, ImageCard
 from edge.perception.runtime.model_file import ModelError
-from edge.perception.runtime.onnx_file import FLOAT, INT64, Value, wanted
+from edge.perception.runtime.onnx_file import FLOAT, INT64, Value, expected_interface
 from edge.text import one_line, redact
 
 KSERVE = "kserve"
@@ -64,10 +64,10 @@ class KServeSession:
         assert card.server is not None
         self.name, self._server = card.name, card.server
         self.binary = False
-        inputs, outputs = wanted(card)
+        inputs, outputs = expected_interface(card)
         self._inputs, self._outputs = _specs(inputs), _specs(outputs)
         self._link: _ServerLink | None = None
-        self._under_way: CancellableRequest | None = None
+        self._current_request: CancellableRequest | None = None
         self._lock, self._closed = threading.Lock(), False
 
     def get_providers(self) -> list[str]:
@@ -107,17 +107,17 @@ class KServeSession:
                 length = reply.headers.get(messages.HEADER_LENGTH)
                 found = messages.infer_answer(reply.body, length, shapes)
         except ServerError as error:
-            self._disconnect(at_work=error.kind == "timeout")
+            self._disconnect(is_waiting=error.kind == "timeout")
             raise
         return [found[name] for name in shapes]
 
     def close(self) -> None:
         """Abort the current request at once; do not call `run` afterwards."""
         with self._lock:
-            self._closed, under_way = True, self._under_way
-        if under_way is not None:
-            under_way.cancel(RequestCancelledError())
-        self._disconnect(at_work=under_way is not None)
+            self._closed, current_request = True, self._current_request
+        if current_request is not None:
+            current_request.cancel(RequestCancelledError())
+        self._disconnect(is_waiting=current_request is not None)
 
     def _connect(self, deadline_s: float) -> _ServerLink:
         """Connect to the server and check that it has the model."""
@@ -159,7 +159,7 @@ class KServeSession:
         with self._lock:
             if self._closed:
                 raise self._error("no connection", "it was closed")
-            self._under_way = exchange
+            self._current_request = exchange
         try:
             if left_s <= 0.0:
                 raise TimeoutError
@@ -181,7 +181,7 @@ class KServeSession:
             raise self._error("no connection", failure_reason(error)) from None
         finally:
             with self._lock:
-                self._under_way = None
+                self._current_request = None
         if len(reply.body) > MOST_BYTES:
             raise self._error(
                 "invalid answer", f"over {MOST_BYTES >> 20} MB; check what runs there"
@@ -200,19 +200,20 @@ class KServeSession:
             raise self._error("invalid answer", what) from None
 
     def _error(self, kind: Fault, what: str) -> ServerError:
+        """Return the error to raise, with the server in front."""
         return ServerError(self.name, self._server.url, kind, what)
 
-    def _disconnect(self, at_work: bool) -> None:
+    def _disconnect(self, is_waiting: bool) -> None:
         """Close the connection; the next request opens another.
 
         Args:
-            at_work: True if a thread still waits for an answer on this connection. Cutting the
+            is_waiting: True if a thread still waits for an answer on this connection. Cutting the
                 connection ends that wait.
         """
         link, self._link = self._link, None
         if link is not None:
             link.connection.cut()
-            if not at_work:
+            if not is_waiting:  # the client is in use by the thread that waits
                 link.client.close()
 
 
@@ -256,6 +257,7 @@ def _specs(values: Sequence[Value]) -> dict[str, tuple[str, messages.Shape]]:
 
 
 def _refusal(reply: HttpReply) -> str:
+    """Return the reason of an answer that is no success, for a message."""
     if 300 <= reply.status < 400:
         where = one_line(redact(reply.headers.get("Location", "nowhere")))
         return f"the server redirects to {where} (HTTP {reply.status}); configure the right URL"

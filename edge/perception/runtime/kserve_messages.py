@@ -75,7 +75,7 @@ def infer_answer(
         ValueError: the answer does not fit the request; one line.
     """
     length = len(body) if head_bytes is None else _length(head_bytes, len(body))
-    answer, at = read_json_object(body[:length]), length
+    answer, at = read_json_object(body[:length]), length  # at: position of the next tensor's bytes
     entries = answer.get("outputs")
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError("the answer has no list of outputs")
@@ -125,10 +125,12 @@ def check_metadata(
             if name not in named:
                 raise ValueError(f"the model has no {name!r} among its {kind} ({shown})")
             entry = named[name]
-            sizes = _sizes(entry.get("shape"), open_too=True)
+            sizes = _sizes(entry.get("shape"), allow_free=True)
             if entry.get("datatype") != datatype or not _fits(sizes, shape):
-                is_ = f"{one_line(entry.get('datatype'), 20)} {sizes}"
-                raise ValueError(f"{name!r} is {is_}, must be {datatype} {_shown(shape)}")
+                found_text = f"{one_line(entry.get('datatype'), 20)} {sizes}"
+                raise ValueError(
+                    f"{name!r} is {found_text}, must be {datatype} {_shape_text(shape)}"
+                )
 
 
 def speaks_binary(body: bytes) -> bool:
@@ -138,6 +140,7 @@ def speaks_binary(body: bytes) -> bool:
 
 
 def _length(text: str, most: int) -> int:
+    """Return the number in the header `HEADER_LENGTH`; raise ValueError if it is invalid."""
     if not (text.isascii() and text.isdigit() and len(text) < 12 and int(text) <= most):
         raise ValueError(
             f"{HEADER_LENGTH} is {one_line(text, 40)!r}, expected 0 to {most}, the bytes there are"
@@ -163,8 +166,8 @@ def _tensor(entry: dict[str, Any], block: memoryview | None, wanted: Shape) -> n
         kind = one_line(entry.get("datatype"), 40)
         raise ValueError(f"{name!r} has the datatype {kind}, must be FP32")
     if shape is None or not _fits(shape, wanted):
-        is_ = one_line(entry.get("shape"), 60)
-        raise ValueError(f"{name!r} has the shape {is_}, must be {_shown(wanted)}")
+        found_text = one_line(entry.get("shape"), 60)
+        raise ValueError(f"{name!r} has the shape {found_text}, must be {_shape_text(wanted)}")
     n = math.prod(shape)
     if block is not None:
         if len(block) != 4 * n:
@@ -180,16 +183,16 @@ def _tensor(entry: dict[str, Any], block: memoryview | None, wanted: Shape) -> n
         return numbers.astype(np.float32).reshape(shape)
 
 
-def _sizes(shape: object, open_too: bool = False) -> tuple[int, ...] | None:
+def _sizes(shape: object, allow_free: bool = False) -> tuple[int, ...] | None:
     """Return a shape from JSON; None if it is invalid.
 
     Args:
         shape: value in the JSON.
-        open_too: True: sizes may be -1, which means a free size.
+        allow_free: True: sizes may be -1, which means a free size.
     """
     if not isinstance(shape, list) or len(shape) > _SHOWN:
         return None
-    right = all(_is_size(size) or (open_too and size == -1) for size in shape)
+    right = all(_is_size(size) or (allow_free and size == -1) for size in shape)
     return tuple(shape) if right else None
 
 
@@ -205,6 +208,7 @@ def _fits(sizes: tuple[int, ...] | None, wanted: Shape) -> bool:
 
 
 def _is_size(size: object) -> bool:
+    """Return True for a whole number from 0 to a terabyte; JSON's true is an int in Python."""
     return isinstance(size, int) and not isinstance(size, bool) and 0 <= size < 1 << 40
 
 
@@ -212,5 +216,6 @@ def _is_name(name: object) -> bool:
     return isinstance(name, str) and name != ""
 
 
-def _shown(shape: Shape) -> str:
+def _shape_text(shape: Shape) -> str:
+    """Return a shape as text for a message; `?` stands for any size."""
     return "[" + ", ".join("?" if size is None else str(size) for size in shape) + "]"

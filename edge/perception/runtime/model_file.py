@@ -36,11 +36,12 @@ def sha256_of(path: Path) -> str:
 
 
 def trusts_cache() -> bool:
+    """Return True if `$EDGE_TRUST_CACHE` is set: remembered hashes are used."""
     return bool(os.environ.get(TRUST_CACHE))
 
 
 def fresh_sha256(path: Path) -> str:
-    """Compute and remember the hash of a file.
+    """Compute the hash of a file, remember it, and return it.
 
     Raises:
         ModelError: the file cannot be read.
@@ -50,6 +51,7 @@ def fresh_sha256(path: Path) -> str:
         digest = sha256_of(path)
     except OSError as error:
         raise _unreadable(path, error) from None
+    # Forget the hashes of the file's earlier versions.
     known, prefix, file = _remembered(), f"{path.resolve()}|", _memory_file()
     if known.get(key) == digest:  # do not write at every start
         return digest
@@ -90,6 +92,7 @@ def check_unchanged(path: Path, sha256: str) -> None:
 
 
 def _unreadable(path: Path, error: OSError) -> ModelError:
+    """Return the error to raise for a file that cannot be read."""
     return ModelError(f"{path}: cannot be read ({error.strerror}); make it readable, or remove it")
 
 
@@ -100,6 +103,7 @@ def _key(path: Path) -> str:
 
 
 def _memory_file() -> Path:
+    """Return the path of the file with the remembered hashes."""
     return resources.cache_dir() / "sha256.json"
 
 

@@ -1,4 +1,4 @@
-"""Checks of a model's file before a session opens it: its format, inputs and outputs.
+"""Checks a model's ONNX file before a session opens it: its format, inputs and outputs.
 
 The file is parsed here for two reasons. onnxruntime opens other files that a model names, before
 anyone can check them. The package onnx needs as much memory as the file has bytes, and 73 times
@@ -38,7 +38,7 @@ MAX_DEPTH = 40
 MAX_FIELDS = 1_000_000
 """Far more fields than a model has whose weights are stored as bytes."""
 MAX_PARTS = 200_000
-"""Limit of parsed messages; each takes some 500 bytes of memory."""
+"""Limit of parsed messages (parts); each takes some 500 bytes of memory."""
 
 PROMPTS = {"point_coords", "point_labels", "mask_input", "has_mask_input", "orig_im_size"}
 """Inputs of a mask decoder that are not features of the image."""
@@ -48,9 +48,10 @@ MASK_OUTPUTS = ("low_res_masks", "masks")
 `masks` has the size of the image, so it is larger."""
 
 FLOAT, INT64 = 1, 7  # numbers of tensor types (TensorProto.DataType)
-_TYPES = {1: "float32", 7: "int64", 10: "float16", 11: "float64", 6: "int32", 2: "uint8"}
+_TYPES = {FLOAT: "float32", INT64: "int64", 10: "float16", 11: "float64", 6: "int32", 2: "uint8"}
 _ANY = -1  # in an expected shape: any size
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # wire types of protocol buffers
+_LONGEST_TEXT = 4096  # a text is cut off after this number of bytes
 
 Tree = dict[str, list[Any]]
 """A parsed message: by field name, the values of the field, in order: numbers, texts, or messages.
@@ -103,8 +104,8 @@ class OnnxFile(NamedTuple):
     Attributes:
         ir: version of the ONNX IR.
         opset: version of ONNX's own operators.
-        strange: domains of operators that neither onnxruntime nor the model itself defines, also in
-            subgraphs.
+        unknown_domains: domains of operators that neither onnxruntime nor the model itself defines,
+            also in subgraphs.
         external: other files that hold weights, as the model names them.
         inputs: inputs without initializers.
         outputs: outputs in order.
@@ -112,7 +113,7 @@ class OnnxFile(NamedTuple):
 
     ir: int
     opset: int
-    strange: list[str]
+    unknown_domains: list[str]
     external: list[str]
     inputs: list[Value]
     outputs: list[Value]
@@ -164,6 +165,7 @@ def check_fixed(path: Path, key: str) -> None:
 
 
 def _read(path: Path) -> OnnxFile:
+    """Read the declarations of a model; raise ModelError with what to do."""
     try:
         return read_onnx(path)
     except NotOnnxError as error:
@@ -192,10 +194,10 @@ def check_format(path: Path, model: OnnxFile) -> None:
         raise ModelError(
             f"{path}: ONNX opset {model.opset}, must be 1 to {MAX_OPSET}: export the model again"
         )
-    if model.strange:
+    if model.unknown_domains:
         raise ModelError(
-            f"{path}: has operators of the domain {model.strange[0]!r}, which onnxruntime lacks: "
-            "export the model again"
+            f"{path}: has operators of the domain {model.unknown_domains[0]!r}, which onnxruntime "
+            "lacks: export the model again"
         )
 
 
@@ -203,14 +205,13 @@ def check_interface(path: Path, model: OnnxFile, card: FileCard) -> None:
     """Raise ModelError unless inputs and outputs are those of the card's task."""
     if isinstance(card, (MaskEncoderCard, MaskDecoderCard)):
         return _check_segmenter(path, model, card)
-    inputs, outputs = wanted(card)
-    found = sorted(model.inputs), model.outputs
-    fits = [len(some) == len(asked) for some, asked in zip(found, (inputs, outputs), strict=True)]
-    fits += [_fits(value, spec) for value, spec in zip(found[0], sorted(inputs), strict=False)]
+    inputs, outputs = expected_interface(card)
+    fits = [len(model.inputs) == len(inputs), len(model.outputs) == len(outputs)]
+    pairs = zip(sorted(model.inputs), sorted(inputs), strict=False)
+    fits += [_fits(value, spec) for value, spec in pairs]
     # Exporters often leave outputs' sizes free; sizes that are given must fit.
-    fits += [
-        _fits(value, spec, open_too=True) for value, spec in zip(found[1], outputs, strict=False)
-    ]
+    pairs = zip(model.outputs, outputs, strict=False)
+    fits += [_fits(value, spec, allow_free=True) for value, spec in pairs]
     if not all(fits):
         raise ModelError(
             f"{path}: inputs {_list(model.inputs)}, outputs {_list(model.outputs)}; "
@@ -228,25 +229,25 @@ def _check_segmenter(path: Path, model: OnnxFile, card: MaskEncoderCard | MaskDe
     if isinstance(card, MaskEncoderCard):
         image = (_ANY, 3, card.input.height, card.input.width)
         fits = len(inputs) == 1 and all(_fits(v, Value(v.name, FLOAT, image)) for v in model.inputs)
-        asked = f"one input {_list([Value('image', FLOAT, image)])}"
+        expected = f"one input {_list([Value('image', FLOAT, image)])}"
     else:
         coords = Value("point_coords", FLOAT, (_ANY, _ANY, 2))
         masks = [outputs[name] for name in MASK_OUTPUTS if name in outputs]
         fits = "point_coords" in inputs and _fits(inputs["point_coords"], coords)
         fits = fits and "point_labels" in inputs and bool(set(inputs) - PROMPTS)
         fits = fits and bool(masks) and "iou_predictions" in outputs
-        asked = (
+        expected = (
             f"features, {_list([coords])[1:-1]} and point_labels as inputs, "
             f"{' or '.join(MASK_OUTPUTS)} and iou_predictions as outputs"
         )
     if not fits:
         raise ModelError(
             f"{path}: inputs {_list(model.inputs)}, outputs {_list(model.outputs)}; "
-            f"model {card.name} must have {asked}: export the model again"
+            f"model {card.name} must have {expected}: export the model again"
         )
 
 
-def wanted(card: FileCard) -> tuple[list[Value], list[Value]]:
+def expected_interface(card: FileCard) -> tuple[list[Value], list[Value]]:
     """Return the inputs, in any order, and the outputs that a model of the card must have.
 
     In a shape, None stands for a size that must be free, and -1 for any size.
@@ -279,25 +280,27 @@ def wanted(card: FileCard) -> tuple[list[Value], list[Value]]:
     return [Value("pixels", FLOAT, image)], [Value("embeddings", FLOAT, (_ANY, card.dim))]
 
 
-def _fits(value: Value, spec: Value, open_too: bool = False) -> bool:
+def _fits(value: Value, spec: Value, allow_free: bool = False) -> bool:
     """Return True if an input or output of a model has the name, type and shape of `spec`.
 
     Args:
         value: what the model declares.
-        spec: what is expected; see `wanted`.
-        open_too: True: a free size fits any expected size.
+        spec: what is expected; see `expected_interface`.
+        allow_free: True: a free size, or no declared shape, fits any expected one.
     """
     if (value.name, value.dtype) != (spec.name, spec.dtype):
         return False
     if value.shape is None:
-        return open_too
+        return allow_free
     return len(value.shape) == len(spec.shape) and all(
-        want in (_ANY, size) or (open_too and size is None)
+        want in (_ANY, size) or (allow_free and size is None)
         for want, size in zip(spec.shape, value.shape, strict=True)
     )
 
 
 def _list(values: list[Value]) -> str:
+    """Return inputs or outputs as text for a message: names, types and shapes."""
+
     def size(n: int | None) -> str:
         return {None: "n", _ANY: "?"}.get(n, str(n))
 
@@ -341,7 +344,7 @@ def parse_onnx(content: bytes | mmap.mmap) -> OnnxFile:
     return OnnxFile(
         ir=ir,
         opset=max(opsets.get(domain, 0) for domain in ("", "ai.onnx")),
-        strange=sorted(used - KNOWN_DOMAINS - defined),
+        unknown_domains=sorted(used - KNOWN_DOMAINS - defined),
         external=[_location(tensor) for tensor in outside],
         inputs=[value for value in inputs if value.name not in initializers],
         outputs=[_value(value) for value in graph.get("output", [])],
@@ -369,11 +372,13 @@ def _is_outside(tensor: Tree) -> bool:
 
 
 def _location(tensor: Tree) -> str:
+    """Return the name of the other file with the tensor's values."""
     pairs = {_last(e, "key", ""): _last(e, "value", "") for e in tensor.get("external", [])}
     return pairs.get("location", "")
 
 
 def _value(info: Tree) -> Value:
+    """Return an input or output from its message."""
     kind = _last(_last(info, "type", {}), "tensor_type", {})
     shape = _last(kind, "shape", None)
     sizes = None if shape is None else tuple(_last(d, "size", None) for d in shape.get("dim", []))
@@ -385,28 +390,37 @@ class _Reader:
 
     def __init__(self, content: bytes | mmap.mmap) -> None:
         self._content = content
-        self._fields = self._parts = 0
+        self._fields = self._parts = 0  # numbers of fields and messages so far
 
     def message(self, kind: str, begin: int, end: int, depth: int) -> Tree:
-        """Parse one message and the messages in it that are in `_FIELDS`."""
+        """Parse one message and the messages in it that are in `_FIELDS`.
+
+        Args:
+            kind: the message's name in `_FIELDS`.
+            begin: position of its first byte.
+            end: position after its last byte.
+            depth: number of messages around it.
+        """
         self._parts += 1
         if self._parts > MAX_PARTS:
             raise NotOnnxError(f"there are more than {MAX_PARTS} parts")
         if depth > MAX_DEPTH:
             raise NotOnnxError(f"parts are nested more than {MAX_DEPTH} deep")
         found: Tree = {}
-        for number, wire, value, stop in self._in(begin, end):
+        for number, wire, value, stop in self._fields_in(begin, end):
             name = _FIELDS[kind].get(number, "")
             if not name or wire != (_VARINT if name in _NUMBERS else _BYTES):
                 continue
             if name in _FIELDS:
                 value = self.message(name, value, stop, depth + 1)
             elif wire == _BYTES:
-                value = self._content[value : min(stop, value + 4096)].decode("utf-8", "replace")
+                value = self._content[value : min(stop, value + _LONGEST_TEXT)].decode(
+                    "utf-8", "replace"
+                )
             found.setdefault(name, []).append(value)
         return found
 
-    def _in(self, begin: int, end: int) -> Iterator[tuple[int, int, int, int]]:
+    def _fields_in(self, begin: int, end: int) -> Iterator[tuple[int, int, int, int]]:
         """Yield (field number, wire type, value or first byte, end) of each field in order."""
         at = begin
         while at < end:
@@ -431,6 +445,7 @@ class _Reader:
             at += size
 
     def _varint(self, at: int, end: int) -> tuple[int, int]:
+        """Return (number, position after it): seven bits a byte, the lowest first."""
         value = 0
         for shift in range(0, 70, 7):
             if at >= end:
@@ -439,5 +454,5 @@ class _Reader:
             at += 1
             value |= (byte & 0x7F) << shift
             if byte < 0x80:
-                return value & (1 << 64) - 1, at
+                return value & ((1 << 64) - 1), at
         raise NotOnnxError(f"ends within a number, at byte {at}: truncated or damaged")

@@ -1,4 +1,4 @@
-"""Sessions that run a model, on exactly the configured providers, or an error with the reason.
+"""Opens the session that runs a model, on exactly the configured providers.
 
 A provider is onnxruntime's name (`CPUExecutionProvider`, `CUDAExecutionProvider`,
 `TensorrtExecutionProvider`), or `tensorrt` alone, which is TensorRT without onnxruntime.
@@ -22,7 +22,7 @@ from edge.perception.runtime.engines import EngineOptions, cached_engine
 from edge.perception.runtime.model_file import ModelError
 from edge.text import one_line
 
-CPU_ALONE = ("CPUExecutionProvider",)
+CPU_ONLY = ("CPUExecutionProvider",)
 TENSORRT = "tensorrt"  # provider: TensorRT without onnxruntime
 ORT_TENSORRT = "TensorrtExecutionProvider"  # provider: TensorRT by onnxruntime
 TENSORRT_PROVIDERS = {TENSORRT, ORT_TENSORRT}
@@ -37,7 +37,7 @@ DTYPES = {
 """onnxruntime's name of a tensor type → NumPy's type."""
 
 RECIPE = 1
-"""Version of TensorRT's builder settings in `provider_options`; raise it when they change."""
+"""Version of TensorRT's builder settings in `provider_options`; increase it when they change."""
 
 
 def open_session(
@@ -76,13 +76,14 @@ def open_session(
     return _open_onnxruntime(path, providers, threads, device_id, engine, key)
 
 
-def check_providers(providers: Sequence[str], key: str, look: bool = True) -> None:
+def check_providers(providers: Sequence[str], key: str, ask_onnxruntime: bool = True) -> None:
     """Check that this installation has the providers.
 
     Args:
         providers: names.
         key: configuration key of the providers, for messages.
-        look: False: do not import onnxruntime (slow), and so do not check its list of providers.
+        ask_onnxruntime: False: do not import onnxruntime (slow), so its list of providers is not
+            checked.
 
     Raises:
         ModelError: there are none, or a package or a provider is missing.
@@ -99,7 +100,7 @@ def check_providers(providers: Sequence[str], key: str, look: bool = True) -> No
     missing_package = ModelError(
         "onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])"
     )
-    if not look:
+    if not ask_onnxruntime:
         if importlib.util.find_spec("onnxruntime") is None:
             raise missing_package
         return
@@ -123,14 +124,16 @@ def _open_onnxruntime(
     engine: EngineOptions,
     key: str,
 ) -> Any:
+    """Open a session of onnxruntime; see `open_session`. TensorRT's engine comes from the cache."""
     import onnxruntime as ort
 
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
+    # Threads that wait must not take a core from the loop.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
-    options.log_severity_level = 3
+    options.log_severity_level = 3  # errors only
 
     def load(folder: Path) -> Any:
         with_options = [(p, provider_options(p, device_id, engine, folder)) for p in providers]
@@ -153,6 +156,7 @@ def _open_onnxruntime(
 def _load(
     ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[str, str]]], key: str
 ) -> Any:
+    """Make onnxruntime's session; raise ModelError if a provider did not start."""
     try:
         # onnxruntime's fallback would print, and use other providers than those named.
         session = ort.InferenceSession(str(path), options, providers=providers, enable_fallback=0)

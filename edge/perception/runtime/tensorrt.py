@@ -27,8 +27,9 @@ log = logging.getLogger(__name__)
 
 _PLAN = "model.engine"  # file name of the engine
 _WORKSPACE_BYTES = 1 << 30  # GPU memory that the builder may use
+_PARENT, _DONE = 0, 2  # indices in a phase; see `progress_text`
 RECIPE = 1
-"""Version of the builder settings in `build_plan`; raise it when they change."""
+"""Version of the builder settings in `build_plan`; increase it when they change."""
 
 
 def load() -> Any:
@@ -140,7 +141,7 @@ def make_logger(trt: Any) -> Any:
 def make_monitor(trt: Any, note: Callable[[str], None]) -> Any:
     """Make a TensorRT progress monitor that notes lines such as `45% of building engine`."""
     lock = threading.Lock()  # TensorRT reports from several threads
-    phases: dict[str, list[Any]] = {}  # name → [parent, steps, done], outermost first
+    phases: dict[str, list[Any]] = {}  # see `progress_text`; outermost first
 
     class Monitor(trt.IProgressMonitor):
         def __init__(self) -> None:
@@ -154,7 +155,7 @@ def make_monitor(trt: Any, note: Callable[[str], None]) -> Any:
         def step_complete(self, phase_name: str, step: int) -> bool:
             with lock:
                 if phase_name in phases:
-                    phases[phase_name][2] = step + 1  # counted from 0
+                    phases[phase_name][_DONE] = step + 1  # counted from 0
                 note(progress_text(phases))
             return True  # go on
 
@@ -170,20 +171,20 @@ def progress_text(phases: Mapping[str, Sequence[Any]]) -> str:
     """Return the outermost phase and its share done, inner phases included; "" if there is none.
 
     Args:
-        phases: (parent, steps, steps done) by name.
+        phases: (name of the parent or None, number of steps, steps done) by name.
     """
 
     def share(name: str) -> float:
         _, steps, done = phases[name]
-        inner = [share(child) for child, phase in phases.items() if phase[0] == name]
+        inner = [share(child) for child, phase in phases.items() if phase[_PARENT] == name]
         return min(1.0, (done + max(inner, default=0.0)) / steps)
 
-    root = next((name for name, phase in phases.items() if phase[0] is None), None)
+    root = next((name for name, phase in phases.items() if phase[_PARENT] is None), None)
     return "" if root is None else f"{share(root):.0%} of {root.lower()}"
 
 
 class TensorrtSession:
-    """An engine with the part of onnxruntime's interface that is used here.
+    """A session that runs an engine, with the part of onnxruntime's interface that is used here.
 
     Inputs and outputs are float32, as `onnx_file` has checked. Different threads may bind and run.
 
@@ -241,7 +242,10 @@ class TensorrtSession:
 
 
 class TensorrtBound:
-    """Device buffers for one set of inputs; outputs are copied to pinned arrays."""
+    """A session bound to device buffers for one set of inputs (`BoundSession`).
+
+    Outputs are copied to arrays whose pages are locked in memory (pinned).
+    """
 
     def __init__(
         self,

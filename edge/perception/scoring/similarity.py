@@ -1,4 +1,7 @@
-"""Similarity of a whole image and a text: the score of VLFM."""
+"""Similarity of a whole image and a text: the score of VLFM.
+
+VLFM is a policy that drives to frontiers whose view fits the target best.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +88,7 @@ class PairSimilarity:
     def prepare(self, prompts: Sequence[str]) -> None:
         """Encode the prompts, unless they are those of the last call."""
         if tuple(prompts) != self._prompts:
-            self._rows = _rows_of(self._text, prompts)
+            self._rows = _embed_prompts(self._text, prompts)
             self._prompts = tuple(prompts)
 
     def close(self) -> None:
@@ -93,7 +96,7 @@ class PairSimilarity:
         self._image.close()
 
 
-def _rows_of(text: TextEncoder, prompts: Sequence[str]) -> np.ndarray:
+def _embed_prompts(text: TextEncoder, prompts: Sequence[str]) -> np.ndarray:
     """Return the prompts' embeddings, (n, d).
 
     An encoder that reads sentences gets VLFM's sentence about each prompt, another gets the prompt.

@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 FINAL_STATES = ("kept", "rolled back", "refused")  # outcomes of a swap
 LOAD_TIMEOUT_S = 600.0  # limit for loading and trial; then the swap is refused
-LOOK_S = 0.02  # polling period of an attempt's thread
+POLL_S = 0.02  # polling period of an attempt's thread
 CLOSE_S = 5.0  # longest wait of `ModelSwap.close` for the threads of ended attempts
 
 LogCallback = Callable[[str, int, int], object]
@@ -46,7 +46,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
         name: name of the new model.
         previous: the model that runs when the attempt begins.
         model: the new model; None until it is loaded.
-        busy: progress of a slow load (an engine build), in one line; empty otherwise.
+        load_progress: progress of a slow load (an engine build), in one line; empty otherwise.
         finding: result of the trial, in one line; empty before it.
         trying: True while the model is loaded or tried.
         switched: True once the model runs, on probation.
@@ -58,7 +58,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
         self.name, self._worker = name, worker
         self.previous: Model = worker.model
         self.model: Model | None = None
-        self.busy = self.finding = self.fault = ""
+        self.load_progress = self.finding = self.fault = ""
         self.trying, self.switched, self._new_model_won = True, False, False
         self.decided = threading.Event()
 
@@ -69,7 +69,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
 
     @abstractmethod
     def on_result(self, model: Model, item: Item, outcome: object) -> None:
-        """Record the outcome of an item; see `ModelWorker.watch`."""
+        """Record the outcome of an item; see `ModelWorker.on_result`."""
 
     @abstractmethod
     def verdict(self, idle: bool) -> str:
@@ -106,7 +106,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
             "state": "on probation" if self.switched else before,
             "model": self.name,
             "previous": self.previous.name,
-            "detail": self.finding if self.switched else self.busy,
+            "detail": self.finding if self.switched else self.load_progress,
             "progress": self.progress,
         }
 
@@ -140,7 +140,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
         if loser is None:
             return
         while self._worker.uses(loser):
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
         loser.close()
 
 
@@ -165,7 +165,7 @@ class ModelSwap(Generic[Model]):
     ) -> None:
         self._worker, self._report, self._clock = worker, report, clock
         self._attempt: SwapAttempt[Model, Any] | None = None
-        self._ended: list[SwapAttempt[Model, Any]] = []
+        self._ended: list[SwapAttempt[Model, Any]] = []  # their threads may still run
         self._load_deadline_s = 0.0
         self.number = 0
         self.outcomes = dict.fromkeys(FINAL_STATES, 0)
@@ -257,6 +257,7 @@ class ModelSwap(Generic[Model]):
             )
 
     def _begin(self, attempt: SwapAttempt[Model, Any], now_ns: int) -> None:
+        """Start an attempt; the caller has called `_check_free`."""
         self.number += 1
         self._attempt = attempt
         self._load_deadline_s = self._clock() + LOAD_TIMEOUT_S
@@ -267,10 +268,11 @@ class ModelSwap(Generic[Model]):
         """Return the reason to stop waiting for the model; "" if there is none yet."""
         if self._clock() <= self._load_deadline_s:
             return ""
-        what = attempt.progress or ("not loaded" if attempt.model is None else "not ready")
-        return f"{what} after {LOAD_TIMEOUT_S:g} s"
+        reached = attempt.progress or ("not loaded" if attempt.model is None else "not ready")
+        return f"{reached} after {LOAD_TIMEOUT_S:g} s"
 
     def _end(self, attempt: SwapAttempt[Model, Any], state: str, detail: str, now_ns: int) -> None:
+        """Record and report the outcome of an attempt (`FINAL_STATES`), and finish it."""
         self.outcomes[state] += 1
         self._last_status = {
             "state": state, "model": attempt.name, "previous": attempt.previous.name,

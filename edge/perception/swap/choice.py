@@ -70,6 +70,7 @@ class _ChoiceAttempt(SwapAttempt[Scorer, Question]):
         return f"{PROBATION} answers"
 
     def on_result(self, model: Scorer, item: Question, outcome: object) -> None:
+        """Count an answer of the new model, or record its fault; see `SwapAttempt`."""
         if model is not self.model:
             return
         if not isinstance(outcome, Exception):
@@ -88,6 +89,7 @@ class _ChoiceAttempt(SwapAttempt[Scorer, Question]):
         return f"{self._answers} answers{short}; {self.finding}"
 
     def _try(self) -> None:
+        """See `SwapAttempt`; opening a scorer asks it a first question."""
         begin_s = time.monotonic()
         self.model = self._make(self.name)
         self.finding = f"loaded and asked in {time.monotonic() - begin_s:.1f} s"

@@ -17,8 +17,15 @@ from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
 from edge.perception.runtime.cards import ModelError, load_detector_card
 from edge.perception.runtime.health import Health
-from edge.perception.swap.base import LOOK_S, LogCallback, ModelSwap, SwapAttempt
-from edge.perception.swap.trial import failure, median_ms, run, run_trial, sample, unsound
+from edge.perception.swap.base import POLL_S, LogCallback, ModelSwap, SwapAttempt
+from edge.perception.swap.trial import (
+    failure,
+    invalid_output_reason,
+    median_ms,
+    run,
+    run_trial,
+    sample,
+)
 from edge.perception.worker import DetectorWorker
 from edge.text import one_line
 from edge.types import Detections, Observation
@@ -96,8 +103,8 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         super().__init__(model, worker)
         self.perception, self._force, self._make = perception, force, make
         self._samples = deque(maxlen=IMAGES)
-        self._latencies_ns: list[int] = []
-        self._invalid = 0
+        self._latencies_ns: list[int] = []  # of the images of the probation
+        self._invalid_before = 0  # invalid boxes before the probation
         self._lock = threading.Lock()  # guards the model's prompts and `switched`
 
     @property
@@ -120,7 +127,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         try:
             if self.model.prompts != self._worker.detector.prompts:
                 return False
-            self._invalid = self.model.invalid_boxes
+            self._invalid_before = self.model.invalid_boxes
             self._samples.clear()
             self._worker.previous = self.previous
             return super().switch()
@@ -128,11 +135,13 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
             self._lock.release()
 
     def end(self) -> None:
+        """See `SwapAttempt.end`."""
         self._worker.previous = None
         self._samples.clear()
         super().end()
 
     def verdict(self, idle: bool) -> str:
+        """See `SwapAttempt.verdict`; the probation of a detector does not end while it is idle."""
         swap, health = self.perception.swap, self.model.health()
         if health.state in ("restarting", "degraded"):
             self.fault = self.fault or f"{health.state}: {health.detail}"
@@ -159,25 +168,28 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
             self.fault = f"it cannot be watched: {type(error).__name__}: {one_line(error, 300)}"
 
     def _collect(self, observation: Observation, outcome: Detections | Exception) -> None:
+        """Keep a copy of the image for the trial, unless the last one is too recent."""
         last = self._samples[-1].observation.stamp_ns if self._samples else None
         if last is None or abs(observation.stamp_ns - last) >= _APART_NS:
             self._samples.append(sample(observation, outcome))
 
     def _check_probation(self, outcome: Detections | Exception) -> None:
+        """Count an image of the probation; set `fault` if the detector failed."""
         if isinstance(outcome, Exception):
             self.fault = failure(outcome)
             return
-        self.fault = unsound(self.model, self._invalid, outcome)
+        self.fault = invalid_output_reason(self.model, self._invalid_before, outcome)
         self._latencies_ns.append(outcome.latency_ns)
 
     def _try(self) -> None:
+        """See `SwapAttempt`; afterwards it keeps the prompts equal until the switch."""
         target = with_model(self.perception, self.name)
         if target.isolation == "thread":
             self._try_in_other_process(target.model_copy(update={"isolation": "process"}))
             if self.decided.is_set():
                 return
         self.model = self._load(target)
-        self.busy = ""
+        self.load_progress = ""
         self._await_samples()
         if self.decided.is_set():  # aborted, perhaps while the model was loading
             return
@@ -188,7 +200,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
             same_family(self.name, running), self._force,
         )  # fmt: skip
         self.trying = False
-        while not (self.switched or self.decided.wait(LOOK_S)):
+        while not (self.switched or self.decided.wait(POLL_S)):
             self._follow_prompts()
 
     def _try_in_other_process(self, perception: PerceptionConfig) -> None:
@@ -206,12 +218,14 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
                 run(detector, image.observation)
 
     def _load(self, perception: PerceptionConfig) -> Detector:
+        """Make the new detector, with the running one's prompts."""
         prompts = self._worker.detector.prompts
         return self._make(perception, prompts, self._note_progress, cancelled=self.decided)
 
     def _await_samples(self) -> None:
+        """Wait until there are enough images for a trial, or the swap is decided."""
         while len(self._samples) < IMAGES and not self.decided.is_set():
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
 
     def _follow_prompts(self) -> None:
         """Give the new detector the running detector's prompts."""
@@ -222,7 +236,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
 
     def _note_progress(self, health: Health) -> None:
         """Record the progress of an engine build, which takes minutes."""
-        self.busy = ": ".join(filter(None, health))
+        self.load_progress = ": ".join(filter(None, health))
 
 
 def with_model(perception: PerceptionConfig, model: str) -> PerceptionConfig:

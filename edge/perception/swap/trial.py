@@ -12,7 +12,7 @@ from edge.config import PerceptionConfig
 from edge.errors import UserError
 from edge.geometry import overlaps
 from edge.perception.detection.detector import Detector
-from edge.perception.runtime.health import UNSOUND, invalid_boxes_reason
+from edge.perception.runtime.health import WHY_INVALID, invalid_boxes_reason
 from edge.text import one_line
 from edge.types import Detections, Observation
 
@@ -88,13 +88,13 @@ def run_trial(
         raise UnfitModelError(
             f"too slow: {pace}, perception.swap.budget_ms is {budget_ms:g}; {_FORCE}"
         )
-    old, found = boxes_found_again(samples, runs[0], perception.tau_det)
-    if old == 0:
+    n_old, n_found = boxes_found_again(samples, runs[0], perception.tau_det)
+    if n_old == 0:
         return f"{pace}; {running} found nothing on these images to compare with"
-    share = f"finds {found} of the {old} boxes of {running}"
+    share = f"finds {n_found} of the {n_old} boxes of {running}"
     if not related:
         return f"{pace}; {share} (another family: no reason to refuse it)"
-    if found < MIN_RECALL * old and not force:
+    if n_found < MIN_RECALL * n_old and not force:
         raise UnfitModelError(f"{share}, fewer than half; {_FORCE}")
     return f"{pace}; {share}"
 
@@ -106,7 +106,7 @@ def run(detector: Detector, observation: Observation) -> Detections:
         found = detector.detect(observation)
     except Exception as error:  # a model may raise anything
         raise UnfitModelError(failure(error)) from None
-    if fault := unsound(detector, before, found):
+    if fault := invalid_output_reason(detector, before, found):
         raise UnfitModelError(fault)
     return found
 
@@ -116,7 +116,7 @@ def failure(error: Exception) -> str:
     return f"it fails: {type(error).__name__}: {one_line(error, 300)}"
 
 
-def unsound(detector: Detector, before: int, found: Detections) -> str:
+def invalid_output_reason(detector: Detector, before: int, found: Detections) -> str:
     """Return the reason to reject invalid boxes or scores; "" if all are valid.
 
     Args:
@@ -125,7 +125,7 @@ def unsound(detector: Detector, before: int, found: Detections) -> str:
         found: the model's detections.
     """
     if (invalid := detector.invalid_boxes - before) > 0:
-        return f"it returns {invalid} boxes of an image that are {UNSOUND}"
+        return f"it returns {invalid} boxes of an image that are {WHY_INVALID}"
     faults = [invalid_boxes_reason(found.xyxy_px, found.score, found.competing_score)]
     if found.context is not None:
         faults.append(invalid_boxes_reason(found.context.xyxy_px, found.context.score))
@@ -153,7 +153,7 @@ def boxes_found_again(
     Returns:
         (boxes of the running model, those found again).
     """
-    old = found = 0
+    n_old = n_found = 0
     for image, new in zip(samples, runs, strict=True):
         reference = image.found
         if reference is None or reference.prompts != new.prompts:
@@ -162,6 +162,6 @@ def boxes_found_again(
             similar = new.class_id == reference.class_id[i]
             similar &= new.score >= MATCH_SCORE * reference.score[i]
             iou, _ = overlaps(reference.xyxy_px[i : i + 1], new.xyxy_px[similar])
-            found += bool((iou >= MATCH_IOU).any())
-            old += 1
-    return old, found
+            n_found += bool((iou >= MATCH_IOU).any())
+            n_old += 1
+    return n_old, n_found
