@@ -92,7 +92,7 @@ def test_around_the_network(benchmark, detector):
 
     def around():
         detector._fill_input(observation.rgb)
-        return detector._pick(detector._prompt_set, boxes[0], scores[0])
+        return detector._select_boxes(detector._prompt_set, boxes[0], scores[0])
 
     benchmark(around)
 

@@ -202,7 +202,8 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
         code, lines = use_one("good", force=True)
         assert code == 1
         assert lines[-1] == (
-            f"rolled back: it returns 3 boxes of an image that are {WHY_INVALID}; elsewhere runs again"
+            f"rolled back: it returns 3 boxes of an image that are {WHY_INVALID}; "
+            "elsewhere runs again"
         )
         assert seen[-1] == "elsewhere"
         assert "good" in seen

@@ -164,7 +164,7 @@ def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny
 def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tiny, caplog):
     detector = tiny(prompts=("sofa",), background=("zebra", "chair", "heron", "couch"))
     detector.set_prompts(["desk"])
-    assert detector._prompt_set.columns.n_classes == 3
+    assert detector._prompt_set.classes.n_classes == 3
     assert [r.message for r in caplog.records] == [
         "model tiny: perception.detector.background: words unknown to it are ignored: "
         "'zebra', 'heron'"
