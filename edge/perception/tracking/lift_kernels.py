@@ -30,6 +30,8 @@ STRIP_DISTANCE = 0.05
 """Distance of the strips from the box, as a share of its size, since no box is exact."""
 FARTHER = 1.2
 """Factor by which a surface must fit better than a surface in front of it, to be chosen."""
+NEAR, FAR, COUNT = range(3)
+"""Columns of a surface in `surfaces`: nearest and farthest depth in metres, number of samples."""
 LEAST_SHARE = 0.15
 """The object fills at least this share of its box."""
 # Limits for samples of a box that belong to another box. Another box claims the samples in it that
@@ -260,7 +262,7 @@ def surfaces(samples, n, max_range, histogram, found):
         n: number of samples.
         max_range: largest depth in metres.
         histogram: (BINS,) int32, scratch.
-        found: (BINS, 3) float32 out, rows of (low, high, number of samples), nearest first.
+        found: (BINS, 3) float32 out, a surface in each row (NEAR, FAR, COUNT), nearest first.
 
     Returns:
         Number of rows written.
@@ -279,7 +281,7 @@ def surfaces(samples, n, max_range, histogram, found):
             high = b
             count += histogram[b]
         if low >= 0 and (b - high >= gap or b == BINS + gap - 1):
-            found[k, 0], found[k, 1], found[k, 2] = low * width, (high + 1) * width, count
+            found[k, NEAR], found[k, FAR], found[k, COUNT] = low * width, (high + 1) * width, count
             k += 1
             count, low = 0, -1
     return k
@@ -422,20 +424,21 @@ def choose_surface(view, box, samples, n, T, floor_z, max_range, scratch):
     k = surfaces(samples, n, max_range, histogram, found)
     if k == 0:
         return 0.0, max_range, 0.0  # no dense depth bin: take all samples
-    chosen = np.argmax(found[:k, 2])
-    fit = found[chosen, 2] / n
+    chosen = np.argmax(found[:k, COUNT])
+    fit = found[chosen, COUNT] / n
     if fit < 1.0 - LEAST_SHARE:  # else no other surface is large enough
         sample_strips(view, box, max_range, strips, n_strips)
         best, handicap, fit = 0.0, 1.0, 0.0  # handicap: FARTHER for each surface in front
         for j in range(k):
-            if found[j, 2] < LEAST_SHARE * n:
+            if found[j, COUNT] < LEAST_SHARE * n:
                 continue
-            beyond = share_beyond_box(strips, n_strips, found[j, 0], found[j, 1], T, floor_z)
-            fit_j = found[j, 2] / n * (1.0 - beyond) ** 5
+            near, far = found[j, NEAR], found[j, FAR]
+            beyond = share_beyond_box(strips, n_strips, near, far, T, floor_z)
+            fit_j = found[j, COUNT] / n * (1.0 - beyond) ** 5
             if fit_j / handicap > best:
                 chosen, best, fit = j, fit_j / handicap, fit_j
             handicap *= FARTHER
-    return found[chosen, 0], found[chosen, 1], fit
+    return found[chosen, NEAR], found[chosen, FAR], fit
 
 
 @jit
@@ -450,7 +453,7 @@ def back_project_boxes(
 
     Args:
         view: depth, raster, the raster's points, its cell_px (0: sample the depth), fx, fy, cx, cy.
-        boxes: (n, 4) float32, in pixels.
+        boxes: (n, 4) float32, x0, y0, x1, y1 in pixels.
         masks: (m, rows, columns) bool, rasters over the first m boxes, m <= n.
         word: (n,) int32, class of each box.
         T_map_camera: (4, 4) float64, map from optical frame.
