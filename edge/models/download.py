@@ -94,7 +94,7 @@ def read_small(url: str, limits: DownloadLimits = LIMITS) -> bytes:
     try:
         with (
             _SpeedWatch(limits, limits.small_s) as watch,
-            _answer(url, {}, watch, limits.answer_s) as response,
+            _open_response(url, {}, watch, limits.answer_s) as response,
         ):
             for block in response.iter_raw():
                 content += block
@@ -121,7 +121,7 @@ def _fetch(url: str, part: PartialFile, limits: DownloadLimits) -> None:
     try:
         with (
             _SpeedWatch(limits) as watch,
-            _answer(url, headers, watch, limits.answer_s) as response,
+            _open_response(url, headers, watch, limits.answer_s) as response,
         ):
             total = _agree_on_start(response, part)
             if total is not None and total > MAX_BYTES:
@@ -214,7 +214,7 @@ class _SpeedWatch:
 
 
 @contextlib.contextmanager
-def _answer(
+def _open_response(
     url: str, headers: dict[str, str], watch: _SpeedWatch, connect_s: float
 ) -> Iterator[httpx.Response]:
     """Yield a response of status 2xx, before its content is read.

@@ -161,7 +161,7 @@ def _take_export(card: FileCard, options: PullOptions) -> Path | None:
             if path := _take_export_from(card, place, options):
                 return path
         except FetchError as error:
-            _note(card.name, error)
+            _print_failure(card.name, error)
     return None
 
 
@@ -243,12 +243,12 @@ def fetch(name: str, file: WantedFile, options: PullOptions = DEFAULT_OPTIONS) -
     with PartialFile(file.target, file.sha256, file.size) as part:
         for n_left, attempt in zip(reversed(range(len(attempts))), attempts, strict=True):
             try:
-                _attempt(attempt, file, part, options)
+                _fill_from(attempt, file, part, options)
                 return file.target
             except FetchError as error:
                 reason = error
                 if n_left:
-                    _note(name, error)
+                    _print_failure(name, error)
     raise ModelError(
         f"{name}: its {file.what} could not be downloaded ({len(attempts)} sources tried, last "
         f"reason: {reason}); get {source_file_name(file.sources[0])} another way, then run "
@@ -277,7 +277,7 @@ def _pull_part(card: ChoiceCard, file: FolderFile, options: PullOptions) -> str:
             try:
                 _take_part(place, file, part, options)
             except FetchError as error:
-                _note(card.name, error)
+                _print_failure(card.name, error)
                 reason = error
                 continue
         if known is None:
@@ -321,12 +321,12 @@ def _write_sidecar(path: Path, data: dict[str, Any]) -> None:
         raise ModelError(f"{sidecar(path)}: cannot be written ({error.strerror})") from None
 
 
-def _note(name: str, error: FetchError) -> None:
+def _print_failure(name: str, error: FetchError) -> None:
     """Print why a source failed, while there are others to try."""
     print(f"{name}: note: {error}; trying the next source", file=sys.stderr)
 
 
-def _attempt(
+def _fill_from(
     attempt: str | Source, file: WantedFile, part: PartialFile, options: PullOptions
 ) -> None:
     """Fill `part` from one place or source; raise FetchError if it does not give the file."""

@@ -59,9 +59,10 @@ def _sim(
 
 
 REGISTRY = {"onnx": _onnx, "sim": _sim}
+"""Kind of detector → function that makes it."""
 
 
-def _on_a_server(detector: config.DetectorOnnx | config.DetectorSim) -> bool:
+def _runs_on_server(detector: config.DetectorOnnx | config.DetectorSim) -> bool:
     """Return True if a server runs the model; such a model needs no process on this computer."""
     try:
         return detector.kind == "onnx" and load_detector_card(detector.model).server is not None
@@ -97,7 +98,7 @@ def make_detector(
         >>> detector.prompts
         ('chair',)
     """
-    if perception.isolation == "process" and not _on_a_server(perception.detector):
+    if perception.isolation == "process" and not _runs_on_server(perception.detector):
         from edge.perception.detection.process import ProcessDetector
 
         return ProcessDetector(perception, prompts, progress, cancelled)

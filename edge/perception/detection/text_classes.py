@@ -17,7 +17,7 @@ from edge.perception.embedding.text import TextEncoder, words_for
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TextClasses:
-    """The text embeddings that a detector's network compares an image with.
+    """The texts whose embeddings a detector's network compares with an image.
 
     The score of a class is the best score of its texts. Classes are the prompts, then the context
     words, then other words that compete with a prompt.

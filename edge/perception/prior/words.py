@@ -43,8 +43,11 @@ class PriorWordIndex:
                 self._row_of.setdefault(word, i)
             known = [(row, self._vector(thing)) for row, thing in enumerate(table.things)]
             embedded = [(row, vector) for row, vector in known if vector is not None]
+            # Rows of the table whose things have an embedding, and these embeddings (n, d).
             self._rows = np.array([row for row, _ in embedded], np.int64)
-            self._things = np.array([v for _, v in embedded]).reshape(-1, self._vectors.shape[1])
+            self._thing_vectors = np.array([v for _, v in embedded]).reshape(
+                -1, self._vectors.shape[1]
+            )
 
     def row(self, word: str) -> int:
         """Return the table's row for a word or phrase; -1 if the table has nothing like it.
@@ -78,8 +81,8 @@ class PriorWordIndex:
         vector = self._vector(word)
         if vector is None or not len(self._rows):
             return -1
-        alike = self._things @ vector
-        return int(self._rows[alike.argmax()]) if alike.max() >= ALIKE else -1
+        cosine = self._thing_vectors @ vector
+        return int(self._rows[cosine.argmax()]) if cosine.max() >= ALIKE else -1
 
     def _vector(self, word: str) -> np.ndarray | None:
         """Return the embedding of a word or of another name of it; None if there is none."""
