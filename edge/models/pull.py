@@ -130,6 +130,7 @@ def pull(card: FileCard | ChoiceCard, options: PullOptions = DEFAULT_OPTIONS) ->
     if card.path.parent == resources.data_dir("models"):
         return [f"{card.name}: is part of edge-vln: {card.path}"]
     files, lines = wanted(card), []
+    # A card without a hash is of a model that is exported: take an export, or else the weights.
     if card.sha256 is None and (path := _take_export(card, options)):
         lines.append(f"{card.name}: model: {path}")
         files = [file for file in files if file.what != "weights"]

@@ -1,7 +1,8 @@
 """Kernels around a detector's network: image to input, output to boxes. Arrays only.
 
 The network returns one box for each anchor (a place and size in its input), with a score for each
-text. The texts are names of classes (`TextClasses`). The last kernel is for simulated detectors.
+text. The texts are names of classes (`TextClasses`). A box is (x0, y0, x1, y1) in pixels of the
+input. The last kernel is for simulated detectors.
 """
 
 from __future__ import annotations

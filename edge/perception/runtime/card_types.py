@@ -247,19 +247,19 @@ class _FileCard(BaseCard):
 
     @field_validator("file")
     @classmethod
-    def _check_file_or_server(cls, file: str | None, others: ValidationInfo) -> str | None:
-        if "server" not in others.data:  # invalid, which has its own error
+    def _check_file_or_server(cls, file: str | None, fields: ValidationInfo) -> str | None:
+        if "server" not in fields.data:  # invalid, which has its own error
             return file
-        if file is None and others.data["server"] is None:
+        if file is None and fields.data["server"] is None:
             raise ValueError("missing: name the model's file, or a server that runs the model")
-        if file is not None and others.data["server"] is not None:
+        if file is not None and fields.data["server"] is not None:
             raise ValueError("server is set, so this must be null: the model runs on the server")
         return file
 
     @field_validator("sha256", mode="before")
     @classmethod
-    def _check_has_sha256(cls, sha256: object, others: ValidationInfo) -> object:
-        if sha256 == _NOT_GIVEN and others.data.get("file") is not None:
+    def _check_has_sha256(cls, sha256: object, fields: ValidationInfo) -> object:
+        if sha256 == _NOT_GIVEN and fields.data.get("file") is not None:
             raise ValueError(
                 "missing: give the file's SHA-256, or null if FILE.json next to it does"
             )

@@ -141,7 +141,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         super().end()
 
     def verdict(self, idle: bool) -> str:
-        """See `SwapAttempt.verdict`; the probation of a detector does not end while it is idle."""
+        """See `SwapAttempt.verdict`; `idle` is ignored, since a camera always sends more images."""
         swap, health = self.perception.swap, self.model.health()
         if health.state in ("restarting", "degraded"):
             self.fault = self.fault or f"{health.state}: {health.detail}"

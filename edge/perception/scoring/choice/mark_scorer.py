@@ -48,7 +48,9 @@ class MarkModel(Protocol):
 
 
 class MarkNetwork:
-    """The network of a card, loaded. Call `ask` from one thread at a time.
+    """A network that chooses among marks, loaded from its card's file.
+
+    Call `ask` from one thread at a time.
 
     Args:
         card: the network's card.

@@ -92,6 +92,7 @@ class Decoder:
             size = config["hidden_size"] // config["num_attention_heads"]
         for name, value in self._inputs.items():
             if name.startswith(_PAST):
+                # Number of heads and their size, as the decoder declares them, else as configured.
                 n, d = (
                     declared if isinstance(declared, int) else known
                     for declared, known in zip(

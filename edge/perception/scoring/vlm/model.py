@@ -36,7 +36,7 @@ class MultipleChoice(NamedTuple):
 
 
 class LanguageModel:
-    """A model, loaded from the files of its card. Call `ask` from one thread at a time.
+    """A language model, loaded from the files of its card. Call `ask` from one thread at a time.
 
     Args:
         card: the model's card.

@@ -212,6 +212,7 @@ def _qwen2_vl(
         rows, columns = height // patch, width // patch
         # A still image is a film of `times` equal frames.
         film = np.broadcast_to(planes, (times, *planes.shape))
+        # One row for each patch; the patches that the encoder merges into one token come together.
         blocks = film.reshape(
             1, times, 3, rows // merge, merge, patch, columns // merge, merge, patch
         ).transpose(0, 3, 6, 4, 7, 2, 1, 5, 8)
