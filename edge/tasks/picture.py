@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from edge.perception.scoring.choice.picture import place
+from edge.perception.scoring.choice.picture import place_discs
 from edge.tasks.scene import Scene
 
 SHOWN_PX = 960
@@ -48,7 +48,7 @@ def draw_marks(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
         cv2.polylines(image, outlines, True, colour(i), 2, cv2.LINE_AA)
     radius = max(_LEAST_RADIUS_PX, round(_RADIUS_SHARE * max(size)))
     spots = [_middle(max(outlines, key=cv2.contourArea), size) for outlines in lines.values()]
-    for i, spot, at in zip(lines, spots, place(spots, size, radius), strict=True):
+    for i, spot, at in zip(lines, spots, place_discs(spots, size, radius), strict=True):
         if at is not None:
             _draw_number(image, i, spot, at, radius)
     return image

@@ -20,7 +20,7 @@ from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
 from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.perception.scoring.choice import server as scorer
-from edge.perception.scoring.choice.picture import draw, place, visible_marks
+from edge.perception.scoring.choice.picture import draw, place_discs, visible_marks
 from edge.perception.scoring.choice.question import (
     MAX_MARKS,
     DetectedObject,
@@ -170,7 +170,7 @@ def test_letters_are_drawn_on_a_copy_of_bounded_size(hw, max_px, size):
     st.integers(7, 20),
 )
 def test_no_letter_lies_over_another_or_outside(spots, width, height, radius):
-    places = place(spots, (width, height), radius)
+    places = place_discs(spots, (width, height), radius)
     assert len(places) == len(spots)
     found = [at for at in places if at is not None]
     for at, other in itertools.combinations(found, 2):
