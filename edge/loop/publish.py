@@ -14,7 +14,7 @@ from edge.loop.error_boundary import ErrorBoundary
 from edge.loop.goal import GoalTracker
 from edge.loop.input_log import InputLog
 from edge.loop.latency import LatencyRing
-from edge.loop.result import MAX_OBJECTS, Event, Sink, TickResult, mission_facts, scored
+from edge.loop.result import MAX_OBJECTS, Event, Sink, TickResult, mission_facts, scored_candidates
 from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import RollingMap
@@ -134,7 +134,7 @@ class ResultPublisher:
             site=self._site.known,
             zones=grid.zones.polygons,
             frontiers=cache(lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy()),
-            candidates=cache(partial(scored, map.pool.candidates, scores)),
+            candidates=cache(partial(scored_candidates, map.pool.candidates, scores)),
             path=cache(partial(_path_m, grid, goal)),
             choice=None if scorers is None else scorers.answers.choice,
             known_m2=lambda: grid.known_m2,
@@ -180,4 +180,4 @@ def _path_m(grid: RollingMap, goal: Goal | None) -> np.ndarray:
     """Return the shortest path to the goal; see `TickResult.path`."""
     if goal is None:
         return np.zeros((0, 2), np.float32)
-    return grid.travel_cost.path_m(goal.pose.x_m, goal.pose.y_m)
+    return grid.travel_cost.path_xy_m(goal.pose.x_m, goal.pose.y_m)

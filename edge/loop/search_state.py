@@ -193,7 +193,7 @@ class NextBestView:
             images: Number of images that the detector has processed so far.
         """
         if self._view is not None and (
-            self._is_finished(images) or not grid.coverage.is_worth_it(self._view)
+            self._is_finished(images) or not grid.coverage.is_worth_visiting(self._view)
         ):
             grid.coverage.write_off(self._view)
             self.views += not self._unreachable
@@ -238,7 +238,7 @@ class NextBestView:
         view, self._searching = coverage.view, False
         if view is None:
             self.done = True
-        elif coverage.is_worth_it(view):
+        elif coverage.is_worth_visiting(view):
             self._view = view
         else:  # its rays just missed the corner of a cell
             coverage.write_off(view)

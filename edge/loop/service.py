@@ -215,7 +215,7 @@ class Service:
         self.refused = use != ""
         if self.refused:
             sighted = self._input_log.record_decision(
-                SIGHTED, lambda: str(self.plausibility.sighted_ns)
+                SIGHTED, lambda: str(self.plausibility.surroundings_ns)
             )
             self._last_tick_ns = min(self._last_tick_ns, int(sighted))
             if use == "map":

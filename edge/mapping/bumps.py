@@ -12,7 +12,7 @@ from edge import config
 from edge.geometry import SE2
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.mapping import layers as ly
-from edge.mapping.update import SEEN_FREE
+from edge.mapping.update import MOST_FLOOR_UPDATES
 from edge.mapping.window import Window
 
 ROUNDING_CELLS = 2
@@ -322,7 +322,7 @@ class ContactObstacles:
     def _is_seen_free(self, bump: _Bump) -> bool:
         """Return True if most touched cells were floor, and nothing else, in the last updates."""
         top, n = self._layers.top, self._window.n
-        seen = sum(top[y % n, x % n] >= SEEN_FREE for x, y in bump.felt)
+        seen = sum(top[y % n, x % n] >= MOST_FLOOR_UPDATES for x, y in bump.felt)
         return 2 * seen > len(bump.felt)
 
     def _between(self, a: _Bump, b: _Bump) -> Iterator[Cell]:

@@ -120,7 +120,7 @@ class Coverage:
         first = optical_yaw_rad(T) - 0.5 * (rays - 1) * step_rad
         self._show(T[0, 3], T[1, 3], first, step_rad, rays, far, COUNT)
 
-    def is_worth_it(self, view: Viewpoint) -> bool:
+    def is_worth_visiting(self, view: Viewpoint) -> bool:
         """Return True if a view still shows enough places that were not seen well."""
         return self._planned(view, KEEP) >= self._min_places
 

@@ -312,7 +312,7 @@ class RollingMap:
     @property
     def tile_bytes(self) -> int:
         """Size of a tile in bytes without the value maps."""
-        return tiles.bytes_of(self.planes[: -tiles.VALUE_PLANES])
+        return tiles.tile_bytes(self.planes[: -tiles.VALUE_PLANES])
 
     def state_dict(self) -> Arrays:
         """Return the state outside `planes`; unknown `robot` and `floor_m` have no row."""
@@ -356,7 +356,7 @@ class RollingMap:
         window.origin = (x // ly.WORD * ly.WORD, y // ly.WORD * ly.WORD)
         window.placed = True
         planes = self.planes if values else self.planes[: -tiles.VALUE_PLANES]
-        tiles.write(planes, window, tiles.unpack_tiles(packed, tile_bytes))
+        tiles.write_tiles(planes, window, tiles.unpack_tiles(packed, tile_bytes))
         np.minimum(self.coverage.looks, MOST_LOOKS, out=self.coverage.looks)
         seen = layers.raw != ly.UNSEEN
         layers.known[:] = ly.bits_of(seen)

@@ -133,7 +133,7 @@ def bench(monkeypatch):
     monkeypatch.setattr(module, "_check_here", lambda name: None)
     monkeypatch.setattr(module, "BOARD_S", 0.01)
     monkeypatch.setattr(swapped, "IMAGES", 1)
-    for name, seconds in {"OVER_S": 2.0, "DWELL_S": 5.0, "ROOM_S": 10.0}.items():
+    for name, seconds in {"OVER_S": 2.0, "DWELL_S": 5.0, "LOW_S": 10.0}.items():
         monkeypatch.setattr(degradation, name, seconds)
     opened = []
 

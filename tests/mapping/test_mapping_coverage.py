@@ -174,7 +174,7 @@ def test_view_after_view_comes_to_an_end(how):
             for _ in range(2):
                 ahead = SE2(view.x_m, view.y_m, view.heading_rad)
                 coverage.on_image(seen_from(ahead, to_optical(se3(0.0, 0.0, 0.6))), 1.6, 2)
-            assert not coverage.is_worth_it(view)
+            assert not coverage.is_worth_visiting(view)
             assert coverage.area_m2(view) < 1.1 * LEAST_M2
         coverage.write_off(view)
         assert coverage.area_m2(view) == 0.0
