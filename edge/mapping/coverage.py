@@ -24,11 +24,11 @@ PLACE_M = 0.25
 """Side of a place; rounded to a power of two of the map's cells."""
 NEAR_M = 0.8
 """Places nearer than this are outside the image."""
-LEAST_M2 = 0.5
+MIN_VIEW_M2 = 0.5
 """Smallest area that makes a view worth a goal."""
 START_M = 2.0
 """Fixed cost of a goal in metres of path: turning, stopping and looking."""
-SURE = 0.85
+SAFE_SHARE = 0.85
 """Share of the field of view and range that is used to plan a view.
 
 The robot stops slightly off the planned pose.
@@ -78,21 +78,24 @@ class Coverage:
         self._layers, self._window = layers, window
         resolution_m, n = window.resolution_m, window.n
         # The window moves by multiples of 64 cells, and so of a place's side.
-        self._bits = min(6, max(0, round(math.log2(PLACE_M / resolution_m))))
-        self._min_places = max(1, round(LEAST_M2 / (resolution_m * 2**self._bits) ** 2))
-        self.looks = np.zeros((n >> self._bits, n >> self._bits), np.uint8)
+        # A place has 2**_place_bits cells on a side.
+        self._place_bits = min(6, max(0, round(math.log2(PLACE_M / resolution_m))))
+        self._min_places = max(1, round(MIN_VIEW_M2 / (resolution_m * 2**self._place_bits) ** 2))
+        self.looks = np.zeros((n >> self._place_bits, n >> self._place_bits), np.uint8)
         self._new_places = np.zeros(MAX_RAYS, np.int32)
         self._fov_rad = self._range_m = 0.0
         self._images_needed = 1
         self._next = 0  # lattice point where the search continues
-        self._best = np.zeros(4)
+        self._best = np.zeros(4)  # see `_WORTH` and the entries after it
 
     def roll(self, axis: int, by: int) -> None:
         """Clear the strip that leaves the window when it moves by `by` cells along x (0) or y."""
         start, n = self._window.origin[axis], self._window.n
         gone = min(abs(by), n)
         start += 0 if by > 0 else n - gone
-        strip = np.arange(start >> self._bits, (start + gone) >> self._bits) % len(self.looks)
+        strip = np.arange(start >> self._place_bits, (start + gone) >> self._place_bits) % len(
+            self.looks
+        )
         self.looks[(slice(None), strip) if axis == 0 else strip] = 0
 
     def reset(self) -> None:
@@ -100,37 +103,40 @@ class Coverage:
         self.looks[:] = 0
         self._window.written[:] = True
 
-    def on_image(self, seen: Observation, range_m: float, enough: int) -> None:
+    def on_image(self, observation: Observation, range_m: float, enough: int) -> None:
         """Count a look at each place in an image that the detector searched.
 
         Args:
-            seen: the image's observation.
+            observation: the image's observation.
             range_m: range within which detections count.
             enough: number of looks after which a place counts as seen well.
         """
-        camera = seen.camera
+        camera = observation.camera
         if camera is None:
             return
         self._fov_rad, self._range_m = camera.hfov_rad, range_m
         self._images_needed = min(enough, MOST_LOOKS)
-        T = seen.T_map_base @ seen.T_base_camera
-        self.camera_yaw_rad = optical_yaw_rad(seen.T_base_camera)
+        T = observation.T_map_base @ observation.T_base_camera
+        self.camera_yaw_rad = optical_yaw_rad(observation.T_base_camera)
         far = range_m / self._window.resolution_m
-        step_rad, rays = sector(camera.hfov_rad, far, self._bits)
+        step_rad, rays = sector(camera.hfov_rad, far, self._place_bits)
         first = optical_yaw_rad(T) - 0.5 * (rays - 1) * step_rad
         self._show(T[0, 3], T[1, 3], first, step_rad, rays, far, COUNT)
 
     def is_worth_visiting(self, view: Viewpoint) -> bool:
         """Return True if a view still shows enough places that were not seen well."""
-        return self._planned(view, KEEP) >= self._min_places
+        return self._unseen_in_view(view, KEEP) >= self._min_places
 
     def area_m2(self, view: Viewpoint) -> float:
         """Return the area that a view still shows of places that were not seen well."""
-        return self._planned(view, KEEP) * (self._window.resolution_m * 2**self._bits) ** 2
+        return (
+            self._unseen_in_view(view, KEEP)
+            * (self._window.resolution_m * 2**self._place_bits) ** 2
+        )
 
     def write_off(self, view: Viewpoint) -> None:
         """Exclude the places of a view that are still not seen well from all later searches."""
-        self._planned(view, WRITE_OFF)
+        self._unseen_in_view(view, WRITE_OFF)
 
     def snapshot(self) -> Grid:
         """Return a copy of how well each place was seen; see `Window.copy_of`.
@@ -165,10 +171,10 @@ class Coverage:
         res = self._window.resolution_m
         distance, rect = reach.field
         self._next = best_view(
-            self._layers, distance, *rect, *self._window.origin, self.looks, self._bits,
-            self._images_needed, SURE * self._fov_rad, NEAR_M / res, SURE * self._range_m / res,
-            START_M / res, self._min_places, self._new_places, self._next, WORK_PER_STEP,
-            self._best,
+            self._layers, distance, *rect, *self._window.origin, self.looks, self._place_bits,
+            self._images_needed, SAFE_SHARE * self._fov_rad, NEAR_M / res,
+            SAFE_SHARE * self._range_m / res, START_M / res, self._min_places, self._new_places,
+            self._next, WORK_PER_STEP, self._best,
         )  # fmt: skip
         if self._next > 0:
             return False
@@ -178,10 +184,10 @@ class Coverage:
         self._best[:] = 0.0
         return True
 
-    def _planned(self, view: Viewpoint, action: int) -> int:
+    def _unseen_in_view(self, view: Viewpoint, action: int) -> int:
         """Return the number of places that a view shows and that were not seen well."""
-        far = SURE * self._range_m / self._window.resolution_m
-        between, width = sector(SURE * self._fov_rad, far, self._bits)
+        far = SAFE_SHARE * self._range_m / self._window.resolution_m
+        between, width = sector(SAFE_SHARE * self._fov_rad, far, self._place_bits)
         first = view.heading_rad - 0.5 * (width - 1) * between
         return self._show(view.x_m, view.y_m, first, between, width, far, action)
 
@@ -202,7 +208,7 @@ class Coverage:
             reach = math.ceil(far) + 1
             window.mark_written(x - reach, y - reach, x + reach + 1, y + reach + 1)
         return show(
-            self._layers.raw, self.looks, self._bits, *window.shift,
+            self._layers.raw, self.looks, self._place_bits, *window.shift,
             x_m / res - ox, y_m / res - oy, first, between, rays, NEAR_M / res, far,
             self._images_needed, action, self._new_places,
         )  # fmt: skip
@@ -229,6 +235,8 @@ def show(
     - `first`, `between`: direction of the first ray, and angle to the next, radians.
     - `near`, `far`: range in cells that counts.
     - `action`: COUNT a look, WRITE_OFF places with too few looks, or KEEP everything.
+    - `bits`: a place has 2**bits cells on a side.
+    - `enough`: number of looks after which a place counts as seen well.
     - `new`: (rays,) int32 output: number of places with too few looks that no earlier ray showed.
 
     Returns:

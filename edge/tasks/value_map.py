@@ -13,7 +13,8 @@ from edge.geometry import Grid
 from edge.trajectory.costmap import OCCUPIED, CostMap, from_weights
 
 TUBE, DRIVABLE, HIGH = 10, 20, 250
-"""Weights of cells; see `value_map`. A cell of weight TUBE costs 1 per metre.
+"""Weights of cells in the tube, of other drivable cells, and of all other ground; see `value_map`.
+A cell of weight TUBE costs 1 per metre.
 
 The paper gives the order of the weights but no numbers. A half circle is pi / 2 times as long as
 its chord. So DRIVABLE must be so much larger than TUBE that A* does not take the chord.

@@ -109,7 +109,7 @@ def test_a_late_answer_is_written_where_it_was_asked():
 
 
 def test_an_idle_service_ends_the_probation_of_another_model():
-    case = Case(Scorers(None, Chooser(), value_source="choice", remake=lambda card: Chooser()))
+    case = Case(Scorers(None, Chooser(), value_source="choice", make_other=lambda card: Chooser()))
     swap, values = case.scorers.swap, case.grid.values
     swap.request("other")
     eventually(lambda: case.scorers.collect_answers(values) or swap.state == "on probation")
