@@ -38,6 +38,7 @@ _LONGEST_LABEL = 100  # characters of a label value
 
 Source = TypeVar("Source")
 Kind = Literal["counter", "gauge", "state", "histogram"]
+"""Kinds of Prometheus; a `state` is a StateSet: one series for each state."""
 
 _CLASSES = {
     "counter": CounterMetricFamily,

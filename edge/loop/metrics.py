@@ -50,7 +50,7 @@ class ScrapeSnapshot:
         source: Counters of the source.
         inputs: State of the source's inputs.
         failed: Names of the plausibility checks that fail.
-        rows: Latency report: counts since the start, without percentiles.
+        latency: Latency report: counts since the start, without percentiles.
         images: Counts of the detector's images.
         scorers: Status of each scorer by name.
         checkpoint: Status of the checkpoint; None without one.
@@ -62,7 +62,7 @@ class ScrapeSnapshot:
         self.mission, self.goal = service.mission, service.goal
         self.source, self.inputs = dict(running.source.counters), service.inputs()
         self.failed = {found.name for found in service.plausibility.failed}
-        self.rows = service.latency.report(last=1)
+        self.latency = service.latency.report(last=1)
         self.histograms = service.latency.histograms()
         self.detector, self.images = running.worker.detector, running.worker.stats
         self.scorers: dict[str, Any] = {} if service.scorers is None else service.scorers.status()
@@ -70,11 +70,11 @@ class ScrapeSnapshot:
 
     def by_stage(self, value: Callable[[Any], float]) -> dict[str, float]:
         """Apply `value` to each stage of the latency report. Return the results by stage name."""
-        return {row.name: value(row) for row in self.rows.stages}
+        return {row.name: value(row) for row in self.latency.stages}
 
     def by_budgeted_stage(self, value: Callable[[Any], float]) -> dict[str, float]:
         """Do the same as `by_stage`, but only for stages with a time budget."""
-        return {row.name: value(row) for row in self.rows.stages if row.budget_ms is not None}
+        return {row.name: value(row) for row in self.latency.stages if row.budget_ms is not None}
 
     def of_sinks(self, name: str) -> dict[str, int]:
         """Return an integer field of the sinks' status, by sink, if it has the field."""
@@ -116,19 +116,19 @@ def _answers(snapshot: ScrapeSnapshot) -> dict[tuple[str, str], int]:
 
 HEALTH_METRICS: tuple[MetricSpec[ServiceHealth], ...] = (
     MetricSpec("edge_build_info", "gauge", "Version of edge (label version); always 1.",
-           lambda v: {__version__: 1}, ("version",)),
+           lambda h: {__version__: 1}, ("version",)),
     MetricSpec("edge_service_state", "state",
            "State of the service: 1 for the current one, else 0.",
-           lambda v: v.state, states=STATES),
+           lambda h: h.state, states=STATES),
     MetricSpec("edge_service_ready", "gauge",
            "1 if the service is ready, as /readyz reports, else 0.",
-           lambda v: not v.problems()),
+           lambda h: not h.problems()),
     MetricSpec("edge_loop_beat_age_seconds", "gauge",
            "Time since the loop's last cycle; it grows if the loop hangs.",
-           lambda v: v.silent_s),
+           lambda h: h.silent_s),
     MetricSpec("edge_observation_age_seconds", "gauge",
            "Time since the newest usable observation; infinite before the first.",
-           lambda v: v.unseen_s),
+           lambda h: h.unseen_s),
 )  # fmt: skip
 """Metrics of the service's health, available from its start on."""
 
@@ -138,12 +138,12 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            lambda s: s.histograms.tick),
     MetricSpec("edge_tick_budget_seconds", "gauge",
            "Budget of ticks: the 95th percentile of their durations should stay below.",
-           lambda s: _seconds(s.rows.tick.budget_ms)),
+           lambda s: _seconds(s.latency.tick.budget_ms)),
     MetricSpec("edge_tick_deadline_seconds", "gauge", "Longest permitted duration of a tick.",
-           lambda s: _seconds(s.rows.deadline_ms)),
+           lambda s: _seconds(s.latency.deadline_ms)),
     MetricSpec("edge_tick_deadline_missed_total", "counter",
            "Ticks that took longer than the deadline.",
-           lambda s: s.rows.tick.overruns),
+           lambda s: s.latency.tick.overruns),
     MetricSpec("edge_tick_interval_seconds", "histogram",
            "Time from the start of a tick to the start of the next.",
            lambda s: s.histograms.interval),

@@ -233,14 +233,15 @@ class Plausibility:
         self.refused = {check.name: 0 for check in self.checks if check.permits}
         self.surroundings_ns = 0
         self._event = event
-        self._found: list[FailedCheck | None] = [None] * len(self.checks)
-        self._logged_ns: dict[str, int] = {}
-        self._pose: SE2 | None = None
+        self._found: list[FailedCheck | None] = [None] * len(self.checks)  # failures now, by check
+        self._logged_ns: dict[str, int] = {}  # loop time of the newest log line, by check
+        self._pose: SE2 | None = None  # of the last observation
         self._close_at: SE2 | None = None  # pose at which the view was full of something close
+        # Loop time of the newest slow measurements, and their results.
         self._slow_ns = -_SLOW_NS
         self._scale = math.nan
+        self._levels = math.nan, math.nan  # `rgb_levels` and `rgb_level`
         self._floor_lost = False
-        self._levels = math.nan, math.nan
         self._depth, self._rgb, self._cloud = _Repeats(), _Repeats(), _Repeats()
         self._floor = _FloorLimit()
         self._motion = DepthMotionCheck(config.robot.max_speed_mps, config.robot.max_turn_radps)
@@ -309,15 +310,16 @@ class Plausibility:
     # -- measuring ----------------------------------------------------------------------------
 
     def _measure(self, seen: Observation, now_ns: int) -> None:
+        """Fill `facts`. Measurements that change slowly are made once in `_SLOW_NS`."""
         facts = self.facts
         facts.clear()
         step = self._step(seen.pose)
-        slow = not 0 <= now_ns - self._slow_ns < _SLOW_NS
+        slow = not 0 <= now_ns - self._slow_ns < _SLOW_NS  # negative: the clock was set back
         self._slow_ns = now_ns if slow else self._slow_ns
         self.surroundings_ns = now_ns - seen.lag_ns
         facts.late_s, facts.pose_age_s = seen.lag_ns * 1e-9, seen.pose_age_ns * 1e-9
         facts.floor_lost = float(self._floor_lost)
-        wall = False
+        wall = False  # True if something near fills half of the depth image
         if seen.depth_m is not None and seen.camera is not None:
             sample = self._depth.sample(seen.depth_m)
             valid = (sample > 0.0) & (sample < FARTHEST_M)

@@ -248,7 +248,7 @@ def handle_mission(
     elif request.do == "new":
         _begin(service, request, now_ns)
     elif request.do != "status" and (mission.done or name not in ("", mission.id)):
-        if not request.cancelled:
+        if not request.cancelled:  # else it has stopped missions that waited: no error
             which = f"{one_line(name)} " if name else ""
             raise UserError(f"no mission {which}is running: {_last_mission_text(service)}")
     elif request.do == "cancel":
@@ -270,7 +270,7 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
     """Start the requested mission, unless its id was used before or the robot must be free."""
     assert isinstance(request.prepared, MissionSpec)
     name, mission = request.fields.get("id", ""), service.mission
-    if name and name == mission.id:
+    if name and name == mission.id:  # the same request once more
         return
     if name and any(name == outcome["id"] for outcome in service.past_missions):
         raise UserError(f"mission {name} is already over on this robot: give it another id")

@@ -12,8 +12,7 @@ from edge.mapping.layers import BUMPED, FREE, OCCUPIED, UNSEEN, add_disc, bit_se
 from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE, is_open
 
 MOST_FLOOR_UPDATES = 10
-"""Largest value of the counter that `Layers.top` of a bumped cell is: the updates in a row that saw
-only floor there."""
+"""`Layers.top` of a bumped cell counts the updates in a row that saw only floor there, up to this."""
 
 
 @jit

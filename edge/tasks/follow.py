@@ -17,14 +17,12 @@ from edge.tasks.refine import RefinedTrajectory
 from edge.trajectory.pursuit import index_ahead, nearest_index
 
 SEARCH_M = 3.0
-"""Length of the path ahead in which the robot is searched.
+"""Length of the path ahead on which the pose nearest to the robot is searched for.
 
 It is short, so that no part is skipped where a path crosses itself.
 """
 CHECKED_M = 10.0
 """Length of the path ahead that is checked for obstacles."""
-
-
 MAX_CUT_M = 0.25
 """Largest distance by which a controller that drives straight to the goal may leave the path.
 
@@ -58,7 +56,7 @@ def goal_ahead(
         trajectory: the trajectory.
         pose: the robot's.
         look_ahead_m: largest distance of the goal along the path.
-        from_index: index that the last call returned; the robot is searched from here on.
+        from_index: index that the last call returned; the search for the robot begins here.
         last_index: index of the last pose that may be driven to; None: the end.
 
     Returns:
@@ -70,6 +68,7 @@ def goal_ahead(
     end = min(end_of_current_leg(trajectory, from_index), len(path_m) - 1)
     window = index_ahead(path_m, from_index, SEARCH_M)
     index = nearest_index(path_m[: min(window, end) + 1], pose.x_m, pose.y_m, from_index)
+    # Up to the end of the leg, and further only if the robot has come to that end.
     while end < min(window, len(path_m) - 1) and math.dist(robot_m, path_m[end]) <= PASSED_M:
         begin, end = end + 1, min(end_of_current_leg(trajectory, end + 1), len(path_m) - 1)
         index = nearest_index(path_m[: min(window, end) + 1], pose.x_m, pose.y_m, begin)
@@ -116,9 +115,9 @@ def index_at_goal(trajectory: RefinedTrajectory, goal: SE2, from_index: int) -> 
 
 def _deviation_m(path_m: np.ndarray, from_m: np.ndarray) -> np.ndarray:
     """Return the distance (n,) of each point of a path (n, 2) from the straight line to its end."""
-    line, off = path_m[-1] - from_m, path_m - from_m
-    along = np.clip(off @ line / max(float(line @ line), 1e-12), 0.0, 1.0)
-    return np.hypot(*(off - along[:, None] * line).T)
+    line, offset = path_m[-1] - from_m, path_m - from_m
+    along = np.clip(offset @ line / max(float(line @ line), 1e-12), 0.0, 1.0)
+    return np.hypot(*(offset - along[:, None] * line).T)
 
 
 def blocked_ahead_m(trajectory: RefinedTrajectory, view: MapView, index: int = 0) -> float | None:

@@ -28,6 +28,7 @@ TILE_FROM = 1.5
 TILE_OVERLAP = 0.25
 TILE_MERGE_SHARE = 0.6
 
+# The parts of a `PerceptionPipeline`.
 Tags = Callable[[Observation], Sequence[str]]
 Boxes = Callable[[Observation, Sequence[str]], Detections]
 Masks = Callable[[Detections], Detections]

@@ -45,8 +45,8 @@ from edge.text import one_line
 from edge.types import Goal, Instance
 
 _MAX_NAMES = 12  # object names in the report of an exploration
-# Votes for a kind of room that a point needs to be a goal: this share of the way from the worst
-# point to the best one.
+# `RoomMemory.votes` says how much the objects near a point speak for a kind of room. A point needs
+# this share of the range from the lowest to the highest votes to be a goal.
 _MIN_VOTES_SHARE = 0.9
 _SURVEYS = 2  # surveys after the arrival that must agree that the robot is inside
 _DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
@@ -348,8 +348,9 @@ class RoomPursuit(Pursuit[RoomTarget]):
         return rooms[int(np.argmax(votes))] if max(votes) > 0.0 else None
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
+        """Return a goal in the room, or on the way to it; while no room is known, explore."""
         target, grid, goals = self._destination, self._map.grid, self._goals
-        if target.which != "with":
+        if target.which != "with":  # no object is searched for, so the policy's scores do not apply
             prior = None if self._kind is None else RoomKindPrior(self._map.rooms, self._kind)
             scores = SearchPolicy(PolicySearch()).score(replace(context, prior=prior))
         scores = np.asarray(scores, np.float32)
@@ -360,6 +361,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
             points_m, old, rooms = self._stopping_points_m(room), goals.goal, self._map.rooms
             keep = old is not None and rooms.entered(old.pose.x_m, old.pose.y_m) == room.id
             pose = context.pose
+            # The controller has arrived, but the map says that the robot is not inside: go deeper.
             if goals.arrived and rooms.entered(pose.x_m, pose.y_m) != room.id:
                 keep = False
                 away_m = np.hypot(*(points_m - np.array((pose.x_m, pose.y_m), np.float32)).T)
