@@ -71,7 +71,7 @@ class DegradationLevels:
         self.level, self.budget_ms = 0, budget_ms
         self._n_levels = n_levels
         self._over_ns, self._dwell_ns, self._low_for_ns = map(_ns, (OVER_S, DWELL_S, LOW_S))
-        self._strained_since_ns: int | None = None  # start of the present overload
+        self._overload_since_ns: int | None = None  # start of the present overload
         self._low_since_ns: int | None = None  # start of the present low load
         self._changed_ns: int | None = None  # time of the newest change of the level
         # Time when work was last added, and time for which it must stay.
@@ -90,14 +90,14 @@ class DegradationLevels:
         if took_ms is not None and self._ms_before_change is not None:
             self._ratio[self.level - 1] = max(1.0, self._ms_before_change / max(took_ms, 1e-3))
             self._ms_before_change = None
-        why = self._strain(sample)
+        why = self._overload_reason(sample)
         low = not why and sample.has_headroom and self._is_low(took_ms)
-        self._strained_since_ns = _since(self._strained_since_ns, bool(why), now_ns)
+        self._overload_since_ns = _since(self._overload_since_ns, bool(why), now_ns)
         self._low_since_ns = _since(self._low_since_ns, low, now_ns)
         if self._changed_ns is not None and now_ns - self._changed_ns < self._dwell_ns:
             return None
-        if self._strained_since_ns is not None and self.level < self._n_levels:
-            if now_ns - self._strained_since_ns < self._over_ns:
+        if self._overload_since_ns is not None and self.level < self._n_levels:
+            if now_ns - self._overload_since_ns < self._over_ns:
                 return None
             self._ms_before_change = took_ms
             return LevelChange(self.level + 1, f"{why}, for over {OVER_S:g} s")
@@ -129,7 +129,7 @@ class DegradationLevels:
         self._ratio = [1.0] * self._n_levels
         self._doublings = 0
 
-    def _strain(self, sample: LoadSample) -> str:
+    def _overload_reason(self, sample: LoadSample) -> str:
         """Return the reason why the computer is overloaded; "" if it is not."""
         if sample.distress or sample.detect_ms is None or sample.detect_ms <= self.budget_ms:
             return sample.distress
@@ -152,7 +152,7 @@ class DegradationLevels:
         self._doublings = min(self._doublings + 1, MOST_DOUBLINGS) if failed else 0
 
     def _restart(self, now_ns: int) -> None:
-        self._changed_ns, self._strained_since_ns, self._low_since_ns = now_ns, None, None
+        self._changed_ns, self._overload_since_ns, self._low_since_ns = now_ns, None, None
 
 
 def _since(before_ns: int | None, is_true: bool, now_ns: int) -> int | None:

@@ -201,9 +201,9 @@ class TravelCostField:
         res = self._window.resolution_m
         path_lengths(self._layers, distance, *rect, res, xy_m, kind, radius_m, n, out_m)
 
-    def _valid_rect(self, which: int) -> tuple[int, int, int, int]:
+    def _valid_rect(self, field_index: int) -> tuple[int, int, int, int]:
         """Return the half-open rectangle of world cells in both a field's window and the map's."""
-        (ax, ay), (bx, by), n = self._origins[which], self._window.origin, self._window.n
+        (ax, ay), (bx, by), n = self._origins[field_index], self._window.origin, self._window.n
         return max(ax, bx), max(ay, by), min(ax, bx) + n, min(ay, by) + n
 
     def _clear_older(self, wave: Wave) -> bool:

@@ -14,7 +14,7 @@ from edge.jit import jit
 
 @jit(inline="always")
 def _popcount(x):
-    """Return the number of set bits of a word."""
+    """Return the number of set bits of a word, by adding neighbouring groups of bits."""
     x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
     x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
     x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -117,7 +117,11 @@ def unknown_ratios(
 
 @jit
 def _flood(flooded, passable, start, first, last):
-    """Spread from row `start` up and down until nothing changes or everything is full."""
+    """Spread the bits of `flooded` within `passable`, over the rows from `first` to before `last`.
+
+    Each round goes up from row `start`, and then down. It ends when a round changes nothing, or
+    when all passable bits are set.
+    """
     while True:
         is_changing = False
         row = flooded[start]

@@ -12,7 +12,7 @@ from edge.mapping.layers import BUMPED, FREE, OCCUPIED, UNSEEN, add_disc, bit_se
 from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE, is_open
 
 MOST_FLOOR_UPDATES = 10
-"""`Layers.top` of a bumped cell counts the updates in a row that saw only floor there, up to this."""
+"""`Layers.top` of a bumped cell counts the updates in a row that saw only floor, up to this."""
 
 
 @jit
