@@ -69,8 +69,10 @@ class DepthMotionCheck:
         self.since_ns = 0
         self._speed, self._turn = max_speed_mps, max_turn_radps
         self._views: deque[_View] = deque(maxlen=_VIEWS)
-        self._scores: deque[tuple[int, float]] = deque(maxlen=_SCORES)
-        self._last: tuple[np.ndarray, int] | None = None
+        self._scores: deque[tuple[int, float]] = deque(maxlen=_SCORES)  # loop time and score
+        self._last: tuple[np.ndarray, int] | None = (
+            None  # `T_map_camera` and stamp of the last image
+        )
         # While it fails: the misfit, and the time of the next retry.
         self._failed: tuple[float, int] | None = None
         self._retry_ns, self._n_good = RETRY_NS, 0

@@ -269,8 +269,8 @@ class LatencyRing:
         self._abandoned = [0] * n
         self._ticks = 0
         # Start of the tick, moved forward by `exclude_elapsed`; the newest mark; the true start.
-        self._begin_ns = self._marked_ns = self._loop_begin_ns = 0
-        self._loop_begin_before_ns: int | None = None  # `_loop_begin_ns` of the tick before
+        self._begin_ns = self._marked_ns = self._cycle_begin_ns = 0
+        self._last_cycle_begin_ns: int | None = None  # `_cycle_begin_ns` of the tick before
         self._durations = Histograms(n + 1, STAGE_BOUNDS_S)
         self._intervals = Histograms(1, INTERVAL_BOUNDS_S)
         self._lock = threading.Lock()
@@ -278,7 +278,7 @@ class LatencyRing:
     def begin_tick(self, t_ns: int) -> None:
         """Start a tick. A tick that was not ended is dropped."""
         self._current_ns[:] = self._blank
-        self._begin_ns = self._marked_ns = self._loop_begin_ns = t_ns
+        self._begin_ns = self._marked_ns = self._cycle_begin_ns = t_ns
 
     def mark(self, stage: int, t_ns: int) -> None:
         """End a stage: it took the time since the last mark, or since the start of the tick.
@@ -317,7 +317,7 @@ class LatencyRing:
         tick_ns[:] = self._current_ns
         np.greater(tick_ns, self._limit_ns, out=self._over)
         np.greater_equal(tick_ns, 0, out=self._ran)
-        before_ns, self._loop_begin_before_ns = self._loop_begin_before_ns, self._loop_begin_ns
+        before_ns, self._last_cycle_begin_ns = self._last_cycle_begin_ns, self._cycle_begin_ns
         with self._lock:
             i = self._ticks % self._capacity
             self._begins_ns[i] = self._begin_ns
@@ -327,7 +327,7 @@ class LatencyRing:
             self._ticks += 1
             self._durations.add(self._current_ns)
             if before_ns is not None:
-                self._intervals.add_one(0, self._loop_begin_ns - before_ns)
+                self._intervals.add_one(0, self._cycle_begin_ns - before_ns)
 
     def abandon_tick(self, stage: int) -> None:
         """Count a tick that ended in an error of this stage, as a drop of the stage.

@@ -302,11 +302,11 @@ class RollingMap:
     def planes(self) -> tiles.LayerTiles:
         """Layers for the checkpoint, by tile; all other layers can be computed from them."""
         layers, m = self._layers, len(self.window.written)
-        last = (
+        saved = (
             layers.raw, layers.top, layers.trail, self.coverage.looks, self.values.value,
             self.values.weight,
         )  # fmt: skip
-        return tiles.LayerTiles(*(tiles.tiled(layer, m) for layer in last))
+        return tiles.LayerTiles(*(tiles.tiled(layer, m) for layer in saved))
 
     @property
     def tiles_of_update(self) -> int:
@@ -365,8 +365,8 @@ class RollingMap:
         seen = layers.raw != ly.UNSEEN
         layers.known[:] = ly.bits_of(seen)
         if seen.any():
-            whole, changed = (0, 0, n, n), np.array(_EMPTY_RECT, np.int64)
-            ly.inflate_into(layers, *window.shift, whole, whole, self._disc, changed)
+            rect, changed = (0, 0, n, n), np.array(_EMPTY_RECT, np.int64)
+            ly.inflate_into(layers, *window.shift, rect, rect, self._disc, changed)
             for axis in (0, 1):
                 at = (np.flatnonzero(seen.any(axis=axis)) - window.origin[axis]) % n
                 self._explored[axis], self._explored[axis + 2] = at.min(), at.max() + 1

@@ -319,17 +319,17 @@ def _likeness(a: MapObject, b: MapObject) -> float:
     return max(shares) if min(shares) >= ALIKE_SHARE else 0.0
 
 
-def _absorb(one: MapObject, other: MapObject) -> None:
-    """Merge `other` into `one`."""
-    hits = one.hits + other.hits
-    if one.embedding is None:
-        one.embedding = other.embedding
+def _absorb(target: MapObject, other: MapObject) -> None:
+    """Merge `other` into `target`."""
+    hits = target.hits + other.hits
+    if target.embedding is None:
+        target.embedding = other.embedding
     elif other.embedding is not None:
-        one.embedding = (one.hits * one.embedding + other.hits * other.embedding) / hits
-    one.points_m = downsample(np.concatenate((one.points_m, other.points_m)))
+        target.embedding = (target.hits * target.embedding + other.hits * other.embedding) / hits
+    target.points_m = downsample(np.concatenate((target.points_m, other.points_m)))
     for label, score in other.labels.items():
-        one.labels[label] = one.labels.get(label, 0.0) + score
-    for label, said in other.captions.items():
-        one.captions.setdefault(label, Counter()).update(said)
-    one.score, one.hits = max(one.score, other.score), hits
-    one.picture, one.seen_with = other.picture, one.seen_with | other.seen_with
+        target.labels[label] = target.labels.get(label, 0.0) + score
+    for label, counts in other.captions.items():
+        target.captions.setdefault(label, Counter()).update(counts)
+    target.score, target.hits = max(target.score, other.score), hits
+    target.picture, target.seen_with = other.picture, target.seen_with | other.seen_with
