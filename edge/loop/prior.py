@@ -25,11 +25,10 @@ from edge.perception.prior.words import PriorWordIndex
 from edge.perception.tracking.sightings import TrackedObjects
 
 LEAST, MOST = 0.25, 4.0
-"""Limits of the likelihood ratio, so that the prior never outweighs what the robot sees."""
+"""Limits of the likelihood ratio."""
 DRAWN_M, MOST_DRAWN = 0.3, 20_000
-"""Side of a cell of `LocationPrior.layer`, and the largest number of cells. On a large map the
-cells
-are larger."""
+"""Side of a cell of `LocationPrior.layer`, and the largest number of cells; a large map has larger
+cells."""
 
 
 class LocationPrior:
@@ -50,8 +49,7 @@ class LocationPrior:
         self._regions_version = 0
         self._regions = NO_REGIONS
         # Places of the newest `likelihood_ratio`, what is around them (`_surroundings`), and the
-        # ratio by target. They are valid for this version of the objects, and of regions and
-        # places.
+        # ratio by target; valid for this version of the objects, and of regions and places.
         self._objects_version = -1
         self._places_version: tuple[int, int] | None = None
         self._xy_m = np.zeros((0, 2), np.float32)

@@ -98,8 +98,7 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
     expansions, lo, hi, idle = -1, start, start, 0  # -1: the start is popped twice
     status = UNREACHABLE
     while idle < BUCKETS:
-        # All entries that are left have a larger key than the goal, so none leads to it at less
-        # cost.
+        # No entry that is left has a smaller key than the goal, so none leads to it at less cost.
         if g[goal] != UNSEEN and g[goal] >> 1 >> shift < bucket:
             status = FOUND
             break
@@ -114,8 +113,7 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
             i = ((cell >> 14) & _XY) * width + (cell & _XY)
             g_i = int64(g[uint32(i)])
             # Bit 0 of `g` says that the cell waits. It is cleared in `g`, and stays set in `g_i`,
-            # so that the neighbours get it with the cost. The start has two entries; both are
-            # expanded.
+            # so that the neighbours get it with the cost. The start has two entries; both expand.
             if g_i & 1 or i == start:
                 g_i |= 1
                 g[uint32(i)] = g_i - 1
