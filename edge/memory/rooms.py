@@ -330,8 +330,8 @@ class RoomMemory:
             return np.ones(len(xy_m))
         return belief[self.survey.regions.at(xy_m)] / average
 
-    def votes(self, room: MappedRoom, kind: str) -> np.ndarray:
-        """Return how much the objects near each of a room's points speak for a kind, (j,) float64.
+    def evidence(self, room: MappedRoom, kind: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the objects in a room, and how much each speaks for a kind or against it.
 
         Objects that speak more for another kind of the room count against it: in an open-plan room,
         the kitchen is where its objects are.
@@ -339,6 +339,9 @@ class RoomMemory:
         Args:
             room: the room.
             kind: a kind of room of the prior's table.
+
+        Returns:
+            (n, 2) float32, places in `map`; and (n,) float64, above 0: it speaks for the kind.
         """
         objects, column = self._objects, self._table.kinds.index(kind)
         at = self.survey.ids[self.survey.regions.at(objects.xyz_m)] == room.id
@@ -348,9 +351,15 @@ class RoomMemory:
         other_kinds = np.maximum(0.0, np.max(rows, axis=0)) if rows else 0.0
         ratio = np.maximum(self._kind_log_ratio[column] - other_kinds, -_MAX_AGAINST)
         weights = ratio[objects.row[inside]] * objects.weight[inside]
-        distance_m = np.hypot(
-            *(room.points_m[:, None] - objects.xyz_m[inside, :2]).transpose(2, 0, 1)
-        )
+        return objects.xyz_m[inside, :2], weights.astype(np.float64)
+
+    def votes(self, room: MappedRoom, kind: str) -> np.ndarray:
+        """Return how much the objects near each of a room's points speak for a kind, (j,) float64.
+
+        See `evidence`.
+        """
+        xy_m, weights = self.evidence(room, kind)
+        distance_m = np.hypot(*(room.points_m[:, None] - xy_m).transpose(2, 0, 1))
         return np.exp(-distance_m / _VOTE_M) @ weights
 
     # -- frames and checkpoints ----------------------------------------------------------------

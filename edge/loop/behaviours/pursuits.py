@@ -305,11 +305,12 @@ class RoomPursuit(Pursuit[RoomTarget]):
             pass  # no path to it
         elif self._destination.which == "largest":
             room = max(self._map.rooms.rooms, key=lambda one: one.area_m2, default=None)
+        elif self._closed is not None:
+            room = self._closed  # no other is likelier
         elif kind is not None:
             room = self._most_likely(kind)
-        if self._closed is not None and (room is None or is_closed(room, self._map)):
-            reason = f"a zone closes {self._closed.phrase}, room {self._closed.id}"
-            self._mission.abandon_target(reason, now_ns)
+        if room is not None and is_closed(room, self._map, kind):
+            self._mission.abandon_target(f"a zone closes {room.phrase}, room {room.id}", now_ns)
         elif room is None or self._chosen == room.id:
             super().finish(now_ns)
         else:
@@ -317,7 +318,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
 
     def _most_likely(self, kind: str) -> MappedRoom | None:
         """Return the room to try when none is certain; None if nothing speaks for any."""
-        rooms = [room for room in self._map.rooms.rooms if not is_closed(room, self._map)]
+        rooms = self._map.rooms.rooms
         likely = max(rooms, key=lambda room: room.chance[kind], default=None)
         if likely is None or likely.chance[kind] >= _LAST_CHANCE:
             return likely
@@ -418,7 +419,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         if kept and (room := rooms.room(self._chosen)) is not None:
             return room
         known = rooms_of(self._destination, self._map)
-        found = [room for room in known if not is_closed(room, self._map)]
+        found = [room for room in known if not is_closed(room, self._map, self._kind)]
         self._closed = known[0] if known and not found else None
         if which == "next":
             here = rooms.room_at(context.pose.x_m, context.pose.y_m)

@@ -37,9 +37,24 @@ def rooms_of(target: RoomTarget, here: SemanticMap) -> list[MappedRoom]:
     return []
 
 
-def is_closed(room: MappedRoom, here: SemanticMap) -> bool:
-    """Return True if zones, or the mission itself, close all of a room."""
-    return all(here.grid.zones.contains(x_m, y_m) for x_m, y_m in room.points_m.tolist())
+def is_closed(room: MappedRoom, here: SemanticMap, kind: str | None = None) -> bool:
+    """Return True if zones, or the mission itself, close all of a room.
+
+    A room that only its objects show to be of `kind` is closed, too, if most of these objects are
+    in a zone: a part of it, or a room behind a door from which they are visible, is then the
+    kitchen that is closed.
+    """
+    zones = here.grid.zones
+    if not zones.any:
+        return False
+    if all(zones.contains(x_m, y_m) for x_m, y_m in room.points_m.tolist()):
+        return True
+    if kind is None or room.is_named:
+        return False
+    xy_m, weights = here.rooms.evidence(room, kind)
+    closed = np.array([zones.contains(x_m, y_m) for x_m, y_m in xy_m.tolist()], np.bool_)
+    speaks_for = np.maximum(weights, 0.0)
+    return bool(speaks_for[closed].sum() > 0.5 * speaks_for.sum())
 
 
 def refuse_closed(spec: MissionSpec, site: Site, here: SemanticMap) -> None:
