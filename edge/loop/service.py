@@ -55,8 +55,8 @@ _MAX_PAST_MISSIONS = 32
 _EXIT_M = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Radii of the search for a free cell outside a zone that the robot is in, tried in this order."""
 _BEYOND_M, _BEYOND_RADIUS_M = 0.35, 0.15
-"""Distance of the goal behind that cell, and radius of the search for a free cell there. A goal next
-to the edge would count as reached while the robot is still in the zone."""
+"""Distance of the goal behind that cell, and radius of the search for a free cell there. A goal at
+the edge would count as reached while the robot is still in the zone."""
 
 
 class Service:

@@ -318,11 +318,12 @@ class RoomPursuit(Pursuit[RoomTarget]):
 
     def _most_likely(self, kind: str) -> MappedRoom | None:
         """Return the room to try when none is certain; None if nothing speaks for any."""
-        rooms = self._map.rooms.rooms
+        known = self._map.rooms
+        rooms = [room for room in known.rooms if (known.evidence(room, kind)[1] > 0.0).any()]
         likely = max(rooms, key=lambda room: room.chance[kind], default=None)
         if likely is None or likely.chance[kind] >= _LAST_CHANCE:
             return likely
-        votes = [float(self._map.rooms.votes(room, kind).max()) for room in rooms]
+        votes = [float(known.votes(room, kind).max()) for room in rooms]
         return rooms[int(np.argmax(votes))] if max(votes) > 0.0 else None
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
