@@ -40,9 +40,14 @@ def rooms_of(target: RoomTarget, here: SemanticMap) -> list[MappedRoom]:
 def is_closed(room: MappedRoom, here: SemanticMap, kind: str | None = None) -> bool:
     """Return True if zones, or the mission itself, close all of a room.
 
-    A room that only its objects show to be of `kind` is closed, too, if most of these objects are
-    in a zone: a part of it, or a room behind a door from which they are visible, is then the
-    kitchen that is closed.
+    If only its objects show that it is of `kind`, it is closed, too, if most of these objects are
+    in a zone. So neither the open part of an open-plan kitchen nor the room from which a closed
+    kitchen is visible is a kitchen to go to.
+
+    Args:
+        room: The room.
+        here: The semantic map.
+        kind: The wanted kind of room; None if the room is wanted for another reason.
     """
     zones = here.grid.zones
     if not zones.any:
@@ -52,9 +57,10 @@ def is_closed(room: MappedRoom, here: SemanticMap, kind: str | None = None) -> b
     if kind is None or room.is_named:
         return False
     xy_m, weights = here.rooms.evidence(room, kind)
-    closed = np.array([zones.contains(x_m, y_m) for x_m, y_m in xy_m.tolist()], np.bool_)
-    speaks_for = np.maximum(weights, 0.0)
-    return bool(speaks_for[closed].sum() > 0.5 * speaks_for.sum())
+    shows_it = weights > 0.0
+    closed = [zones.contains(x_m, y_m) for x_m, y_m in xy_m[shows_it].tolist()]
+    weights = weights[shows_it]
+    return bool(weights @ np.array(closed, np.float64) > 0.5 * weights.sum())
 
 
 def refuse_closed(spec: MissionSpec, site: Site, here: SemanticMap) -> None:
