@@ -317,7 +317,7 @@ def test_a_robot_in_contact_at_its_side_gets_free():
         while walk.answers[-1].state == "accepted":
             along = math.cos(walk.pose.yaw_rad - corner_rad)
             in_contact = walk.pose.distance_to(start.x_m, start.y_m) < 0.05
-            blocked = in_contact and (along if walk.v >= 0.0 else -along) > -0.2
+            blocked = in_contact and (along if walk.v >= 0.0 else -along) > -0.6
             walk.v = 0.0 if blocked else walk.v
             before = walk.pose
             walk.step()
