@@ -14,7 +14,7 @@ from edge.loop import load_shedder
 def test_load_shedder_step(benchmark, monkeypatch):
     """Measure a step after a new image; each tenth step evaluates the last second."""
     benchmark.extra_info["budget"] = "load_shedder_step"
-    monkeypatch.setattr(load_shedder, "_check_here", lambda name: None)
+    monkeypatch.setattr(load_shedder, "_check_model_is_here", lambda name: None)
     bench = Bench()
 
     def see() -> tuple[tuple, dict]:

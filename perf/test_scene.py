@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge.geometry import CameraModel
-from edge.tasks.projection import BESIDE, GAP_M, GAP_SHARE, in_picture, points_of_masks
+from edge.tasks.projection import GAP_M, GAP_SHARE, MARGIN_SHARE, in_picture, points_of_masks
 from edge.types import MASK_SIDE
 
 CAMERA = CameraModel(1226, 370, 707.0, 707.0, 601.9, 183.1)
@@ -44,7 +44,7 @@ def points_by_numpy(cloud, boxes, masks):
     depth = (cloud[seen] @ T_CAMERA_CLOUD[2, :3] + T_CAMERA_CLOUD[2, 3]).astype(np.float32)
     out = []
     for (x0, y0, x1, y1), mask in zip(boxes, masks, strict=True):
-        margin_u, margin_v = BESIDE * (x1 - x0), BESIDE * (y1 - y0)
+        margin_u, margin_v = MARGIN_SHARE * (x1 - x0), MARGIN_SHARE * (y1 - y0)
         near = (u >= x0 - margin_u) & (u < x1 + margin_u)
         near &= (v >= y0 - margin_v) & (v < y1 + margin_v)
         at = np.flatnonzero(near)

@@ -11,7 +11,7 @@ from edge.live.automaton_graph import make_automaton_graph
 from edge.live.sink import LiveSnapshot
 from edge.loop.latency import LatencyReport
 from edge.loop.result import MissionFacts
-from edge.loop.status import mission_of
+from edge.loop.status import mission_json
 from edge.policies.base import FRONTIER, INSTANCE
 from edge.tasks.facts import TaskStatus, lengths_m, thinned
 from edge.text import bounded_lines, one_line
@@ -160,7 +160,7 @@ def log_json(snapshot: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
     result, mission = snapshot.result, snapshot.mission
     return {
         "targets": list(result.targets),
-        "mission": {**mission_of(mission), "warnings": list(mission.spec.warnings)},
+        "mission": {**mission_json(mission), "warnings": list(mission.spec.warnings)},
         "automaton": automaton_json(mission),
         "steps": [
             {"t_s": step.stamp_ns * _NS, "kind": step.kind, "label": step.label, "text": step.text}

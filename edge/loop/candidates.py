@@ -21,12 +21,13 @@ from edge.types import Instance
 _MAX_DISCARDED = 64  # largest number of discarded candidates; the oldest are overwritten
 # Names of the arrays that are carried over from tick to tick, as in a checkpoint.
 _CARRIED = ("xy_m", "anchor_m", "id", "first_seen_ns", "gain_m2")
-_UNMEASURED = np.float32(-1.0)  # gain of a frontier that was never measured
+_UNMEASURED = np.float32(-1.0)  # gain (`Candidates.gain_m2`) of a frontier before it is computed
 # Number of frontiers whose gain is measured again in a tick, in addition to new ones.
 _MEASURED_PER_TICK = 12
 SPIN_MIN_M2 = 1.5
 """A spin that would show less than this area is no candidate."""
-TURN_M_PER_RAD = 0.15  # cost of a turn, as path length
+TURN_M_PER_RAD = 0.15
+"""Cost of a turn as path length."""
 _SAME_SPIN_RAD = 0.6  # a spin keeps its id and heading while the best heading is this near
 
 
@@ -54,10 +55,12 @@ class CandidatePool:
         self._old_arrays = tuple(np.empty_like(array) for array in self._carried)
         self.r_assoc_m = r_assoc_m
         self._next_id = 1
+        # Rotation of the measurement of gains (see `_select_to_measure`): first frontier of this
+        # tick, and stamp of the observation at which it last advanced.
         self._next_to_measure = 0
         self._rotated_ns: int | None = None
         self._selected = np.zeros(capacity, np.int32)
-        self._spin: tuple[int, float] | None = None  # id and heading
+        self._spin: tuple[int, float] | None = None  # id and heading of the last spin
         self._old_index = np.full(capacity, -1, np.int32)
         self._new_index = np.full(capacity, -1, np.int32)
         self._discarded_xy_m = np.zeros((_MAX_DISCARDED, 2), np.float32)
@@ -196,6 +199,7 @@ class CandidatePool:
             **{name: a[:n].copy() for name, a in zip(_CARRIED, self._carried, strict=True)},
             "next_id": np.array(self._next_id),
             "measure_next": np.array(self._next_to_measure),
+            # A spin; checkpoints have its older name.
             "look_id": np.array([] if self._spin is None else self._spin[:1], np.int64),
             "look_rad": np.array([] if self._spin is None else self._spin[1:], np.float64),
             "discarded_xy_m": self._discarded_xy_m[blocked],
@@ -204,13 +208,13 @@ class CandidatePool:
             "discarded_until_ns": self._discarded_until_ns[blocked],
         }
 
-    def load_state_dict(self, state: Arrays, later_ns: int, later_stamp_ns: int) -> None:
+    def load_state_dict(self, state: Arrays, clock_shift_ns: int, stamp_shift_ns: int) -> None:
         """Restore a `state_dict` into an empty pool. Rows beyond the capacity are left out.
 
         Args:
             state: The arrays.
-            later_ns: Added to saved times of the clock of `discard`.
-            later_stamp_ns: Added to saved stamps of the sensors' clock.
+            clock_shift_ns: Added to saved times of the clock of `discard`.
+            stamp_shift_ns: Added to saved stamps of the sensors' clock.
         """
         c, spin_keys = self.candidates, ("look_id", "look_rad")
         discarded = tuple(f"discarded_{name}" for name in ("kind", "id", "xy_m", "until_ns"))
@@ -221,13 +225,15 @@ class CandidatePool:
         c.kind[: c.n] = FRONTIER
         for name, array in zip(_CARRIED, self._carried, strict=True):
             array[: c.n] = state[name][: c.n]
-        c.first_seen_ns[: c.n] += later_stamp_ns
+        c.first_seen_ns[: c.n] += stamp_shift_ns
         self._next_id = max(self._next_id, int(state["next_id"]))
         self._next_to_measure = int(state["measure_next"])
         for spin_id, heading in zip(*(state[name] for name in spin_keys), strict=True):
             self._spin = (int(spin_id), float(heading))
         for kind, i, xy_m, until_ns in zip(*(state[name] for name in discarded), strict=True):
-            self.discard(int(kind), int(i), (float(xy_m[0]), float(xy_m[1])), until_ns + later_ns)
+            self.discard(
+                int(kind), int(i), (float(xy_m[0]), float(xy_m[1])), until_ns + clock_shift_ns
+            )
 
     def clear(self) -> None:
         """Remove all candidates and all discarded points."""

@@ -38,6 +38,7 @@ class ServiceCheckpoint:
         saved: Unfinished mission of the file that will continue; None if there is none.
         problem: Reason why an existing file cannot be used; "" if there is no problem.
         map: Checkpoint of the map.
+        crops: Checkpoint of the objects' pictures.
     """
 
     def __init__(self, config: Config, path: Path, instruction: str | None) -> None:
@@ -60,10 +61,11 @@ class ServiceCheckpoint:
         self.map = MapCheckpoint(config, path.with_name(path.name + SUFFIX), self._fingerprint)
         crops = path.with_name(path.name + crop_checkpoint.SUFFIX)
         self.crops = crop_checkpoint.CropCheckpoint(crops)
-        self._noted_crops: CropStore | None = None
+        self._newest_crops: CropStore | None = None  # to write when the service ends
         self._writer = CheckpointWriter(path, MISSION)
         self._resumed: MissionRun | None = None
-        self._noted: tuple[MissionRun, int] | None = None
+        # The mission whose state was queued last, and its `changes` then.
+        self._queued: tuple[MissionRun, int] | None = None
 
     def saved_spec(self) -> MissionSpec | None:
         """Return the saved mission, ready to run, or None.
@@ -123,12 +125,12 @@ class ServiceCheckpoint:
             last_pose: Pose and stamp of the newest observation; None before the first.
             now_ns: Loop time.
         """
-        noted, self._noted = self._noted, (mission, mission.changes)
-        changed = noted is None or noted[0] is not mission or noted[1] != mission.changes
+        queued, self._queued = self._queued, (mission, mission.changes)
+        changed = queued is None or queued[0] is not mission or queued[1] != mission.changes
         if last_pose is not None:
-            self.map.save_part(parts, last_pose, mission.spec.prompts, mission.target, changed)
+            self.map.step(parts, last_pose, mission.spec.prompts, mission.target, changed)
         if self.map.waiting is None:  # else the saved pictures are not restored yet
-            self._noted_crops = parts.map.crops
+            self._newest_crops = parts.map.crops
             self.crops.save_if_changed(parts.map.crops, now_ns)
         if not (changed or self._writer.is_due(now_ns)):
             return
@@ -137,26 +139,26 @@ class ServiceCheckpoint:
 
     def status(self) -> dict[str, object]:
         """Return the part of the status message."""
-        writer, known = self._writer, self.map
-        crops = self.crops
+        writer, map_checkpoint, crops = self._writer, self.map, self.crops
         problems = (
-            writer.problem, known.writer.problem, known.problem, self.problem,
+            writer.problem, map_checkpoint.writer.problem, map_checkpoint.problem, self.problem,
             crops.writer.problem, crops.problem,
         )  # fmt: skip
         return {
             "path": str(writer.path), "written": writer.written, "failed": writer.failed,
-            "places_written": known.writer.written,
+            "places_written": map_checkpoint.writer.written,  # the map's file
             "problem": next(filter(None, problems), ""),
         }  # fmt: skip
 
     def close(self) -> None:
         """Write the last state and stop the writers."""
         self.map.close()
-        self.crops.close(self._noted_crops)
+        self.crops.close(self._newest_crops)
         self._writer.close()
 
 
 def _unfinished(saved: MissionState, instruction: str | None) -> MissionState | None:
+    """Return the saved mission if it is unfinished and not replaced by another instruction."""
     if saved.phase in ("idle", "reached", "failed"):
         return None
     if instruction is not None and instruction != saved.instruction:

@@ -1,4 +1,6 @@
-"""Scores of views from co-occurring objects, without a vision-language model.
+"""Scores of views from objects that share a room, without a vision-language model.
+
+`edge.loop.scorers` uses them where the configuration names no such model.
 
 The table of objects that share a room was counted over furnished houses (see
 `edge.perception.prior.table`).
@@ -17,7 +19,7 @@ from edge.types import Detections
 
 
 class RelatedScores:
-    """A score of a whole view from the detector's boxes, in the manner of VLFM.
+    """Scores a whole view by the detector's boxes, one score for each target (like VLFM).
 
     The score of a target is the maximum of score(box) x P(target in the room | class of the box in
     the room) over all boxes, including context boxes. A box of the target itself has probability 1.
@@ -26,28 +28,30 @@ class RelatedScores:
 
     def __init__(self) -> None:
         self._table = table.load()
-        self._of: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
-        self._p = np.zeros((0, 0))
+        self._computed_for: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+        self._p_given_word = np.zeros((0, 0))
 
     def __call__(self, detections: Detections) -> np.ndarray:
         """Return (n,) float32 in [0, 1], a score for each prompt."""
-        targets, around = detections.prompts, detections.context
-        words = () if around is None else around.words
-        if (targets, words) != self._of:
-            self._of = targets, words
-            self._p = p_given(self._table, targets, (*targets, *words))
+        targets, context = detections.prompts, detections.context
+        words = () if context is None else context.words
+        if (targets, words) != self._computed_for:
+            self._computed_for = targets, words
+            self._p_given_word = p_object_given_word(self._table, targets, (*targets, *words))
         best = np.zeros(len(targets), np.float32)
         boxes = [(detections.class_id, detections.score)]
-        if around is not None:
-            boxes.append((around.class_id + len(targets), around.score))
+        if context is not None:
+            boxes.append((context.class_id + len(targets), context.score))
         for word, score in boxes:
             if len(word):
-                np.maximum(best, (self._p[:, word] * score).max(axis=1), out=best)
+                np.maximum(best, (self._p_given_word[:, word] * score).max(axis=1), out=best)
         return best
 
 
 class PriorChoice:
-    """A scorer of views that computes ViTL's two answers from the prior, without a model.
+    """Chooses between frontiers by the prior: computes ViTL's two answers without a model.
+
+    The answers are the probability of each direction, and that the view leads to the target.
 
     The probability of a direction is its share of the likelihood ratios. "Elsewhere" has the ratio
     1 of an average place. The odds that the view leads to the target at all are the ratio of its
@@ -77,7 +81,9 @@ class PriorChoice:
         """Do nothing: there is no background work."""
 
 
-def p_given(known: table.ObjectPrior, things: Sequence[str], words: Sequence[str]) -> np.ndarray:
+def p_object_given_word(
+    known: table.ObjectPrior, things: Sequence[str], words: Sequence[str]
+) -> np.ndarray:
     """Return P(a room holds the object | it holds the word).
 
     This is the share of rooms that hold the object, times the likelihood ratio of the pair.

@@ -14,6 +14,7 @@ from edge.memory import MAX_CROP_BYTES, CropStore
 
 SUFFIX = ".crops"
 PERIOD_S = 30.0
+"""Shortest time between two writes."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class CropState:
 
 
 CROPS = CheckpointFormat("edge-crops", "pictures", CropState, MAX_CROP_BYTES + (1 << 20))
+"""Format of the file."""
 
 
 class CropCheckpoint:
@@ -47,7 +49,7 @@ class CropCheckpoint:
     def __init__(self, path: Path) -> None:
         self._loaded, self.problem = load(path, CROPS)
         self.writer = CheckpointWriter(path, CROPS, PERIOD_S)
-        self._written = 0  # `CropStore.changes` at the last post
+        self._queued_changes = 0  # `CropStore.changes` when the pictures were last queued
 
     def restore(self, crops: CropStore) -> None:
         """Load the pictures of the file; the map of the same run was restored before."""
@@ -57,19 +59,20 @@ class CropCheckpoint:
             crops.load_state_dict(self._loaded.arrays)
         except ValueError as error:
             self._loaded, self.problem = None, set_aside(self.writer.path, str(error))
-        self._written = crops.changes
+        self._queued_changes = crops.changes
 
     def save_if_changed(self, crops: CropStore, now_ns: int) -> None:
         """Pass the pictures to the writer if they changed and it is time. Never block."""
-        if crops.changes != self._written and self.writer.is_due(now_ns):
+        if crops.changes != self._queued_changes and self.writer.is_due(now_ns):
             self._post(crops, now_ns)
 
     def close(self, crops: CropStore | None) -> None:
-        """Write the last pictures, if a tick passed them, and stop the writer."""
-        if crops is not None and crops.changes != self._written:
+        """Write the last pictures, and stop the writer; `crops` is None if there was no tick."""
+        if crops is not None and crops.changes != self._queued_changes:
             self._post(crops, 0)
         self.writer.close()
 
     def _post(self, crops: CropStore, now_ns: int) -> None:
-        self._written, n, take = crops.changes, len(crops), crops.snapshot()
+        """Queue the pictures for the writer."""
+        self._queued_changes, n, take = crops.changes, len(crops), crops.snapshot()
         self.writer.post(lambda: Checkpoint(CropState(n), take()), now_ns)

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-OVER_S, DWELL_S, ROOM_S = 3.0, 15.0, 60.0
-"""Seconds of overload before more work is dropped, shortest time between two changes of the level,
-and seconds of low load before work is added again."""
-ROOM = 0.7
+OVER_S = 3.0
+"""More work is dropped after this time of overload."""
+DWELL_S = 15.0
+"""Shortest time between two changes of the level."""
+LOW_S = 60.0
+"""Work is added again after this time of low load."""
+LOW_LOAD = 0.7
 """The load is low if the detector takes at most this share of its budget."""
 MOST_DOUBLINGS = 6
-"""Largest number of doublings of `ROOM_S` after work was added in vain: about an hour."""
-UNLIKELY = 4
-"""Doublings of `ROOM_S` before work is added that should not fit, by earlier times of that level.
-It is tried seldom, because the load may have changed."""
+"""Largest number of doublings of `LOW_S` after work was added in vain: about an hour."""
+UNLIKELY_DOUBLINGS = 4
+"""Least doublings of `LOW_S` if the detector would be too slow with the added work, by its earlier
+times. The work is then tried seldom, but it is tried: the load may have changed."""
 
 
 class LoadSample(NamedTuple):
@@ -67,15 +70,15 @@ class DegradationLevels:
     def __init__(self, n_levels: int, budget_ms: float) -> None:
         self.level, self.budget_ms = 0, budget_ms
         self._n_levels = n_levels
-        self._over_ns, self._dwell_ns, self._room_ns = map(_ns, (OVER_S, DWELL_S, ROOM_S))
-        self._strained_ns: int | None = None  # since when, without a break
-        self._low_ns: int | None = None
-        self._moved_ns: int | None = None
-        # When work was last added, and how long it must stay.
-        self._rose: tuple[int, int] | None = None
-        self._doublings = 0
-        self._left_ms: float | None = None  # detector time on the previous level, when it was left
-        # Detector time on a level, divided by that on the next.
+        self._over_ns, self._dwell_ns, self._low_for_ns = map(_ns, (OVER_S, DWELL_S, LOW_S))
+        self._overload_since_ns: int | None = None  # start of the present overload
+        self._low_since_ns: int | None = None  # start of the present low load
+        self._changed_ns: int | None = None  # time of the newest change of the level
+        # Time when work was last added, and time for which it must stay.
+        self._added: tuple[int, int] | None = None
+        self._doublings = 0  # of `LOW_S`; one more after each attempt that failed
+        self._ms_before_change: float | None = None  # detector time before the newest higher level
+        # By level: detector time on it, divided by that on the next higher level.
         self._ratio = [1.0] * self._n_levels
 
     def update(self, sample: LoadSample, now_ns: int) -> LevelChange | None:
@@ -84,22 +87,22 @@ class DegradationLevels:
         The caller must call `arrived` or `change_failed` before the next call.
         """
         took_ms = sample.detect_ms
-        if took_ms is not None and self._left_ms is not None:
-            self._ratio[self.level - 1] = max(1.0, self._left_ms / max(took_ms, 1e-3))
-            self._left_ms = None
-        why = self._strain(sample)
-        low = not why and sample.has_headroom and self._fits(took_ms)
-        self._strained_ns = _since(self._strained_ns, bool(why), now_ns)
-        self._low_ns = _since(self._low_ns, low, now_ns)
-        if self._moved_ns is not None and now_ns - self._moved_ns < self._dwell_ns:
+        if took_ms is not None and self._ms_before_change is not None:
+            self._ratio[self.level - 1] = max(1.0, self._ms_before_change / max(took_ms, 1e-3))
+            self._ms_before_change = None
+        why = self._overload_reason(sample)
+        low = not why and sample.has_headroom and self._is_low(took_ms)
+        self._overload_since_ns = _since(self._overload_since_ns, bool(why), now_ns)
+        self._low_since_ns = _since(self._low_since_ns, low, now_ns)
+        if self._changed_ns is not None and now_ns - self._changed_ns < self._dwell_ns:
             return None
-        if self._strained_ns is not None and self.level < self._n_levels:
-            if now_ns - self._strained_ns < self._over_ns:
+        if self._overload_since_ns is not None and self.level < self._n_levels:
+            if now_ns - self._overload_since_ns < self._over_ns:
                 return None
-            self._left_ms = took_ms
+            self._ms_before_change = took_ms
             return LevelChange(self.level + 1, f"{why}, for over {OVER_S:g} s")
-        if self._low_ns is not None and took_ms is not None and self.level > 0:
-            waited_ns = now_ns - self._low_ns
+        if self._low_since_ns is not None and took_ms is not None and self.level > 0:
+            waited_ns = now_ns - self._low_since_ns
             if waited_ns >= self._wait_ns(took_ms):
                 return LevelChange(self.level - 1, f"the load was low for {waited_ns * 1e-9:.0f} s")
         return None
@@ -107,18 +110,18 @@ class DegradationLevels:
     def arrived(self, level: int, now_ns: int) -> None:
         """Record that a level was reached."""
         if level < self.level:
-            self._rose = now_ns, 2 * (self._room_ns << self._doublings)
-        elif self._rose is not None:
-            rose_ns, lasting_ns = self._rose
-            self._count(failed=now_ns - rose_ns < lasting_ns)
-            self._rose = None
+            self._added = now_ns, 2 * (self._low_for_ns << self._doublings)
+        elif self._added is not None:
+            added_ns, must_stay_ns = self._added
+            self._count_attempt(failed=now_ns - added_ns < must_stay_ns)
+            self._added = None
         self.level = level
         self._restart(now_ns)
 
     def change_failed(self, now_ns: int) -> None:
         """Record that the change cannot be made."""
-        self._left_ms = None
-        self._count(failed=True)
+        self._ms_before_change = None
+        self._count_attempt(failed=True)
         self._restart(now_ns)
 
     def reset_times(self) -> None:
@@ -126,7 +129,8 @@ class DegradationLevels:
         self._ratio = [1.0] * self._n_levels
         self._doublings = 0
 
-    def _strain(self, sample: LoadSample) -> str:
+    def _overload_reason(self, sample: LoadSample) -> str:
+        """Return the reason why the computer is overloaded; "" if it is not."""
         if sample.distress or sample.detect_ms is None or sample.detect_ms <= self.budget_ms:
             return sample.distress
         return (
@@ -134,23 +138,26 @@ class DegradationLevels:
             f"({self.budget_ms:g})"
         )
 
-    def _fits(self, detect_ms: float | None) -> bool:
-        return detect_ms is not None and detect_ms <= ROOM * self.budget_ms
+    def _is_low(self, detect_ms: float | None) -> bool:
+        return detect_ms is not None and detect_ms <= LOW_LOAD * self.budget_ms
 
     def _wait_ns(self, took_ms: float) -> int:
         """Return how long the load must be low before work is added again."""
-        fits = self._fits(took_ms * self._ratio[self.level - 1])
-        return self._room_ns << (self._doublings if fits else max(self._doublings, UNLIKELY))
+        would_be_low = self._is_low(took_ms * self._ratio[self.level - 1])
+        return self._low_for_ns << (
+            self._doublings if would_be_low else max(self._doublings, UNLIKELY_DOUBLINGS)
+        )
 
-    def _count(self, failed: bool) -> None:
+    def _count_attempt(self, failed: bool) -> None:
         self._doublings = min(self._doublings + 1, MOST_DOUBLINGS) if failed else 0
 
     def _restart(self, now_ns: int) -> None:
-        self._moved_ns, self._strained_ns, self._low_ns = now_ns, None, None
+        self._changed_ns, self._overload_since_ns, self._low_since_ns = now_ns, None, None
 
 
-def _since(before_ns: int | None, holds: bool, now_ns: int) -> int | None:
-    if not holds:
+def _since(before_ns: int | None, is_true: bool, now_ns: int) -> int | None:
+    """Return the time since which a condition has been true without a break; None if it is not."""
+    if not is_true:
         return None
     return now_ns if before_ns is None else before_ns
 

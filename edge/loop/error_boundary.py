@@ -22,6 +22,7 @@ log = logging.getLogger("edge.loop.error_boundary")
 DEGRADED_AFTER = 30
 """Consecutive failures of one step after which the service is degraded: 1 s of ticks."""
 TICK, IDLE = "tick", "idle"
+"""Names of the steps of the runner: a tick, and a cycle without a usable observation."""
 
 T = TypeVar("T")
 
@@ -38,10 +39,10 @@ class ErrorBoundary:
         last_error: Text of the newest exception; "" if there was none.
 
     Example:
-        >>> faults = ErrorBoundary(lambda text, now_ns: None)
-        >>> with faults.contain("sink", now_ns=0):
+        >>> boundary = ErrorBoundary(lambda text, now_ns: None)
+        >>> with boundary.contain("sink", now_ns=0):
         ...     raise KeyError("x")
-        >>> faults.failures
+        >>> boundary.failures
         {'sink: KeyError': 1}
     """
 
@@ -50,7 +51,7 @@ class ErrorBoundary:
         self.failures: dict[str, int] = {}
         self.last_error = ""
         self._event = event
-        self._consecutive: dict[str, int] = {}
+        self._consecutive: dict[str, int] = {}  # failures in a row, by step
 
     @property
     def state(self) -> str:

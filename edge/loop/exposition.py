@@ -1,4 +1,7 @@
-"""Prometheus page of metrics. Tables list the metrics; a scrape reads their values."""
+"""Prometheus page of metrics. Tables list the metrics; a scrape reads their values.
+
+`edge.loop.metrics` has the tables. A metric has one series for each combination of label values.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +21,9 @@ from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
     HistogramMetricFamily,
+    Metric,
     StateSetMetricFamily,
 )
-from prometheus_client.core import Metric as Family
 from prometheus_client.registry import Collector
 
 from edge.host.web_server import HttpResponse
@@ -31,12 +34,13 @@ MOST_SERIES = 100
 """Largest number of series of one counter. Labels from outside may have any number of values, and
 Prometheus keeps each series for weeks. All further values are summed up as `OTHER`."""
 OTHER = "other"
-_LONGEST_LABEL = 100  # characters
+_LONGEST_LABEL = 100  # characters of a label value
 
 Source = TypeVar("Source")
 Kind = Literal["counter", "gauge", "state", "histogram"]
+"""Kinds of Prometheus; a `state` is a StateSet: one series for each state."""
 
-_FAMILIES = {
+_CLASSES = {
     "counter": CounterMetricFamily,
     "gauge": GaugeMetricFamily,
     "histogram": HistogramMetricFamily,
@@ -66,31 +70,31 @@ class MetricSpec(Generic[Source]):
     states: tuple[str, ...] = ()
 
 
-ReadMetrics = Callable[[], Iterable[Family]]
+ReadMetrics = Callable[[], Iterable[Metric]]
 """Function that returns all metrics with their current values; called at each scrape."""
 
 
-def families(table: Iterable[MetricSpec[Source]], source: Source) -> Iterator[Family]:
+def read_table(table: Iterable[MetricSpec[Source]], source: Source) -> Iterator[Metric]:
     """Yield the metrics of a table with their current values in a source."""
-    for metric in table:
-        found = metric.read(source)
-        if metric.kind == "state":
+    for spec in table:
+        found = spec.read(source)
+        if spec.kind == "state":
             yield StateSetMetricFamily(
-                metric.name, metric.help, {state: state == found for state in metric.states}
+                spec.name, spec.help, {state: state == found for state in spec.states}
             )
             continue
         found = {} if found is None else found
         samples = found if isinstance(found, Mapping) else {(): found}
-        family = _FAMILIES[metric.kind](metric.name, metric.help, labels=metric.labels)
-        if metric.kind == "histogram":
-            _fill_buckets(family, samples)
+        metric = _CLASSES[spec.kind](spec.name, spec.help, labels=spec.labels)
+        if spec.kind == "histogram":
+            _add_histograms(metric, samples)
         else:
-            _fill(family, samples)
-        yield family
+            _add_numbers(metric, samples)
+        yield metric
 
 
 class Exposition(Collector):
-    """The collector of a scrape: process and interpreter metrics, and the metrics of `read`.
+    """The page `/metrics`: metrics of the process and the interpreter, and those of `read`.
 
     Args:
         read: Yields the metrics. Each scrape calls it on its own thread.
@@ -103,7 +107,8 @@ class Exposition(Collector):
         for collector in (ProcessCollector, GCCollector, PlatformCollector):
             collector(registry=self._registry)
 
-    def collect(self) -> Iterable[Family]:
+    def collect(self) -> Iterable[Metric]:
+        """Return the metrics of `read`; the registry calls it at each scrape."""
         return self._read()
 
     def page(self) -> HttpResponse:
@@ -111,33 +116,33 @@ class Exposition(Collector):
         return HttpResponse(generate_latest(self._registry), CONTENT_TYPE_LATEST)
 
 
-def _fill(family: Any, samples: Mapping[Any, float]) -> None:
-    """Add a sample for each label, or tuple of labels.
+def _add_numbers(metric: Any, samples: Mapping[Any, float]) -> None:
+    """Add a sample for each label value, or tuple of label values.
 
-    Labels may become equal when they are cleaned. Counters of equal labels are added. Of gauges,
-    the last one wins.
+    Label values may become equal when `one_line` cuts them. Counters of equal labels are then
+    added. Of gauges, the last one wins.
     """
     merged: dict[tuple[str, ...], float] = {}
     for key, value in samples.items():
         labels = tuple(one_line(text, _LONGEST_LABEL) for text in _labels(key))
-        if family.type == "counter":
+        if metric.type == "counter":
             if labels not in merged and len(merged) >= MOST_SERIES:
                 labels = (OTHER,) * len(labels)
             value += merged.get(labels, 0)
         merged[labels] = value
     for labels, value in merged.items():
-        family.add_metric(labels, value)
+        metric.add_metric(labels, value)
 
 
-def _fill_buckets(family: Any, samples: Mapping[Any, Histogram]) -> None:
-    """Add the buckets of each label. Buckets of Prometheus are cumulative."""
+def _add_histograms(metric: Any, samples: Mapping[Any, Histogram]) -> None:
+    """Add the buckets for each label value. Buckets of Prometheus are cumulative."""
     for key, histogram in samples.items():
         n_samples, buckets = 0, []
         bounds = (*map(repr, histogram.bounds_s), "+Inf")
         for bound, count in zip(bounds, histogram.counts, strict=True):
             n_samples += count
             buckets.append((bound, n_samples))
-        family.add_metric(_labels(key), buckets, histogram.sum_s)
+        metric.add_metric(_labels(key), buckets, histogram.sum_s)
 
 
 def _labels(key: str | tuple[str, ...]) -> tuple[str, ...]:

@@ -47,9 +47,10 @@ _SAME_POINT_M = 0.6
 _STOP_SHORT_M = 0.05
 """The robot stops by this distance nearer to an object than it must."""
 
-_KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "spin")
+_KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "spin")  # kinds that are saved
 
 Verdict = Literal["reached", "rejected", "out of reach"]
+"""Outcome of a goal at an object; see `GoalTracker._judge`."""
 
 
 @dataclass(slots=True, eq=False)
@@ -310,7 +311,7 @@ class GoalTracker:
     def _best_candidate(self, context: PolicyInput, score: np.ndarray) -> _TrackedGoal | None:
         """Return a goal for the best candidate: the current goal, if it is still valid."""
         c, policy, search = context.candidates, self._config.policy, self._search
-        tracked, held = self._tracked, None
+        tracked, current = self._tracked, None
         min_distance_m, first = policy.delta_reached_m, policy.confirmed_first
         order = ranked(c, score, context.pose, min_distance_m, first)
         if search.exhausted:
@@ -318,9 +319,9 @@ class GoalTracker:
             order = order[lasting | (c.kind[order] == INSTANCE)]
         if tracked is not None:
             often_left = partial(search.often_left, tracked.goal.candidate_xy_m)
-            held = CurrentGoal(tracked.goal, tracked.peak, often_left)
+            current = CurrentGoal(tracked.goal, tracked.peak, often_left)
         chosen = choose(
-            context, score, order, held, policy.switch_margin, self._tracker.get, self._stop_m
+            context, score, order, current, policy.switch_margin, self._tracker.get, self._stop_m
         )
         goal, peak, unchanged = chosen or (None, 0.0, False)
         if tracked is not None and tracked.goal.kind == "frontier" and not unchanged:
@@ -493,8 +494,9 @@ class GoalTracker:
             instance = self._tracker.get(tracked.goal.candidate_id)
         verdict = None
         if tracked is None or instance is None:
-            is_given = tracked is not None and tracked.goal.kind in ("trajectory", "place")
-            self.phase = "approaching" if is_given else "searching"
+            # A trajectory or a place is known from the start, so nothing is searched for.
+            has_path_goal = tracked is not None and tracked.goal.kind in ("trajectory", "place")
+            self.phase = "approaching" if has_path_goal else "searching"
         elif verdict := self._judge(
             tracked, instance, pose, now_ns, images, is_reached or self._tracker.confirmed
         ):
@@ -550,6 +552,7 @@ class GoalTracker:
         mission: MissionRun,
         now_ns: int,
     ) -> None:
+        """Apply the verdict on the goal's instance to tracker, mission and goal."""
         if verdict == "reached" and mission.spec.steps is not None:
             self.abandon()  # a task wanted only the confirmation of this object
             return
@@ -655,6 +658,7 @@ class GoalTracker:
             **self._search.state_dict(),
             "kind": np.array([_KINDS.index(goal.kind) for goal, _ in goals], np.int8),
             "id": np.array([goal.candidate_id for goal, _ in goals], np.int64),
+            # x_m, y_m, yaw_rad of the goal; x_m, y_m of its candidate; score; peak.
             "at": np.array(
                 [
                     (*astuple(goal.pose), *goal.candidate_xy_m, goal.score, peak)
@@ -670,8 +674,8 @@ class GoalTracker:
         """
         tracked, goal_rows = None, ("kind", "id", "at")
         rows = {goal_rows: 1, ("left_m",): LEFT, ("missed",): 1}
-        most = {"kind": len(_KINDS) - 1, "turns": 1000}
-        check_arrays(state, self.state_dict(), rows, most)
+        max_values = {"kind": len(_KINDS) - 1, "turns": 1000}
+        check_arrays(state, self.state_dict(), rows, max_values)
         for kind, i, at in zip(state["kind"], state["id"], state["at"].tolist(), strict=True):
             x_m, y_m, yaw_rad, to_x_m, to_y_m, score, peak = at
             pose = SE2(x_m, y_m, yaw_rad)

@@ -6,14 +6,14 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from typing import NamedTuple
 
-# Upper bounds of the buckets for durations of stages. They are close together near the budgets
-# and near the period of a camera.
-SPANS_S = (
+STAGE_BOUNDS_S = (
     1e-4, 2e-4, 3e-4, 5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 5e-3,
     0.01, 0.02, 0.033, 0.05, 0.1, 0.2, 0.5, 1.0,
 )  # fmt: skip
-# Upper bounds of the buckets for intervals between ticks.
-INTERVALS_S = (5e-3, 0.01, 0.02, 0.03, 0.035, 0.04, 0.05, 0.07, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+"""Upper bounds of the buckets for durations of stages. They are close together near the budgets
+and near the period of a camera."""
+INTERVAL_BOUNDS_S = (5e-3, 0.01, 0.02, 0.03, 0.035, 0.04, 0.05, 0.07, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+"""Upper bounds of the buckets for intervals between ticks."""
 
 
 class Histogram(NamedTuple):

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from edge.host.calibration import HINT, SpeedCalibration
-from edge.loop.histogram import INTERVALS_S, SPANS_S, Histogram, Histograms
+from edge.loop.histogram import INTERVAL_BOUNDS_S, STAGE_BOUNDS_S, Histogram, Histograms
 from edge.loop.stages import STAGES, TICK_BUDGET_MS, TICK_DEADLINE_MS, Stage
 
 TICK = "tick"
-NOT_RUN = -1
-_NEVER = np.iinfo(np.int64).max
-_MS = 1e-6
+NOT_RUN = -1  # duration of a stage that did not run in a tick
+_NO_LIMIT = np.iinfo(np.int64).max
+_MS_PER_NS = 1e-6
 _QUANTILES = np.array([0.50, 0.95, 0.99, 1.0])
 
 
@@ -132,15 +132,15 @@ class LatencyReport:
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object that is sent on `edge.bus.topics.LATENCY`; times in ms."""
 
-        def brief(row: StageLatency) -> dict[str, Any]:
-            values = {key: _rounded(getattr(row, key)) for key in _COLUMNS}
+        def to_json(row: StageLatency) -> dict[str, Any]:
+            values = {key: _rounded(getattr(row, key)) for key in _JSON_FIELDS}
             return {**values, "verdict": row.verdict}
 
         return {
-            "tick": brief(self.tick),
+            "tick": to_json(self.tick),
             "deadline_ms": self.deadline_ms,
             "slowdown": None if self.calibration is None else _rounded(self.calibration.slowdown),
-            "stages": {row.name: brief(row) for row in self.stages},
+            "stages": {row.name: to_json(row) for row in self.stages},
         }
 
     def table(self) -> str:
@@ -159,7 +159,7 @@ class LatencyReport:
         return "\n".join(lines)
 
 
-_COLUMNS = tuple(field.name for field in fields(StageLatency) if field.name != "name")
+_JSON_FIELDS = tuple(field.name for field in fields(StageLatency) if field.name != "name")
 
 
 def _rounded(value: Any) -> Any:
@@ -167,18 +167,20 @@ def _rounded(value: Any) -> Any:
 
 
 def _line(cells: tuple[str, ...]) -> str:
-    widths = (12, 8, 9, 9, 9, 9, 10, 7, 7)
+    """Return the cells as one line; the last cell is the bar."""
+    widths = (12, 8, 9, 9, 9, 9, 10, 7, 7)  # characters, all but the bar
     name, *numbers, bar = cells
     padded = "".join(f"{cell:>{width}}" for cell, width in zip(numbers, widths[1:], strict=True))
     return f"{name:<{widths[0]}}{padded}  {bar:<10}"
 
 
 def _cells(row: StageLatency) -> tuple[str, ...]:
+    """Return the cells of one line of the table."""
     times = (row.p50_ms, row.p95_ms, row.p99_ms, row.max_ms)
     texts = [f"{value:.3f}" if row.n else "-" for value in times]
     name = row.name if row.in_tick else f"{row.name}*"
-    held_to = ("-", "-") if row.budget_ms is None else (f"{row.budget_ms:.3g}", f"{row.overruns}")
-    return (name, f"{row.count}", *texts, *held_to, f"{row.drops}", _bar(row))
+    limit = ("-", "-") if row.budget_ms is None else (f"{row.budget_ms:.3g}", f"{row.overruns}")
+    return (name, f"{row.count}", *texts, *limit, f"{row.drops}", _bar(row))
 
 
 def _bar(row: StageLatency, width: int = 10) -> str:
@@ -248,31 +250,35 @@ class LatencyRing:
         self._spans_ns = np.full((capacity, n + 1), NOT_RUN, dtype=np.int64)
         self._begins_ns = np.zeros(capacity, dtype=np.int64)  # of the ticks
         self._received_ns = np.zeros((capacity, n), dtype=np.int64)  # ends of background spans
-        # A list while the tick runs: setting the items of an array one by one takes twice as long.
+        # Durations of the tick that runs. They are a list, because setting the items of an array
+        # one by one takes twice as long; `end_tick` copies it to `_tick_ns`.
         self._blank = [NOT_RUN] * (n + 1)
-        self._now_ns = list(self._blank)
+        self._current_ns = list(self._blank)
         self._tick_ns = np.full(n + 1, NOT_RUN, dtype=np.int64)
         self._in_tick = tuple(stage.in_tick for stage in stages)
         self._in_tick_columns = np.array([*self._in_tick, True])
         limits_ms = [*self._budget_ms, TICK_DEADLINE_MS]
-        self._limit_ns = np.array([_NEVER if ms is None else round(ms / _MS) for ms in limits_ms])
-        self._over = np.zeros(n + 1, dtype=bool)
+        self._limit_ns = np.array(
+            [_NO_LIMIT if ms is None else round(ms / _MS_PER_NS) for ms in limits_ms]
+        )
+        self._over = np.zeros(n + 1, dtype=bool)  # buffers of `end_tick`
         self._ran = np.zeros(n + 1, dtype=bool)
         self._overruns = np.zeros(n + 1, dtype=np.int64)
         self._count = np.zeros(n + 1, dtype=np.int64)
         self._drops = [0] * n
         self._abandoned = [0] * n
         self._ticks = 0
-        self._began_ns = self._marked_ns = self._started_ns = 0
-        self._previous_ns: int | None = None  # when the tick before began
-        self._durations = Histograms(n + 1, SPANS_S)
-        self._intervals = Histograms(1, INTERVALS_S)
+        # Start of the tick, moved forward by `exclude_elapsed`; the newest mark; the true start.
+        self._begin_ns = self._marked_ns = self._cycle_begin_ns = 0
+        self._last_cycle_begin_ns: int | None = None  # `_cycle_begin_ns` of the tick before
+        self._durations = Histograms(n + 1, STAGE_BOUNDS_S)
+        self._intervals = Histograms(1, INTERVAL_BOUNDS_S)
         self._lock = threading.Lock()
 
     def begin_tick(self, t_ns: int) -> None:
         """Start a tick. A tick that was not ended is dropped."""
-        self._now_ns[:] = self._blank
-        self._began_ns = self._marked_ns = self._started_ns = t_ns
+        self._current_ns[:] = self._blank
+        self._begin_ns = self._marked_ns = self._cycle_begin_ns = t_ns
 
     def mark(self, stage: int, t_ns: int) -> None:
         """End a stage: it took the time since the last mark, or since the start of the tick.
@@ -283,10 +289,10 @@ class LatencyRing:
         self._marked_ns = t_ns
 
     def span(self, stage: int, duration_ns: int) -> None:
-        """Add a duration of a stage. Durations of one tick are added up."""
+        """Add a duration of a stage. The durations of a stage in one tick are added up."""
         if self._in_tick[stage]:
-            before_ns = self._now_ns[stage]
-            self._now_ns[stage] = duration_ns if before_ns < 0 else before_ns + duration_ns
+            before_ns = self._current_ns[stage]
+            self._current_ns[stage] = duration_ns if before_ns < 0 else before_ns + duration_ns
         else:
             self._background_span(stage, duration_ns)
 
@@ -301,27 +307,27 @@ class LatencyRing:
 
     def exclude_elapsed(self, t_ns: int) -> None:
         """Exclude the time since the last mark from the tick."""
-        self._began_ns += t_ns - self._marked_ns
+        self._begin_ns += t_ns - self._marked_ns
         self._marked_ns = t_ns
 
     def end_tick(self, t_ns: int) -> None:
         """End the tick and add it to the ring."""
-        self._now_ns[-1] = t_ns - self._began_ns
-        now = self._tick_ns
-        now[:] = self._now_ns
-        np.greater(now, self._limit_ns, out=self._over)
-        np.greater_equal(now, 0, out=self._ran)
-        before_ns, self._previous_ns = self._previous_ns, self._started_ns
+        self._current_ns[-1] = t_ns - self._begin_ns
+        tick_ns = self._tick_ns
+        tick_ns[:] = self._current_ns
+        np.greater(tick_ns, self._limit_ns, out=self._over)
+        np.greater_equal(tick_ns, 0, out=self._ran)
+        before_ns, self._last_cycle_begin_ns = self._last_cycle_begin_ns, self._cycle_begin_ns
         with self._lock:
             i = self._ticks % self._capacity
-            self._begins_ns[i] = self._began_ns
-            np.copyto(self._spans_ns[i], now, where=self._in_tick_columns)
+            self._begins_ns[i] = self._begin_ns
+            np.copyto(self._spans_ns[i], tick_ns, where=self._in_tick_columns)
             self._overruns += self._over
             self._count += self._ran
             self._ticks += 1
-            self._durations.add(self._now_ns)
+            self._durations.add(self._current_ns)
             if before_ns is not None:
-                self._intervals.add_one(0, self._started_ns - before_ns)
+                self._intervals.add_one(0, self._cycle_begin_ns - before_ns)
 
     def abandon_tick(self, stage: int) -> None:
         """Count a tick that ended in an error of this stage, as a drop of the stage.
@@ -351,8 +357,8 @@ class LatencyRing:
                 self._stages, self._budget_ms, windows, count, overruns, drops, strict=False
             )
         )
-        whole = (*_summary(windows[-1]), count[-1], overruns[-1], sum(drops))
-        tick = StageLatency(TICK, self._tick_budget_ms, *whole)
+        values = (*_summary(windows[-1]), count[-1], overruns[-1], sum(drops))
+        tick = StageLatency(TICK, self._tick_budget_ms, *values)
         return LatencyReport(rows, tick, calibration=self._calibration)
 
     def histograms(self) -> LatencyHistograms:
@@ -370,11 +376,12 @@ class LatencyRing:
             after_ns: Only ticks that began, and background spans that ended, after this time.
             before_ns: Only those at or before this time; None: no limit.
         """
-        columns = np.flatnonzero(~self._in_tick_columns)
+        background_columns = np.flatnonzero(~self._in_tick_columns)
         with self._lock:
             rows = self._newest(self._ticks, None)
             begins_ns, spans_ns = self._begins_ns[rows], self._spans_ns[rows]
-            background = [(i, self._newest(int(self._count[i]), None)) for i in columns]
+            background = [(i, self._newest(int(self._count[i]), None)) for i in background_columns]
+            # By background stage: its column, and the end and duration of each span.
             ends_ns = [(i, self._received_ns[at, i], self._spans_ns[at, i]) for i, at in background]
         until_ns = np.iinfo(np.int64).max if before_ns is None else before_ns
         wanted = (begins_ns > after_ns) & (begins_ns <= until_ns)
@@ -388,9 +395,11 @@ class LatencyRing:
                 if in_tick and took_ns >= 0:
                     found.append(Span(name, begin_ns, took_ns, True))
                     begin_ns += took_ns
-        for i, up_ns, took in ends_ns:
-            wanted = (up_ns > after_ns) & (up_ns <= until_ns)
-            for end_ns, took_ns in zip(up_ns[wanted].tolist(), took[wanted].tolist(), strict=True):
+        for i, stage_ends_ns, took in ends_ns:
+            wanted = (stage_ends_ns > after_ns) & (stage_ends_ns <= until_ns)
+            for end_ns, took_ns in zip(
+                stage_ends_ns[wanted].tolist(), took[wanted].tolist(), strict=True
+            ):
                 found.append(Span(names[i], end_ns - took_ns, took_ns, False))
         return found
 
@@ -414,5 +423,5 @@ def _summary(window_ns: np.ndarray) -> tuple[int, float, float, float, float]:
     low = position.astype(np.int64)
     high = np.minimum(low + 1, n - 1)
     values = spans[low] + (position - low) * (spans[high] - spans[low])
-    p50, p95, p99, top = (values * _MS).tolist()
-    return n, p50, p95, p99, top
+    p50, p95, p99, longest = (values * _MS_PER_NS).tolist()
+    return n, p50, p95, p99, longest

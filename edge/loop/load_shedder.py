@@ -36,9 +36,9 @@ class LoadShedder:
     Args:
         perception: The configuration, with degradation levels.
         worker: Background worker of the detector.
-        swapper: Swaps the detector's model.
+        detector_swap: Swaps the detector's model.
         scorers: The scorers, which a level may pause.
-        tell: Reports each change of the level: one line, and the loop time [ns].
+        event: Reports each change of the level: one line, and the loop time [ns].
         board: Reads the computer's sensors, on its own thread.
 
     Raises:
@@ -52,17 +52,17 @@ class LoadShedder:
         self,
         perception: PerceptionConfig,
         worker: DetectorWorker,
-        swapper: DetectorSwap,
+        detector_swap: DetectorSwap,
         scorers: Scorers | None,
-        tell: Callable[[str, int], None],
+        event: Callable[[str, int], None],
         board: Callable[[], BoardReading] = read_board,
     ) -> None:
         self._perception = perception
         self._settings = perception.load_shedding.levels
         for name in filter(None, (entry.model for entry in self._settings)):
-            _check_here(name)
-        self._detector, self._swapper, self._scorers = worker, swapper, scorers
-        self._log = tell
+            _check_model_is_here(name)
+        self._worker, self._detector_swap, self._scorers = worker, detector_swap, scorers
+        self._event = event
         self.steps = {"down": 0, "up": 0}
         self._last_change = ""
         self._unfit_models: set[str] = set()
@@ -100,9 +100,9 @@ class LoadShedder:
         elif self._is_blocked:
             self._restart_measurement(now_ns)
         elif now_ns - self._measured_from_ns >= SECOND_NS:
-            second = self._load_of_last_second()
+            sample = self._load_sample()
             self._restart_measurement(now_ns)
-            change = self._state.update(second, now_ns)
+            change = self._state.update(sample, now_ns)
             if change is not None:
                 self._begin_change(change, now_ns)
 
@@ -128,8 +128,8 @@ class LoadShedder:
     def _is_blocked(self) -> bool:
         """True if another swap runs, or if the current model is not that of the level."""
         wanted = self._model_on(self.level)
-        running = wanted is None or self._swapper.running == wanted
-        return not running or self._swapper.state not in ("idle", *FINAL_STATES)
+        is_running = wanted is None or self._detector_swap.running == wanted
+        return not is_running or self._detector_swap.state not in ("idle", *FINAL_STATES)
 
     def _restart(self) -> None:
         """Restart at level 0, whose model runs."""
@@ -141,12 +141,14 @@ class LoadShedder:
         self._pause_scorers(0)
 
     def _measure(self) -> None:
-        stats = self._detector.stats
+        """Add the detector's time for a new image."""
+        stats = self._worker.stats
         if stats.done != self._n_detected:
             self._n_detected = stats.done
             self._detector_ms.append(stats.last_latency_ns * 1e-6)
 
     def _check_board(self, now_ns: int) -> None:
+        """Take the newest reading of the board's sensors, and request the next."""
         if self._board.idle:
             self._board.submit(True)
         board = self._board.poll()
@@ -157,16 +159,16 @@ class LoadShedder:
         self._cool = not throttling_reason(board, before, MARGIN_C + COOL_C)
         if before is not None and board.power_mode != before.power_mode:
             self._state.reset_times()
-            self._log(
+            self._event(
                 f"load shedding: the board's power mode changed from {before.power_mode} to "
                 f"{board.power_mode}; which level fits is measured again",
                 now_ns,
             )
 
-    def _load_of_last_second(self) -> LoadSample:
+    def _load_sample(self) -> LoadSample:
         """Return the load since the measurement was restarted."""
         median_ms = median(self._detector_ms) if self._detector_ms else None
-        state, detail = detector_health(self._detector)
+        state, detail = detector_health(self._worker)
         degraded = f"the detector is degraded: {detail}" if state == "degraded" else ""
         return LoadSample(median_ms, degraded or self._distress, self._cool)
 
@@ -175,6 +177,7 @@ class LoadShedder:
         self._detector_ms.clear()
 
     def _begin_change(self, change: LevelChange, now_ns: int) -> None:
+        """Report a change of the level, and start it; a swap of the detector takes some time."""
         down = change.level > self.level
         paused = self._settings[max(change.level, self.level) - 1].pause
         wanted = self._model_on(change.level)
@@ -183,12 +186,12 @@ class LoadShedder:
             action = f"pause {paused}" if down else f"resume {paused}"
         direction = f"{'down' if down else 'up'} to level {change.level} of {len(self._settings)}"
         self._last_change = f"{direction}: {action}: {change.why}"
-        self._log(f"load shedding: {self._last_change}", now_ns)
-        if wanted in (None, self._swapper.running):
+        self._event(f"load shedding: {self._last_change}", now_ns)
+        if wanted in (None, self._detector_swap.running):
             self._finish_change(change, now_ns)
             return
         try:
-            self._swapper.request(wanted, True, now_ns)
+            self._detector_swap.request(wanted, True, now_ns)
         except SwapError as error:
             self._abort_change(change, str(error), now_ns)
         else:
@@ -196,7 +199,7 @@ class LoadShedder:
 
     def _check_swap(self, change: LevelChange, now_ns: int) -> None:
         """Check the swap of the detector that a change of the level waits for."""
-        swap = self._swapper.status()
+        swap = self._detector_swap.status()
         if swap["state"] not in FINAL_STATES:
             return
         if swap["state"] == "kept":
@@ -216,8 +219,8 @@ class LoadShedder:
     def _abort_change(self, change: LevelChange, why: str, now_ns: int) -> None:
         self._pending_change = None
         self._last_change = f"level {change.level} cannot be used: {why}"
-        self._log(f"load shedding: {self._last_change}", now_ns)
-        if self._model_on(change.level) == self._swapper.running:
+        self._event(f"load shedding: {self._last_change}", now_ns)
+        if self._model_on(change.level) == self._detector_swap.running:
             # Without that model, the level has the model that runs now: only its pause is left.
             self._finish_change(change, now_ns)
         else:
@@ -234,6 +237,7 @@ class LoadShedder:
         return fit[-1] if fit else self._model
 
     def _paused_scorers(self, level: int) -> frozenset[str]:
+        """Return the scorers that a level pauses."""
         return frozenset(setting.pause for setting in self._settings[:level] if setting.pause)
 
     def _pause_scorers(self, level: int) -> None:
@@ -241,7 +245,7 @@ class LoadShedder:
             self._scorers.shed = self._paused_scorers(level)
 
 
-def _check_here(name: str) -> None:
+def _check_model_is_here(name: str) -> None:
     """Raise if a model is not on this computer."""
     card = load_detector_card(name)
     if card.server is None and not card.is_here():

@@ -48,11 +48,16 @@ log = logging.getLogger("edge.loop.map_checkpoint")
 PERIOD_S = 3.0
 """Period of the copies. A copy takes some ticks, and is then written to the disk."""
 SUFFIX = ".map"
-_LAST_S = 5.0  # longest wait for the last write
-_HASTE = 1.5  # robots drive faster than their limits
+_CLOSE_TIMEOUT_S = 5.0  # longest wait for the last write
+_SPEED_MARGIN = 1.5  # robots may drive faster than their limits by this factor
 _MAX_TURN_RAD = 1.0  # largest sudden turn of a pose in the same frame
-_DRIVES_ON_S = 10.0  # time that a robot may drive on without the service
-_SCALES: tuple[Literal["resolution_m", "obstacle_max_m"], ...] = ("resolution_m", "obstacle_max_m")
+_MAX_DRIVE_ALONE_S = 10.0  # longest time that a robot drives after the service ended
+# Keys of `mapping` that must not change: the saved cells depend on them.
+_FIXED_KEYS: tuple[Literal["resolution_m", "obstacle_max_m"], ...] = (
+    "resolution_m",
+    "obstacle_max_m",
+)
+# Types of the fields of a file, with limits.
 _NAMES = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_length=64)]
 _METRES = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
 _STAMP = Annotated[int, Field(ge=-(1 << 61), le=1 << 61)]
@@ -99,6 +104,7 @@ RENAMED = {
 }
 """Arrays of version 4 → their present names."""
 MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20, renamed=RENAMED)
+"""Format of the map's file: at most 96 MiB."""
 
 
 class MapParts(NamedTuple):
@@ -118,20 +124,24 @@ class StampedPose(NamedTuple):
 
 
 def state_of(
-    parts: MapParts, sighted: StampedPose, boot: str, targets: tuple[str, ...], target: str
+    parts: MapParts, last_pose: StampedPose, boot: str, targets: tuple[str, ...], target: str
 ) -> Checkpoint[MapState]:
     """Return the current state without the tiles; see `MapState` for the arguments."""
     config, values, policy = parts.map.config, parts.map.grid.values, parts.policy
-    pose = sighted.pose
+    pose = last_pose.pose
     state = MapState(
         boot, config.policy.kind, targets, target,
-        (float(pose.x_m), float(pose.y_m), float(pose.yaw_rad)), sighted.stamp_ns, sighted.now_ns,
+        (float(pose.x_m), float(pose.y_m), float(pose.yaw_rad)),
+        last_pose.stamp_ns, last_pose.now_ns,
         config.mapping.resolution_m, config.mapping.obstacle_max_m,
         config.value_source or "", tuple(values.targets), values.n_side_cells,
     )  # fmt: skip
     remembered = policy.state_dict() if isinstance(policy, StatefulPolicy) else {}
-    every = {**parts.map.state_dict(), "goals": parts.goals.state_dict(), "policy": remembered}
-    arrays = {f"{part}/{name}": a for part, of in every.items() for name, a in of.items()}
+    states = {**parts.map.state_dict(), "goals": parts.goals.state_dict(), "policy": remembered}
+    arrays = {
+        f"{part}/{name}": array for part, state_dict in states.items()
+        for name, array in state_dict.items()
+    }  # fmt: skip
     return Checkpoint(state, arrays)
 
 
@@ -145,17 +155,17 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
             message is one line.
     """
     state, mapping, perception = checkpoint.state, config.mapping, config.perception
-    for scale in _SCALES:
-        was, now = getattr(state, scale), getattr(mapping, scale)
+    for key in _FIXED_KEYS:
+        was, now = getattr(state, key), getattr(mapping, key)
         if was != now:
-            raise ValueError(f"made with mapping.{scale} {was:g}, which is now {now:g}")
+            raise ValueError(f"made with mapping.{key} {was:g}, which is now {now:g}")
     part, grid = checkpoint.part, RollingMap(mapping, config.robot)
     values = grid.values
-    same = (state.value_source, state.value_side) == (
+    same_values = (state.value_source, state.value_side) == (
         config.value_source or "",
         values.n_side_cells,
     )
-    if same and state.value_targets:
+    if same_values and state.value_targets:
         values.set_targets(state.value_targets)
     size = grid.tile_bytes + 4 * state.value_side**2 * len(state.value_targets)
     sightings = ObjectTracker(perception)
@@ -164,7 +174,8 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     rooms = RoomMemory(load_table(), PriorWordIndex(load_table()))
     goals = GoalTracker(config, pool, tracker, lambda goal: None, lambda text, now_ns: None)
     for name, owner, *others in (
-        ("map", grid, part("tiles"), size, same), ("gain", grid.gain), ("bumps", grid.bumps, 0),
+        ("map", grid, part("tiles"), size, same_values),
+        ("gain", grid.gain), ("bumps", grid.bumps, 0),
         ("sightings", sightings, 0), ("instances", tracker, 0), ("candidates", pool, 0, 0),
         ("goals", goals, state.target, 0), ("rooms", rooms),
     ):  # fmt: skip
@@ -179,8 +190,8 @@ def restore(
     parts: MapParts,
     grid: RollingMap,
     checkpoint: Checkpoint[MapState],
-    sighted: StampedPose,
-    goes_on: bool,
+    last_pose: StampedPose,
+    continues: bool,
 ) -> None:
     """Restore the parts from a checkpoint.
 
@@ -190,19 +201,20 @@ def restore(
         parts: Parts to restore.
         grid: Map from `make_map`.
         checkpoint: The checkpoint.
-        sighted: Pose and stamp of the first observation.
-        goes_on: True if the mission continues. Then the failed attempts are restored too, and the
+        last_pose: Pose and stamp of the first observation after the start.
+        continues: True if the mission continues. Then the failed attempts are restored too, and the
             policy's memory if the policy is of the same kind.
 
     Raises:
         ValueError: The policy rejects its memory. All other parts have been restored.
     """
     state, part = checkpoint.state, checkpoint.part
-    later_ns = min(sighted.now_ns - state.now_ns, 0)
-    parts.map.load_state_dict(grid, part, later_ns, min(sighted.stamp_ns - state.stamp_ns, 0))
-    if not goes_on:
+    clock_shift_ns = min(last_pose.now_ns - state.now_ns, 0)
+    stamp_shift_ns = min(last_pose.stamp_ns - state.stamp_ns, 0)
+    parts.map.load_state_dict(grid, part, clock_shift_ns, stamp_shift_ns)
+    if not continues:
         return
-    parts.goals.load_state_dict(part("goals"), state.target, sighted.now_ns)
+    parts.goals.load_state_dict(part("goals"), state.target, last_pose.now_ns)
     memory, policy = part("policy"), parts.policy
     if (
         memory
@@ -246,6 +258,7 @@ class MapCheckpoint:
         self.writer = CheckpointWriter(path, MAP, PERIOD_S)
         self._copier, self._packed = TileCopier(), PackedTiles()
         self._due = False
+        # Arguments of the newest `step`: parts, pose, targets, active target.
         self._last: tuple[MapParts, StampedPose, tuple[str, ...], str] | None = None
 
     def prepare(self) -> None:
@@ -257,7 +270,7 @@ class MapCheckpoint:
         except ValueError as error:
             self.loaded, self.problem = None, set_aside(self._path, str(error))
 
-    def frame_mismatch(self, sighted: StampedPose) -> str:
+    def frame_mismatch(self, last_pose: StampedPose) -> str:
         """Return why `map` is probably not the saved frame; "" if it is the same.
 
         With `source.localised`, the frame is always the same. Odometry has the same frame if the
@@ -269,26 +282,26 @@ class MapCheckpoint:
         if source.localised or self.loaded is None:
             return ""
         state = self.loaded.state
-        passed_s = (sighted.stamp_ns - state.stamp_ns) * 1e-9
+        passed_s = (last_pose.stamp_ns - state.stamp_ns) * 1e-9
         if state.boot != self._boot:
             return "the computer was rebooted, so its odometry restarted"
         if passed_s < 0.0:
             return "the sensors' clock restarted"
         x_m, y_m, yaw_rad = state.pose
-        driving_s = _HASTE * min(passed_s, _DRIVES_ON_S)
-        moved_m = sighted.pose.distance_to(x_m, y_m)
-        turned_rad = abs(wrap_angle(sighted.pose.yaw_rad - yaw_rad))
+        driving_s = _SPEED_MARGIN * min(passed_s, _MAX_DRIVE_ALONE_S)
+        moved_m = last_pose.pose.distance_to(x_m, y_m)
+        turned_rad = abs(wrap_angle(last_pose.pose.yaw_rad - yaw_rad))
         if moved_m > source.max_pose_jump_m + robot.max_speed_mps * driving_s:
             return f"the robot is {moved_m:.1f} m from where it was"
         if turned_rad > _MAX_TURN_RAD + robot.max_turn_radps * driving_s:
             return f"the robot has turned by {turned_rad:.1f} rad"
         return ""
 
-    def take(self, elsewhere: str) -> tuple[RollingMap, Checkpoint[MapState]] | None:
-        """Return the loaded map and data, once.
+    def take(self, mismatch: str) -> tuple[RollingMap, Checkpoint[MapState]] | None:
+        """Return the loaded map and data, to restore them; None if there are none, or no longer.
 
         Args:
-            elsewhere: Reason why the frame is another; "" if it is the same. If it is another, the
+            mismatch: Reason why the frame is another; "" if it is the same. If it is another, the
                 data is dropped.
         """
         grid, self.waiting = self.waiting, None
@@ -297,8 +310,8 @@ class MapCheckpoint:
             self.loaded = None
         if grid is None or loaded is None:
             return None
-        if elsewhere:
-            log.info("%s: the map and objects of the checkpoint are not used", elsewhere)
+        if mismatch:
+            log.info("%s: the map and objects of the checkpoint are not used", mismatch)
             return None
         if loaded.arrays["map/cells"] != grid.window.n:
             log.info("mapping.extent_m has changed since the checkpoint: the map is cut to it")
@@ -314,35 +327,35 @@ class MapCheckpoint:
             self._last = None
             self.prepare()
 
-    def save_part(
+    def step(
         self,
         parts: MapParts,
-        sighted: StampedPose,
+        last_pose: StampedPose,
         targets: tuple[str, ...],
         target: str,
         changed: bool,
     ) -> None:
-        """Copy a part of the map if it is time, and pass a complete copy to the writer.
+        """Copy some tiles of the map if a copy is due; pass a complete copy to the writer.
 
         Never block.
 
         Args:
             parts: The parts to save.
-            sighted: Pose and stamp of the newest observation.
+            last_pose: Pose and stamp of the newest observation.
             targets: Targets of the mission.
             target: Active target.
             changed: True if the mission changed, so that the state should be saved at once.
         """
         if self.waiting is not None:  # there was no observation yet
             return
-        self._last = parts, sighted, targets, target
-        self._due = self._due or changed or self.writer.is_due(sighted.now_ns)
+        self._last = parts, last_pose, targets, target
+        self._due = self._due or changed or self.writer.is_due(last_pose.now_ns)
         if self._due and self.writer.idle:
             self._copy(MOST_PER_STEP + parts.map.grid.tiles_of_update)
 
     def close(self) -> None:
         """Write the current state, if there is time, and stop the writer."""
-        until_s = time.monotonic() + _LAST_S
+        until_s = time.monotonic() + _CLOSE_TIMEOUT_S
         while not self.writer.idle and time.monotonic() < until_s:
             time.sleep(0.005)
         if self._last is not None and self.writer.idle:
@@ -350,28 +363,37 @@ class MapCheckpoint:
         self.writer.close()
 
     def _copy(self, most: int) -> None:
+        """Copy at most this many tiles; when all are copied, queue the state for the writer."""
         assert self._last is not None
-        parts, sighted, targets, target = self._last
+        parts, last_pose, targets, target = self._last
         grid = parts.map.grid
         if not self._copier.step(grid.window, grid.planes, most):
             return
         self._due = False
-        state = state_of(parts, sighted, self._boot, targets, target)
+        state = state_of(parts, last_pose, self._boot, targets, target)
         self.writer.post(
-            partial(self._pack, state, grid.window.n, *self._copier.collect()), sighted.now_ns
+            partial(self._pack, state, grid.window.n, *self._copier.collect()), last_pose.now_ns
         )
 
     def _pack(
         self, checkpoint: Checkpoint[MapState], n: int, is_new: bool, batches: list[TileBatch]
     ) -> Checkpoint[MapState]:
-        """Add the tiles; on the writer's thread."""
+        """Return the checkpoint with the tiles; on the writer's thread.
+
+        Args:
+            checkpoint: State and arrays without tiles.
+            n: Cells on a side of the map's window.
+            is_new: The map was replaced, so no earlier tile is valid.
+            batches: Copies of the tiles that changed.
+        """
         if is_new:
             self._packed = PackedTiles()
         self._packed.update(batches)
         tiles = self._packed.state_dict(checkpoint.arrays["map/origin"], n)
         arrays = checkpoint.arrays | {f"tiles/{name}": array for name, array in tiles.items()}
         for name, array in arrays.items():  # do not replace a good file by bad data
-            own = not name.startswith("policy/") and array.dtype.kind == "f"
-            if own and not np.isfinite(array).all():
+            # A policy plugin may save what it likes.
+            checked = not name.startswith("policy/") and array.dtype.kind == "f"
+            if checked and not np.isfinite(array).all():
                 raise ValueError(f"the array {name} has values that are not finite")
         return replace(checkpoint, arrays=arrays, config=self._fingerprint)

@@ -1,4 +1,7 @@
-"""Questions to the object map of the running service."""
+"""Requests about what the service remembers: its objects, their pictures, and the rooms.
+
+`edge memory` and the live page send them, with the key `memory/request`.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,12 @@ if TYPE_CHECKING:
     from edge.loop.service import Service
 
 
-def _list(fields: dict) -> dict:
-    """Return the checked filters."""
+def _check_filters(fields: dict) -> dict:
+    """Return the filters of a request after a check.
+
+    Raises:
+        ValueError: a filter is invalid. The message names the field.
+    """
     found: dict = {}
     if "room" in fields:
         found["room"] = name_of(check_text("room", fields["room"], MAX_NAME_CHARS))
@@ -32,12 +39,12 @@ def _list(fields: dict) -> dict:
     return found
 
 
-def _find(fields: dict) -> dict:
+def _check_find(fields: dict) -> dict:
     name = name_of(check_text("name", fields.get("name"), MAX_NAME_CHARS))
-    return {"name": name, **_list(fields)}
+    return {"name": name, **_check_filters(fields)}
 
 
-def _crop(fields: dict) -> dict:
+def _check_crop(fields: dict) -> dict:
     if type(fields.get("id")) is not int:
         raise ValueError(f"id: expected the id of an object, got {shown(fields.get('id'))}")
     return {"id": fields["id"]}
@@ -46,9 +53,9 @@ def _crop(fields: dict) -> dict:
 _MOST_SIMILAR = 3
 _FILTERS = ("room", "since_s")
 MEMORY_VERBS = {
-    "find": Verb(("name", *_FILTERS), _find, read_only=True),
-    "list": Verb(_FILTERS, _list, read_only=True),
-    "crop": Verb(("id",), _crop, read_only=True),
+    "find": Verb(("name", *_FILTERS), _check_find, read_only=True),
+    "list": Verb(_FILTERS, _check_filters, read_only=True),
+    "crop": Verb(("id",), _check_crop, read_only=True),
     "rooms": Verb(read_only=True),
 }
 """`{"do": "find", "name": "mug"}` or `{"do": "list"}`; both answer with `text` and `objects`, and
@@ -71,19 +78,19 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
     name, room = request.fields.get("name", ""), request.fields.get("room", "")
     if room and not rooms.matching(room):
         raise UserError(f"room: no room called {one_line(room)} is known; `do: rooms` lists them")
-    sightings, pose = service.map.objects.read_only, service.pose
+    objects, pose = service.map.objects.read_only, service.pose
     known = partial(
-        known_objects, sightings, service.stamp_ns, service.config.perception.min_hits,
+        known_objects, objects, service.stamp_ns, service.config.perception.min_hits,
         since_s=request.fields.get("since_s"), room_of=rooms.title_at,
         is_in=partial(rooms.is_in, room) if room else None,
     )  # fmt: skip
     found = known(name=name)
     if name:
-        asked = (*service.mission.spec.prompts, *sightings.words)
+        asked = (*service.mission.spec.prompts, *objects.words)
         is_looked_for = any(names.is_kind_of(word, name) for word in asked)
         text = where_is(name, found, pose, is_looked_for, rooms.room_phrase)
         if not found:
-            words = similar_words(name, sightings.words, service.map.prior)
+            words = similar_words(name, objects.words, service.map.prior)
             similar = {word: seen for word in words if (seen := known(name=word))}
             text = similar_is(name, similar, pose, is_looked_for, rooms.room_phrase)
             found = [one for seen in similar.values() for one in seen]
@@ -95,8 +102,8 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
 def similar_words(name: str, words: Sequence[str], prior: LocationPrior | None) -> list[str]:
     """Return the words that mean a similar thing, most similar first: at most three.
 
-    Similarity is that of the detector's vocabulary, if the prior has it; else it is that of the
-    table of objects that look alike (`edge.names.NEAR`).
+    The first words are similar by the detector's vocabulary, if there is a prior. The next ones are
+    similar by the table of objects that look alike (`edge.names.NEAR`).
     """
     near = [] if prior is None else prior.words.alike(name, words)
     near += [word for word in words if names.look_alike(word, name)]
@@ -104,6 +111,7 @@ def similar_words(name: str, words: Sequence[str], prior: LocationPrior | None) 
 
 
 def _picture(service: Service, object_id: int) -> dict:
+    """Return the answer to `crop`: the picture of an object, its crop from the best image."""
     jpeg = service.map.crops.get(object_id)
     if jpeg is None:
         raise UserError(

@@ -18,12 +18,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, get_args
 
-from prometheus_client.core import Metric as Family
+from prometheus_client.core import Metric
 
 from edge import __version__
 from edge.host.board import BoardReading, read_board
 from edge.host.web_server import GetRoutes
-from edge.loop.exposition import Exposition, MetricSpec, families
+from edge.loop.exposition import Exposition, MetricSpec, read_table
 from edge.loop.publish import statuses
 from edge.loop.reload import OUTCOMES
 from edge.loop.result import Sink
@@ -38,11 +38,23 @@ from edge.types import MissionPhase
 
 _STEP_STATES = get_args(StepState)
 _GOALS = ("none", "frontier", "instance", "spin", "trajectory", "place")
-_MS = 1e-3
+_S_PER_MS = 1e-3
 
 
 class ScrapeSnapshot:
-    """The state of a running service at one scrape."""
+    """The state of a running service at one scrape; the source of `SERVICE_METRICS`.
+
+    Attributes:
+        running, service, mission, goal, detector, histograms: The parts of the service.
+        sinks: Status of each sink by name.
+        source: Counters of the source.
+        inputs: State of the source's inputs.
+        failed: Names of the plausibility checks that fail.
+        latency: Latency report: counts since the start, without percentiles.
+        images: Counts of the detector's images.
+        scorers: Status of each scorer by name.
+        checkpoint: Status of the checkpoint; None without one.
+    """
 
     def __init__(self, running: RunningService, sinks: Sequence[Sink]) -> None:
         service = running.service
@@ -50,7 +62,7 @@ class ScrapeSnapshot:
         self.mission, self.goal = service.mission, service.goal
         self.source, self.inputs = dict(running.source.counters), service.inputs()
         self.failed = {found.name for found in service.plausibility.failed}
-        self.rows = service.latency.report(last=1)
+        self.latency = service.latency.report(last=1)
         self.histograms = service.latency.histograms()
         self.detector, self.images = running.worker.detector, running.worker.stats
         self.scorers: dict[str, Any] = {} if service.scorers is None else service.scorers.status()
@@ -58,11 +70,11 @@ class ScrapeSnapshot:
 
     def by_stage(self, value: Callable[[Any], float]) -> dict[str, float]:
         """Apply `value` to each stage of the latency report. Return the results by stage name."""
-        return {row.name: value(row) for row in self.rows.stages}
+        return {row.name: value(row) for row in self.latency.stages}
 
     def by_budgeted_stage(self, value: Callable[[Any], float]) -> dict[str, float]:
         """Do the same as `by_stage`, but only for stages with a time budget."""
-        return {row.name: value(row) for row in self.rows.stages if row.budget_ms is not None}
+        return {row.name: value(row) for row in self.latency.stages if row.budget_ms is not None}
 
     def of_sinks(self, name: str) -> dict[str, int]:
         """Return an integer field of the sinks' status, by sink, if it has the field."""
@@ -76,27 +88,27 @@ class ScrapeSnapshot:
 
 
 def _seconds(ms: float | None) -> float:
-    return math.nan if ms is None else round(ms * _MS, 9)
+    return math.nan if ms is None else round(ms * _S_PER_MS, 9)
 
 
-def _faults(look: ScrapeSnapshot) -> dict[tuple[str, str], int]:
+def _errors(snapshot: ScrapeSnapshot) -> dict[tuple[str, str], int]:
     """Count the errors by (step, type of error)."""
-    kinds = dict(look.service.error_boundary.failures)
+    kinds = dict(snapshot.service.error_boundary.failures)
     return {(kind.partition(": ")[0], kind.partition(": ")[2]): n for kind, n in kinds.items()}
 
 
-def _task_steps(look: ScrapeSnapshot) -> dict[str, int]:
+def _task_steps(snapshot: ScrapeSnapshot) -> dict[str, int]:
     """Count the steps of a task by state."""
-    facts = look.service.behaviour.facts()
+    facts = snapshot.service.behaviour.facts()
     counted = Counter(step.state for step in facts.steps) if facts else Counter()
     return {state: counted[state] for state in _STEP_STATES}
 
 
-def _answers(look: ScrapeSnapshot) -> dict[tuple[str, str], int]:
-    """Count the questions by (scorer, outcome)."""
+def _answers(snapshot: ScrapeSnapshot) -> dict[tuple[str, str], int]:
+    """Count the answers by (scorer, outcome)."""
     return {
         (part, outcome): status[outcome]
-        for part, status in look.scorers.items()
+        for part, status in snapshot.scorers.items()
         for outcome in ("answered", "failed")
         if outcome in status
     }
@@ -104,19 +116,19 @@ def _answers(look: ScrapeSnapshot) -> dict[tuple[str, str], int]:
 
 HEALTH_METRICS: tuple[MetricSpec[ServiceHealth], ...] = (
     MetricSpec("edge_build_info", "gauge", "Version of edge (label version); always 1.",
-           lambda v: {__version__: 1}, ("version",)),
+           lambda h: {__version__: 1}, ("version",)),
     MetricSpec("edge_service_state", "state",
            "State of the service: 1 for the current one, else 0.",
-           lambda v: v.state, states=STATES),
+           lambda h: h.state, states=STATES),
     MetricSpec("edge_service_ready", "gauge",
-    "1 if the service is ready, as /readyz reports, else 0.",
-           lambda v: not v.problems()),
+           "1 if the service is ready, as /readyz reports, else 0.",
+           lambda h: not h.problems()),
     MetricSpec("edge_loop_beat_age_seconds", "gauge",
            "Time since the loop's last cycle; it grows if the loop hangs.",
-           lambda v: v.silent_s),
+           lambda h: h.silent_s),
     MetricSpec("edge_observation_age_seconds", "gauge",
            "Time since the newest usable observation; infinite before the first.",
-           lambda v: v.unseen_s),
+           lambda h: h.unseen_s),
 )  # fmt: skip
 """Metrics of the service's health, available from its start on."""
 
@@ -126,12 +138,12 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            lambda s: s.histograms.tick),
     MetricSpec("edge_tick_budget_seconds", "gauge",
            "Budget of ticks: the 95th percentile of their durations should stay below.",
-           lambda s: _seconds(s.rows.tick.budget_ms)),
+           lambda s: _seconds(s.latency.tick.budget_ms)),
     MetricSpec("edge_tick_deadline_seconds", "gauge", "Longest permitted duration of a tick.",
-           lambda s: _seconds(s.rows.deadline_ms)),
+           lambda s: _seconds(s.latency.deadline_ms)),
     MetricSpec("edge_tick_deadline_missed_total", "counter",
            "Ticks that took longer than the deadline.",
-           lambda s: s.rows.tick.overruns),
+           lambda s: s.latency.tick.overruns),
     MetricSpec("edge_tick_interval_seconds", "histogram",
            "Time from the start of a tick to the start of the next.",
            lambda s: s.histograms.interval),
@@ -154,7 +166,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
     MetricSpec("edge_source_received_total", "counter", "Messages received from sensors.",
            lambda s: s.source.get("received", 0)),
     MetricSpec("edge_source_observations_total", "counter",
-    "Observations made from the messages of sensors.",
+           "Observations made from the messages of sensors.",
            lambda s: s.source.get("observations", 0)),
     MetricSpec("edge_source_old_pose_total", "counter",
            "Observations whose pose or mount transform is older than they are.",
@@ -192,11 +204,11 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            lambda s: s.service.error_boundary.failed),
     MetricSpec("edge_faults_by_step_total", "counter",
            "Errors that the loop caught, by step of the loop and type of error.",
-           _faults, ("step", "error")),
+           _errors, ("step", "error")),
     MetricSpec("edge_loop_degraded", "gauge", "1 if a step of the loop keeps failing, else 0.",
            lambda s: s.service.error_boundary.state != "ok"),
     MetricSpec("edge_sink_failures_total", "counter",
-    "Messages that a sink could not send or write.",
+           "Messages that a sink could not send or write.",
            lambda s: s.of_sinks("failed"), ("sink",)),
     MetricSpec("edge_sink_dropped_total", "counter",
            "Messages that a sink dropped: replaced by newer ones, or the queue was full.",
@@ -255,7 +267,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
     MetricSpec("edge_task_steps", "gauge", "Steps of the task, by state.",
            _task_steps, ("state",)),
     MetricSpec("edge_goal_state", "state",
-    "Kind of the current goal: a frontier, an instance of the "
+           "Kind of the current goal: a frontier, an instance of the "
            "target, a spin, or a task's trajectory.",
            lambda s: "none" if s.goal is None else s.goal.kind, states=_GOALS),
     MetricSpec("edge_goal_age_seconds", "gauge", "Time since the current goal was chosen.",
@@ -291,23 +303,23 @@ BOARD_METRICS: tuple[MetricSpec[BoardReading], ...] = (
     MetricSpec("edge_board_memory_bytes", "gauge", "Memory of the computer, total and available.",
            lambda b: b.memory_bytes, ("kind",)),
 )  # fmt: skip
-"""Metrics of the computer. A sensor that it does not have has no series."""
+"""Metrics of the computer. There is no series for a sensor that it does not have."""
 
 
 class Metrics:
-    """The page `/metrics`. Metrics of the service are on it after `watch` was called.
+    """The page `/metrics`. Metrics of the service are on it after `add_service` was called.
 
     Args:
-        vitals: Health of the service.
+        health: Health of the service.
         board: Reads the computer's sensors.
     """
 
     def __init__(
-        self, vitals: ServiceHealth, board: Callable[[], BoardReading] = read_board
+        self, health: ServiceHealth, board: Callable[[], BoardReading] = read_board
     ) -> None:
-        self._vitals, self._board = vitals, board
+        self._health, self._board = health, board
         self._watched: tuple[RunningService, Sequence[Sink]] | None = None
-        self._exposition = Exposition(self._families)
+        self._exposition = Exposition(self._read)
 
     def add_service(self, running: RunningService, sinks: Sequence[Sink]) -> None:
         """Add the metrics of a service that is ready. They stay readable after it ends."""
@@ -317,8 +329,9 @@ class Metrics:
         """Return the HTTP handler of `/metrics`."""
         return {"/metrics": self._exposition.page}
 
-    def _families(self) -> Iterator[Family]:
-        yield from families(HEALTH_METRICS, self._vitals)
+    def _read(self) -> Iterator[Metric]:
+        """Yield all metrics with their current values."""
+        yield from read_table(HEALTH_METRICS, self._health)
         if self._watched is not None:
-            yield from families(SERVICE_METRICS, ScrapeSnapshot(*self._watched))
-        yield from families(BOARD_METRICS, self._board())
+            yield from read_table(SERVICE_METRICS, ScrapeSnapshot(*self._watched))
+        yield from read_table(BOARD_METRICS, self._board())

@@ -26,29 +26,31 @@ Consequence = Literal["warn", "degrade", "stand"]
 """`warn`: a line in log and status. `degrade`: in addition, `/readyz` is 503. `stand`: in addition,
 observations are refused, so the robot stands still after `loop.blind_s`."""
 Use = Literal["", "map", "none"]
-"""Permitted use of an observation. "": everything; `map`: mapping, but no detection or driving;
-`none`: nothing."""
+"""Permitted use of an observation. "": everything (recordings hold this value); `map`: mapping, but
+no detection or driving; `none`: nothing."""
 
-LASTS_NS = 500_000_000
+REPORT_AFTER_NS = 500_000_000
 """A check that fails for a shorter time is not reported."""
-TELL_AGAIN_NS = 30_000_000_000
+LOG_AGAIN_NS = 30_000_000_000
 """A check that fails again sooner is not logged again."""
-DRIVEN_M = 0.1
+FROZEN_AFTER_M = 0.1
 """A frame that does not change in any bit over this distance is frozen; 1 rad counts as 1 m."""
 _MOVES_M = 0.02  # below this motion, frames may be identical
 _VALID = 0.02  # smallest share of a depth image's pixels with a value
-# An object nearer than the first distance may make the depth image empty. The image may stay empty
-# while the robot moves less than the second distance.
+# After an object nearer than `_CLOSE_M` was seen, an empty depth image is no failure until the
+# robot has moved `_CLOSE_WAY_M`; see `Plausibility._is_close`.
 _CLOSE_M, _CLOSE_WAY_M = 0.6, 0.2
 _WALL_M = 1.5  # one object may fill the image at this distance
 _SLOW_NS = 100_000_000  # period of measurements that change slowly
 _BUFFERS = 4  # number of frames that a hanging driver may repeat in turn
 _SAMPLES = 32  # rows and columns of the sample of an image
-_FEWEST, _NEAR_SHARE = 50, 0.05  # smallest number of pixels, and the share that may be noise
-# Largest depth of the floor below the base, smallest steepness of a ray to the floor, and margin.
-_BELOW_BASE_M, _STEEP, _MARGIN = 1.0, 0.25, 1.3
+_FEWEST = 50  # smallest number of sampled pixels for `_FloorLimit`
+_NEAR_SHARE = 0.05  # share of the pixels that may be near by noise
+_BELOW_BASE_M = 1.0  # the floor is at most this far below the base, e.g. at stairs
+_STEEP = 0.25  # smallest slope of a ray that is compared with the floor: m down per m of depth
+_MARGIN = 1.3  # a depth may be larger than that of the floor by this factor
 _FARTHEST_M = 100.0  # every depth camera sees something nearer than this
-_POSE_OLD_S = 0.05  # at 1 rad/s a wall 2 m away is off by two cells
+_POSE_OLD_S = 0.05  # above it, a wall 2 m away is mapped two cells off at 1 rad/s
 
 
 @dataclass(slots=True)
@@ -98,29 +100,35 @@ class DataCheck:
 
     Attributes:
         name: Name of the check.
-        of: Returns the measured value.
+        measured: Returns the measured value.
         what: Place and problem, for the user, with `{value}`.
         todo: Advice for the user.
         then: Consequence of a failure.
         lowest: The check fails below this value.
         highest: The check fails above this value.
-        leaves: For `stand`: the use of a refused observation that is still permitted.
+        permits: Use of the observation that a failure still permits. "" if a failure only warns or
+            degrades; a check with `stand` gives another value.
     """
 
     name: str
-    of: Callable[[FrameFacts], float]
+    measured: Callable[[FrameFacts], float]
     what: str
     todo: str
     then: Consequence
     lowest: float = -math.inf
     highest: float = math.inf
-    leaves: Use = ""
+    permits: Use = ""
 
 
 def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
-    """Return the table of checks for the sensors that a configuration uses."""
+    """Return the table of checks for the sensors that a configuration uses.
+
+    Args:
+        config: The configuration.
+        blind_s: Time without an observation after which the robot stands still.
+    """
     mapped, lifted = config.mapping.input, config.perception.back_projection
-    leaves: dict[str, Use] = {
+    permits: dict[str, Use] = {
         kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")
     }
     frozen = "has changed over {value:.1f} m of driving"
@@ -131,34 +139,34 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
         DataCheck("depth_empty", lambda f: f.depth_valid,
                   "camera/depth: only {value:.1%} of the pixels have a value",
                   "uncover the camera, restart the camera driver, or correct the depth's unit",
-                  "stand", lowest=_VALID, leaves=leaves["depth"]),
+                  "stand", lowest=_VALID, permits=permits["depth"]),
         DataCheck("depth_frozen", lambda f: f.depth_driven_m,
-                  f"camera/depth: no pixel {frozen}", restart, "stand", highest=DRIVEN_M,
-                  leaves=leaves["depth"]),
+                  f"camera/depth: no pixel {frozen}", restart, "stand", highest=FROZEN_AFTER_M,
+                  permits=permits["depth"]),
         DataCheck("depth_unit", lambda f: f.depth_scale,
                   "camera/depth: values are {value:.0f} times the distance of the floor, so they "
-                  "cannot be in metres", unit, "stand", highest=1.0, leaves=leaves["depth"]),
+                  "cannot be in metres", unit, "stand", highest=1.0, permits=permits["depth"]),
         DataCheck("depth_motion", lambda f: f.depth_misfit,
                   "camera/depth: {value:.0%} of the points do not move as the pose does",
                   "check delay and stamps of the images, the odometry, and the camera's mount",
-                  "stand", highest=MISFIT, leaves=leaves["depth"]),
+                  "stand", highest=MISFIT, permits=permits["depth"]),
         DataCheck("cloud_empty", lambda f: f.cloud_points, "lidar: no point has a value",
                   "uncover the LiDAR, or restart the LiDAR driver",
-                  "stand", lowest=1.0, leaves=leaves["cloud"]),
+                  "stand", lowest=1.0, permits=permits["cloud"]),
         DataCheck("cloud_frozen", lambda f: f.cloud_driven_m, f"lidar: no point {frozen}", restart,
-                  "stand", highest=DRIVEN_M, leaves=leaves["cloud"]),
+                  "stand", highest=FROZEN_AFTER_M, permits=permits["cloud"]),
         DataCheck("rgb_covered", lambda f: f.rgb_levels,
                   "camera/rgb: the image has one colour ({value:.0f} levels)", uncover,
-                  "stand", lowest=3.0, leaves="map"),
+                  "stand", lowest=3.0, permits="map"),
         DataCheck("rgb_dark", lambda f: f.rgb_level,
                   "camera/rgb: the image is dark (level {value:.0f} of 255)",
                   "uncover the camera, or switch the light on",
-                  "stand", lowest=12.0, leaves="map"),
+                  "stand", lowest=12.0, permits="map"),
         DataCheck("rgb_frozen", lambda f: f.rgb_driven_m, f"camera/rgb: no pixel {frozen}", restart,
-                  "stand", highest=DRIVEN_M, leaves="map"),
+                  "stand", highest=FROZEN_AFTER_M, permits="map"),
         DataCheck("late", lambda f: f.late_s,
                   "sensors: frames arrive {value:.1f} s later than the pose of the same time",
-                  "speed up the driver or the network", "stand", highest=blind_s, leaves="map"),
+                  "speed up the driver or the network", "stand", highest=blind_s, permits="map"),
         DataCheck("camera_axis", lambda f: f.axis_z,
                   "camera: looks up or down (z {value:+.2f} of its axis in the base frame)",
                   "check that the camera's frame is optical (z forward, x right)",
@@ -177,7 +185,7 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
 
 
 class FailedCheck(NamedTuple):
-    """A check that fails now.
+    """A check that fails on the newest observation.
 
     Attributes:
         name: Name of the check.
@@ -209,9 +217,11 @@ class Plausibility:
     Attributes:
         checks: The table of checks.
         facts: Measurements of the newest observation.
-        failed: Checks that fail now. The tuple is replaced as a whole, so any thread may read it.
+        failed: Checks that have failed for at least `REPORT_AFTER_NS`. The tuple is replaced as a
+            whole, so any thread may read it.
         refused: Number of refused observations by check.
-        sighted_ns: Loop time until which the newest observation shows the surroundings.
+        surroundings_ns: Loop time of the newest real picture of the surroundings. It is older than
+            the newest observation if that came late or is a repetition.
     """
 
     def __init__(
@@ -220,17 +230,18 @@ class Plausibility:
         self.checks = checks_of(config, blind_s)
         self.facts = FrameFacts()
         self.failed: tuple[FailedCheck, ...] = ()
-        self.refused = {check.name: 0 for check in self.checks if check.leaves}
-        self.sighted_ns = 0
+        self.refused = {check.name: 0 for check in self.checks if check.permits}
+        self.surroundings_ns = 0
         self._event = event
-        self._found: list[FailedCheck | None] = [None] * len(self.checks)
-        self._logged_ns: dict[str, int] = {}
-        self._pose: SE2 | None = None
-        self._close_at: SE2 | None = None
+        self._found: list[FailedCheck | None] = [None] * len(self.checks)  # failures now, by check
+        self._logged_ns: dict[str, int] = {}  # loop time of the newest log line, by check
+        self._pose: SE2 | None = None  # of the last observation
+        self._close_at: SE2 | None = None  # pose at which the view was full of something close
+        # Loop time of the newest slow measurements, and their results.
         self._slow_ns = -_SLOW_NS
         self._scale = math.nan
+        self._levels = math.nan, math.nan  # `rgb_levels` and `rgb_level`
         self._floor_lost = False
-        self._levels = math.nan, math.nan
         self._depth, self._rgb, self._cloud = _Repeats(), _Repeats(), _Repeats()
         self._floor = _FloorLimit()
         self._motion = DepthMotionCheck(config.robot.max_speed_mps, config.robot.max_turn_radps)
@@ -241,12 +252,12 @@ class Plausibility:
             self._floor_lost = update.floor_missing
 
     def permitted_use(self, observation: Observation, now_ns: int) -> Use:
-        """Return the permitted use of the observation."""
+        """Check an observation, report what fails, and return the use that is permitted."""
         self._measure(observation, now_ns)
         use: Use = ""
         changed = False
         for i, check in enumerate(self.checks):
-            value, found = check.of(self.facts), self._found[i]
+            value, found = check.measured(self.facts), self._found[i]
             if not (value < check.lowest or value > check.highest):
                 if found is not None:
                     self._found[i], changed = None, True
@@ -255,10 +266,10 @@ class Plausibility:
                 what = check.what.format(value=value)
                 found = FailedCheck(check.name, check.then, what, check.todo, now_ns)
                 self._found[i] = found
-            changed = changed or now_ns - found.since_ns >= LASTS_NS
-            if check.leaves:
+            changed = changed or now_ns - found.since_ns >= REPORT_AFTER_NS
+            if check.permits:
                 self.refused[check.name] += 1
-                use = "none" if "none" in (use, check.leaves) else "map"
+                use = "none" if "none" in (use, check.permits) else "map"
         if changed:
             self._report(now_ns)
         return use
@@ -266,10 +277,12 @@ class Plausibility:
     def _report(self, now_ns: int) -> None:
         """Update `failed`; log the checks that fail now and those that pass again."""
         before = {found.name for found in self.failed}
-        lasting = [f for f in self._found if f is not None and now_ns - f.since_ns >= LASTS_NS]
+        lasting = [
+            f for f in self._found if f is not None and now_ns - f.since_ns >= REPORT_AFTER_NS
+        ]
         for found in lasting:
             logged_ns = self._logged_ns.get(found.name)
-            again = logged_ns is None or now_ns - logged_ns >= TELL_AGAIN_NS
+            again = logged_ns is None or now_ns - logged_ns >= LOG_AGAIN_NS
             if found.name not in before and again:
                 self._logged_ns[found.name] = now_ns
                 self._event(found.message, now_ns, logging.WARNING)
@@ -278,7 +291,10 @@ class Plausibility:
         self.failed = tuple(lasting)
 
     def why(self, then: Consequence) -> str:
-        """Return the messages of the checks that fail now with this consequence, in one line."""
+        """Return the messages of the checks with this consequence that fail, in one line.
+
+        In contrast to `failed`, it holds a failure from its first observation on.
+        """
         return "; ".join(f.message for f in self._found if f is not None and f.then == then)
 
     def status(self) -> dict[str, object]:
@@ -294,15 +310,16 @@ class Plausibility:
     # -- measuring ----------------------------------------------------------------------------
 
     def _measure(self, seen: Observation, now_ns: int) -> None:
+        """Fill `facts`. Measurements that change slowly are made once in `_SLOW_NS`."""
         facts = self.facts
         facts.clear()
         step = self._step(seen.pose)
-        slow = not 0 <= now_ns - self._slow_ns < _SLOW_NS
+        slow = not 0 <= now_ns - self._slow_ns < _SLOW_NS  # negative: the clock was set back
         self._slow_ns = now_ns if slow else self._slow_ns
-        self.sighted_ns = now_ns - seen.lag_ns
+        self.surroundings_ns = now_ns - seen.lag_ns
         facts.late_s, facts.pose_age_s = seen.lag_ns * 1e-9, seen.pose_age_ns * 1e-9
         facts.floor_lost = float(self._floor_lost)
-        wall = False
+        wall = False  # True if something near fills half of the depth image
         if seen.depth_m is not None and seen.camera is not None:
             sample = self._depth.sample(seen.depth_m)
             valid = (sample > 0.0) & (sample < FARTHEST_M)
@@ -315,7 +332,7 @@ class Plausibility:
             elif self._is_close(seen.pose):
                 facts.depth_valid = math.nan
             if facts.depth_valid > 0.0:
-                facts.depth_driven_m = self._repeated(self._depth, seen.depth_m, step, now_ns)
+                facts.depth_driven_m = self._unchanged_m(self._depth, seen.depth_m, step, now_ns)
             if slow:
                 shape, stride, T = seen.depth_m.shape, self._depth.stride, seen.T_base_camera
                 self._scale = self._floor.scale(sample, valid, shape, stride, seen.camera, T)
@@ -330,8 +347,8 @@ class Plausibility:
             facts.rgb_levels, facts.rgb_level = self._levels
             if wall:  # it may have one colour, as in a simulator
                 facts.rgb_levels = math.nan
-            if self._levels[0] > 0.0:
-                facts.rgb_driven_m = self._repeated(self._rgb, seen.rgb, step, now_ns)
+            if self._levels[0] > 0.0:  # frames of one colour are all equal
+                facts.rgb_driven_m = self._unchanged_m(self._rgb, seen.rgb, step, now_ns)
         if seen.rgb is not None or seen.depth_m is not None:
             facts.axis_z = float(seen.T_base_camera[2, 2])
         if seen.cloud_m is not None:
@@ -340,14 +357,15 @@ class Plausibility:
             facts.cloud_points = float(np.count_nonzero(size > 0.0))
             # Beams that hit nothing (inf) look the same from every place.
             if np.count_nonzero((size > 0.0) & np.isfinite(size)):
-                facts.cloud_driven_m = self._repeated(self._cloud, seen.cloud_m, step, now_ns)
+                facts.cloud_driven_m = self._unchanged_m(self._cloud, seen.cloud_m, step, now_ns)
 
-    def _repeated(
+    def _unchanged_m(
         self, frames: _Repeats, array: np.ndarray, step: tuple[float, float, float], now_ns: int
     ) -> float:
+        """Return `_Repeats.driven_m`; a frozen sensor shows old surroundings."""
         driven_m = frames.driven_m(array, step, now_ns)
-        if driven_m > DRIVEN_M:
-            self.sighted_ns = min(self.sighted_ns, frames.since_ns)
+        if driven_m > FROZEN_AFTER_M:
+            self.surroundings_ns = min(self.surroundings_ns, frames.since_ns)
         return driven_m
 
     def _is_close(self, pose: SE2) -> bool:
@@ -367,13 +385,14 @@ class Plausibility:
         sample: np.ndarray,
         now_ns: int,
     ) -> float:
+        """Return `DepthMotionCheck.misfit`; a depth image that does not fit shows nothing real."""
         T, stride = seen.T_map_base, self._depth.stride
         misfit = self._motion.misfit(
             depth_m, sample, stride, camera, T @ seen.T_base_camera, T[2, 3],
             seen.stamp_ns, now_ns, self._depth.repeats,
         )  # fmt: skip
         if misfit > MISFIT:
-            self.sighted_ns = min(self.sighted_ns, self._motion.since_ns)
+            self.surroundings_ns = min(self.surroundings_ns, self._motion.since_ns)
         return misfit
 
     def _step(self, pose: SE2) -> tuple[float, float, float]:
@@ -402,14 +421,19 @@ class _Repeats:
         # Last few frames: checksum of the sample -> checksum of the whole frame, which is computed
         # at the first repetition.
         self._known: dict[int, int | None] = {}
+        # Since the frames last changed: motion (x, y, yaw), the longest step of it, and the
+        # distance without that step.
         self._way = np.zeros(3)
-        self._longest_m = self._driven_m = 0.0  # longest step, and the distance without it
+        self._longest_m = self._driven_m = 0.0
 
     def sample(self, array: np.ndarray) -> np.ndarray:
-        """Copy every stride-th row and column, or every stride-th point of a cloud."""
+        """Set `stride`; return a copy of every stride-th row and column, or point of a cloud."""
         cloud = array.shape[1] == 3 and array.ndim == 2
         rows = _SAMPLES * _SAMPLES if cloud else _SAMPLES
-        self.stride = v, u = -(-len(array) // rows), 1 if cloud else -(-array.shape[1] // _SAMPLES)
+        # Rounded up, so that the sample never has more than `rows` rows.
+        v = math.ceil(len(array) / rows)
+        u = 1 if cloud else math.ceil(array.shape[1] / _SAMPLES)
+        self.stride = v, u
         picked = array[v // 2 :: v, u // 2 :: u]
         if picked.shape != self._sample.shape or picked.dtype != self._sample.dtype:
             self._sample = np.empty(picked.shape, picked.dtype)
@@ -432,17 +456,20 @@ class _Repeats:
             if len(known) > _BUFFERS:
                 del known[next(iter(known))]
             return 0.0
-        sure, known[crc] = known[crc] is not None, whole
+        # At the first repetition the frame before was not read as a whole, so only its sample is
+        # known to be equal. The distance counts from the second repetition on.
+        is_certain, known[crc] = known[crc] is not None, whole
         self._way += step
         way_m, self._longest_m = _length_m(self._way), max(self._longest_m, _length_m(step))
         if way_m < _MOVES_M:
             self.since_ns = now_ns
-        if sure:
+        if is_certain:
             self._driven_m = max(self._driven_m, way_m - self._longest_m)
         return self._driven_m
 
 
 def _length_m(step: Iterable[float]) -> float:
+    """Return the length of a motion (x, y, yaw); 1 rad of turn counts as 1 m."""
     x, y, yaw = step
     return math.hypot(x, y) + abs(yaw)
 
@@ -451,7 +478,7 @@ class _FloorLimit:
     """The largest plausible depth at each pixel, from the camera's mount above the floor."""
 
     def __init__(self) -> None:
-        self._of: tuple[CameraModel, np.ndarray] | None = None
+        self._mount: tuple[CameraModel, np.ndarray] | None = None
         self._steep = np.empty(0, np.bool_)
         self._floor_m: np.ndarray = np.empty(0)
         self._limit_m: np.ndarray = np.empty(0)
@@ -465,10 +492,23 @@ class _FloorLimit:
         camera: CameraModel,
         T: np.ndarray,
     ) -> float:
-        """Return the ratio of the image's depth to the floor's; 1 if part of it is near enough."""
-        if self._of is None or self._of[0] != camera or self._of[1] is not T:
-            self._of = camera, T
-            self._lay(shape, camera, T, stride)
+        """Return the ratio of the image's depth to the floor's; 1 if the image is plausible.
+
+        It is plausible if at least `_NEAR_SHARE` of the pixels are nearer than the limit. Else the
+        ratio is the median over the pixels.
+
+        Args:
+            sample: Every stride-th row and column of the depth image.
+            valid: Pixels of the sample that have a value.
+            shape: Height and width of the depth image.
+            stride: Rows and columns from one sampled pixel to the next.
+            camera: Intrinsics of the camera.
+            T: (4, 4) pose of the camera (optical) in the base frame.
+        """
+        mount = self._mount
+        if mount is None or mount[0] != camera or mount[1] is not T:
+            self._mount = camera, T
+            self._compute_floor(shape, camera, T, stride)
         judged, floor_m = valid & self._steep, self._floor_m
         limit_m: np.ndarray | float = self._limit_m
         n = np.count_nonzero(judged)
@@ -479,10 +519,10 @@ class _FloorLimit:
             return 1.0
         return float(np.median(sample[judged] / floor_m[judged]))
 
-    def _lay(
+    def _compute_floor(
         self, shape: tuple[int, ...], camera: CameraModel, T: np.ndarray, stride: tuple[int, int]
     ) -> None:
-        """Compute the floor's depth at each sampled pixel."""
+        """Compute the floor's depth, and the largest plausible depth, at each sampled pixel."""
         v, u = stride
         row = (np.arange(v // 2, shape[0], v) - camera.cy_px) / camera.fy_px
         column = (np.arange(u // 2, shape[1], u) - camera.cx_px) / camera.fx_px

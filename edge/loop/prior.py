@@ -25,9 +25,10 @@ from edge.perception.prior.words import PriorWordIndex
 from edge.perception.tracking.sightings import TrackedObjects
 
 LEAST, MOST = 0.25, 4.0
+"""Limits of the likelihood ratio."""
 DRAWN_M, MOST_DRAWN = 0.3, 20_000
-"""Side of a cell of `LocationPrior.layer`, and its largest number of cells. Cells of a large map
-grow."""
+"""Side of a cell of `LocationPrior.layer`, and the largest number of cells; a large map has larger
+cells."""
 
 
 class LocationPrior:
@@ -42,18 +43,22 @@ class LocationPrior:
     def __init__(self, by: str, table: ObjectPrior, words: PriorWordIndex) -> None:
         self._by, self._table, self._words = by, table, words
         self._index = SeenObjectIndex(words)
-        self._chance, self._average = rooms.object_given_room(table), rooms.room_prior(table)
+        self._p_object_given_kind = rooms.object_given_room(table)
+        self._p_kind = rooms.room_prior(table)
         self._objects: TrackedObjects | None = None
-        self._generation = -1
-        self._version = 0
+        self._regions_version = 0
         self._regions = NO_REGIONS
-        self._places: tuple = ()
+        # Places of the newest `likelihood_ratio`, what is around them (`_surroundings`), and the
+        # ratio by target; valid for this version of the objects, and of regions and places.
+        self._objects_version = -1
+        self._places_version: tuple[int, int] | None = None
         self._xy_m = np.zeros((0, 2), np.float32)
-        self._near = np.zeros((0, len(table.things)), np.float32)
-        self._kind = np.zeros((0, len(table.kinds)))
+        self._near_objects = np.zeros((0, len(table.things)), np.float32)
+        self._room_kinds = np.zeros((0, len(table.kinds)))
         self._ratios: dict[str, np.ndarray] = {}
+        # Layers by target, for this version of the objects and of the regions.
         self._layers: dict[str, Callable[[], Grid]] = {}
-        self._drawn = (-1, -1)
+        self._layers_version = (-1, -1)
 
     @property
     def words(self) -> PriorWordIndex:
@@ -61,10 +66,10 @@ class LocationPrior:
         return self._words
 
     def step(self, regions: RegionMap, objects: TrackedObjects) -> None:
-        """Use the newest cut of the map and the objects seen, once a tick."""
+        """Use the newest regions of the map and the objects seen; call it once a tick."""
         self._objects = objects
         if regions is not self._regions:
-            self._regions, self._version = regions, self._version + 1
+            self._regions, self._regions_version = regions, self._regions_version + 1
 
     def likelihood_ratio(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
         """Compute P(target near a place | objects seen) / P(target near an average place).
@@ -82,7 +87,7 @@ class LocationPrior:
             return
         self._update_places(self._objects, xy_m[:n])
         if target not in self._ratios:
-            self._ratios[target] = self._ratio_of(row, self._near, self._kind)
+            self._ratios[target] = self._ratio_of(row, self._near_objects, self._room_kinds)
         out[:n] = self._ratios[target]
 
     def layer(self, target: str) -> Callable[[], Grid]:
@@ -92,14 +97,14 @@ class LocationPrior:
             A function for any thread and any time. It returns a grid of uint8 on a logarithmic
             scale: 0 if nothing is known, else 1 (`LEAST`) … 128 (average place) … 255 (`MOST`).
         """
-        s, regions, row = self._objects, self._regions, self._words.row(target)
-        if s is None or s.n == 0 or row < 0:
+        objects, regions, row = self._objects, self._regions, self._words.row(target)
+        if objects is None or objects.n == 0 or row < 0:
             return lambda: NO_REGIONS.grid
-        if self._drawn != (s.generation, self._version):
-            self._drawn = s.generation, self._version
+        if self._layers_version != (objects.generation, self._regions_version):
+            self._layers_version = objects.generation, self._regions_version
             self._layers.clear()
         if target not in self._layers:
-            things = self._index.of(s)
+            things = self._index.of(objects)
             things = things._replace(xyz_m=read_only(things.xyz_m.copy()))
             self._layers[target] = cache(lambda: self._draw(row, things, regions))
         return self._layers[target]
@@ -110,59 +115,68 @@ class LocationPrior:
         step = max(
             round(DRAWN_M / grid.resolution_m), math.ceil(math.sqrt(grid.cells.size / MOST_DRAWN))
         )
-        open_ = grid.cells[step // 2 :: step, step // 2 :: step] == OPEN
-        drawn = Grid(np.zeros(open_.shape, np.uint8), grid.origin_xy_m, step * grid.resolution_m)
-        xy_m = drawn.to_metres(np.argwhere(open_)[:, ::-1] + 0.5).astype(np.float32)
-        lift = self._ratio_of(row, *self._surroundings(things, regions, xy_m))
-        share = np.log(lift / LEAST) / math.log(MOST / LEAST)
-        drawn.cells[open_] = np.where(lift == 1.0, 0, np.round(1 + 254 * share))
+        is_open = grid.cells[step // 2 :: step, step // 2 :: step] == OPEN
+        drawn = Grid(np.zeros(is_open.shape, np.uint8), grid.origin_xy_m, step * grid.resolution_m)
+        xy_m = drawn.to_metres(np.argwhere(is_open)[:, ::-1] + 0.5).astype(np.float32)
+        ratio = self._ratio_of(row, *self._surroundings(things, regions, xy_m))
+        share = np.log(ratio / LEAST) / math.log(MOST / LEAST)
+        drawn.cells[is_open] = np.where(ratio == 1.0, 0, np.round(1 + 254 * share))
         return drawn
 
-    def _ratio_of(self, row: int, near: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    def _ratio_of(self, row: int, near_objects: np.ndarray, room_kinds: np.ndarray) -> np.ndarray:
         """Return the likelihood ratio of places with these surroundings, (n,) float32."""
-        lift = np.ones(len(near), np.float32)
+        ratio = np.ones(len(near_objects), np.float32)
         if self._by != "rooms":
-            cooccurrence.likelihood_ratio(self._table, row, near, lift)
+            cooccurrence.likelihood_ratio(self._table, row, near_objects, ratio)
         if self._by != "cooccurrence":
+            # [0] is the exponent for `rooms` alone, [1] that for `both`.
             power = self._table.room_power[self._by == "both"]
-            lift *= rooms.likelihood_ratio(self._chance, self._average, row, kind) ** power
-        return np.clip(lift, LEAST, MOST, out=lift)
+            by_room = rooms.likelihood_ratio(
+                self._p_object_given_kind, self._p_kind, row, room_kinds
+            )
+            ratio *= by_room**power
+        return np.clip(ratio, LEAST, MOST, out=ratio)
 
-    def _update_places(self, s: TrackedObjects, xy_m: np.ndarray) -> None:
+    def _update_places(self, objects: TrackedObjects, xy_m: np.ndarray) -> None:
         """Compute the near objects and the rooms of these places, if something changed."""
-        same = s.generation == self._generation and self._places == (self._version, len(xy_m))
+        version = self._regions_version, len(xy_m)
+        same = objects.generation == self._objects_version and self._places_version == version
         if same and np.array_equal(xy_m, self._xy_m):
             return
-        self._generation, self._places = s.generation, (self._version, len(xy_m))
+        self._objects_version, self._places_version = objects.generation, version
         self._xy_m = np.array(xy_m, np.float32)
         self._ratios.clear()
-        self._near, self._kind = self._surroundings(self._index.of(s), self._regions, self._xy_m)
+        things = self._index.of(objects)
+        self._near_objects, self._room_kinds = self._surroundings(things, self._regions, self._xy_m)
 
     def _surroundings(
-        self, things: SeenObjects, known: RegionMap, xy_m: np.ndarray
+        self, things: SeenObjects, regions: RegionMap, xy_m: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the surroundings of places.
 
         Returns:
             Confidence that each object is near each place, (n, objects) float32; and the kinds of
-            the places' rooms, see `_kinds`. An array that `by` does not use is 0.
+            the places' rooms, see `_kinds_of_rooms`. An array that `by` does not use is 0.
         """
         n = len(xy_m)
-        near = np.zeros((n, len(self._table.things)), np.float32)
+        near_objects = np.zeros((n, len(self._table.things)), np.float32)
         if self._by != "rooms":
-            grid = known.grid
+            grid = regions.grid
             nearby(
-                known.wall, *grid.origin_xy_m, grid.resolution_m, xy_m, n,
-                things.xyz_m, things.row, things.weight, len(things.row), NEAR_M, near,
+                regions.wall, *grid.origin_xy_m, grid.resolution_m, xy_m, n,
+                things.xyz_m, things.row, things.weight, len(things.row), NEAR_M, near_objects,
             )  # fmt: skip
         if self._by == "cooccurrence":
-            return near, np.zeros((n, len(self._table.kinds)))
-        return near, self._kinds(things, known, xy_m)
+            return near_objects, np.zeros((n, len(self._table.kinds)))
+        return near_objects, self._kinds_of_rooms(things, regions, xy_m)
 
-    def _kinds(self, things: SeenObjects, known: RegionMap, xy_m: np.ndarray) -> np.ndarray:
+    def _kinds_of_rooms(
+        self, things: SeenObjects, regions: RegionMap, xy_m: np.ndarray
+    ) -> np.ndarray:
         """Return P(kind of room) for each place, (n, kinds) float64."""
-        held = objects_by_region(known, things, len(self._table.things))
-        return kinds_by_region(self._table, self._chance, known.border, held)[known.at(xy_m)]
+        objects = objects_by_region(regions, things, len(self._table.things))
+        by_region = kinds_by_region(self._table, self._p_object_given_kind, regions.border, objects)
+        return by_region[regions.at(xy_m)]
 
 
 def make_prior(config: Config, words: PriorWordIndex) -> LocationPrior | None:

@@ -14,7 +14,7 @@ from edge.loop.error_boundary import ErrorBoundary
 from edge.loop.goal import GoalTracker
 from edge.loop.input_log import InputLog
 from edge.loop.latency import LatencyRing
-from edge.loop.result import MAX_OBJECTS, Event, Sink, TickResult, mission_facts, scored
+from edge.loop.result import MAX_OBJECTS, Event, Sink, TickResult, mission_facts, scored_candidates
 from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import RollingMap
@@ -34,26 +34,26 @@ def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
     thread may call this.
     """
     by_name: dict[str, dict[str, Any]] = {}
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for sink in sinks:
         name = type(sink).__name__
-        seen[name] += 1
+        counts[name] += 1
         if not hasattr(sink, "status"):
             continue
         try:
             status = dict(sink.status())
         except Exception as error:
             status = {"problem": f"status(): {one_line(f'{type(error).__name__}: {error}')}"}
-        by_name[name if seen[name] == 1 else f"{name}.{seen[name]}"] = status
+        by_name[name if counts[name] == 1 else f"{name}.{counts[name]}"] = status
     return by_name
 
 
 class ResultPublisher:
-    """The builder and publisher of results; for the loop's thread.
+    """Builds the result of a tick and passes it to the sinks; for the loop's thread.
 
     Args:
         sinks: Receivers of the results; their methods never block.
-        map: Semantic map.
+        semantic_map: Semantic map.
         site: Places and zones.
         goals: Goal tracker.
         scorers: The scorers, if any.
@@ -71,7 +71,7 @@ class ResultPublisher:
     def __init__(
         self,
         sinks: Sequence[Sink],
-        map: SemanticMap,
+        semantic_map: SemanticMap,
         site: SiteFile,
         goals: GoalTracker,
         scorers: Scorers | None,
@@ -84,7 +84,12 @@ class ResultPublisher:
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self.detections: Detections | None = None
         self._sinks = sinks
-        self._map, self._site, self._tracker, self._scorers = map, site, goals, scorers
+        self._map, self._site, self._goal_tracker, self._scorers = (
+            semantic_map,
+            site,
+            goals,
+            scorers,
+        )
         self._input_log, self._latency, self._health = input_log, latency, health
 
     def result(
@@ -108,7 +113,7 @@ class ResultPublisher:
             task: Returns the facts of a task; see `TickResult.task`.
             scores: The policy's scores of the candidates.
         """
-        map, grid, goals = self._map, self._map.grid, self._tracker
+        semantic_map, grid, goals = self._map, self._map.grid, self._goal_tracker
         targets, goal, scorers = mission.spec.targets, goals.goal, self._scorers
         return TickResult(
             now_ns=now_ns,
@@ -127,20 +132,22 @@ class ResultPublisher:
             mission=cache(partial(mission_facts, mission)),
             task=cache(task),
             instances=cache(
-                lambda: [track.copied() for label in targets for track in map.tracker.of(label)]
+                lambda: [
+                    track.copied() for label in targets for track in semantic_map.tracker.of(label)
+                ]
             ),
-            objects=cache(partial(_objects, map, stamp_ns)),
-            rooms=map.rooms.rooms,
+            objects=cache(partial(_objects, semantic_map, stamp_ns)),
+            rooms=semantic_map.rooms.rooms,
             site=self._site.known,
             zones=grid.zones.polygons,
             frontiers=cache(lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy()),
-            candidates=cache(partial(scored, map.pool.candidates, scores)),
+            candidates=cache(partial(scored_candidates, semantic_map.pool.candidates, scores)),
             path=cache(partial(_path_m, grid, goal)),
             choice=None if scorers is None else scorers.answers.choice,
             known_m2=lambda: grid.known_m2,
             snapshot=grid.snapshot,
             # The likely places of targets mean nothing without a mission.
-            layers=lambda: map.layers(likely=not mission.idle),
+            layers=lambda: semantic_map.layers(likely=not mission.idle),
             latency=self._latency.report,
             spans=self._latency.spans,
             health=self._health,
@@ -170,14 +177,14 @@ class ResultPublisher:
             self.detections = None
 
 
-def _objects(map: SemanticMap, stamp_ns: int) -> list[KnownObject]:
+def _objects(semantic_map: SemanticMap, stamp_ns: int) -> list[KnownObject]:
     """Return the remembered objects; see `TickResult.objects`."""
-    min_hits = map.config.perception.min_hits
-    return known_objects(map.objects.read_only, stamp_ns, min_hits, most=MAX_OBJECTS)
+    min_hits = semantic_map.config.perception.min_hits
+    return known_objects(semantic_map.objects.read_only, stamp_ns, min_hits, most=MAX_OBJECTS)
 
 
 def _path_m(grid: RollingMap, goal: Goal | None) -> np.ndarray:
     """Return the shortest path to the goal; see `TickResult.path`."""
     if goal is None:
         return np.zeros((0, 2), np.float32)
-    return grid.travel_cost.path_m(goal.pose.x_m, goal.pose.y_m)
+    return grid.travel_cost.path_xy_m(goal.pose.x_m, goal.pose.y_m)

@@ -52,12 +52,14 @@ LIVE = (
     "tasks",
 )
 """Keys that can change while the service runs, with all keys below them."""
-_INSTEAD = {
+# Advice for keys that cannot change while the service runs.
+_ADVICE = {
     "mission.target": "give the running service another mission with `edge mission new`",
     "mission.instruction": "give the running service another mission with `edge mission new`",
 }
-_MOST_CHARS = 600
+_MOST_CHARS = 600  # of the result of a reload
 OUTCOMES = ("switched", "unchanged", "refused")
+"""Results of a reload."""
 
 
 class ReloadError(UserError):
@@ -65,7 +67,7 @@ class ReloadError(UserError):
 
 
 @dataclass(frozen=True)
-class _Ready:
+class _PreparedConfig:
     """A prepared configuration that can be applied.
 
     Attributes:
@@ -92,7 +94,7 @@ class Reloader:
     Args:
         service: The running service.
         reread: Reads the configuration again, in the same way as at the start.
-        asked: Event that any thread sets to request a reload.
+        requested: Event that any thread sets to request a reload.
 
     Attributes:
         outcome: Result of the newest reload, one line; "" before the first.
@@ -100,13 +102,13 @@ class Reloader:
     """
 
     def __init__(
-        self, service: Service, reread: Callable[[], Config], asked: threading.Event
+        self, service: Service, reread: Callable[[], Config], requested: threading.Event
     ) -> None:
         self.outcome = ""
         self.outcomes = dict.fromkeys(OUTCOMES, 0)
-        self._service, self._reread, self._asked = service, reread, asked
-        self._preparing: Future[_Ready] | None = None
-        self._swapping: _Ready | None = None
+        self._service, self._reread, self._requested = service, reread, requested
+        self._preparing: Future[_PreparedConfig] | None = None
+        self._swapping: _PreparedConfig | None = None
 
     @property
     def busy(self) -> bool:
@@ -114,26 +116,30 @@ class Reloader:
         return self._preparing is not None or self._swapping is not None
 
     def step(self, now_ns: int) -> None:
-        """Do the next step of a reload, between two ticks. Never wait."""
+        """Do the next step of a reload, between two ticks. Never wait.
+
+        The steps: start the preparation, apply it or start the swap, wait until the swap is final.
+        """
         try:
             if self._swapping is not None:
                 self._wait_for_model(self._swapping, now_ns)
             elif self._preparing is not None:
-                self._apply(self._preparing, now_ns)
-            elif self._asked.is_set():
+                self._apply_when_prepared(self._preparing, now_ns)
+            elif self._requested.is_set():
                 self._begin()
         except Exception as error:
             self._preparing = self._swapping = None
             known = isinstance(error, UserError)
             why = str(error) if known else f"{type(error).__name__}: {error}"
             log.debug("reload", exc_info=True)
-            self._end("refused", f"refused, nothing has changed: {_lines(why)}", now_ns)
+            self._report("refused", f"refused, nothing has changed: {_joined_lines(why)}", now_ns)
 
     def _begin(self) -> None:
-        self._asked.clear()
+        """Start to read and prepare the configuration, on a thread."""
+        self._requested.clear()
         log.info("reload: reading the configuration")
         present, running = self._service.config, self._service.detector_swap.running
-        preparing: Future[_Ready] = Future()
+        preparing: Future[_PreparedConfig] = Future()
         self._preparing = preparing
 
         def prepare() -> None:
@@ -141,29 +147,28 @@ class Reloader:
                 preparing.set_result(_prepare(present, self._reread(), running))
             except Exception as error:
                 preparing.set_exception(error)
-            except (
-                BaseException
-            ) as error:  # a plugin that raises SystemExit must not end the process
+            # A plugin that raises SystemExit must not end the process.
+            except BaseException as error:
                 preparing.set_exception(ReloadError(f"it raised {type(error).__name__}"))
 
         start_detached_thread("reload", prepare)
 
-    def _apply(self, preparing: Future[_Ready], now_ns: int) -> None:
+    def _apply_when_prepared(self, preparing: Future[_PreparedConfig], now_ns: int) -> None:
         if not preparing.done():
             return
         self._preparing = None
         ready, swapper = preparing.result(), self._service.detector_swap
-        if any(_below(key, _DETECTOR) for key in ready.changed):
-            _check_at_rest(swapper, ready.running)
+        if any(_is_below(key, _DETECTOR) for key in ready.changed):
+            _check_no_swap(swapper, ready.running)
         if not ready.changed:
-            self._end("unchanged", "nothing has changed", now_ns)
+            self._report("unchanged", "nothing has changed", now_ns)
         elif ready.model is None:
-            self._switch(ready, now_ns)
+            self._apply_now(ready, now_ns)
         else:
             swapper.request(ready.model, False, now_ns, ready.config.perception)
             self._swapping = ready
 
-    def _wait_for_model(self, ready: _Ready, now_ns: int) -> None:
+    def _wait_for_model(self, ready: _PreparedConfig, now_ns: int) -> None:
         swap = self._service.detector_swap.status()
         if swap["state"] not in FINAL_STATES:
             return
@@ -172,22 +177,22 @@ class Reloader:
             raise ReloadError(
                 f"perception.detector: the new model was {swap['state']}: {swap['detail']}"
             )
-        self._switch(ready, now_ns)
+        self._apply_now(ready, now_ns)
 
-    def _switch(self, ready: _Ready, now_ns: int) -> None:
+    def _apply_now(self, ready: _PreparedConfig, now_ns: int) -> None:
         service = self._service
         policy = service.policy if ready.policy is None else ready.policy
         service.reconfigure(ready.config, policy)
-        self._end("switched", f"switched: {', '.join(ready.changed)}", now_ns)
+        self._report("switched", f"switched: {', '.join(ready.changed)}", now_ns)
 
-    def _end(self, how: str, outcome: str, now_ns: int) -> None:
-        self.outcomes[how] += 1
+    def _report(self, result: str, outcome: str, now_ns: int) -> None:
+        self.outcomes[result] += 1
         self.outcome = one_line(outcome, _MOST_CHARS)
-        level = logging.WARNING if how == "refused" else logging.INFO
+        level = logging.WARNING if result == "refused" else logging.INFO
         self._service.event(f"reload: {self.outcome}", now_ns, level)
 
 
-def _prepare(present: Config, new: Config, running: str) -> _Ready:
+def _prepare(present: Config, new: Config, running: str) -> _PreparedConfig:
     """Compare the configurations and make the parts that changed.
 
     Args:
@@ -200,17 +205,17 @@ def _prepare(present: Config, new: Config, running: str) -> _Ready:
         UserError: The policy cannot be made.
     """
     changed = tuple(key for key in differing_keys(present, new) if key != "path")
-    if stays := [key for key in changed if not _below(key, LIVE)]:
-        raise ReloadError("; ".join(f"{key}: {_advice(key)}" for key in stays))
+    if fixed := [key for key in changed if not _is_below(key, LIVE)]:
+        raise ReloadError("; ".join(f"{key}: {_advice(key)}" for key in fixed))
     policy = None
     if new.policy != present.policy:
         warm_policy(new)
         policy = make_policy(new.policy, new.origin("policy"))
-    model = _model(present.perception, new.perception, running)
-    return _Ready(new, changed, policy, running, model)
+    model = _model_to_swap(present.perception, new.perception, running)
+    return _PreparedConfig(new, changed, policy, running, model)
 
 
-def _check_at_rest(swapper: DetectorSwap, running: str) -> None:
+def _check_no_swap(swapper: DetectorSwap, running: str) -> None:
     """Raise ReloadError if the model changed, or is changing, since the reload was prepared."""
     swap = swapper.status()
     if swap["state"] not in ("idle", *FINAL_STATES):
@@ -224,9 +229,11 @@ def _check_at_rest(swapper: DetectorSwap, running: str) -> None:
         )
 
 
-def _model(present: PerceptionConfig, new: PerceptionConfig, running: str) -> str | None:
+def _model_to_swap(present: PerceptionConfig, new: PerceptionConfig, running: str) -> str | None:
     """Return the model to swap in, or None if the current detector fits the configuration."""
-    changed = [key for key in differing_keys(present, new, "perception.") if _below(key, _DETECTOR)]
+    changed = [
+        key for key in differing_keys(present, new, "perception.") if _is_below(key, _DETECTOR)
+    ]
     if not changed:
         return None
     if not isinstance(new.detector, DetectorOnnx):
@@ -254,14 +261,15 @@ def differing_keys(one: Section, other: Section, prefix: str = "") -> Iterator[s
             yield f"{prefix}{name}"
 
 
-def _below(key: str, keys: tuple[str, ...]) -> bool:
+def _is_below(key: str, keys: tuple[str, ...]) -> bool:
+    """Return True if the key is one of these keys, or below one of them."""
     return any(key == one or key.startswith(f"{one}.") for one in keys)
 
 
 def _advice(key: str) -> str:
-    return _INSTEAD.get(key, "restart the service to change it")
+    return _ADVICE.get(key, "restart the service to change it")
 
 
-def _lines(text: str) -> str:
+def _joined_lines(text: str) -> str:
     """Join the lines of an error that lists one fault a line."""
     return "; ".join(text.splitlines())

@@ -1,4 +1,9 @@
-"""Requests that the running service handles, by key."""
+"""Requests about missions and models that the running service handles, and the table of all keys.
+
+Each key has verbs (`{"do": VERB}`) and a handler. A function `_check_…` checks the fields of a verb
+on the request thread, and raises ValueError with the name of a bad field. The handlers run on the
+loop's thread.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +21,7 @@ from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.result import mission_facts
 from edge.loop.said_requests import carry_out
 from edge.loop.site_requests import SITE_VERBS, handle_site
-from edge.loop.status import answer_of
+from edge.loop.status import reply_json
 from edge.mission.destinations import LONGEST_S
 from edge.mission.language.said import (
     Control,
@@ -39,6 +44,7 @@ if TYPE_CHECKING:
     from edge.loop.service import Service
 
 MAX_NAME_CHARS = 200
+# Ids of missions: also safe as file names and in URLs.
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._~-]{0,63}")
 
 
@@ -96,13 +102,14 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
     With `if_free: true`, the request is refused while another mission runs. `cancel` with an `id`
     cancels only that mission; its `why` becomes the reason.
 
-    An instruction that is a question or an order to learn leaves the mission as it is; the answer
-    has `text`. One about the present mission is the request with that verb.
+    An instruction that is a question, or an order to learn a place or zone, leaves the mission as
+    it is; the answer has `text`. An instruction like "pause" is the request with that verb.
     """
 
-    def prepared(fields: dict) -> object:
+    def prepare_new(fields: dict) -> object:
+        """Return the mission; for a question or an order to learn, return that instead."""
         try:
-            return prepare(**{name: fields[name] for name in _MEANT if name in fields})
+            return prepare(**{name: fields[name] for name in _PREPARED_FIELDS if name in fields})
         except NoMissionError as error:
             if isinstance(error.said, Control):
                 raise
@@ -110,38 +117,39 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
 
     return {
         "new": Verb(
-            (*_TEXTS, "reading", "from_pose", "rounds", "for_s", "id", "if_free"),
-            _new,
-            prepared,
-            instead=_control if in_words else lambda fields: None,
+            (*_INSTRUCTION_FIELDS, "reading", "from_pose", "rounds", "for_s", "id", "if_free"),
+            _check_new,
+            prepare_new,
+            instead=_as_control if in_words else lambda fields: None,
         ),
-        "pause": Verb(("for_s",), _pause, stops_robot=True),
+        "pause": Verb(("for_s",), _check_pause, stops_robot=True),
         "resume": Verb(),
-        "cancel": Verb(("id", "why"), _cancel, stops_robot=True),
+        "cancel": Verb(("id", "why"), _check_cancel, stops_robot=True),
         "status": Verb(read_only=True),
     }
 
 
-_TEXTS = ("instruction", "formula", "task")
-_MEANT = (*_TEXTS, "reading", "caller", "repeat")
+_INSTRUCTION_FIELDS = ("instruction", "formula", "task")
+_PREPARED_FIELDS = (*_INSTRUCTION_FIELDS, "reading", "caller", "repeat")  # arguments of `prepare`
 
 
-def _new(fields: dict) -> dict:
-    texts = {name: check_text(name, fields[name]) for name in _TEXTS if name in fields}
+def _check_new(fields: dict) -> dict:
+    """Return the checked fields of a new mission."""
+    texts = {name: check_text(name, fields[name]) for name in _INSTRUCTION_FIELDS if name in fields}
     if len(texts) != 1:
         raise ValueError("do: new needs exactly one of instruction, formula and task")
-    free = {"if_free": True} if check_flag("if_free", fields) else {}
+    if_free = {"if_free": True} if check_flag("if_free", fields) else {}
     return {
         **texts,
-        **_chosen(fields),
-        **_calling(fields),
-        **_repeat(fields),
-        **_named(fields),
-        **free,
+        **_check_reading(fields),
+        **_check_caller(fields),
+        **_check_repetition(fields),
+        **_check_id(fields),
+        **if_free,
     }
 
 
-def _calling(fields: dict) -> dict:
+def _check_caller(fields: dict) -> dict:
     """Return the field `from_pose` as the pose `caller`, if present."""
     if "from_pose" not in fields:
         return {}
@@ -150,12 +158,12 @@ def _calling(fields: dict) -> dict:
     return {"caller": check_pose("from_pose", fields["from_pose"])}
 
 
-def _pause(fields: dict) -> dict:
+def _check_pause(fields: dict) -> dict:
     """Return the field `for_s`, if present: the pause ends after so many seconds."""
-    return {"for_s": _seconds(fields["for_s"])} if "for_s" in fields else {}
+    return {"for_s": _check_seconds(fields["for_s"])} if "for_s" in fields else {}
 
 
-def _control(fields: dict) -> tuple[str, dict] | None:
+def _as_control(fields: dict) -> tuple[str, dict] | None:
     """Return the request that an instruction about the present mission means; None for others."""
     try:
         said = understand(fields.get("instruction", ""))
@@ -166,7 +174,7 @@ def _control(fields: dict) -> tuple[str, dict] | None:
     return said.do, {} if said.seconds is None else {"for_s": said.seconds}
 
 
-def _chosen(fields: dict) -> dict:
+def _check_reading(fields: dict) -> dict:
     """Return the field `reading`, if present."""
     if "reading" not in fields:
         return {}
@@ -178,7 +186,7 @@ def _chosen(fields: dict) -> dict:
     return {"reading": reading}
 
 
-def _repeat(fields: dict) -> dict:
+def _check_repetition(fields: dict) -> dict:
     """Return the fields `rounds` and `for_s` as a `Repetition`, if present."""
     rounds, for_s = fields.get("rounds"), fields.get("for_s")
     if rounds is None and for_s is None:
@@ -187,21 +195,23 @@ def _repeat(fields: dict) -> dict:
         raise ValueError("rounds, for_s: only valid with an instruction or a formula")
     if rounds is not None and (type(rounds) is not int or not 1 <= rounds <= MAX_ROUNDS):
         raise ValueError(f"rounds: expected an integer from 1 to {MAX_ROUNDS}, got {shown(rounds)}")
-    return {"repeat": Repetition(rounds, None if for_s is None else _seconds(for_s))}
+    return {"repeat": Repetition(rounds, None if for_s is None else _check_seconds(for_s))}
 
 
-def _seconds(for_s: object) -> float:
+def _check_seconds(for_s: object) -> float:
+    """Return the value of `for_s` after a check."""
     if not isinstance(for_s, (int, float)) or type(for_s) is bool or not 0 < for_s <= LONGEST_S:
         raise ValueError(f"for_s: expected over 0 to {LONGEST_S:g} s, got {shown(for_s)}")
     return for_s
 
 
-def _cancel(fields: dict) -> dict:
+def _check_cancel(fields: dict) -> dict:
+    """Return the fields `id` and `why`, if present."""
     why = {"why": check_text("why", fields["why"], MAX_NAME_CHARS)} if "why" in fields else {}
-    return {**_named(fields), **why}
+    return {**_check_id(fields), **why}
 
 
-def _named(fields: dict) -> dict:
+def _check_id(fields: dict) -> dict:
     """Return the field `id`, if present."""
     if "id" not in fields:
         return {}
@@ -218,8 +228,9 @@ def handle_mission(
 ) -> dict:
     """Handle a mission request and return the status of mission and robot.
 
-    A pause or cancel also drops the new missions that still wait. The reply has their number as
-    `overtaken`. If there are any, the request succeeds even if no mission is running.
+    A pause or cancel also drops the new missions that still wait for their preparation
+    (`Request.cancelled` is their number). The reply has this number as `overtaken`. If there are
+    any, the request succeeds even if no mission is running.
 
     Args:
         service: The running service.
@@ -231,15 +242,15 @@ def handle_mission(
         UserError: There is nothing to pause, resume or cancel, or the mission cannot be started.
             Nothing has changed then.
     """
-    mission, name, told = service.mission, request.fields.get("id", ""), {}
+    mission, name, answer = service.mission, request.fields.get("id", ""), {}
     if isinstance(request.prepared, (MemoryQuestion, SiteOrder)):
-        told = {"text": carry_out(service, request.prepared, now_ns)}
+        answer = {"text": carry_out(service, request.prepared, now_ns)}
     elif request.do == "new":
         _begin(service, request, now_ns)
     elif request.do != "status" and (mission.done or name not in ("", mission.id)):
-        if not request.cancelled:
-            which = f"{one_line(name)} " * bool(name)
-            raise UserError(f"no mission {which}is running: {_last(service)}")
+        if not request.cancelled:  # else it has stopped missions that waited: no error
+            which = f"{one_line(name)} " if name else ""
+            raise UserError(f"no mission {which}is running: {_last_mission_text(service)}")
     elif request.do == "cancel":
         service.cancel(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
@@ -247,11 +258,11 @@ def handle_mission(
     task = service.behaviour.facts()
     overtaken = {"overtaken": request.cancelled} if request.cancelled else {}
     return {
-        **answer_of(service.status, mission_facts(service.mission), task),
+        **reply_json(service.status, mission_facts(service.mission), task),
         **overtaken,
-        **told,
+        **answer,
         "past": list(service.past_missions),
-        "robot": _robot(service, problems()),
+        "robot": _robot_state(service, problems()),
     }
 
 
@@ -259,32 +270,35 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
     """Start the requested mission, unless its id was used before or the robot must be free."""
     assert isinstance(request.prepared, MissionSpec)
     name, mission = request.fields.get("id", ""), service.mission
-    if name and name == mission.id:
+    if name and name == mission.id:  # the same request once more
         return
     if name and any(name == outcome["id"] for outcome in service.past_missions):
         raise UserError(f"mission {name} is already over on this robot: give it another id")
     if request.fields.get("if_free") and not mission.done:
-        raise UserError(f"not free: {_last(service)}; wait for its end, or cancel this mission")
+        raise UserError(
+            f"not free: {_last_mission_text(service)}; wait for its end, or cancel this mission"
+        )
     refuse_closed(request.prepared, service.site.known, service.map)
     service.begin(request.prepared, now_ns, name)
 
 
-def _last(service: Service) -> str:
+def _last_mission_text(service: Service) -> str:
+    """Return one line about the newest mission, for an error."""
     if service.mission.idle:
         return "no mission was given yet"
     return f"the last mission {service.status.phase}: {service.status.instruction}"
 
 
-def _robot(service: Service, problems: Sequence[str]) -> dict[str, object]:
+def _robot_state(service: Service, problems: Sequence[str]) -> dict[str, object]:
     """Return the state of the robot for the reply, JSON-ready.
 
     `known` is the straight-line distance in metres to the nearest object of each label in the map.
     """
     pose, goals = service.pose, service.goals
     known: dict[str, float] = {}
-    least = service.config.perception.min_hits
+    min_hits = service.config.perception.min_hits
     for found in service.map.tracker.all:
-        if pose is not None and found.state != "rejected" and found.hits >= least:
+        if pose is not None and found.state != "rejected" and found.hits >= min_hits:
             away_m = round(pose.distance_to(*map(float, found.center_m[:2])), 2)
             known[found.label] = min(away_m, known.get(found.label, away_m))
     return {
@@ -295,7 +309,8 @@ def _robot(service: Service, problems: Sequence[str]) -> dict[str, object]:
     }
 
 
-def _model(fields: dict) -> dict:
+def _check_model(fields: dict) -> dict:
+    """Return the fields `model` and `force`."""
     name = check_text("model", fields.get("model"), MAX_NAME_CHARS)
     return {"model": name, "force": check_flag("force", fields)}
 
@@ -307,7 +322,7 @@ def _card_to_use(fields: dict) -> DetectCard | DirectionsCard:
 
 
 MODEL_VERBS = {
-    "use": Verb(("model", "force"), _model, _card_to_use),
+    "use": Verb(("model", "force"), _check_model, _card_to_use),
     "pause": Verb(),
     "resume": Verb(),
     "status": Verb(read_only=True),
@@ -318,12 +333,12 @@ before the request reaches the loop."""
 
 
 def handle_model(
-    swapper: DetectorSwap, request: Request, now_ns: int, scorers: Scorers | None = None
+    detector_swap: DetectorSwap, request: Request, now_ns: int, scorers: Scorers | None = None
 ) -> dict:
     """Handle a model request and return the status of the newest swap.
 
     Args:
-        swapper: Swaps the detector's model.
+        detector_swap: Swaps the detector's model.
         request: The request.
         now_ns: Loop time.
         scorers: The scorers, if any.
@@ -332,25 +347,25 @@ def handle_model(
         SwapError: The swap cannot be started.
         UserError: There are no scorers to pause.
     """
-    choices = None if scorers is None else scorers.swap
+    choice_swap = None if scorers is None else scorers.swap
     if request.do in ("pause", "resume"):
         if scorers is None:
             raise UserError("no scorers are configured: there is nothing to pause or resume")
         scorers.paused = request.do == "pause"
     elif request.do == "use" and isinstance(request.prepared, DirectionsCard):
-        if scorers is None or choices is None:
+        if scorers is None or choice_swap is None:
             raise SwapError(
                 "no model on this computer chooses directions: set perception.choice.kind to onnx"
             )
-        choices.request(request.fields["model"])
+        choice_swap.request(request.fields["model"])
         scorers.newest_swap = True
     elif request.do == "use":
-        swapper.request(request.fields["model"], request.fields["force"], now_ns)
+        detector_swap.request(request.fields["model"], request.fields["force"], now_ns)
         if scorers is not None:
             scorers.newest_swap = False
-    if scorers is None or choices is None:
-        return swapper.status()
-    newest = choices if scorers.newest_swap else swapper
+    if scorers is None or choice_swap is None:
+        return detector_swap.status()
+    newest = choice_swap if scorers.newest_swap else detector_swap
     # One number for both, so that a client that follows a swap sees that another one has started.
-    number = swapper.number + choices.number
+    number = detector_swap.number + choice_swap.number
     return {**newest.status(), "number": number, "paused": scorers.paused}

@@ -1,4 +1,4 @@
-"""The result of a tick, and the interface of sinks that receive it."""
+"""The result of a tick (`TickResult`), and the interface of sinks that receive it (`Sink`)."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class ScoredCandidates(NamedTuple):
     blocked: np.ndarray
 
 
-def scored(candidates: Candidates, scores: np.ndarray) -> ScoredCandidates:
+def scored_candidates(candidates: Candidates, scores: np.ndarray) -> ScoredCandidates:
     """Return copies of the candidates that have a score."""
     c, n = candidates, min(candidates.n, len(scores))
     parts = (c.kind, c.id, c.xy_m, scores, c.path_m, c.blocked)

@@ -1,4 +1,4 @@
-"""The rooms of the running service: a background thread cuts the map, the loop uses the result."""
+"""Rooms of the running service: a background thread cuts the map into rooms for `RoomMemory`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RoomSurveyor:
     """Cuts the map into rooms in the background, about once a second.
 
     Args:
-        memory: gets the surveys.
+        memory: gets the surveys. A survey is one cut of the whole map.
         inline: cut the map inside `step`, so that a run is reproducible.
     """
 
@@ -44,8 +44,8 @@ class RoomSurveyor:
 
     def step(self, view: MapView, now_ns: int) -> None:
         """Collect a survey, and request the next one when it is due. Call it once a tick."""
-        rested = self._requested_ns is None or now_ns - self._requested_ns >= PERIOD_NS
-        if rested and self._worker.idle:
+        is_due = self._requested_ns is None or now_ns - self._requested_ns >= PERIOD_NS
+        if is_due and self._worker.idle:
             self._requested_ns = now_ns
             layers, window, before = view.layers, view.window, self.memory.survey
             self._worker.submit(lambda: survey_rooms(survey_regions(layers, window, TALL), before))
@@ -69,14 +69,14 @@ def make_room_surveyor(config: Config, words: PriorWordIndex) -> RoomSurveyor:
 
 def warm_up(config: Config) -> None:
     """Compile the kernels of rooms and prior, or read them from the cache."""
-    grid, sightings, table = RollingMap(config.mapping), TrackedObjects(1), load()
+    grid, objects, table = RollingMap(config.mapping), TrackedObjects(1), load()
     grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), np.eye(4))
     words = PriorWordIndex(table)
     surveyor = RoomSurveyor(RoomMemory(table, words), inline=True)
     prior = LocationPrior("both", table, words)
-    sightings.words.append(table.things[0])
-    sightings.n = 1
-    seen = sightings.read_only()
+    objects.words.append(table.things[0])
+    objects.n = 1
+    seen = objects.read_only()
     surveyor.step(MapView(grid), 0)
     surveyor.memory.update(seen, 0)
     prior.step(surveyor.memory.survey.regions, seen)

@@ -1,4 +1,8 @@
-"""The loop: it runs ticks in real time or in lockstep until it is stopped."""
+"""The loop: it reads the source, serves requests and runs ticks, until it is stopped.
+
+In real time it runs at `loop.hz`. In lockstep it runs one tick for each observation, on the clock
+of the observations. A *cycle* is one pass of the loop, with or without an observation.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +25,9 @@ from edge.loop.stages import STAGES
 from edge.perception.worker import DetectorWorker
 from edge.types import MissionStatus, Observation
 
-_MISSED_STEPS = 8
-_LEAP_NS = 60_000_000_000  # no two observations in lockstep are this far apart
-_PATIENCE_S = 0.05  # how long lockstep waits for an observation before it checks `stop`
+_MISSED_PERIOD_SHARE = 8  # a cycle without an observation is shorter by this factor
+_MAX_STEP_NS = 60_000_000_000  # in lockstep, a longer time between observations is a jump
+_WAIT_S = 0.05  # in lockstep, longest wait for a message before `stop` is checked
 
 
 class RequestHandler(Protocol):
@@ -44,7 +48,7 @@ class RunningService:
         source: Source of observations and goal statuses.
         servers: Request servers by key.
         now_ns: Loop time of the newest cycle; 0 before the first.
-        epoch: Newest epoch of the source that the service has handled.
+        epoch: Newest `Source.epoch` that the service has handled; a higher one means a pose jump.
         reloader: Reloads the configuration on request; None if reloads are not possible.
         clock: Returns the loop time outside lockstep, in ns, for example of a recording that is
             played. None: wall-clock time.
@@ -75,10 +79,10 @@ def loop(
         once: Return as soon as the mission is over, even without observations.
         each: Function that is called after each cycle, with or without an observation.
     """
-    step = _lockstep if running.config.loop.lockstep else _real_time
+    cycles = _lockstep if running.config.loop.lockstep else _real_time
     service = running.service
     with real_time(running.config.loop.priority):
-        for _ in step(running, stop):
+        for _ in cycles(running, stop):
             each()
             _count_drops(running)
             if once and service.status.done:
@@ -109,15 +113,15 @@ def _real_time(running: RunningService, stop: threading.Event) -> Iterator[None]
     period_ns = int(1e9 / running.config.loop.hz)
     deadline_ns = perf_counter_ns()
     while not stop.is_set():
-        observation = _hear(running, clock())
+        observation = _read_inputs(running, clock())
         now_ns = running.now_ns = clock()
-        _obey(running, now_ns)
+        _serve_requests(running, now_ns)
         if observation is None:
             _idle(running, now_ns)
         else:
             _tick(running, observation, now_ns)
         yield
-        deadline_ns += period_ns if observation is not None else period_ns // _MISSED_STEPS
+        deadline_ns += period_ns if observation is not None else period_ns // _MISSED_PERIOD_SHARE
         rest_ns = deadline_ns - perf_counter_ns()
         if rest_ns > 0:
             time.sleep(rest_ns * 1e-9)
@@ -132,45 +136,50 @@ def _lockstep(running: RunningService, stop: threading.Event) -> Iterator[None]:
     time limit, in real time; before the first observation there is no such limit. If the clock of
     the observations jumps, the loop time continues from its last value.
     """
-    seen_s, now_ns, stamp_ns = math.inf, 0, 0
+    observed_s, now_ns, stamp_ns = math.inf, 0, 0
     while not stop.is_set():
-        observation = _hear(running, now_ns) if _wait(running, now_ns) else None
+        observation = _read_inputs(running, now_ns) if _has_message(running, now_ns) else None
         if observation is not None:
-            seen_s = time.monotonic()
-            now_ns = _later(now_ns, observation.stamp_ns - stamp_ns)
+            observed_s = time.monotonic()
+            now_ns = _advanced(now_ns, observation.stamp_ns - stamp_ns)
             stamp_ns = observation.stamp_ns
         running.now_ns = now_ns
-        _obey(running, now_ns)
+        _serve_requests(running, now_ns)
         if observation is not None:
             _tick(running, observation, now_ns)
-        elif time.monotonic() - seen_s > (limit_s := running.service.config.mission.time_limit_s):
+        elif time.monotonic() - observed_s > (
+            limit_s := running.service.config.mission.time_limit_s
+        ):
             running.service.fail(f"no observation for {limit_s:g} s", now_ns)
             _idle(running, now_ns)
         yield
 
 
-def _later(now_ns: int, passed_ns: int) -> int:
-    """Return the loop time `passed_ns` later. A jump of the sensors' clock adds nothing."""
+def _advanced(now_ns: int, passed_ns: int) -> int:
+    """Return the loop time `passed_ns` later; a jump of the sensors' clock adds nothing."""
     if now_ns == 0:  # the first observation
         return passed_ns
-    return now_ns + (passed_ns if 0 < passed_ns <= _LEAP_NS else 0)
+    return now_ns + (passed_ns if 0 < passed_ns <= _MAX_STEP_NS else 0)
 
 
 # The functions below run in the loop and do not raise: an error of one message, request or frame
 # must not stop the next one (see `edge.loop.error_boundary`).
 
 
-def _wait(running: RunningService, now_ns: int) -> bool:
-    """Return True if the source has a new message, in lockstep."""
-    wait = partial(running.source.wait, _PATIENCE_S)
-    came = running.service.error_boundary.call("wait", now_ns, wait)
-    if came is None:
-        time.sleep(_PATIENCE_S)  # a source that fails at once must not make the loop spin
-    return bool(came)
+def _has_message(running: RunningService, now_ns: int) -> bool:
+    """Wait a short time for a message of the source; return True if there is one."""
+    wait = partial(running.source.wait, _WAIT_S)
+    has_message = running.service.error_boundary.call("wait", now_ns, wait)
+    if has_message is None:
+        time.sleep(_WAIT_S)  # a source that fails at once must not make the loop spin
+    return bool(has_message)
 
 
-def _hear(running: RunningService, now_ns: int) -> Observation | None:
-    """Handle the controller's goal statuses; return the newest observation, if any."""
+def _read_inputs(running: RunningService, now_ns: int) -> Observation | None:
+    """Begin a tick: handle the goal statuses, and return the newest observation, if any.
+
+    If the source fails, the tick is abandoned.
+    """
     service = running.service
     service.latency.begin_tick(perf_counter_ns())
     for answer in (
@@ -185,8 +194,8 @@ def _hear(running: RunningService, now_ns: int) -> Observation | None:
     return observation
 
 
-def _obey(running: RunningService, now_ns: int) -> None:
-    """Serve waiting requests, then step the model swap, the load shedder and the reload."""
+def _serve_requests(running: RunningService, now_ns: int) -> None:
+    """Serve waiting requests, then advance the model swap, the load shedder and the reload."""
     service = running.service
     for key, server in running.servers.items():
         service.error_boundary.call(key, now_ns, partial(server.serve, now_ns))
@@ -202,6 +211,7 @@ def _obey(running: RunningService, now_ns: int) -> None:
 
 
 def _idle(running: RunningService, now_ns: int, dropped: Observation | None = None) -> None:
+    """Do what a cycle without a usable observation does; `dropped` is one that was not used."""
     with running.service.error_boundary.contain(IDLE, now_ns):
         running.service.idle(now_ns, running.source.pose, dropped)
 
@@ -212,7 +222,7 @@ def _tick(running: RunningService, observation: Observation, now_ns: int) -> Non
     service.latency.mark(INGEST, perf_counter_ns())
     service.stage = INGEST
     try:
-        _see(running, observation, now_ns)
+        _handle_observation(running, observation, now_ns)
     except Exception as error:
         service.latency.abandon_tick(service.stage)
         service.error_boundary.on_error(TICK, error, now_ns, where=STAGES[service.stage].name)
@@ -223,15 +233,15 @@ def _tick(running: RunningService, observation: Observation, now_ns: int) -> Non
         if service.refused:
             _idle(running, now_ns, observation)
         else:
-            service.error_boundary.on_success(
-                IDLE, now_ns
-            )  # a whole tick does all that `idle` does
+            # A whole tick does all that `idle` does.
+            service.error_boundary.on_success(IDLE, now_ns)
         service.latency.end_tick(perf_counter_ns())
     finally:
         observation.release()
 
 
-def _see(running: RunningService, observation: Observation, now_ns: int) -> None:
+def _handle_observation(running: RunningService, observation: Observation, now_ns: int) -> None:
+    """Run the tick; handle a pose jump first."""
     # Before the tick, so that the first observation of the new frame is not put into the old map.
     if running.source.epoch != running.epoch:
         running.service.on_pose_jump(now_ns)

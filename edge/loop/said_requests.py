@@ -1,4 +1,7 @@
-"""Answers to what a person says that is no mission: questions and orders to learn."""
+"""Answers to instructions that are no mission: questions, and orders to learn a place or zone.
+
+`edge.loop.requests` calls `carry_out` for them: "where is the mug?", "this is the kitchen".
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ from edge.text import one_line
 if TYPE_CHECKING:
     from edge.loop.service import Service
 
-_MOST_TOLD = 20
+_MAX_NAMES = 20
 
 
 def carry_out(service: Service, said: MemoryQuestion | SiteOrder, now_ns: int) -> str:
@@ -31,13 +34,21 @@ def carry_out(service: Service, said: MemoryQuestion | SiteOrder, now_ns: int) -
     """
     if isinstance(said, MemoryQuestion):
         return _answer(service, said, now_ns)
-    return _learn(service, said, now_ns)
+    return _change_site(service, said, now_ns)
 
 
-def _asked(
+def _call_handler(
     handle: Any, verbs: Mapping[str, Verb], service: Service, now_ns: int, **data: Any
 ) -> dict:
-    """Return the answer to a request of the service's own."""
+    """Check a request like one that came over the bus, and return its answer.
+
+    Args:
+        handle: Handler of the key.
+        verbs: Verbs of the key.
+        service: The running service.
+        now_ns: Loop time.
+        data: The request: `do`, and the fields of that verb.
+    """
     try:
         do, fields = read_request(json.dumps(data).encode(), verbs)
     except ValueError as error:
@@ -47,28 +58,32 @@ def _asked(
 
 
 def _answer(service: Service, said: MemoryQuestion, now_ns: int) -> str:
+    """Return the answer to a question in one line."""
     if said.topic in ("where", "exists"):
         name = names.head_phrase(said.about)
-        answer = _asked(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
-        there = _in_room(service, answer["objects"], said.room)
+        answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
+        in_room = _in_room(service, answer["objects"], said.room)
         text = str(answer["text"])
-        if said.room and answer["objects"] and not there:
+        if said.room and answer["objects"] and not in_room:
             return f"none in the {one_line(said.room)}; {text}"
-        return f"yes, {text}" if said.topic == "exists" and there else text
+        return f"yes, {text}" if said.topic == "exists" and in_room else text
     if said.topic == "seen":
-        answer = _asked(handle_memory, MEMORY_VERBS, service, now_ns, do="list")
-        there = _in_room(service, answer["objects"], said.room)
-        return _listed("seen", [one["name"] for one in there])
+        answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="list")
+        in_room = _in_room(service, answer["objects"], said.room)
+        return _counted_names("seen", [one["name"] for one in in_room])
     if said.topic == "places":
-        return _listed("places", [place.name for place in service.site.known.places])
+        return _counted_names("places", [place.name for place in service.site.known.places])
     if said.topic == "rooms":
-        return _listed("rooms", [room.title for room in service.map.rooms.rooms])
+        return _counted_names("rooms", [room.title for room in service.map.rooms.rooms])
+    # "where are you?"
     pose = _pose(service)
     room = service.map.rooms.room_phrase(pose.x_m, pose.y_m)
-    return f"{room}{', ' * bool(room)}at ({pose.x_m:.1f}, {pose.y_m:.1f})"
+    at = f"at ({pose.x_m:.1f}, {pose.y_m:.1f})"
+    return f"{room}, {at}" if room else at
 
 
 def _pose(service: Service) -> SE2:
+    """Return the robot's pose; raise UserError if it is not known yet."""
     if service.pose is None:
         raise UserError("the robot's pose is not known yet: wait for the first observation")
     return service.pose
@@ -87,15 +102,16 @@ def _in_room(service: Service, objects: list[dict], name: str) -> list[dict]:
     return [one for one, room in zip(objects, at, strict=True) if room and room.id in ids]
 
 
-def _listed(what: str, found: list[str]) -> str:
+def _counted_names(title: str, found: list[str]) -> str:
     """Return the names with their numbers, the most frequent first."""
-    counts = Counter(found).most_common(_MOST_TOLD)
+    counts = Counter(found).most_common(_MAX_NAMES)
     shown = [f"{n} × {one_line(name)}" if n > 1 else one_line(name) for name, n in counts]
-    more = ", …" if len(set(found)) > _MOST_TOLD else ""
-    return f"{what}: {', '.join(shown) or 'none'}{more}"
+    more = ", …" if len(set(found)) > _MAX_NAMES else ""
+    return f"{title}: {', '.join(shown) or 'none'}{more}"
 
 
-def _learn(service: Service, said: SiteOrder, now_ns: int) -> str:
+def _change_site(service: Service, said: SiteOrder, now_ns: int) -> str:
+    """Add or remove a place, room name or zone; return the answer in one line."""
     data: dict[str, Any]
     if said.do == "place":
         data = {"do": "set", "name": said.name}
@@ -107,7 +123,7 @@ def _learn(service: Service, said: SiteOrder, now_ns: int) -> str:
         data = {"do": "remove", "name": _zone_to_open(service, said.name)}
     else:
         data = {"do": "remove", "name": said.name}
-    return str(_asked(handle_site, SITE_VERBS, service, now_ns, **data)["text"])
+    return str(_call_handler(handle_site, SITE_VERBS, service, now_ns, **data)["text"])
 
 
 def _room_here(service: Service) -> str:

@@ -1,4 +1,7 @@
-"""Scorers of views and directions. They answer in the background; the loop collects the answers.
+"""Scorers of views and directions; the loop asks them, and collects their answers later.
+
+A *similarity scorer* gives an image one score for each target. A *choice scorer* chooses between
+the frontiers that are marked in an image. They answer in the background.
 
 The status message reports the answers, and policies may use them. The answers of one scorer are
 also written to the value maps, for the part of the map that the camera saw in the question's image.
@@ -41,8 +44,8 @@ from edge.perception.worker import ScorerWorker
 from edge.policies.base import FRONTIER, Candidates, ImageSimilarity, ScorerOutputs, TargetPrior
 from edge.types import Detections, Observation
 
-SIGHTED_NS = 2_000_000_000  # objects seen longer ago do not count as in view
-MAX_SIGHTINGS = 20  # largest number of objects that a question names
+IN_VIEW_NS = 2_000_000_000  # objects seen longer ago do not count as in view
+MAX_NAMED_OBJECTS = 20  # largest number of objects that a question names
 
 ScoreOf = Callable[[Detections], np.ndarray]
 """Returns (n,) float32 in [0, 1], a score for each prompt."""
@@ -82,7 +85,7 @@ class _ChoiceQuestion(NamedTuple):
 
 
 class _SimilarityAnswers:
-    """A similarity scorer with the interface of workers."""
+    """A similarity scorer that returns the question with its answer; `ScorerWorker` runs it."""
 
     def __init__(self, scorer: SimilarityScorer) -> None:
         self.name = scorer.name
@@ -106,7 +109,7 @@ class _SimilarityAnswers:
 
 
 class _ChoiceAnswers:
-    """A choice scorer that returns the question with its answer."""
+    """A choice scorer that returns the question with its answer; `ScorerWorker` runs it."""
 
     def __init__(self, scorer: ViewScorer) -> None:
         self.name = scorer.name
@@ -147,7 +150,7 @@ class Scorers:
         inline: bool = False,
         rest_s: float = 0.0,
         value_source: ValueSource | None = None,
-        remake: Callable[[str], ViewScorer] | None = None,
+        make_other: Callable[[str], ViewScorer] | None = None,
     ) -> None:
         """Start the workers of the scorers.
 
@@ -159,11 +162,11 @@ class Scorers:
             inline: Answer inside `ask`, so that a run is reproducible.
             rest_s: Pause of the choice scorer after an answer.
             value_source: See the attribute.
-            remake: Makes a choice scorer for another card; None if models cannot be swapped.
+            make_other: Makes a choice scorer for another card; None if models cannot be swapped.
         """
         self.answers = ScorerOutputs()
         self._from_detections, self._score_of = from_detections, score_of
-        self._detector = ""
+        self._detector = ""  # model of the newest detections, with `from_detections`
         self.value_source = value_source
         self.shed: frozenset[str] = frozenset()
         self._n_questions = 0  # number of questions about directions so far
@@ -181,8 +184,8 @@ class Scorers:
         self.paused = False
         self.newest_swap = False
         self.swap: ChoiceSwap | None = None
-        if remake is not None and self._choice is not None:
-            self.swap = ChoiceSwap(self._choice, lambda card: _ChoiceAnswers(remake(card)))
+        if make_other is not None and self._choice is not None:
+            self.swap = ChoiceSwap(self._choice, lambda card: _ChoiceAnswers(make_other(card)))
 
     @property
     def _workers(self) -> list[ScorerWorker]:
@@ -204,7 +207,7 @@ class Scorers:
         tracker: InstanceTracker,
         values: ValueMap,
         prior: TargetPrior | None = None,
-        around: TrackedObjects | None = None,
+        other_objects: TrackedObjects | None = None,
     ) -> None:
         """Ask the idle scorers about this observation. Never block, unless `inline`.
 
@@ -216,7 +219,7 @@ class Scorers:
             tracker: Objects of the targets.
             values: Computes the visible part of the map for the value maps.
             prior: The prior, for the choice scorer that uses it.
-            around: Other objects that were detected.
+            other_objects: Other objects that were detected.
         """
         if self.paused:
             return
@@ -240,7 +243,7 @@ class Scorers:
                 if self._by_prior and prior is not None:
                     ratio = np.ones(len(marks), np.float32)
                     prior.likelihood_ratio(asked_target, xy_m.astype(np.float32), len(marks), ratio)
-                seen = sightings(tracker, around, observation)
+                seen = objects_in_view(tracker, other_objects, observation)
                 costs = mark_costs(c, frontiers, marks)
                 view = MarkedView(observation, asked_target, marks, seen, ratio, costs)
                 choice.submit(_ChoiceQuestion(view, xy_m, profile))
@@ -272,13 +275,13 @@ class Scorers:
             self._set_similarity(answer, question.range_profile, values)
         choice = None if self._choice is None else self._choice.poll()
         if choice is not None:
-            asked, chosen = choice
+            question, chosen = choice
             self.answers = replace(self.answers, choice=chosen)
-            if asked.range_profile is not None:
-                index = {mark.id: i for i, mark in enumerate(asked.view.marks)}
-                xy_m = asked.xy_m[[index[i] for i in chosen.ids]]
+            if question.range_profile is not None:
+                index = {mark.id: i for i, mark in enumerate(question.view.marks)}
+                xy_m = question.xy_m[[index[i] for i in chosen.ids]]
                 values.write_directions(
-                    asked.range_profile, chosen.target, xy_m, chosen.p, chosen.scene
+                    question.range_profile, chosen.target, xy_m, chosen.p, chosen.scene
                 )
 
     def _set_similarity(
@@ -357,48 +360,48 @@ def _places_m(pose: SE2, marks: Sequence[Mark]) -> np.ndarray:
     )
 
 
-def mark_costs(candidates: Candidates, open_: np.ndarray, marks: Sequence[Mark]) -> MarkCosts:
+def mark_costs(candidates: Candidates, unblocked: np.ndarray, marks: Sequence[Mark]) -> MarkCosts:
     """Return path lengths and gains of the marks, and a summary of the other frontiers.
 
     Args:
         candidates: The candidates.
-        open_: (k,) indices of the frontiers that are not blocked, including those of the marks.
+        unblocked: (k,) indices of the frontiers that are not blocked, including those of the marks.
         marks: Marks in the image.
     """
-    path_m, gain_m2 = candidates.path_m[open_], candidates.gain_m2[open_]
+    path_m, gain_m2 = candidates.path_m[unblocked], candidates.gain_m2[unblocked]
     ids = np.array([mark.id for mark in marks], np.int64)
-    is_mark = candidates.id[open_] == ids[:, None]  # (marks, k)
+    is_mark = candidates.id[unblocked] == ids[:, None]  # (marks, k)
     index, is_other = is_mark.argmax(axis=1), np.isfinite(path_m) & ~is_mark.any(axis=0)
-    rest = np.zeros(3, np.float32)
+    others = np.zeros(3, np.float32)  # their number, shortest path and largest gain
     if is_other.any():
-        rest[:] = np.count_nonzero(is_other), path_m[is_other].min(), gain_m2[is_other].max()
-    return MarkCosts(path_m[index], gain_m2[index], rest)
+        others[:] = np.count_nonzero(is_other), path_m[is_other].min(), gain_m2[is_other].max()
+    return MarkCosts(path_m[index], gain_m2[index], others)
 
 
-def sightings(
-    tracker: InstanceTracker, around: TrackedObjects | None, observation: Observation
+def objects_in_view(
+    tracker: InstanceTracker, other_objects: TrackedObjects | None, observation: Observation
 ) -> tuple[DetectedObject, ...]:
-    """Return the objects detected in the last `SIGHTED_NS` and not rejected, nearest first."""
+    """Return the objects detected in the last `IN_VIEW_NS` and not rejected, nearest first."""
     pose, min_hits = observation.pose, tracker.config.min_hits
     found = [
         (instance.label, instance.center_m)
         for instance in tracker.all
         if instance.state != "rejected"
         and instance.hits >= min_hits
-        and observation.stamp_ns - instance.last_seen_ns <= SIGHTED_NS
+        and observation.stamp_ns - instance.last_seen_ns <= IN_VIEW_NS
     ]
-    if around is not None:
-        n, targets = around.n, {names.canonical(i.label) for i in tracker.all}
-        is_recent = around.last_seen_ns[:n] >= observation.stamp_ns - SIGHTED_NS
-        for i in np.flatnonzero(is_recent & (around.hits[:n] >= min_hits)):
-            word = around.words[around.word[i]]
+    if other_objects is not None:
+        n, targets = other_objects.n, {names.canonical(i.label) for i in tracker.all}
+        is_recent = other_objects.last_seen_ns[:n] >= observation.stamp_ns - IN_VIEW_NS
+        for i in np.flatnonzero(is_recent & (other_objects.hits[:n] >= min_hits)):
+            word = other_objects.words[other_objects.word[i]]
             if word not in targets:  # the tracker knows more about targets
-                found.append((word, around.xyz_m[i]))
+                found.append((word, other_objects.xyz_m[i]))
     seen = [
         DetectedObject(word, pose.bearing_to(*xy_m), pose.distance_to(*xy_m))
         for word, xy_m in ((word, (float(at[0]), float(at[1]))) for word, at in found)
     ]
-    return tuple(sorted(seen, key=lambda sighting: sighting.distance_m)[:MAX_SIGHTINGS])
+    return tuple(sorted(seen, key=lambda sighting: sighting.distance_m)[:MAX_NAMED_OBJECTS])
 
 
 def make_scorers(
@@ -430,17 +433,17 @@ def make_scorers(
         chooser = make_choice(choice, perception)
     if card is None and chooser is None:
         return None
-    remake: Callable[[str], ViewScorer] | None = None
+    make_other: Callable[[str], ViewScorer] | None = None
     if isinstance(choice, ChoiceOnnx):
 
-        def make_swapped(name: str) -> ViewScorer:
+        def make_checked(name: str) -> ViewScorer:
             settings = choice.model_copy(update={"card": name})
             if perception.isolation == "thread":  # only a process can kill a model that hangs
                 in_process = perception.model_copy(update={"isolation": "process"})
                 make_choice(settings, in_process).close()
             return make_choice(settings, perception)
 
-        remake = make_swapped
+        make_other = make_checked
     similarity, from_detections = None, None
     score_of: ScoreOf = best_scores
     if card is not None and is_running_detector(card, perception):
@@ -456,9 +459,10 @@ def make_scorers(
         inline=config.loop.lockstep,
         rest_s=getattr(choice, "pause_s", 0.0),
         value_source=config.value_source,
-        remake=remake,
+        make_other=make_other,
     )
 
 
 def _rounded(keys: Sequence[object], values: np.ndarray) -> dict[str, float]:
+    """Return the values by key, rounded for JSON."""
     return {str(k): round(float(v), 4) for k, v in zip(keys, values, strict=True)}

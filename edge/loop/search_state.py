@@ -1,4 +1,7 @@
-"""Search without candidates: turns on the spot, retries and viewpoints."""
+"""Search when no candidate is left: turns on the spot, retries and viewpoints.
+
+`GoalTracker` uses it. `SearchState` belongs to one target, `NextBestView` to the mission.
+"""
 
 from __future__ import annotations
 
@@ -54,8 +57,9 @@ class SearchState:
     left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
     has_moved: bool = False
     _turns: int = 0  # since there was a candidate
-    _idle_since_ns: int | None = None
-    _second_chance: bool = False
+    _idle_since_ns: int | None = None  # time since which there is no candidate and no turn
+    _second_chance: bool = False  # True if discarded candidates had their second chance
+    # The last instance that was out of reach: its id, and the place (x, y) of the robot.
     _out_of_reach: tuple[int, tuple[float, float]] | None = None
     _retry: tuple[int, int] | None = None  # generation of the travel-cost field and time of its end
     _retries: int = 0
@@ -193,7 +197,7 @@ class NextBestView:
             images: Number of images that the detector has processed so far.
         """
         if self._view is not None and (
-            self._is_finished(images) or not grid.coverage.is_worth_it(self._view)
+            self._is_finished(images) or not grid.coverage.is_worth_visiting(self._view)
         ):
             grid.coverage.write_off(self._view)
             self.views += not self._unreachable
@@ -222,6 +226,7 @@ class NextBestView:
         self.done = self._searching = self._unreachable = False
 
     def _is_finished(self, images: int) -> bool:
+        """Return True if the robot stayed long enough at the viewpoint, or cannot reach it."""
         stayed = (
             self._images_at_arrival is not None
             and images - self._images_at_arrival >= self.images_needed
@@ -229,6 +234,7 @@ class NextBestView:
         return stayed or self._unreachable
 
     def _search(self, grid: RollingMap) -> None:
+        """Do one step of the search for the next viewpoint; a search takes several ticks."""
         coverage = grid.coverage
         if not self._searching:
             coverage.restart_search()
@@ -238,7 +244,7 @@ class NextBestView:
         view, self._searching = coverage.view, False
         if view is None:
             self.done = True
-        elif coverage.is_worth_it(view):
+        elif coverage.is_worth_visiting(view):
             self._view = view
         else:  # its rays just missed the corner of a cell
             coverage.write_off(view)

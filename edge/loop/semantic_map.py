@@ -201,22 +201,22 @@ class SemanticMap:
         self,
         grid: RollingMap,
         part: Callable[[str], Arrays],
-        later_ns: int,
-        later_stamp_ns: int,
+        clock_shift_ns: int,
+        stamp_shift_ns: int,
     ) -> None:
         """Restore a `state_dict` in the same frame.
 
         Args:
             grid: The restored grid; see `edge.loop.map_checkpoint.make_map`.
             part: Returns the arrays of a part, by its name in `state_dict`.
-            later_ns: Added to saved times of the loop's clock.
-            later_stamp_ns: Added to saved stamps of the sensors' clock.
+            clock_shift_ns: Added to saved times of the loop's clock.
+            stamp_shift_ns: Added to saved stamps of the sensors' clock.
         """
         self._set_grid(grid)
-        grid.bumps.load_state_dict(part("bumps"), later_ns)
-        self.objects.load_state_dict(part("sightings"), later_stamp_ns)
-        self.tracker.load_state_dict(part("instances"), later_stamp_ns)
-        self.pool.load_state_dict(part("candidates"), later_ns, later_stamp_ns)
+        grid.bumps.load_state_dict(part("bumps"), clock_shift_ns)
+        self.objects.load_state_dict(part("sightings"), stamp_shift_ns)
+        self.tracker.load_state_dict(part("instances"), stamp_shift_ns)
+        self.pool.load_state_dict(part("candidates"), clock_shift_ns, stamp_shift_ns)
         self.room_surveyor.discard_pending()
         self.rooms.load_state_dict(part("rooms"))
 

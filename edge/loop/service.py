@@ -51,6 +51,7 @@ INGEST, CHECK, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = ran
     len(stages.STAGES)
 )
 NOTHING_CHANGED = (0, 0, 0, 0)
+"""`MapUpdate.changed` of a tick in which no cell changed."""
 _MAX_PAST_MISSIONS = 32
 _EXIT_M = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Radii of the search for a free cell outside a zone that the robot is in, tried in this order."""
@@ -181,12 +182,12 @@ class Service:
             self.mission.set_idle()
             # A controller may still have a goal from a previous service.
             self.goals.client.driving = True
-        saved, known = None, None
+        saved, content = None, None
         if checkpoint is not None:
-            saved, known = checkpoint.saved, checkpoint.map.loaded
+            saved, content = checkpoint.saved, checkpoint.map.loaded
         input_log.note(
             "start", translation=spec.translation, task=task_state(spec),
-            mission_checkpoint=saved, map_checkpoint=known, idle=idle, site=self.site.site,
+            mission_checkpoint=saved, map_checkpoint=content, idle=idle, site=self.site.site,
         )  # fmt: skip
 
     # -- the tick ---------------------------------------------------------------------------
@@ -217,10 +218,11 @@ class Service:
         self._end_stage(CHECK)
         self.refused = use != ""
         if self.refused:
-            sighted = self._input_log.record_decision(
-                SIGHTED, lambda: str(self.plausibility.sighted_ns)
+            # A refused observation may show that the newest complete ticks used old pictures.
+            surroundings_ns = self._input_log.record_decision(
+                SIGHTED, lambda: str(self.plausibility.surroundings_ns)
             )
-            self._last_tick_ns = min(self._last_tick_ns, int(sighted))
+            self._last_tick_ns = min(self._last_tick_ns, int(surroundings_ns))
             if use == "map":
                 self.stage = MAP
                 self._map(observation, now_ns)
@@ -262,26 +264,26 @@ class Service:
         self.latency.mark(stage, perf_counter_ns())
         self.stage = (stage + 1) % len(stages.STAGES)
 
-    def _restore(self, checkpoint: ServiceCheckpoint, sighted: StampedPose) -> None:
+    def _restore(self, checkpoint: ServiceCheckpoint, last_pose: StampedPose) -> None:
         """Restore map and objects of a checkpoint, with the first observation."""
         saved = checkpoint.map
         if saved.waiting is None:
             return
-        find_mismatch = partial(saved.frame_mismatch, sighted)
+        find_mismatch = partial(saved.frame_mismatch, last_pose)
         restored = saved.take(self._input_log.record_decision(FRAME_DECISION, find_mismatch))
         if restored is None:
             return
         grid, loaded = restored
         resumed = checkpoint.is_resumed(self.mission, loaded.state.targets)
-        with self.error_boundary.contain("restore", sighted.now_ns):
-            restore(MapParts(self.map, self.goals, self.policy), grid, loaded, sighted, resumed)
+        with self.error_boundary.contain("restore", last_pose.now_ns):
+            restore(MapParts(self.map, self.goals, self.policy), grid, loaded, last_pose, resumed)
             checkpoint.crops.restore(self.map.crops)
         if resumed:
             self.mission.mark_stale_before(self.map.tracker.newest_id)
         else:
             self._reset_search()
-        known = f"map ({self.map.grid.known_m2:.0f} m²) and {len(self.map.tracker)} objects"
-        self.event(f"restored {known} from the checkpoint", sighted.now_ns)
+        content = f"map ({self.map.grid.known_m2:.0f} m²) and {len(self.map.tracker)} objects"
+        self.event(f"restored {content} from the checkpoint", last_pose.now_ns)
 
     def _map(self, observation: Observation, now_ns: int) -> None:
         """Stage `map`: integrate the depth image or cloud into the map."""
@@ -313,15 +315,15 @@ class Service:
 
     def _ask_scorers(self, scorers: Scorers, observation: Observation) -> None:
         """Before the stage `score`: ask the scorers, and collect their answers."""
-        mission, here = self.mission, self.map
+        mission, semantic_map = self.mission, self.map
         if mission.active:
-            targets, candidates = mission.spec.prompts, here.pool.candidates
+            targets, candidates = mission.spec.prompts, semantic_map.pool.candidates
             target = mission.spec.prompt_for(mission.target)
             scorers.ask(
-                observation, targets, target, candidates, here.tracker, here.grid.values,
-                here.prior, here.objects.read_only,
+                observation, targets, target, candidates, semantic_map.tracker,
+                semantic_map.grid.values, semantic_map.prior, semantic_map.objects.read_only,
             )  # fmt: skip
-        scorers.collect_answers(here.grid.values, idle=mission.done)
+        scorers.collect_answers(semantic_map.grid.values, idle=mission.done)
         if self.config.loop.lockstep:  # the models ran inside `ask`, which is no time of the tick
             self.latency.exclude_elapsed(perf_counter_ns())
 
@@ -395,12 +397,12 @@ class Service:
         try:
             self._health.check(now_ns)
             if self.checkpoint is not None:
-                sighted = (
+                last_pose = (
                     None if self.pose is None else StampedPose(self.pose, self.stamp_ns, now_ns)
                 )
                 with self.error_boundary.contain("checkpoint", now_ns):
                     parts = MapParts(self.map, self.goals, self.policy)
-                    self.checkpoint.save_if_due(self.mission, self.status, parts, sighted, now_ns)
+                    self.checkpoint.save_if_due(self.mission, self.status, parts, last_pose, now_ns)
             self._publisher.publish(self.result(now_ns, observation), self.error_boundary)
         finally:
             self._publisher.release_detections()
@@ -434,10 +436,10 @@ class Service:
         self.mission.start(now_ns)
 
     def _make_behaviour(self, mission: MissionRun) -> Behaviour:
-        config, here, goals = self.config, self.map, self.goals
+        config, semantic_map, goals = self.config, self.map, self.goals
         if mission.spec.steps is None:
-            return SearchBehaviour(mission, config, here, goals, self._travel_costs)
-        return FollowBehaviour(mission, config, here, goals, self._input_log)
+            return SearchBehaviour(mission, config, semantic_map, goals, self._travel_costs)
+        return FollowBehaviour(mission, config, semantic_map, goals, self._input_log)
 
     def _record_past(self, mission: MissionRun) -> None:
         if mission.id:

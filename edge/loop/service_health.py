@@ -58,16 +58,18 @@ class ServiceHealth:
         self._problems: tuple[str, ...] = ("starting",)
         self._sent_line = self._open_files_problem = ""
         self._last_beat_s = self._next_ping_s = self._next_check_s = self._ready_s = clock()
+        # Stamp of the newest observation that was not refused, and the time when it came.
         self._stamp_ns, self._observed_s = 0, -math.inf
+        # Number of images that the detector has finished, and the time of the last one.
         self._images, self._detected_s = 0, clock()
         self._logged, self._logged_s = "", -math.inf  # last logged line about missing inputs
 
     # -- for the threads that start, run and stop the service --------------------------------
 
-    def starting(self, what: str) -> None:
+    def starting(self, step: str) -> None:
         """Report that a step of the start has begun or continues; see `STEP_S`."""
-        self._problems = (f"starting: {what}",)
-        self._manager.starting(what, STEP_S)
+        self._problems = (f"starting: {step}",)
+        self._manager.starting(step, STEP_S)
 
     def ready(self) -> None:
         """Report that the loop begins."""
@@ -84,10 +86,10 @@ class ServiceHealth:
         if self._manager.ping_s is not None and now_s >= self._next_ping_s:
             self._next_ping_s = now_s + self._manager.ping_s
             self._manager.alive()
-        reloads = running.reloader is not None and running.reloader.busy
-        if reloads != (self.state == "reloading"):
-            self.state, self._next_check_s = "reloading" if reloads else "running", now_s
-            if reloads:
+        is_reloading = running.reloader is not None and running.reloader.busy
+        if is_reloading != (self.state == "reloading"):
+            self.state, self._next_check_s = "reloading" if is_reloading else "running", now_s
+            if is_reloading:
                 self._manager.reloading()
             else:
                 self._manager.ready()
@@ -101,6 +103,7 @@ class ServiceHealth:
         self._manager.stopping()
 
     def _check(self, running: RunningService, now_s: float) -> None:
+        """Search for problems, and send the service manager a line of text if it changed."""
         stats = running.worker.stats
         images = stats.done + stats.failed
         if images != self._images or running.worker.idle:
@@ -108,15 +111,16 @@ class ServiceHealth:
         unseen_s, at_one_image_s = now_s - self._observed_s, now_s - self._detected_s
         self._problems = tuple(_problems(running, unseen_s, at_one_image_s))
         self._log_unseen(now_s)
-        if (short := open_files_problem()) and short != self._open_files_problem:
-            log.error("%s: new files and connections fail until others are closed", short)
-        elif self._open_files_problem and not short:
+        if (files_problem := open_files_problem()) and files_problem != self._open_files_problem:
+            log.error("%s: new files and connections fail until others are closed", files_problem)
+        elif self._open_files_problem and not files_problem:
             log.info("files and connections can be opened again")
-        self._open_files_problem = short
-        self._problems += (short,) * bool(short)
+        self._open_files_problem = files_problem
+        if files_problem:
+            self._problems += (files_problem,)
         status = running.service.status
-        doing = status.reason if status.phase == "idle" else status.instruction
-        line = f"{status.phase}: {one_line(doing, 100)}"
+        activity = status.reason if status.phase == "idle" else status.instruction
+        line = f"{status.phase}: {one_line(activity, 100)}"
         if self._problems:
             line = f"not ready: {'; '.join(self._problems)} ({line})"
         if running.reloader is not None and running.reloader.outcome:
@@ -177,6 +181,13 @@ class ServiceHealth:
 
 
 def _problems(running: RunningService, unseen_s: float, at_one_image_s: float) -> Iterator[str]:
+    """Yield the reasons why the running service is not ready.
+
+    Args:
+        running: The service.
+        unseen_s: Time since the newest observation that was not refused.
+        at_one_image_s: Time for which the detector has worked at one image.
+    """
     service = running.service
     if unseen_s > service.blind_s:
         why = service.error_boundary.call(
@@ -184,8 +195,8 @@ def _problems(running: RunningService, unseen_s: float, at_one_image_s: float) -
         )
         why = "; ".join(filter(None, (why, service.plausibility.why("stand"))))
         yield f"{_NO_OBSERVATIONS}: {why}" if why else _NO_OBSERVATIONS
-    if doubt := service.plausibility.why("degrade"):
-        yield doubt
+    if problem := service.plausibility.why("degrade"):
+        yield problem
     if service.error_boundary.state != "ok":
         yield f"the loop is {service.error_boundary.state}: {service.error_boundary.last_error}"
     detector = detector_health(running.worker)

@@ -1,4 +1,7 @@
-"""Requests about places, zones and room names."""
+"""Requests about the site: places, zones and room names that people gave.
+
+`edge place`, `edge zone`, `edge room` and the live page send them, with the key `site/request`.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,18 @@ if TYPE_CHECKING:
     from edge.loop.service import Service
 
 
-def _set(fields: dict) -> dict:
+def _check_set(fields: dict) -> dict:
+    """Return the checked fields of `set`; the three forms are in `SITE_VERBS`.
+
+    Returns:
+        `room`, `kind` and `name` of a zone to make of a room; or `item`, the place, zone or room
+        name to add, with `here` if it gets the robot's position.
+    """
     kind = fields.get("kind", "place")
     if kind in ZONE_KINDS and "room" in fields and "feature" not in fields:
         room = check_text("room", fields["room"], MAX_NAME_CHARS)
         name = check_text("name", fields.get("name", f"{room} zone"), MAX_NAME_CHARS)
-        return {"room": room, "kind": kind, "name": _here(name).name}
+        return {"room": room, "kind": kind, "name": _item_here(name).name}
     if "room" in fields or ("name" in fields) == ("feature" in fields):
         raise ValueError(
             "do: set needs a name (of the place or room here), a GeoJSON feature, or a room and "
@@ -30,17 +39,18 @@ def _set(fields: dict) -> dict:
     if kind not in ("place", "room"):
         raise ValueError(f"kind: expected place or room, got {shown(kind)}")
     name = check_text("name", fields["name"], MAX_NAME_CHARS)
-    return {"item": _here(name, kind), "here": True}
+    return {"item": _item_here(name, kind), "here": True}
 
 
-def _here(name: str, kind: str = "place") -> Item:
-    """Return a place or room of this name, at the origin."""
-    here = {"type": "Point", "coordinates": [0.0, 0.0]}
+def _item_here(name: str, kind: str = "place") -> Item:
+    """Return a place or room name; its position is set later, to that of the robot."""
+    point = {"type": "Point", "coordinates": [0.0, 0.0]}
     properties = {"kind": kind, "name": name}
-    return item_of({"type": "Feature", "properties": properties, "geometry": here})
+    return item_of({"type": "Feature", "properties": properties, "geometry": point})
 
 
-def _import(fields: dict) -> dict:
+def _check_import(fields: dict) -> dict:
+    """Return the checked fields of `import`."""
     return {
         "site": site_of(without_mapped(fields.get("site"))),
         "replace": check_flag("replace", fields),
@@ -48,9 +58,9 @@ def _import(fields: dict) -> dict:
 
 
 SITE_VERBS = {
-    "set": Verb(("name", "feature", "kind", "room"), _set),
+    "set": Verb(("name", "feature", "kind", "room"), _check_set),
     "remove": Verb(("name",), lambda fields: {"name": check_text("name", fields.get("name"))}),
-    "import": Verb(("site", "replace"), _import),
+    "import": Verb(("site", "replace"), _check_import),
     "list": Verb(read_only=True),
 }
 """`{"do": "set", "name": NAME}` names the robot's pose, with `"kind": "room"` the room around it;
@@ -66,7 +76,7 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
     Raises:
         UserError: the robot's pose is not known yet, or there is no such place or zone.
     """
-    fields, site, done = request.fields, service.site.site, ""
+    fields, site, text = request.fields, service.site.site, ""
     if request.do == "set":
         item = _zone_of(service, fields) if "room" in fields else fields["item"]
         if fields.get("here"):
@@ -76,17 +86,17 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
             is_room = isinstance(item, RoomName)
             item = RoomName(item.name, at_m) if is_room else Place.at(item.name, service.pose)
         service.change_site(site.with_item(item), now_ns)
-        done = describe_item(item)
+        text = describe_item(item)
     elif request.do == "remove":
         service.change_site(site.without(fields["name"]), now_ns)
-        done = f"removed: {name_of(fields['name'])}"
+        text = f"removed: {name_of(fields['name'])}"
     elif request.do == "import":
         start = Site() if fields["replace"] else site
         service.change_site(merged(start, fields["site"].items), now_ns)
-        done = f"imported: {len(fields['site'].items)} places and zones"
-    if done:
-        service.event(done, now_ns)
-    return {"text": done, "site": service.site.known.geojson()}
+        text = f"imported: {len(fields['site'].items)} places and zones"
+    if text:
+        service.event(text, now_ns)
+    return {"text": text, "site": service.site.known.geojson()}
 
 
 def _zone_of(service: Service, fields: dict) -> Zone:

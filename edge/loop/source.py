@@ -1,4 +1,7 @@
-"""Interfaces of the loop's inputs: the source of observations and the goal statuses."""
+"""Interfaces of the loop's inputs: `Source`, `GoalStatusReader`, and the state of each input.
+
+`edge.sources` has the sources. An *input* is a topic, for example `camera/depth`.
+"""
 
 from __future__ import annotations
 
@@ -65,10 +68,11 @@ def missing_inputs(rows: Sequence[InputStatus]) -> str:
 
     The line is logged whenever it changes, so it holds no number that changes all the time.
     """
-    return "; ".join(_lacking([row for row in rows if row.is_lacking]))
+    return "; ".join(_problem_texts([row for row in rows if row.is_lacking]))
 
 
-def _lacking(rows: Sequence[InputStatus]) -> Iterator[str]:
+def _problem_texts(rows: Sequence[InputStatus]) -> Iterator[str]:
+    """Yield one text for each problem of these inputs: missing, silent, then dropped."""
     for state, text in (("missing", "no message yet on"), ("silent", "no more messages on")):
         groups: dict[str, list[str]] = {}
         for row in rows:

@@ -66,6 +66,10 @@ STAGES: tuple[Stage, ...] = (
     Stage("publish", 0.3, "Goal, status, latency", "TickResult", "edge/loop/publish.py"),
 )
 TICK_BUDGET_MS = 3.0
+"""Budget of the tick's 95th percentile on the reference computer."""
 TICK_DEADLINE_MS = 33.0
+"""Longest permitted duration of a tick on every computer: the period of a camera."""
 MEMORY_BUDGET_MB = 700.0
+"""Budget of the process's memory."""
 READY_BUDGET_S = 10.0
+"""Budget of the time from the start to the first tick, with compiled kernels."""

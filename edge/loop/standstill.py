@@ -1,4 +1,4 @@
-"""Detection of a blocked robot. If no sensor shows the obstacle, it is closed in the map."""
+"""Detection of a blocked robot. If no sensor shows the obstacle, its place is closed in the map."""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ class StandstillMonitor:
         self._still, self._still_far_from_goal = (
             StuckDetector(config.mission.stuck_s) for _ in range(2)
         )
+        # Standstills at obstacles that the map shows: x [m], y [m], loop time [ns].
         self._explained: deque[tuple[float, float, int]] = deque(maxlen=_MAX_REMEMBERED)
 
     def reset(self) -> None:
@@ -72,7 +73,7 @@ class StandstillMonitor:
     ) -> None:
         """Close the map at the place, unless the map already shows an obstacle there."""
         blocked = f"blocked at ({place[0]:.2f}, {place[1]:.2f})"
-        if grid.bumps.explained_by_obstacle(pose, place, self._radius_m) and self._may_clear(
+        if grid.bumps.explained_by_obstacle(pose, place, self._radius_m) and self._may_leave(
             place, now_ns
         ):
             self._event(f"{blocked} by an obstacle in the map", now_ns)
@@ -85,7 +86,7 @@ class StandstillMonitor:
         )
         self._event(f"{blocked}: {outcome}", now_ns)
 
-    def _may_clear(self, place: tuple[float, float], now_ns: int) -> bool:
+    def _may_leave(self, place: tuple[float, float], now_ns: int) -> bool:
         """Return True if the obstacle may be a person who leaves: few standstills here so far."""
         times_ns = [t for x, y, t in self._explained if math.dist((x, y), place) <= _SAME_M]
         if not times_ns or now_ns - times_ns[-1] > _SAME_NS:

@@ -1,4 +1,4 @@
-"""The status message of the service, sent once a second, and the parts that replies share."""
+"""JSON of the service: the status message, which is sent once a second, and replies to requests."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ from edge.text import bounded_lines, one_line
 from edge.types import MissionStatus
 
 MOST_POSES = 200
+"""Number of poses of a trajectory to include."""
 MOST_ROUNDS = 4
 """Number of a model's newest answers to include: they may be long, and the status is sent often."""
-_MOST_LINES = 20
-_CODE_CHARS, _PRINTED_CHARS, _STEP_CHARS = 2000, 500, 100
+_MAX_LINES = 20  # of each list of texts
+_MAX_CODE_CHARS, _MAX_TEXT_CHARS, _MAX_STEP_CHARS = 2000, 500, 100  # of one text
 
 
 def status_message(result: TickResult) -> dict[str, object]:
     """Return the status message, JSON-ready, with units in the field names."""
-    pose, goal, s, health = result.pose, result.goal, result.status, result.health()
+    pose, goal, status, health = result.pose, result.goal, result.status, result.health()
     return {
-        "instruction": s.instruction,
-        "target": s.target,
-        "phase": s.phase,
-        "reason": s.reason,
-        "elapsed_s": round(s.elapsed_s, 2),
-        "path_m": round(s.path_m, 2),
-        "mission": mission_of(result.mission()),
-        "task": task_of(result.task()),
+        "instruction": status.instruction,
+        "target": status.target,
+        "phase": status.phase,
+        "reason": status.reason,
+        "elapsed_s": round(status.elapsed_s, 2),
+        "path_m": round(status.path_m, 2),
+        "mission": mission_json(result.mission()),
+        "task": task_json(result.task()),
         "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
         "goal": None
         if goal is None
@@ -70,14 +71,14 @@ def status_message(result: TickResult) -> dict[str, object]:
 
 
 class HealthWatch:
-    """Health of all parts of the loop.
+    """Collects the health of all parts of the loop, and reports when the detector fails.
 
     Args:
         worker: Background worker of the detector.
-        swapper: Swaps the detector's model.
+        detector_swap: Swaps the detector's model.
         scorers: The scorers, if any.
         checkpoint: The checkpoint, if any.
-        faults: Counts exceptions.
+        error_boundary: Counts the exceptions of the loop.
         overruns: Returns the number of reads that found a message ring full, by ring.
         load_shedding: Returns the state of the load shedder; None if there is none.
         event: Reports an event for people, at a loop time.
@@ -89,10 +90,10 @@ class HealthWatch:
     def __init__(
         self,
         worker: DetectorWorker,
-        swapper: DetectorSwap,
+        detector_swap: DetectorSwap,
         scorers: Scorers | None,
         checkpoint: ServiceCheckpoint | None,
-        faults: ErrorBoundary,
+        error_boundary: ErrorBoundary,
         overruns: Callable[[], dict[str, int]],
         load_shedding: Callable[[], dict[str, object] | None],
         event: Callable[[str, int], None],
@@ -100,11 +101,15 @@ class HealthWatch:
         inputs: Callable[[], Sequence[InputStatus]] = tuple,
         plausibility: Callable[[], dict[str, object]] = dict,
     ) -> None:
-        self._worker, self._swapper, self._scorers = worker, swapper, scorers
-        self._checkpoint, self._faults, self._overruns = checkpoint, faults, overruns
+        self._worker, self._detector_swap, self._scorers = worker, detector_swap, scorers
+        self._checkpoint, self._error_boundary, self._overruns = (
+            checkpoint,
+            error_boundary,
+            overruns,
+        )
         self._load_shedding, self._event = load_shedding, event
         self._sinks, self._inputs, self._plausibility = sinks, inputs, plausibility
-        self._degraded = False  # the detector is degraded, and that was reported
+        self._degraded = False  # True after it was reported that the detector is degraded
 
     def check(self, now_ns: int) -> None:
         """Report once that the detector is degraded, and once that it works again."""
@@ -121,7 +126,7 @@ class HealthWatch:
         """Return the health of each part for the status message."""
         worker = self._worker
         return {
-            "loop": {**self._faults.status(), "overruns": self._overruns()},
+            "loop": {**self._error_boundary.status(), "overruns": self._overruns()},
             "checkpoint": None if self._checkpoint is None else self._checkpoint.status(),
             "detector": {
                 "model": worker.detector.name,
@@ -130,7 +135,7 @@ class HealthWatch:
                 **asdict(worker.stats),
             },
             "segmenter": None if worker.masker is None else worker.masker.status(),
-            "swap": self._swapper.status(),
+            "swap": self._detector_swap.status(),
             "load_shedding": self._load_shedding(),
             "scorers": {} if self._scorers is None else self._scorers.status(),
             "sinks": statuses(self._sinks),
@@ -141,13 +146,13 @@ class HealthWatch:
 
 def detector_health(worker: DetectorWorker) -> Health:
     """Return the detector's health: its own report, or degraded if its newest images failed."""
-    own = worker.detector.health()
-    if own.state == "ok" and worker.stats.in_a_row >= DEGRADED_AFTER:
+    reported = worker.detector.health()
+    if reported.state == "ok" and worker.stats.in_a_row >= DEGRADED_AFTER:
         return Health("degraded", f"fails on every image: {worker.stats.last_error}")
-    return own
+    return reported
 
 
-def mission_of(mission: MissionFacts) -> dict[str, object]:
+def mission_json(mission: MissionFacts) -> dict[str, object]:
     """Return formula, automaton state, plan and sets of a mission (ViTL IV-A2), JSON-ready.
 
     `why` is the reason for the active target.
@@ -159,7 +164,7 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
         "english": translation.understood,
         "translated_by": one_line(translation.backend),
         "reading": translation.reading,
-        "readings": [one_line(english, _PRINTED_CHARS) for english in translation.readings],
+        "readings": [one_line(english, _MAX_TEXT_CHARS) for english in translation.readings],
         "state": mission.state,
         "states": mission.spec.automaton.n_states,
         "trace": list(mission.trace),
@@ -174,7 +179,7 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
     }
 
 
-def task_of(task: TaskStatus | None) -> dict[str, object] | None:
+def task_json(task: TaskStatus | None) -> dict[str, object] | None:
     """Return a task and its trajectory, JSON-ready and of bounded size; None if there is no task.
 
     `trajectory` has at most `MOST_POSES` rows [x, y, heading], and `index` refers to them. `rounds`
@@ -187,20 +192,20 @@ def task_of(task: TaskStatus | None) -> dict[str, object] | None:
         poses, index = thinned(task.refined, task.index, MOST_POSES)
         length_m, driven_m = lengths_m(task.refined, task.index)
     return {
-        "instruction": one_line(task.instruction, _PRINTED_CHARS),
+        "instruction": one_line(task.instruction, _MAX_TEXT_CHARS),
         "phase": task.phase,
         "writer": one_line(task.writer),
-        "missing": [one_line(name) for name in task.missing[:_MOST_LINES]],
+        "missing": [one_line(name) for name in task.missing[:_MAX_LINES]],
         "steps": [
-            {"said": one_line(step.said, _STEP_CHARS), "state": step.state}
-            for step in task.steps[:_MOST_LINES]
+            {"said": one_line(step.said, _MAX_STEP_CHARS), "state": step.state}
+            for step in task.steps[:_MAX_LINES]
         ],
-        "understood": one_line(task.understood, _PRINTED_CHARS),
+        "understood": one_line(task.understood, _MAX_TEXT_CHARS),
         "rounds": [
             {
-                "code": bounded_lines(round.code, _CODE_CHARS),
+                "code": bounded_lines(round.code, _MAX_CODE_CHARS),
                 "error": one_line(round.error),
-                "printed": bounded_lines(round.printed, _PRINTED_CHARS),
+                "printed": bounded_lines(round.printed, _MAX_TEXT_CHARS),
             }
             for round in task.rounds[-MOST_ROUNDS:]
         ],
@@ -210,23 +215,23 @@ def task_of(task: TaskStatus | None) -> dict[str, object] | None:
         "length_m": round(length_m, 2),
         "driven_m": round(driven_m, 2),
         "refinements": task.refinements,
-        "notes": [one_line(note) for note in task.notes[:_MOST_LINES]],
+        "notes": [one_line(note) for note in task.notes[:_MAX_LINES]],
     }
 
 
-def answer_of(
-    s: MissionStatus, mission: MissionFacts, task: TaskStatus | None = None
+def reply_json(
+    status: MissionStatus, mission: MissionFacts, task: TaskStatus | None = None
 ) -> dict[str, object]:
     """Return the reply to a request: the status of the mission and of its task."""
     return {
-        "instruction": s.instruction,
-        "phase": s.phase,
-        "reason": s.reason,
-        "target": s.target,
+        "instruction": status.instruction,
+        "phase": status.phase,
+        "reason": status.reason,
+        "target": status.target,
         "paused": mission.paused,
-        "elapsed_s": round(s.elapsed_s, 2),
-        "path_m": round(s.path_m, 2),
+        "elapsed_s": round(status.elapsed_s, 2),
+        "path_m": round(status.path_m, 2),
         "warnings": list(mission.spec.warnings),
-        **mission_of(mission),
-        "task": task_of(task),
+        **mission_json(mission),
+        "task": task_json(task),
     }

@@ -1,4 +1,4 @@
-"""Compiler of every kernel that the loop calls, before the loop starts.
+"""Warm-up: compiles every kernel that the loop calls, before the loop starts.
 
 With a filled numba cache this takes a second or two. Without one it takes tens of seconds, so it
 reports its progress.
@@ -34,7 +34,7 @@ from edge.types import Detections, Observation
 
 log = logging.getLogger("edge.loop.warmup")
 
-_SLOW_S = 3.0
+_REPORT_AFTER_S = 3.0  # a longer step is logged
 
 
 def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None) -> float:
@@ -47,42 +47,43 @@ def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None)
     Returns:
         Duration in seconds.
     """
-    # A second process compiles these at the same time; this one then reads them from the cache.
-    apart: dict[str, Callable[[], object]] = {
+    # A helper process compiles these while this process compiles the others, and then reads them
+    # from the cache. The helper runs `main`, so both lists must agree.
+    shared: dict[str, Callable[[], object]] = {
         "perception": lambda: warm_perception((config.perception.back_projection,)),
-        "planner": lambda: warm_planners(weights_of(config)),
+        "planner": lambda: warm_planners(planner_weights(config)),
         "messages": warm_messages,
     }
     steps: dict[str, Callable[[], object]] = {
         "mapping": lambda: warm_mapping(config.mapping),
         "rooms": lambda: warm_rooms(config),
         "policy": lambda: warm_policy(config),
-        **apart,
+        **shared,
         "tasks": warm_tasks,
     }
     started = perf_counter()
-    helper = _compile_apart(config) if _is_cold() else None
+    helper = _start_helper(config) if _must_compile() else None
     for i, (name, step) in enumerate(steps.items(), start=1):
         before = perf_counter()
         what = f"preparing kernels {i}/{len(steps)}: {name}"
         log.info(what)
         progress(what)
-        if helper is not None and name in apart:
+        if helper is not None and name in shared:
             helper.wait()
         step()
-        if perf_counter() - before > _SLOW_S:
+        if perf_counter() - before > _REPORT_AFTER_S:
             log.info("compiled %s kernels in %.0f s; the next start finds them in the cache",
                      name, perf_counter() - before)  # fmt: skip
     return perf_counter() - started
 
 
-def weights_of(config: Config) -> str:
-    """Return the planner's weights setting, `constant` if it has none."""
+def planner_weights(config: Config) -> str:
+    """Return the setting `mission.planner.weights`, `constant` for a planner without it."""
     return getattr(config.mission.planner, "weights", "constant")
 
 
-def _is_cold() -> bool:
-    """Return True if kernels must be compiled: a cheap one is not in the cache."""
+def _must_compile() -> bool:
+    """Return True if kernels must be compiled, which is so if a cheap one is not in the cache."""
     kernel = kernels.to_planes
     if kernel.signatures:  # this process has called it before
         return False
@@ -91,20 +92,20 @@ def _is_cold() -> bool:
     return bool(kernel.stats.cache_misses)
 
 
-def _compile_apart(config: Config) -> subprocess.Popen[bytes]:
-    """Start `main` in another process. If it fails, this process compiles everything."""
-    words = (
+def _start_helper(config: Config) -> subprocess.Popen[bytes]:
+    """Start the helper process. If it fails, this process compiles everything."""
+    command = (
         *python_module("edge.loop.warmup"),
         config.perception.back_projection,
-        weights_of(config),
+        planner_weights(config),
     )
-    nothing = subprocess.DEVNULL
-    return subprocess.Popen(words, stdin=nothing, stdout=nothing, stderr=nothing)
+    null = subprocess.DEVNULL
+    return subprocess.Popen(command, stdin=null, stdout=null, stderr=null)
 
 
-def main(lift: str, weights: str) -> None:
-    """Compile the kernels of perception, planner and messages into the cache."""
-    warm_perception((lift,))
+def main(back_projection: str, weights: str) -> None:
+    """Run as the helper: compile the kernels of perception, planner and messages into the cache."""
+    warm_perception((back_projection,))
     warm_planners(weights)
     warm_messages()
 
@@ -130,23 +131,23 @@ def warm_policy(config: Config) -> None:
     observation = Observation(
         0, 0, np.eye(4), camera=CameraModel.from_hfov(320, 256, 1.2), rgb=None
     )
-    seen = Detections(
+    detections = Detections(
         observation,
         np.array([[10, 10, 20, 20]], np.float32),
         np.ones(1, np.float32),
         np.zeros(1, np.int32),
         ("x",),
     )
-    nowhere, target = (0, 0, 0, 0), seen.prompts[0]
+    nowhere, target = (0, 0, 0, 0), detections.prompts[0]
     context = PolicyInput(
         observation,
         observation.pose,
         MapView(grid),
         nowhere,
         pool.read_only,
-        seen,
+        detections,
         ScorerOutputs(),
-        seen.prompts,
+        detections.prompts,
         target,
         0,
     )

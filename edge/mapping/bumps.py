@@ -1,4 +1,7 @@
-"""Obstacles that no sensor shows, but at which the robot was blocked: a sill, glass, a cable."""
+"""Obstacles that no sensor shows, but at which the robot was blocked: a sill, glass, a cable.
+
+A *bump* is one such contact. It closes cells of the map for some time.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from edge import config
 from edge.geometry import SE2
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.mapping import layers as ly
-from edge.mapping.update import SEEN_FREE
+from edge.mapping.update import MOST_FLOOR_UPDATES
 from edge.mapping.window import Window
 
 ROUNDING_CELLS = 2
@@ -109,12 +112,12 @@ class ContactObstacles:
         self._inflation_m = config.inflation_m
         # Cells this far from the trail leave its middle open: see `layers.on_trail`.
         body_cells = config.inflation_m / config.resolution_m - ROUNDING_CELLS
-        self._clear_cells = max(body_cells - 0.5, 0.0)
-        # A bump this near to an opened one is the same sill, which is still there.
+        self._trail_margin_cells = max(body_cells - 0.5, 0.0)
+        # A bump this near to one that was opened is the same obstacle, which is still there.
         self._same_m = 2 * config.inflation_m + ROUNDING_CELLS * config.resolution_m
         self._bumps: list[_Bump] = []  # oldest first
         self._opened: list[_Bump] = []  # opened but perhaps still there, oldest first
-        self._closed: dict[Cell, _Closed] = {}
+        self._closed: dict[Cell, _Closed] = {}  # all cells that bumps have closed
 
     @property
     def closed_m(self) -> list[XY]:
@@ -138,18 +141,19 @@ class ContactObstacles:
             now_ns: time on the clock that `expire` gets.
         """
         heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
-        waiting = [self._with_cells(_Bump(place_m, heading, radius_m, 0))]
-        closed = waiting[0].felt
-        while waiting:
-            bump = waiting.pop()
+        # The new bump, and opened ones near it: the obstacle was not gone.
+        to_close = [self._with_cells(_Bump(place_m, heading, radius_m, 0))]
+        closed = to_close[0].felt
+        while to_close:
+            bump = to_close.pop()
             near = [b for b in self._opened if math.dist(b.place_m, bump.place_m) <= self._same_m]
             self._opened = [b for b in self._opened if b not in near]
-            waiting += [b._replace(again=True) for b in near]
+            to_close += [b._replace(again=True) for b in near]
             same = [b for b in self._bumps if b.felt <= bump.felt]
             again = bump.again or bool(near) or any(b.again for b in same)
-            lasts_ns = self._memory_ns if again else int(_FIRST_TOUCH_SHARE * self._memory_ns)
+            memory_ns = self._memory_ns if again else int(_FIRST_TOUCH_SHARE * self._memory_ns)
             guessed = bump.guessed.union(*(b.guessed for b in same))
-            self._close(bump._replace(until_ns=now_ns + lasts_ns, guessed=guessed, again=again))
+            self._close(bump._replace(until_ns=now_ns + memory_ns, guessed=guessed, again=again))
             for b in same:
                 self._open(b)
         return bool(closed)
@@ -196,29 +200,29 @@ class ContactObstacles:
         the values before the cell was closed.
         """
         opened = self._opened[-_MAX_BUMPS:]
-        every = (*opened, *self._bumps)
+        all_bumps = (*opened, *self._bumps)
         cells = [
             (i, *cell, guessed)
-            for i, bump in enumerate(every)
+            for i, bump in enumerate(all_bumps)
             for guessed, held in enumerate((bump.felt, bump.guessed))
             for cell in sorted(held)
         ]
         closed = [(*cell, was.raw, was.top) for cell, was in self._closed.items()]
         return {
-            "place_m": np.array([bump.place_m for bump in every]).reshape(-1, 2),
-            "heading_rad": np.array([bump.heading_rad for bump in every], np.float64),
-            "half_m": np.array([bump.half_m for bump in every], np.float64),
-            "until_ns": np.array([bump.until_ns for bump in every], np.int64),
-            "opened": np.arange(len(every)) < len(opened),
-            "again": np.array([bump.again for bump in every], bool),
+            "place_m": np.array([bump.place_m for bump in all_bumps]).reshape(-1, 2),
+            "heading_rad": np.array([bump.heading_rad for bump in all_bumps], np.float64),
+            "half_m": np.array([bump.half_m for bump in all_bumps], np.float64),
+            "until_ns": np.array([bump.until_ns for bump in all_bumps], np.int64),
+            "opened": np.arange(len(all_bumps)) < len(opened),
+            "again": np.array([bump.again for bump in all_bumps], bool),
             "cell": np.array(cells, np.int64).reshape(-1, 4),
             "closed": np.array(closed, np.int64).reshape(-1, 4),
         }
 
-    def load_state_dict(self, state: Arrays, later_ns: int) -> None:
+    def load_state_dict(self, state: Arrays, clock_shift_ns: int) -> None:
         """Restore a `state_dict`, in a map whose layers have these cells closed.
 
-        `later_ns` is the difference between the current clock and that of the `state_dict`.
+        `clock_shift_ns` is the difference between the current clock and that of the `state_dict`.
         """
         fields = ("place_m", "heading_rad", "half_m", "until_ns", "opened", "again")
         rows = {fields: 2 * _MAX_BUMPS, ("cell",): 1 << 16, ("closed",): 1 << 16}
@@ -234,8 +238,8 @@ class ContactObstacles:
             *(state[name] for name in fields), _by_bump(cells, len(state["opened"])), strict=True
         ):
             bump = _Bump(
-                (float(at[0]), float(at[1])), float(heading), float(half), int(until_ns) + later_ns,
-                felt, guessed, bool(again),
+                (float(at[0]), float(at[1])), float(heading), float(half),
+                int(until_ns) + clock_shift_ns, felt, guessed, bool(again),
             )  # fmt: skip
             (self._opened if opened else self._bumps).append(bump)
             for cell in () if opened else bump.cells:
@@ -290,8 +294,8 @@ class ContactObstacles:
         felt: set[Cell] = set()
         if touched_m is not None:
             felt.add(self._window.cell_of(*touched_m))
-            felt.update(self._along(touched_m, (x, y), bump.half_m))
-            felt.update(self._along(touched_m, (-x, -y), bump.half_m))
+            felt.update(self._cells_on_line(touched_m, (x, y), bump.half_m))
+            felt.update(self._cells_on_line(touched_m, (-x, -y), bump.half_m))
         guessed: set[Cell] = set()
         for other in self._bumps:
             guessed.update(self._between(bump, other))
@@ -306,7 +310,7 @@ class ContactObstacles:
         An obstacle on the trail itself is not closed, because the robot came through there.
         """
         step_m, (x, y) = self._window.resolution_m, bump.place_m
-        for k in range(math.ceil(self._clear_cells) + 1):
+        for k in range(math.ceil(self._trail_margin_cells) + 1):
             at = (
                 x + k * step_m * math.cos(bump.heading_rad),
                 y + k * step_m * math.sin(bump.heading_rad),
@@ -317,12 +321,12 @@ class ContactObstacles:
 
     def _near_trail(self, cell: Cell) -> bool:
         n = self._window.n
-        return ly.near_trail(self._layers, cell[1] % n, cell[0] % n, self._clear_cells)
+        return ly.near_trail(self._layers, cell[1] % n, cell[0] % n, self._trail_margin_cells)
 
     def _is_seen_free(self, bump: _Bump) -> bool:
         """Return True if most touched cells were floor, and nothing else, in the last updates."""
         top, n = self._layers.top, self._window.n
-        seen = sum(top[y % n, x % n] >= SEEN_FREE for x, y in bump.felt)
+        seen = sum(top[y % n, x % n] >= MOST_FLOOR_UPDATES for x, y in bump.felt)
         return 2 * seen > len(bump.felt)
 
     def _between(self, a: _Bump, b: _Bump) -> Iterator[Cell]:
@@ -337,12 +341,12 @@ class ContactObstacles:
         ):
             return
         extension_m = min(gap_m, _MAX_EXTENSION_M)
-        yield from self._along(a.place_m, (x, y), gap_m)
-        yield from self._along(b.place_m, (-x, -y), gap_m)
-        yield from self._along(b.place_m, (x, y), b.half_m + extension_m)
-        yield from self._along(a.place_m, (-x, -y), a.half_m + extension_m)
+        yield from self._cells_on_line(a.place_m, (x, y), gap_m)
+        yield from self._cells_on_line(b.place_m, (-x, -y), gap_m)
+        yield from self._cells_on_line(b.place_m, (x, y), b.half_m + extension_m)
+        yield from self._cells_on_line(a.place_m, (-x, -y), a.half_m + extension_m)
 
-    def _along(self, start_m: XY, direction: XY, length_m: float) -> Iterator[Cell]:
+    def _cells_on_line(self, start_m: XY, direction: XY, length_m: float) -> Iterator[Cell]:
         """Yield the cells on a line from a place, up to a known obstacle or the robot's trail."""
         res, n = self._window.resolution_m, self._window.n
         for k in range(1, math.floor(2.0 * length_m / res) + 1):

@@ -24,11 +24,11 @@ PLACE_M = 0.25
 """Side of a place; rounded to a power of two of the map's cells."""
 NEAR_M = 0.8
 """Places nearer than this are outside the image."""
-LEAST_M2 = 0.5
+MIN_VIEW_M2 = 0.5
 """Smallest area that makes a view worth a goal."""
 START_M = 2.0
 """Fixed cost of a goal in metres of path: turning, stopping and looking."""
-SURE = 0.85
+SAFE_SHARE = 0.85
 """Share of the field of view and range that is used to plan a view.
 
 The robot stops slightly off the planned pose.
@@ -78,21 +78,24 @@ class Coverage:
         self._layers, self._window = layers, window
         resolution_m, n = window.resolution_m, window.n
         # The window moves by multiples of 64 cells, and so of a place's side.
-        self._bits = min(6, max(0, round(math.log2(PLACE_M / resolution_m))))
-        self._min_places = max(1, round(LEAST_M2 / (resolution_m * 2**self._bits) ** 2))
-        self.looks = np.zeros((n >> self._bits, n >> self._bits), np.uint8)
+        # A place has 2**_place_bits cells on a side.
+        self._place_bits = min(6, max(0, round(math.log2(PLACE_M / resolution_m))))
+        self._min_places = max(1, round(MIN_VIEW_M2 / (resolution_m * 2**self._place_bits) ** 2))
+        self.looks = np.zeros((n >> self._place_bits, n >> self._place_bits), np.uint8)
         self._new_places = np.zeros(MAX_RAYS, np.int32)
         self._fov_rad = self._range_m = 0.0
-        self._images_needed = 1
+        self._looks_needed = 1
         self._next = 0  # lattice point where the search continues
-        self._best = np.zeros(4)
+        self._best = np.zeros(4)  # see `_WORTH` and the entries after it
 
     def roll(self, axis: int, by: int) -> None:
         """Clear the strip that leaves the window when it moves by `by` cells along x (0) or y."""
         start, n = self._window.origin[axis], self._window.n
         gone = min(abs(by), n)
         start += 0 if by > 0 else n - gone
-        strip = np.arange(start >> self._bits, (start + gone) >> self._bits) % len(self.looks)
+        strip = np.arange(start >> self._place_bits, (start + gone) >> self._place_bits) % len(
+            self.looks
+        )
         self.looks[(slice(None), strip) if axis == 0 else strip] = 0
 
     def reset(self) -> None:
@@ -100,37 +103,40 @@ class Coverage:
         self.looks[:] = 0
         self._window.written[:] = True
 
-    def on_image(self, seen: Observation, range_m: float, enough: int) -> None:
+    def on_image(self, observation: Observation, range_m: float, looks_needed: int) -> None:
         """Count a look at each place in an image that the detector searched.
 
         Args:
-            seen: the image's observation.
+            observation: the image's observation.
             range_m: range within which detections count.
-            enough: number of looks after which a place counts as seen well.
+            looks_needed: number of looks after which a place counts as seen well.
         """
-        camera = seen.camera
+        camera = observation.camera
         if camera is None:
             return
         self._fov_rad, self._range_m = camera.hfov_rad, range_m
-        self._images_needed = min(enough, MOST_LOOKS)
-        T = seen.T_map_base @ seen.T_base_camera
-        self.camera_yaw_rad = optical_yaw_rad(seen.T_base_camera)
+        self._looks_needed = min(looks_needed, MOST_LOOKS)
+        T = observation.T_map_base @ observation.T_base_camera
+        self.camera_yaw_rad = optical_yaw_rad(observation.T_base_camera)
         far = range_m / self._window.resolution_m
-        step_rad, rays = sector(camera.hfov_rad, far, self._bits)
+        step_rad, rays = sector(camera.hfov_rad, far, self._place_bits)
         first = optical_yaw_rad(T) - 0.5 * (rays - 1) * step_rad
         self._show(T[0, 3], T[1, 3], first, step_rad, rays, far, COUNT)
 
-    def is_worth_it(self, view: Viewpoint) -> bool:
+    def is_worth_visiting(self, view: Viewpoint) -> bool:
         """Return True if a view still shows enough places that were not seen well."""
-        return self._planned(view, KEEP) >= self._min_places
+        return self._unseen_in_view(view, KEEP) >= self._min_places
 
     def area_m2(self, view: Viewpoint) -> float:
         """Return the area that a view still shows of places that were not seen well."""
-        return self._planned(view, KEEP) * (self._window.resolution_m * 2**self._bits) ** 2
+        return (
+            self._unseen_in_view(view, KEEP)
+            * (self._window.resolution_m * 2**self._place_bits) ** 2
+        )
 
     def write_off(self, view: Viewpoint) -> None:
         """Exclude the places of a view that are still not seen well from all later searches."""
-        self._planned(view, WRITE_OFF)
+        self._unseen_in_view(view, WRITE_OFF)
 
     def snapshot(self) -> Grid:
         """Return a copy of how well each place was seen; see `Window.copy_of`.
@@ -140,8 +146,8 @@ class Coverage:
         """
 
         def plane() -> np.ndarray:
-            looks = np.minimum(self.looks & np.uint8(_FLAG - 1), self._images_needed)
-            return (looks.astype(np.uint16) * 255 // self._images_needed).astype(np.uint8)
+            looks = np.minimum(self.looks & np.uint8(_FLAG - 1), self._looks_needed)
+            return (looks.astype(np.uint16) * 255 // self._looks_needed).astype(np.uint8)
 
         return self._window.copy_of(plane)
 
@@ -165,10 +171,10 @@ class Coverage:
         res = self._window.resolution_m
         distance, rect = reach.field
         self._next = best_view(
-            self._layers, distance, *rect, *self._window.origin, self.looks, self._bits,
-            self._images_needed, SURE * self._fov_rad, NEAR_M / res, SURE * self._range_m / res,
-            START_M / res, self._min_places, self._new_places, self._next, WORK_PER_STEP,
-            self._best,
+            self._layers, distance, *rect, *self._window.origin, self.looks, self._place_bits,
+            self._looks_needed, SAFE_SHARE * self._fov_rad, NEAR_M / res,
+            SAFE_SHARE * self._range_m / res, START_M / res, self._min_places, self._new_places,
+            self._next, WORK_PER_STEP, self._best,
         )  # fmt: skip
         if self._next > 0:
             return False
@@ -178,19 +184,19 @@ class Coverage:
         self._best[:] = 0.0
         return True
 
-    def _planned(self, view: Viewpoint, action: int) -> int:
+    def _unseen_in_view(self, view: Viewpoint, action: int) -> int:
         """Return the number of places that a view shows and that were not seen well."""
-        far = SURE * self._range_m / self._window.resolution_m
-        between, width = sector(SURE * self._fov_rad, far, self._bits)
-        first = view.heading_rad - 0.5 * (width - 1) * between
-        return self._show(view.x_m, view.y_m, first, between, width, far, action)
+        far = SAFE_SHARE * self._range_m / self._window.resolution_m
+        ray_step_rad, width = sector(SAFE_SHARE * self._fov_rad, far, self._place_bits)
+        first = view.heading_rad - 0.5 * (width - 1) * ray_step_rad
+        return self._show(view.x_m, view.y_m, first, ray_step_rad, width, far, action)
 
     def _show(
         self,
         x_m: float,
         y_m: float,
         first: float,
-        between: float,
+        ray_step_rad: float,
         rays: int,
         far: float,
         action: int,
@@ -202,9 +208,9 @@ class Coverage:
             reach = math.ceil(far) + 1
             window.mark_written(x - reach, y - reach, x + reach + 1, y + reach + 1)
         return show(
-            self._layers.raw, self.looks, self._bits, *window.shift,
-            x_m / res - ox, y_m / res - oy, first, between, rays, NEAR_M / res, far,
-            self._images_needed, action, self._new_places,
+            self._layers.raw, self.looks, self._place_bits, *window.shift,
+            x_m / res - ox, y_m / res - oy, first, ray_step_rad, rays, NEAR_M / res, far,
+            self._looks_needed, action, self._new_places,
         )  # fmt: skip
 
 
@@ -215,33 +221,37 @@ def sector(fov, far, bits):
     Two rays are about a place apart at the end, and the angle divides a full circle evenly.
     """
     circle = max(8, min(int(2.0 * math.pi * far / (1 << bits)), MAX_RAYS - 1))
-    between = 2.0 * math.pi / circle
-    return between, min(max(int(fov / between), 0), circle - 1) + 1
+    ray_step_rad = 2.0 * math.pi / circle
+    return ray_step_rad, min(max(int(fov / ray_step_rad), 0), circle - 1) + 1
 
 
 @jit
 def show(
-    raw, looks, bits, shift_x, shift_y, x, y, first, between, rays, near, far, enough, action, new
+    raw, looks, bits, shift_x, shift_y, x, y, first, ray_step_rad, rays, near, far, looks_needed,
+    action, new_places,
 ):  # fmt: skip
     """Cast rays from a camera and update the places that it sees.
 
     - `x`, `y`: window coordinates in cells, with fractions.
-    - `first`, `between`: direction of the first ray, and angle to the next, radians.
+    - `first`, `ray_step_rad`: direction of the first ray, and angle to the next, radians.
     - `near`, `far`: range in cells that counts.
     - `action`: COUNT a look, WRITE_OFF places with too few looks, or KEEP everything.
-    - `new`: (rays,) int32 output: number of places with too few looks that no earlier ray showed.
+    - `bits`: a place has 2**bits cells on a side.
+    - `looks_needed`: number of looks after which a place counts as seen well.
+    - `new_places`: (rays,) int32 output: number of places with too few looks that no earlier ray
+      showed.
 
     Returns:
-        The sum of `new`.
+        The sum of `new_places`.
     """
     total = 0
     for k in range(rays):
-        angle = first + between * k
-        new[k] = _ray(
+        angle = first + ray_step_rad * k
+        new_places[k] = _ray(
             raw, looks, bits, shift_x, shift_y, x, y, math.cos(angle), math.sin(angle),
-            near, far, enough,
+            near, far, looks_needed,
         )  # fmt: skip
-        total += new[k]
+        total += new_places[k]
     m = looks.shape[0]
     x0, y0, x1, y1 = _square(x, y, far, bits, m)
     for cy in range(y0, y1):
@@ -253,7 +263,7 @@ def show(
             before = looks[sy, sx] - _FLAG
             if action == COUNT and before < MOST_LOOKS:
                 before += 1
-            elif action == WRITE_OFF and before < enough:
+            elif action == WRITE_OFF and before < looks_needed:
                 before = MOST_LOOKS
             looks[sy, sx] = before
     return total
@@ -278,7 +288,7 @@ def _square(x, y, far, bits, m):
 
 
 @jit
-def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, enough):
+def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, looks_needed):
     """Flag the places along a ray; return how many of them are new and have too few looks."""
     n = raw.shape[0]
     step = max(1.0, 0.25 * (1 << bits))
@@ -295,7 +305,7 @@ def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, enough):
             before = looks[sy >> bits, sx >> bits]
             if before < _FLAG:
                 looks[sy >> bits, sx >> bits] = before + _FLAG
-                if before < enough:
+                if before < looks_needed:
                     n_new += 1
         if state >= OCCUPIED:
             break
@@ -304,7 +314,7 @@ def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, enough):
 
 
 @jit
-def _unseen_around(looks, bits, shift_x, shift_y, x, y, far, enough):
+def _unseen_around(looks, bits, shift_x, shift_y, x, y, far, looks_needed):
     """Count the places with too few looks in the square around a cell: the most a view shows."""
     m = looks.shape[0]
     x0, y0, x1, y1 = _square(x, y, far, bits, m)
@@ -313,19 +323,19 @@ def _unseen_around(looks, bits, shift_x, shift_y, x, y, far, enough):
         sy = _stored(cy, shift_y >> bits, m)
         for cx in range(x0, x1):
             sx = _stored(cx, shift_x >> bits, m)
-            count += looks[sy, sx] < enough
+            count += looks[sy, sx] < looks_needed
     return count
 
 
 @jit
-def _best_sector(new, circle, width):
+def _best_sector(new_places, circle, width):
     """Return (places, first ray) of the best `width` neighbouring rays of a full circle."""
     now = 0
     for k in range(width):
-        now += new[k]
+        now += new_places[k]
     best, first = now, 0
     for k in range(1, circle):
-        now += new[(k + width - 1) % circle] - new[k - 1]
+        now += new_places[(k + width - 1) % circle] - new_places[k - 1]
         if now > best:
             best, first = now, k
     return best, first
@@ -333,8 +343,8 @@ def _best_sector(new, circle, width):
 
 @jit
 def best_view(
-    layers, distance, x0, y0, x1, y1, origin_x, origin_y, looks, bits, enough, fov, near, far,
-    start_cells, least, new, at, work, best,
+    layers, distance, x0, y0, x1, y1, origin_x, origin_y, looks, bits, looks_needed, fov, near, far,
+    start_cells, least, new_places, at, work, best,
 ):  # fmt: skip
     """Continue the search over the lattice of reachable cells, one per place, from point `at`.
 
@@ -353,10 +363,10 @@ def best_view(
     shift_x, shift_y = origin_x % n, origin_y % n
     x0, y0 = (x0 + side - 1) >> bits << bits, (y0 + side - 1) >> bits << bits
     columns, rows = (x1 - x0 + side - 1) >> bits, (y1 - y0 + side - 1) >> bits
-    between, width = sector(fov, far, bits)
-    circle = round(2.0 * math.pi / between)
+    ray_step_rad, width = sector(fov, far, bits)
+    circle = round(2.0 * math.pi / ray_step_rad)
     # Upper bound of the places in a sector, including those cut by its rim.
-    angle = between * width
+    angle = ray_step_rad * width
     most_places = (0.5 * angle * far * far / side + (2.0 + angle) * far) / side
     while at < columns * rows:
         if work <= 0:
@@ -373,16 +383,18 @@ def best_view(
             continue
         work -= _REACHED_WORK
         x, y = wx - origin_x + 0.5, wy - origin_y + 0.5
-        limit = min(_unseen_around(looks, bits, shift_x, shift_y, x, y, far, enough), most_places)
+        limit = min(
+            _unseen_around(looks, bits, shift_x, shift_y, x, y, far, looks_needed), most_places
+        )
         if limit < least or limit / cost <= best[_WORTH]:
             continue
         work -= _CAST_WORK
         show(
-            layers.raw, looks, bits, shift_x, shift_y, x, y, 0.0, between, circle, near, far,
-            enough, KEEP, new,
+            layers.raw, looks, bits, shift_x, shift_y, x, y, 0.0, ray_step_rad, circle, near, far,
+            looks_needed, KEEP, new_places,
         )  # fmt: skip
-        places, first = _best_sector(new, circle, width)
+        places, first = _best_sector(new_places, circle, width)
         if places >= least and places / cost > best[_WORTH]:
             best[_WORTH], best[_X], best[_Y] = places / cost, wx, wy
-            best[_HEADING] = (first + 0.5 * (width - 1)) * between
+            best[_HEADING] = (first + 0.5 * (width - 1)) * ray_step_rad
     return 0

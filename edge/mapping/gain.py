@@ -23,9 +23,9 @@ RAYS = 64
 """Number of rays of a full turn; `sector_bits` has one bit for each."""
 STEP_CELLS = 2.0
 """Step along a ray in cells."""
-SURE = 0.85
+SAFE_SHARE = 0.85
 """Share of the field of view and of the range that is used, to be on the safe side."""
-HERE_M = 0.8
+SAME_PLACE_M = 0.8
 """Views in one direction from places within this distance show the same."""
 PLACES = 256
 """Largest number of remembered places; the oldest are forgotten."""
@@ -36,7 +36,7 @@ RAY_LEAST_M2 = 0.05
 
 
 class InformationGain:
-    """Ray casting over the current map, with a memory of the directions seen from each place.
+    """Computes the information gain over the current map, and remembers what was seen from where.
 
     Args:
         layers: layers of the map.
@@ -47,36 +47,37 @@ class InformationGain:
     def __init__(self, layers: Layers, window: Window, range_m: float) -> None:
         self._layers, self._window = layers, window
         cells = STEP_CELLS * window.resolution_m
-        self._steps = max(1, int(SURE * range_m / cells))
+        self._steps = max(1, int(SAFE_SHARE * range_m / cells))
         self._decay = math.exp(-cells / OPEN_M)
         angle = 2.0 * math.pi / RAYS * np.arange(RAYS)
         self._direction = np.stack([np.cos(angle), np.sin(angle)], axis=1) * STEP_CELLS
         # Area of a ray's share of the ring at each step.
         self._area_m2 = 2.0 * math.pi / RAYS * (np.arange(self._steps) + 1.0) * cells * cells
         self._ray_m2 = np.zeros(RAYS)
+        # Remembered places: (x, y), and the rays that the camera saw from there, as bits.
         self._at_m = np.full((PLACES, 2), np.inf)
         self._viewed = np.zeros(PLACES, np.uint64)
-        self._next = 0
+        self._next = 0  # place that is overwritten next
 
-    def around(self, xy_m: np.ndarray, which: np.ndarray, n: int, out_m2: np.ndarray) -> None:
+    def around(self, xy_m: np.ndarray, indices: np.ndarray, n: int, out_m2: np.ndarray) -> None:
         """Compute the expected area that a full turn at each of some places would show.
 
         Args:
             xy_m: (m, 2) float32 in `map`.
-            which: (n or more,) int32, indices into `xy_m`; the first `n` count.
+            indices: (n or more,) int32, indices into `xy_m`; the first `n` count.
             n: number of places.
             out_m2: (m,) float32, written at these indices.
         """
         window = self._window
         gains(
-            self._layers, *window.origin, 1.0 / window.resolution_m, xy_m, which, n,
+            self._layers, *window.origin, 1.0 / window.resolution_m, xy_m, indices, n,
             self._direction, self._area_m2, self._decay, self._ray_m2, out_m2,
         )  # fmt: skip
 
     def on_view(self, pose: SE2, camera_yaw_rad: float, fov_rad: float) -> None:
         """Remember a view of the camera: it shows nothing new from this place in this direction."""
         ahead, k = pose.yaw_rad + camera_yaw_rad, self._place(pose)
-        self._viewed[k] |= sector_bits(ahead, SURE * fov_rad)
+        self._viewed[k] |= sector_bits(ahead, SAFE_SHARE * fov_rad)
 
     def best_spin(
         self, pose: SE2, camera_yaw_rad: float, fov_rad: float
@@ -100,10 +101,10 @@ class InformationGain:
             self._layers, *window.origin, x, y, self._direction, self._area_m2, self._decay,
             self._ray_m2,
         )  # fmt: skip
-        near = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m) < HERE_M
+        near = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m) < SAME_PLACE_M
         looked = np.bitwise_or.reduce(self._viewed[near], initial=np.uint64(0))
         ahead = pose.yaw_rad + camera_yaw_rad
-        turn, sweep, area_m2 = best_sweep(self._ray_m2, looked, SURE * fov_rad, ahead)
+        turn, sweep, area_m2 = best_sweep(self._ray_m2, looked, SAFE_SHARE * fov_rad, ahead)
         return wrap_angle(pose.yaw_rad + turn), sweep, area_m2
 
     def state_dict(self) -> Arrays:
@@ -126,10 +127,10 @@ class InformationGain:
         self._next = int(state["next"])
 
     def _place(self, pose: SE2) -> int:
-        """Return the index of the robot's place; add a place if none is near."""
+        """Return the index of the robot's place; make a new place if none is near."""
         away = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m)
         k = int(away.argmin())
-        if away[k] > 0.5 * HERE_M:
+        if away[k] > 0.5 * SAME_PLACE_M:
             k, self._next = self._next, (self._next + 1) % PLACES
             self._at_m[k] = pose.x_m, pose.y_m
             self._viewed[k] = 0
@@ -172,10 +173,10 @@ def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
 
 
 @jit
-def gains(layers, origin_x, origin_y, inv_res, xy, which, n, direction, area, decay, ray, out):
+def gains(layers, origin_x, origin_y, inv_res, xy, indices, n, direction, area, decay, ray, out):
     """Compute the area of each place for `InformationGain.around`; `ray` is scratch."""
     for j in range(n):
-        i = which[j]
+        i = indices[j]
         out[i] = cast(
             layers, origin_x, origin_y, xy[i, 0] * inv_res, xy[i, 1] * inv_res, direction, area,
             decay, ray,
@@ -187,8 +188,8 @@ def sector_bits(ahead, fov):
     """Return the rays within a field of view, as bits."""
     bits = np.uint64(0)
     for k in range(RAYS):
-        off = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi
-        if abs(off) <= 0.5 * fov:
+        offset = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi
+        if abs(offset) <= 0.5 * fov:
             bits |= np.uint64(1) << np.uint64(k)
     return bits
 
@@ -214,10 +215,10 @@ def best_sweep(ray, looked, fov, ahead):
         if ray[k] < RAY_LEAST_M2 or (looked >> np.uint64(k)) & np.uint64(1) != np.uint64(0):
             continue
         total += ray[k]
-        off = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi
+        offset = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi
         # To bring the ray into view from either side.
-        left_turn = max(left_turn, off % (2.0 * math.pi) - half)
-        right_turn = max(right_turn, -off % (2.0 * math.pi) - half)
+        left_turn = max(left_turn, offset % (2.0 * math.pi) - half)
+        right_turn = max(right_turn, -offset % (2.0 * math.pi) - half)
     if total == 0.0:
         return 0.0, 0.0, 0.0
     max_turn = 2.0 * math.pi / 3.0

@@ -29,17 +29,19 @@ from edge.mapping.zones import Zones
 # lowest sample may look like ground; the highest must still be 0.06 m above that.
 _SMALLEST_OBSTACLE_M = 0.1
 _SAMPLES_ACROSS, _SAMPLES_UP = 2, 4
-_FOOTPRINT_M = 0.3
+_FOOTPRINT_M = 0.3  # unknown cells this near to the robot's centre are free
 # The robot's centre may be off its cell's centre: a wall that it touches must stay occupied.
 _OFF_CENTRE_CELLS = 0.7
 # Weight of a new measurement of the floor's height.
 _FLOOR_GAIN = 0.2
 # Poses farther apart do not join the trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
-FRONTIER_MIN_CELLS, FRONTIER_LARGE_CELLS, FRONTIER_SPACING_M = 6, 40, 1.0
-"""A cluster with fewer cells than the first number is not a frontier. A cluster with at least the
-second number has several target points at this spacing."""
+FRONTIER_MIN_CELLS = 6
+"""A cluster with fewer cells is not a frontier."""
+FRONTIER_LARGE_CELLS, FRONTIER_SPACING_M = 40, 1.0
+"""A cluster with at least so many cells has several target points at this spacing."""
 MAX_FRONTIERS = 256
+"""Largest number of target points."""
 REACH_CELLS_PER_TICK = 8000
 """Cells by which the travel-cost field grows per tick.
 
@@ -49,10 +51,10 @@ CLEAR_AFTER = 2
 """Number of updates in a row that must see through an obstacle to clear it."""
 GROUND_SLOPE = 0.3
 """Largest slope of ground that the robot can drive on; see `points.sweep_ground`."""
-_ROBOT = config.RobotConfig()
+_DEFAULT_ROBOT = config.RobotConfig()
 _VALUE_CELL_M = 0.2  # cell of value maps, rounded to a power of two of the map's cells
 _VALUE_BETA = 0.5  # ViTL's edge attenuation factor (IV-B2)
-_EMPTY_RECT = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
+_EMPTY_RECT = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))  # `layers.grow` extends it
 
 
 class RollingMap:
@@ -87,7 +89,9 @@ class RollingMap:
         (100, 0, -1)
     """
 
-    def __init__(self, config: config.MappingConfig, robot: config.RobotConfig = _ROBOT) -> None:
+    def __init__(
+        self, config: config.MappingConfig, robot: config.RobotConfig = _DEFAULT_ROBOT
+    ) -> None:
         c = self.config = config
         self._robot_config = robot
         res = c.resolution_m
@@ -98,9 +102,9 @@ class RollingMap:
         self._footprint = ly.disc_half_widths(max(_FOOTPRINT_M, robot.radius_m) / res)
         self._freed_disc = ly.disc_half_widths(max(robot.radius_m / res - _OFF_CENTRE_CELLS, 0.0))
         self._polar = points.make_polar(c.range_m, res)
-        self._half = self._polar.bin_of.shape[0] // 2
+        self._half_side = self._polar.bin_of.shape[0] // 2
         # Cells that must lie in the window on each side of the sensor.
-        self._reach_cells = self._half + len(self._disc) // 2 + 1
+        self._reach_cells = self._half_side + len(self._disc) // 2 + 1
         cells = max(math.ceil(c.extent_m / res), 2 * self._reach_cells + 1 + ly.WORD)
         n = ly.WORD * math.ceil(cells / ly.WORD)
         self.window = Window(n, res)
@@ -111,7 +115,7 @@ class RollingMap:
         self._scan = points.make_scan(self._polar, 1024)
         self._robot_cell: tuple[int, int] | None = None  # its world cell at the last update
         self._lost_rays = np.zeros(self._polar.sectors, np.uint64)
-        self._floor, self._levels = np.zeros(3), np.zeros((2, 64))
+        self._floor, self._levels = np.zeros(3), np.zeros((2, 64))  # see `points.find_floor`
         self._floor_m = math.nan  # height of the floor over the base; NaN until it was seen
         self._base_z_m = math.nan  # height of the base when the floor was last seen
         self._no_floor = False  # True if the ground is far below the base; then no cell is freed
@@ -166,7 +170,7 @@ class RollingMap:
             )
         self._use_camera(camera)
         T, cell, fraction = self._locate(T_map_base, T_base_camera)
-        rolled = self._follow(*cell)
+        rolled = self._move_window(*cell)
         seen = (
             ly.plain(depth_m), *self._strides, self._column, self._row, T,
             np.float32(self.config.min_range_m),
@@ -197,7 +201,7 @@ class RollingMap:
             raise ValueError(f"cloud has shape {cloud_m.shape}, expected (n, 3): x, y, z in metres")
         self._reserve(len(cloud_m))
         T, cell, fraction = self._locate(T_map_base, T_base_lidar)
-        rolled = self._follow(*cell)
+        rolled = self._move_window(*cell)
         hits, n_points = points.from_cloud(
             ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
         )
@@ -298,21 +302,21 @@ class RollingMap:
     def planes(self) -> tiles.LayerTiles:
         """Layers for the checkpoint, by tile; all other layers can be computed from them."""
         layers, m = self._layers, len(self.window.written)
-        last = (
+        saved = (
             layers.raw, layers.top, layers.trail, self.coverage.looks, self.values.value,
             self.values.weight,
         )  # fmt: skip
-        return tiles.LayerTiles(*(tiles.tiled(layer, m) for layer in last))
+        return tiles.LayerTiles(*(tiles.tiled(layer, m) for layer in saved))
 
     @property
     def tiles_of_update(self) -> int:
         """Largest number of tiles that one update writes."""
-        return (2 * (self._half + 1) // ly.WORD + 2) ** 2
+        return (2 * (self._half_side + 1) // ly.WORD + 2) ** 2
 
     @property
     def tile_bytes(self) -> int:
         """Size of a tile in bytes without the value maps."""
-        return tiles.bytes_of(self.planes[: -tiles.VALUE_PLANES])
+        return tiles.tile_bytes(self.planes[: -tiles.VALUE_PLANES])
 
     def state_dict(self) -> Arrays:
         """Return the state outside `planes`; unknown `robot` and `floor_m` have no row."""
@@ -356,13 +360,13 @@ class RollingMap:
         window.origin = (x // ly.WORD * ly.WORD, y // ly.WORD * ly.WORD)
         window.placed = True
         planes = self.planes if values else self.planes[: -tiles.VALUE_PLANES]
-        tiles.write(planes, window, tiles.unpack_tiles(packed, tile_bytes))
+        tiles.write_tiles(planes, window, tiles.unpack_tiles(packed, tile_bytes))
         np.minimum(self.coverage.looks, MOST_LOOKS, out=self.coverage.looks)
         seen = layers.raw != ly.UNSEEN
         layers.known[:] = ly.bits_of(seen)
         if seen.any():
-            whole, changed = (0, 0, n, n), np.array(_EMPTY_RECT, np.int64)
-            ly.inflate_into(layers, *window.shift, whole, whole, self._disc, changed)
+            rect, changed = (0, 0, n, n), np.array(_EMPTY_RECT, np.int64)
+            ly.inflate_into(layers, *window.shift, rect, rect, self._disc, changed)
             for axis in (0, 1):
                 at = (np.flatnonzero(seen.any(axis=axis)) - window.origin[axis]) % n
                 self._explored[axis], self._explored[axis + 2] = at.min(), at.max() + 1
@@ -388,15 +392,16 @@ class RollingMap:
         u, v = np.arange(camera.width_px), np.arange(camera.height_px)
         self._column = ((u - camera.cx_px) / camera.fx_px).astype(np.float32)
         self._row = ((v - camera.cy_px) / camera.fy_px).astype(np.float32)
-        taken = [
+        samples = [
             len(range(stride // 2, n, stride))
             for n, stride in zip((camera.width_px, camera.height_px), self._strides, strict=True)
         ]
-        self._n_pixels = math.prod(taken)
+        self._n_pixels = math.prod(samples)
         self._reserve(self._n_pixels)
         self._camera = camera
 
     def _reserve(self, n_points: int) -> None:
+        """Make the scratch arrays large enough for so many points."""
         if len(self._scan.cell) < n_points:
             self._scan = points.make_scan(self._polar, n_points + n_points // 4)
 
@@ -409,15 +414,18 @@ class RollingMap:
         """
         T_map_sensor = T_map_base @ T_base_sensor
         x_m, y_m = T_map_sensor[:2, 3].tolist()
-        place = x_m, y_m, *T_map_base[:2, 3].tolist()
-        if not np.isfinite(T_map_sensor).all() or not all(abs(v) < FARTHEST_M for v in place):
+        coordinates = x_m, y_m, *T_map_base[:2, 3].tolist()
+        if not np.isfinite(T_map_sensor).all() or not all(abs(v) < FARTHEST_M for v in coordinates):
             raise ValueError(
                 f"sensor or robot pose is not finite or beyond {FARTHEST_M:.0e} m: "
-                f"x, y of sensor and robot {place}"
+                f"x, y of sensor and robot {coordinates}"
             )
         x, y = x_m / self.resolution_m, y_m / self.resolution_m
         cell = (math.floor(x), math.floor(y))
-        fraction = (np.float32(self._half + x - cell[0]), np.float32(self._half + y - cell[1]))
+        fraction = (
+            np.float32(self._half_side + x - cell[0]),
+            np.float32(self._half_side + y - cell[1]),
+        )
         return np.ascontiguousarray(T_map_sensor[:3], np.float32), cell, fraction
 
     def _integrate(
@@ -460,7 +468,7 @@ class RollingMap:
         if coded_m > c.obstacle_max_m:
             points.extend_obstacles_up(n, scan, polar, c.obstacle_max_m, coded_m)
         shift, origin = self.window.shift, self.window.origin
-        corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
+        corner = (cell[0] - self._half_side - origin[0], cell[1] - self._half_side - origin[1])
         update.apply_scan(
             layers, *shift, *corner, scan, polar, self._lost_rays, sensor_z, c.obstacle_min_m,
             c.obstacle_max_m, coded_m, CLEAR_AFTER, self._disc, self._changed, self._explored,
@@ -496,8 +504,8 @@ class RollingMap:
                 found_z, below_m2 = points.find_floor(*search, c.range_m, self._levels)
             if not abs(found_z - floor_z) <= step_m:
                 # Without a visible floor, assume it is at least two steps below the sensor.
-                guesses = found_z, floor_z, min(base_z, sensor_z - 2.0 * step_m)
-                floor_z = next(z for z in guesses if math.isfinite(z))
+                heights_z = found_z, floor_z, min(base_z, sensor_z - 2.0 * step_m)
+                floor_z = next(z for z in heights_z if math.isfinite(z))
         floor[0], floor[1], floor[2] = floor_z, 0.0, 0.0
         sweep = (
             scan, polar, floor, sensor_z, GROUND_SLOPE, step_m, c.range_m,
@@ -545,7 +553,7 @@ class RollingMap:
 
     def _mark_tiles(self, sensor: tuple[int, int], robot: tuple[int, int]) -> None:
         """Mark the tiles that one update wrote, around the sensor and around the robot."""
-        reach, (x, y), mark = self._half + 1, sensor, self.window.mark_written
+        reach, (x, y), mark = self._half_side + 1, sensor, self.window.mark_written
         mark(x - reach, y - reach, x + reach + 1, y + reach + 1)
         reach, (x, y) = max(len(self._footprint) // 2, _TRAIL_STEP_CELLS) + 1, robot
         mark(x - reach, y - reach, x + reach + 1, y + reach + 1)
@@ -564,12 +572,12 @@ class RollingMap:
             world = (x0 + ox, y0 + oy, x1 + ox, y1 + oy)
             self._changed[:] = _EMPTY_RECT
         res = self.resolution_m
-        moved = cl.regroup(
+        any_change = cl.regroup(
             layers, *window.shift, self._clusters, self._n_pending,
             FRONTIER_LARGE_CELLS, FRONTIER_SPACING_M / res,
         )  # fmt: skip
         self._n_pending = 0
-        if moved or rolled:
+        if any_change or rolled:
             f = self.frontiers
             f.n = cl.list_targets(
                 window.n, *window.shift, *window.origin, res, self._clusters, FRONTIER_MIN_CELLS,
@@ -578,11 +586,12 @@ class RollingMap:
         return world
 
     def _retest(self, x0: int, y0: int, x1: int, y1: int) -> None:
+        """Test the frontier cells of a window rectangle again; see `clusters.retest`."""
         self._n_pending = cl.retest(
             self._layers, *self.window.shift, x0, y0, x1, y1, self._clusters, self._n_pending
         )
 
-    def _follow(self, x: int, y: int) -> bool:
+    def _move_window(self, x: int, y: int) -> bool:
         """Keep the sensor's surroundings inside the window; return True if the window moved."""
         window, n, word = self.window, self.window.n, ly.WORD
         if not window.placed:
@@ -612,11 +621,11 @@ class RollingMap:
         window, n, layers, shift = self.window, self.window.n, self._layers, self.window.shift
         margin = len(self._disc) // 2
         strip = min(abs(by), n)
-        out = (0, strip) if by > 0 else (n - strip, n)
-        come = (n - strip, n) if by > 0 else (0, strip)
-        ly.remove_obstacles(layers, *shift, *_band(axis, out, n), self._disc, self._changed)
-        ly.wipe(layers, *shift, *_band(axis, out, n), self._clusters.dirty)
-        x0, y0, x1, y1 = _band(axis, out, n)
+        leaving = (0, strip) if by > 0 else (n - strip, n)
+        entering = (n - strip, n) if by > 0 else (0, strip)
+        ly.remove_obstacles(layers, *shift, *_band(axis, leaving, n), self._disc, self._changed)
+        ly.wipe(layers, *shift, *_band(axis, leaving, n), self._clusters.dirty)
+        x0, y0, x1, y1 = _band(axis, leaving, n)
         (ox, oy) = window.origin
         window.mark_written(x0 + ox, y0 + oy, x1 + ox, y1 + oy)
         self.coverage.roll(axis, by)
@@ -631,14 +640,22 @@ class RollingMap:
             self._explored[:] = _EMPTY_RECT
         if self._changed[axis] >= self._changed[axis + 2]:
             self._changed[:] = _EMPTY_RECT
-        edge = (come[0] - margin, come[0]) if by > 0 else (come[1], come[1] + margin)
+        edge = (
+            (entering[0] - margin, entering[0]) if by > 0 else (entering[1], entering[1] + margin)
+        )
         shift = window.shift
         ly.inflate_into(
-            layers, *shift, _band(axis, edge, n), _band(axis, come, n), self._disc, self._changed
+            layers,
+            *shift,
+            _band(axis, edge, n),
+            _band(axis, entering, n),
+            self._disc,
+            self._changed,
         )
         if self.zones.any:
-            self.zones.paint(_band(axis, come, n), self._changed)
-        self._retest(*_band(axis, (come[0] - 1, come[1] + 1), n))
+            self.zones.paint(_band(axis, entering, n), self._changed)
+        self._retest(*_band(axis, (entering[0] - 1, entering[1] + 1), n))
+        # The cells at the other border have a neighbour less.
         tail = (0, 1) if by > 0 else (n - 1, n)
         self._retest(*_band(axis, tail, n))
 

@@ -1,4 +1,6 @@
-"""Classification of sensor points as floor, obstacle or overhang, in polar bins around the sensor.
+"""Kernels that classify sensor points as floor, obstacle or overhang.
+
+They use polar bins around the sensor: sectors and rings.
 
 Depth images and clouds take the same path. Points in map axes are binned by sector and ring around
 the sensor's cell. A sweep outward along each sector follows the local ground. So heights are also
@@ -15,7 +17,7 @@ import numpy as np
 from edge.geometry import FARTHEST_M
 from edge.jit import jit
 
-# Values of `seen` for a cell: floor, a step (too low for an obstacle, but not floor), or
+# Values of `PolarScan.seen` for a cell: floor, a step (too low for an obstacle, but not floor), or
 # 3 + height over the ground in units of coded_m / HEIGHT_CODES, as in `top`.
 FLOOR, STEP = 1, 2
 LOWEST_OBSTACLE, HEIGHT_CODES = 3, 250
@@ -27,7 +29,7 @@ CODED_M = 1.0
 """Heights are coded up to this height, or up to `obstacle_max_m` if that is higher. So a low robot
 can also tell walls from furniture."""
 # An obstacle that ends at most this far below `obstacle_max_m` may continue in the points above it.
-_GOES_ON_M = 0.1
+_CONTINUES_M = 0.1
 # Ground that varies by less is still the same ground (depth noise, carpets).
 _GROUND_NOISE_M = 0.02
 # Rings within this range give the height of the floor under the robot.
@@ -378,8 +380,8 @@ def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
         x, y, z = xs[i], ys[i], zs[i]
         scale = np.float32(min(range_m / np.sqrt(x * x + y * y), np.float32(1.0)))
         at = bins[int(y * scale * inv_res + fy) * side + int(x * scale * inv_res + fx)]
-        for aside in (-1, 0, 1):
-            sector = (at // polar.rings + aside) % polar.sectors
+        for neighbour in (-1, 0, 1):
+            sector = (at // polar.rings + neighbour) % polar.sectors
             if scale < 1.0:
                 far_slope[sector] = min(far_slope[sector], (z - sensor_z) * scale / range_m)
             else:
@@ -499,14 +501,22 @@ def sweep_ground(scan, polar, floor, sensor_z, slope, step_m, range_m, inv_res):
         scan.reach_m[s] = 0.0
         if last < 0 and not far:
             continue
-        lean = floor[1] * polar.direction[s, 0] + floor[2] * polar.direction[s, 1]
+        floor_slope = floor[1] * polar.direction[s, 0] + floor[2] * polar.direction[s, 1]
         reach_m, sum_m, count = _follow_ground(
-            scan.lowest_m, scan.ground_m, s, last, polar.ring_m, floor[0], lean, slope, step_m
+            scan.lowest_m,
+            scan.ground_m,
+            s,
+            last,
+            polar.ring_m,
+            floor[0],
+            floor_slope,
+            slope,
+            step_m,
         )
         near_sum += sum_m
         near_count += count
         scan.reach_m[s] = range_m if far and reach_m >= last * polar.ring_m else reach_m
-        _lowest_passing(scan, s, last, polar.ring_m, sensor_z)
+        _fill_pass_slopes(scan, s, last, polar.ring_m, sensor_z)
         end_m = range_m if far else (last + 1) * polar.ring_m
         _grow_box(scan.box, polar, s, end_m * inv_res, half)
     return near_sum, near_count
@@ -522,39 +532,39 @@ def _last_ring(lowest_m, s):
 
 
 @jit(inline="always")
-def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, lean, slope, step_m):
+def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, floor_slope, slope, step_m):
     """Fill one sector's ground; return its reach, and sum and number of near floor heights."""
     ground, ground_d, drop = floor_z, 0.0, False
     near_sum, near_count = 0.0, 0
     run_from, run_to, run_sum, run_count = 0, -1 - _RUN_GAP, 0.0, 0
     for r in range(last + 1):
         d = (r + 0.5) * ring_m
-        level, z = ground, lowest_m[s, r]
+        expected, z = ground, lowest_m[s, r]
         if ground_d == 0.0:
-            level += lean * d
+            expected += floor_slope * d
         if z < np.inf:
             limit = step_m if ground_d == 0.0 else 2.0 * step_m
             allowed = min(slope * (d - ground_d) + _GROUND_NOISE_M, limit)
-            if abs(z - level) <= allowed:
-                ground, ground_d, drop, level = z, d, False, z
+            if abs(z - expected) <= allowed:
+                ground, ground_d, drop, expected = z, d, False, z
                 if d < _NEAR_GROUND_M:
                     if r - run_to > _RUN_GAP:
                         run_from, run_sum, run_count = r, 0.0, 0
-                    run_to, run_sum, run_count = r, run_sum + z - lean * d, run_count + 1
+                    run_to, run_sum, run_count = r, run_sum + z - floor_slope * d, run_count + 1
                     if (r - run_from) * ring_m >= _GROUND_RUN_M:
                         near_sum, near_count = near_sum + run_sum, near_count + run_count
                         run_sum, run_count = 0.0, 0
-            elif z < level:
+            elif z < expected:
                 drop = True
-        ground_m[s, r] = level
+        ground_m[s, r] = expected
     for r in range(last + 1, lowest_m.shape[1]):
-        ground_m[s, r] = ground if ground_d > 0.0 else ground + lean * (r + 0.5) * ring_m
+        ground_m[s, r] = ground if ground_d > 0.0 else ground + floor_slope * (r + 0.5) * ring_m
     reach_m = max(last, 0) * ring_m
     return (min(reach_m, ground_d) if drop else reach_m), near_sum, near_count
 
 
 @jit(inline="always")
-def _lowest_passing(scan, s, last, ring_m, sensor_z):
+def _fill_pass_slopes(scan, s, last, ring_m, sensor_z):
     """Fill one sector's pass slopes, from rays that end two rings farther or more."""
     lowest = scan.far_slope[s]
     for r in range(scan.lowest_m.shape[1] - 1, -1, -1):
@@ -612,7 +622,7 @@ def extend_obstacles_up(n, scan, polar, obstacle_max_m, coded_m):
     """Extend obstacles that reach `obstacle_max_m` by the points above them, up to `coded_m`."""
     per_m = np.float32(HEIGHT_CODES / coded_m)
     highest, coded = np.float32(obstacle_max_m), np.float32(coded_m)
-    from_code = LOWEST_OBSTACLE + max(int((highest - np.float32(_GOES_ON_M)) * per_m), 0)
+    from_code = LOWEST_OBSTACLE + max(int((highest - np.float32(_CONTINUES_M)) * per_m), 0)
     bins, seen, ground = polar.bin_of.ravel(), scan.seen.ravel(), scan.ground_m.ravel()
     for i in range(n):
         cell = scan.cell[i]

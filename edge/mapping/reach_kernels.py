@@ -1,4 +1,8 @@
-"""Kernels of the driving-distance field: the wavefront, and queries on a complete field."""
+"""Kernels of `TravelCostField`: the wavefront, and queries on a complete field.
+
+A *step* is a straight move by one cell, with cost `STRAIGHT`, or a diagonal one, with cost
+`DIAGONAL`.
+"""
 
 from __future__ import annotations
 
@@ -100,11 +104,16 @@ def _escapes(layers, wave, cell):
 
 @jit
 def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
-    """Settle up to `budget` cells inside a world rectangle; return True if none are left."""
+    """Settle up to `budget` cells inside a world rectangle; return True if none are left.
+
+    - `body`: see `on_trail`.
+    - `origin_x`, `origin_y`: world cell of the window's corner.
+    - `x0`, `y0`, `x1`, `y1`: the half-open rectangle.
+    """
     n = layers.raw.shape[0]
     shift_x, shift_y = origin_x % n, origin_y % n
     distance, bucket, filled = wave.distance.ravel(), wave.bucket, wave.filled
-    near_obstacles, raw = layers.near.ravel(), layers.raw.ravel()
+    near, raw = layers.near.ravel(), layers.raw.ravel()
     escaping = wave.state[_ESCAPE2] >= 0
     # The rectangle in window coordinates.
     x0, x1, y0, y1 = x0 - origin_x, x1 - origin_x, y0 - origin_y, y1 - origin_y
@@ -139,29 +148,29 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
             _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, edge)
             steps = edge
         for k in range(8):
-            near = cell + steps[k]
+            neighbour = cell + steps[k]
             if cost[k] == DIAGONAL and (
-                near_obstacles[cell + steps[_NEXT_TO_DIAGONAL[k, 0]]] != 0
-                or near_obstacles[cell + steps[_NEXT_TO_DIAGONAL[k, 1]]] != 0
+                near[cell + steps[_NEXT_TO_DIAGONAL[k, 0]]] != 0
+                or near[cell + steps[_NEXT_TO_DIAGONAL[k, 1]]] != 0
             ):
                 continue  # no cut corners, as in the planner
-            known = distance[near]
+            old_cost = distance[neighbour]
             new_cost = level + cost[k]
-            if known != 0:
-                if known <= new_cost:
+            if old_cost != 0:
+                if old_cost <= new_cost:
                     continue
             elif (
-                (near_obstacles[near] != 0 or raw[near] == 0)
-                and not (escaping and _escapes(layers, wave, near))
-                and not on_trail(layers, near // n, near % n, body)
+                (near[neighbour] != 0 or raw[neighbour] == 0)
+                and not (escaping and _escapes(layers, wave, neighbour))
+                and not on_trail(layers, neighbour // n, neighbour % n, body)
             ):
                 continue
             new_slot = new_cost & (BUCKETS - 1)
             if filled[new_slot] == bucket.shape[1]:
                 wave.state[_LOST] += 1
                 continue
-            distance[near] = new_cost
-            bucket[new_slot, filled[new_slot]] = near
+            distance[neighbour] = new_cost
+            bucket[new_slot, filled[new_slot]] = neighbour
             filled[new_slot] += 1
             queued += 1
     wave.state[_LEVEL], wave.state[_QUEUED] = level, queued
@@ -272,18 +281,18 @@ def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, point
 @jit
 def _sees(layers, x, y, at, radius, points):
     """Return True if enough `points` of (k, 2) are within the radius of a cell and in sight."""
-    near, seen = 0, 0
+    n_near, n_seen = 0, 0
     for i in range(len(at)):
         dx, dy = at[i, 0] - x, at[i, 1] - y
-        near += dx * dx + dy * dy <= radius * radius
+        n_near += dx * dx + dy * dy <= radius * radius
     for i in range(len(at)):
-        if seen + near < points:
+        if n_seen + n_near < points:
             return False
         dx, dy = at[i, 0] - x, at[i, 1] - y
         if dx * dx + dy * dy <= radius * radius:
-            near -= 1
-            seen += _in_sight(layers, x, y, dx, dy)
-            if seen >= points:
+            n_near -= 1
+            n_seen += _in_sight(layers, x, y, dx, dy)
+            if n_seen >= points:
                 return True
     return False
 

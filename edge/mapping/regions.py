@@ -3,7 +3,7 @@
 Only tall obstacles are walls; furniture does not separate rooms. Rooms are the basins of the
 distance to the nearest wall. Two basins are one room unless a passage separates them: as narrow as
 a door, and clearly narrower than the smaller basin. Unknown space is not a wall, so an opening to
-it separates nothing. This module only knows arrays.
+it separates nothing. This module only knows arrays; `edge.memory.rooms` makes rooms of the regions.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ from edge.mapping.layers import OCCUPIED, Layers
 from edge.mapping.window import Window
 
 UNKNOWN, OPEN, WALL = 0, 1, 2
+"""Values of the cells of `coarse_grid`."""
 DOOR_M = 2.2
 """Largest width of a door, double doors included."""
-_NARROWER = 0.8
-_LEAST_M2 = 1.0
+_PASSAGE_RATIO = 0.8
+"""A passage is narrower than the smaller basin's widest place by at least this factor."""
+_MIN_BASIN_M2 = 1.0
 """A smaller basin is a corner of a larger one."""
 CELL_M = 0.1
 """Approximate side of a cell of `survey_regions`."""
@@ -94,13 +96,16 @@ def coarse_grid(layers: Layers, window: Window, tall_code: int, cell_m: float) -
     side_m = factor * window.resolution_m
     while True:
         origin = window.origin
-        rows, words = np.flatnonzero(layers.known.any(1)), np.flatnonzero(layers.known.any(0))
-        if not window.placed or not len(rows):
+        # Storage rows, and words of 64 cells of a row, with a known cell.
+        known_rows = np.flatnonzero(layers.known.any(1))
+        known_words = np.flatnonzero(layers.known.any(0))
+        if not window.placed or not len(known_rows):
             return Grid(np.zeros((0, 0), np.uint8), (0.0, 0.0), side_m)
-        y0, y1 = _span(rows, origin[1], window.n, 1)
-        x0, x1 = _span(words, origin[0], window.n, 64)
+        y0, y1 = _span(known_rows, origin[1], window.n, 1)
+        x0, x1 = _span(known_words, origin[0], window.n, 64)
         x0, y0 = x0 // factor, y0 // factor
-        cells = np.empty((-(-y1 // factor) - y0, -(-x1 // factor) - x0), np.uint8)
+        rows, columns = math.ceil(y1 / factor) - y0, math.ceil(x1 / factor) - x0
+        cells = np.empty((rows, columns), np.uint8)
         _coarsen(layers, tall_code, x0 * factor, y0 * factor, factor, cells)
         if window.origin == origin:
             return Grid(cells, (x0 * side_m, y0 * side_m), side_m)
@@ -125,9 +130,17 @@ def segment_rooms(cells: np.ndarray, cell_m: float) -> tuple[np.ndarray, int]:
     label = np.zeros(cells.shape, np.int16)
     if not cells.size:
         return label, 0
-    apart = _to_wall(cells) * cell_m
-    order = np.argsort(-apart, axis=None, kind="stable")
-    n = _basins(cells, apart, order, 0.5 * DOOR_M, _NARROWER, _LEAST_M2 / cell_m**2, label)
+    wall_distance_m = _wall_distance_cells(cells) * cell_m
+    order = np.argsort(-wall_distance_m, axis=None, kind="stable")
+    n = _basins(
+        cells,
+        wall_distance_m,
+        order,
+        0.5 * DOOR_M,
+        _PASSAGE_RATIO,
+        _MIN_BASIN_M2 / cell_m**2,
+        label,
+    )
     return label, n
 
 
@@ -139,12 +152,12 @@ def border_lengths(label: np.ndarray, n: int) -> np.ndarray:
     """
     out = np.zeros((n + 1, n + 1), np.int64)
     for a, b in ((label[1:], label[:-1]), (label[:, 1:], label[:, :-1])):
-        both = (a > 0) & (b > 0) & (a != b)
-        np.add.at(out, (a[both], b[both]), 1)
+        on_border = (a > 0) & (b > 0) & (a != b)
+        np.add.at(out, (a[on_border], b[on_border]), 1)
     return out + out.T
 
 
-def _to_wall(cells: np.ndarray) -> np.ndarray:
+def _wall_distance_cells(cells: np.ndarray) -> np.ndarray:
     """Return the distance to the nearest wall in cells, (h, w) float32."""
     wall = cells == WALL
     if not wall.any():
@@ -180,66 +193,69 @@ def _root(parent, i):
 
 
 @jit
-def _basins(cells, apart, order, door_half_m, narrower, least_cells, label):
+def _basins(cells, wall_distance_m, order, half_door_m, passage_ratio, min_cells, label):
     """Flood from the places farthest from walls; return the number of regions.
 
     A cell joins the basin of its neighbour that is farthest from walls. If it connects two basins,
     they are merged unless the cell is a passage.
 
-    - `apart`: (h, w) float32, metres to the nearest wall.
+    - `wall_distance_m`: (h, w) float32, metres to the nearest wall.
     - `order`: flat indices, the farthest from walls first.
-    - `door_half_m`, `narrower`: limits of a passage.
-    - `least_cells`: a smaller basin is always merged.
+    - `half_door_m`, `passage_ratio`: a passage is at most this far from walls, and at most this
+      share of the lower peak. The peak of a basin is the largest distance from walls in it.
+    - `min_cells`: a smaller basin is always merged.
     - `label`: (h, w) int16 output.
     """
     h, w = cells.shape
+    # By basin, from 1: union-find parent, peak and number of cells.
     parent = np.zeros(order.size + 1, np.int32)
-    peak = np.zeros(order.size + 1, np.float32)
+    peak_m = np.zeros(order.size + 1, np.float32)
     area = np.zeros(order.size + 1, np.int32)
     basin = np.zeros((h, w), np.int32)
-    made = 0
+    n_basins = 0
     for flat in order:
         y, x = flat // w, flat % w
         if cells[y, x] != OPEN:
             continue
-        here, mine, height = apart[y, x], 0, np.float32(-1.0)
+        distance_m, own, farthest_m = wall_distance_m[y, x], 0, np.float32(-1.0)
         for dy in range(-1, 2):
             for dx in range(-1, 2):
                 r, c = y + dy, x + dx
-                if 0 <= r < h and 0 <= c < w and basin[r, c] and apart[r, c] > height:
-                    mine, height = basin[r, c], apart[r, c]
+                if 0 <= r < h and 0 <= c < w and basin[r, c] and wall_distance_m[r, c] > farthest_m:
+                    own, farthest_m = basin[r, c], wall_distance_m[r, c]
         for dy in range(-1, 2):
             for dx in range(-1, 2):
                 r, c = y + dy, x + dx
                 if not (0 <= r < h and 0 <= c < w) or basin[r, c] == 0:
                     continue
-                one, other = _root(parent, mine), _root(parent, basin[r, c])
-                if one == other:
+                first, second = _root(parent, own), _root(parent, basin[r, c])
+                if first == second:
                     continue
-                small = min(peak[one], peak[other])
-                passage = here <= door_half_m and here < narrower * small
-                if not passage or min(area[one], area[other]) < least_cells:
-                    if peak[other] > peak[one]:
-                        one, other = other, one
-                    parent[other] = one
-                    area[one] += area[other]
-        if mine == 0:
-            made += 1
-            mine = made
-            parent[mine], peak[mine] = mine, here
-        mine = _root(parent, mine)
-        area[mine] += 1
-        basin[y, x] = mine
-    number = np.zeros(made + 1, np.int16)
+                lower_peak_m = min(peak_m[first], peak_m[second])
+                is_passage = distance_m <= half_door_m and distance_m < passage_ratio * lower_peak_m
+                if not is_passage or min(area[first], area[second]) < min_cells:
+                    if peak_m[second] > peak_m[first]:
+                        first, second = second, first
+                    parent[second] = first
+                    area[first] += area[second]
+        if own == 0:
+            n_basins += 1
+            own = n_basins
+            parent[own], peak_m[own] = own, distance_m
+        own = _root(parent, own)
+        area[own] += 1
+        basin[y, x] = own
+    # Number the regions in the order of their first cells.
+    region_of = np.zeros(n_basins + 1, np.int16)
     n = 0
     for y in range(h):
         for x in range(w):
             if basin[y, x]:
                 root = _root(parent, basin[y, x])
-                if number[root] == 0:
+                if region_of[root] == 0:
                     n += 1
-                    number[root] = n
-                label[y, x] = number[root]
+                    region_of[root] = n
+                label[y, x] = region_of[root]
     return n
 
 
@@ -249,8 +265,8 @@ def regions_at(label, x0_m, y0_m, cell_m, xy_m, n, radius_m, out):
 
     Args:
         label: (h, w) int16, see `segment_rooms`.
-        x0_m: x of its lower-left corner.
-        y0_m: y of its lower-left corner.
+        x0_m: x of the lower-left corner of `label`.
+        y0_m: y of that corner.
         cell_m: side of a cell.
         xy_m: (n or more, 2 or more) float32 in `map`.
         n: number of places.

@@ -1,4 +1,4 @@
-"""Tiles of 64 x 64 cells of the checkpoint's layers: copy, pack, unpack, restore.
+"""Saves the map's layers for the checkpoint in tiles of 64 x 64 cells: copy, pack, unpack, restore.
 
 The map is copied while the loop continues, without a stall, but as of one moment. In each tick
 `TileCopier` copies some of the tiles written since the last time, and again those that were
@@ -20,11 +20,18 @@ MOST_PER_STEP = 128
 """Tiles copied per step in addition to those of one update; takes 0.1 to 0.2 ms."""
 _LEVEL = 1  # compression level of zlib
 
-Place = tuple[int, int]
+TileIndex = tuple[int, int]
+"""(row, column) of a storage tile, or (x, y) of a world tile."""
 
 
 class LayerTiles(NamedTuple):
-    """Views of a map's layers by storage tile: [row of tiles, row, column of tiles, column, …]."""
+    """Views of a map's layers by storage tile: [row of tiles, row, column of tiles, column, …].
+
+    Attributes:
+        raw, top, trail: see `edge.mapping.layers.Layers`.
+        looks: see `edge.mapping.coverage.Coverage`.
+        value, weight: see `edge.mapping.values.ValueMap`; with one axis more, the targets.
+    """
 
     raw: np.ndarray
     top: np.ndarray
@@ -34,7 +41,8 @@ class LayerTiles(NamedTuple):
     weight: np.ndarray
 
 
-VALUE_PLANES = 2  # number of value planes, which are the last
+VALUE_PLANES = 2
+"""Number of layers of `LayerTiles` that belong to the value maps: the last ones."""
 
 
 def tiled(array: np.ndarray, m: int) -> np.ndarray:
@@ -44,7 +52,7 @@ def tiled(array: np.ndarray, m: int) -> np.ndarray:
 
 
 class TileBatch(NamedTuple):
-    """Copies of k tiles.
+    """Copies of k storage tiles.
 
     Attributes:
         row: (k,) row of each tile.
@@ -92,18 +100,18 @@ class PackedTiles:
     """
 
     def __init__(self) -> None:
-        self._packed: dict[Place, bytes] = {}
+        self._packed: dict[TileIndex, bytes] = {}
 
     def update(self, batches: Iterable[TileBatch]) -> None:
         """Pack copied tiles, oldest first."""
         for row, column, planes in batches:
             empty = ~np.any([plane.reshape(len(row), -1).any(axis=1) for plane in planes], axis=0)
-            for i, place in enumerate(zip(row.tolist(), column.tolist(), strict=True)):
+            for i, tile_index in enumerate(zip(row.tolist(), column.tolist(), strict=True)):
                 if empty[i]:
-                    self._packed.pop(place, None)
+                    self._packed.pop(tile_index, None)
                 else:
                     tile = b"".join(plane[i].tobytes() for plane in planes)
-                    self._packed[place] = zlib.compress(tile, _LEVEL)
+                    self._packed[tile_index] = zlib.compress(tile, _LEVEL)
 
     def state_dict(self, origin: np.ndarray, n: int) -> Arrays:
         """Return the packed tiles, one after the other.
@@ -113,8 +121,8 @@ class PackedTiles:
             n: cells on its side.
 
         Returns:
-            `xy` (k, 2) int32 world tiles, with the cells from 64 times that on; `n_bytes` (k,)
-            int32; `packed` (n_bytes.sum(),) uint8.
+            `xy` (k, 2) int32, world tiles: tile x has the world cells 64 x to 64 x + 63. `n_bytes`
+            (k,) int32, packed size of each tile. `packed` (n_bytes.sum(),) uint8.
         """
         (x0, y0), m = (int(at) // TILE for at in origin), n // TILE
         xy = [(x0 + (c - x0) % m, y0 + (r - y0) % m) for r, c in self._packed]
@@ -125,15 +133,15 @@ class PackedTiles:
         }
 
 
-def unpack_tiles(state: Arrays, size: int) -> Iterator[tuple[Place, bytes]]:
+def unpack_tiles(state: Arrays, size: int) -> Iterator[tuple[TileIndex, bytes]]:
     """Yield world tiles (x, y) of a `state_dict`, each with its bytes.
 
     Raises:
         ValueError: the arrays are inconsistent, or a tile has another size than `size` bytes.
     """
-    like = PackedTiles().state_dict(np.zeros(2), TILE)
+    template = PackedTiles().state_dict(np.zeros(2), TILE)
     rows = {("xy", "n_bytes"): 1 << 12, ("packed",): 1 << 27}
-    check_arrays(state, like, rows, {"n_bytes": 1 << 24})
+    check_arrays(state, template, rows, {"n_bytes": 1 << 24})
     packed, ends = state["packed"].data, np.cumsum(state["n_bytes"], dtype=np.int64).tolist()
     if (ends[-1] if ends else 0) != len(packed):
         raise ValueError("tiles: the sum of n_bytes is not the size of packed")
@@ -142,7 +150,7 @@ def unpack_tiles(state: Arrays, size: int) -> Iterator[tuple[Place, bytes]]:
 
 
 def _unpack(packed: memoryview, size: int) -> bytes:
-    """Unpack one tile, and at most one byte more than `size`.
+    """Unpack one tile. A bad file cannot make it larger than one byte more than `size`.
 
     Raises:
         ValueError: it has another size.
@@ -157,17 +165,20 @@ def _unpack(packed: memoryview, size: int) -> bytes:
     return tile
 
 
-def bytes_of(planes: Iterable[np.ndarray]) -> int:
+def tile_bytes(planes: Iterable[np.ndarray]) -> int:
     """Return the unpacked size of one tile in bytes."""
     return sum(plane[0, :, 0].nbytes for plane in planes)
 
 
-def write(
-    planes: Iterable[np.ndarray], window: Window, tiles: Iterable[tuple[Place, bytes]]
+def write_tiles(
+    planes: Iterable[np.ndarray], window: Window, tiles: Iterable[tuple[TileIndex, bytes]]
 ) -> None:
     """Write unpacked world tiles into the layers; tiles outside the window are ignored.
 
-    `planes` are the first of `LayerTiles`, or all.
+    Args:
+        planes: all layers of `LayerTiles`, or the first ones; the tiles hold the same.
+        window: window of the map.
+        tiles: world tiles (x, y), each with its bytes.
     """
     m = len(window.written)
     first = window.origin[0] // TILE, window.origin[1] // TILE
@@ -177,7 +188,7 @@ def write(
         window.written[y % m, x % m] = True
         start = 0
         for plane in planes:
-            there = plane[y % m, :, x % m]
-            end = start + there.nbytes
-            there[...] = np.frombuffer(tile[start:end], plane.dtype).reshape(there.shape)
+            target = plane[y % m, :, x % m]
+            end = start + target.nbytes
+            target[...] = np.frombuffer(tile[start:end], plane.dtype).reshape(target.shape)
             start = end

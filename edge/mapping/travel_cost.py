@@ -1,6 +1,6 @@
-"""Driving distances: which free cells the robot can reach, and how far they are.
+"""Travel-cost field: the driving distance from the robot to each free cell that it can reach.
 
-A wavefront computes them, spread over many ticks.
+A wavefront computes it, spread over many ticks. Kernels: `edge.mapping.reach_kernels`.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from edge.mapping.reach_kernels import (
 )
 from edge.mapping.window import Window
 
-_CLEAR_PER_CELL = 16  # cells that are cleared in the time in which one cell is added
-WAY_CELLS = 4096
-"""Largest number of cells that `path_m` returns; of a longer path it returns the end."""
+_CLEARED_PER_CELL = 16  # cells that are cleared in the time in which one cell is added
+MAX_PATH_CELLS = 4096
+"""Largest number of cells that `path_xy_m` returns; of a longer path it returns the end."""
 
 
 class TravelCostField:
-    """Geodesic distance from the robot over free cells, 8-connected.
+    """Driving distance: length of the shortest path from the robot over free cells, 8-connected.
 
     There are two fields. The last complete one answers queries while the next one grows by at most
     `per_tick` cells a step. So the cost of a step does not depend on the size of the map.
@@ -55,12 +55,14 @@ class TravelCostField:
             layers: layers of the map.
             window: window of the map.
             inflation_cells: inflation radius in cells.
-            body: disc that must be free for the robot to return to its trail; see `on_trail`.
+            body: half widths of a disc of the robot's size. Cells where the robot has driven (its
+                trail) are free while this disc around them is; see `on_trail`.
             per_tick: largest number of cells that a step adds.
         """
         n = window.n
         self.generation = 0
         self._layers, self._window = layers, window
+        # A robot inside the inflation may leave it: this near to it, inflated cells are crossed.
         self._escape_cells = inflation_cells + 1.0
         self._body = body
         self._per_tick = per_tick
@@ -68,16 +70,16 @@ class TravelCostField:
         contour = 8192 + 16 * n
         self._waves = [
             Wave(
-                np.zeros((n, n), np.int32),
-                np.zeros((BUCKETS, contour), np.int32),
-                np.zeros(BUCKETS, np.int64),
-                np.zeros(4, np.int64),
-                np.zeros(6, np.int64),
+                distance=np.zeros((n, n), np.int32),
+                bucket=np.zeros((BUCKETS, contour), np.int32),
+                filled=np.zeros(BUCKETS, np.int64),
+                bounds=np.zeros(4, np.int64),
+                state=np.zeros(6, np.int64),
             )
             for _ in range(2)
         ]
         self._origins = [(0, 0), (0, 0)]  # of the window at the start of each field
-        self._complete = 0
+        self._complete = 0  # index of the field that answers queries
         self._is_growing = False
         self._clear_row = -1
 
@@ -89,7 +91,7 @@ class TravelCostField:
         growing = 1 - self._complete
         wave = self._waves[growing]
         if not self._is_growing:
-            if not self._clear(wave):
+            if not self._clear_older(wave):
                 return
             window = self._window
             self._origins[growing] = window.origin
@@ -108,11 +110,14 @@ class TravelCostField:
 
     @property
     def field(self) -> tuple[np.ndarray, tuple[int, int, int, int]]:
-        """The current distances (see `Wave.distance`), and the world cells where they hold."""
+        """The distances (see `Wave.distance`), and where they are valid.
+
+        That is the half-open rectangle (x0, y0, x1, y1) of world cells.
+        """
         return self._waves[self._complete].distance, self._valid_rect(self._complete)
 
     def distance_m(self, x_m: float, y_m: float) -> float:
-        """Return the geodesic distance to a point's cell in metres; inf if it was not reached."""
+        """Return the driving distance to a point's cell in metres; inf if it was not reached."""
         if self.generation == 0:
             return math.inf
         window = self._window
@@ -123,13 +128,13 @@ class TravelCostField:
         steps = int(self._waves[self._complete].distance[y % window.n, x % window.n])
         if steps == UNREACHED:
             return math.inf
-        return (steps - 1) / STRAIGHT * window.resolution_m
+        return (steps - 1) / STRAIGHT * window.resolution_m  # `Wave.distance` is 1 + cost
 
     def nearest(self, x_m: float, y_m: float, radius_m: float) -> tuple[float, float, float] | None:
         """Return the nearest free cell that the robot can reach, within `radius_m` of a point.
 
         Returns:
-            (x_m, y_m, geodesic_m) of the cell's centre; None if there is none.
+            (x_m, y_m, distance_m) of the cell's centre; None if there is none.
         """
         res = self._window.resolution_m
         return self._search(nearest_reached, float(x_m / res), float(y_m / res), radius_m / res)
@@ -148,7 +153,7 @@ class TravelCostField:
             points: least number of such points; > 0.
 
         Returns:
-            (x_m, y_m, geodesic_m) of the cell's centre; None if there is none.
+            (x_m, y_m, distance_m) of the cell's centre; None if there is none.
         """
         res = self._window.resolution_m
         return self._search(first_in_sight, res, surface_m, within_m, points)
@@ -161,19 +166,19 @@ class TravelCostField:
             return None
         distance, rect = self.field
         x, y, steps = search(self._layers, distance, *rect, *args)
-        return _place_m(x, y, steps, self._window.resolution_m)
+        return _centre_m(x, y, steps, self._window.resolution_m)
 
-    def path_m(self, x_m: float, y_m: float) -> np.ndarray:
+    def path_xy_m(self, x_m: float, y_m: float) -> np.ndarray:
         """Return the shortest path to a point's cell, from the start of the field, for display.
 
         Returns:
-            (k, 2) float32 centres of cells in `map`, at most `WAY_CELLS`, the point's own cell
+            (k, 2) float32 centres of cells in `map`, at most `MAX_PATH_CELLS`, the point's own cell
             last; (0, 2) if the robot cannot get there.
         """
         if self.generation == 0:
             return np.zeros((0, 2), np.float32)
         distance, rect = self.field
-        cells = np.empty((WAY_CELLS, 2), np.int64)
+        cells = np.empty((MAX_PATH_CELLS, 2), np.int64)
         n = trace(distance, *rect, *self._window.cell_of(x_m, y_m), cells)
         return ((cells[:n][::-1] + 0.5) * self._window.resolution_m).astype(np.float32)
 
@@ -196,18 +201,22 @@ class TravelCostField:
         res = self._window.resolution_m
         path_lengths(self._layers, distance, *rect, res, xy_m, kind, radius_m, n, out_m)
 
-    def _valid_rect(self, which: int) -> tuple[int, int, int, int]:
+    def _valid_rect(self, field_index: int) -> tuple[int, int, int, int]:
         """Return the half-open rectangle of world cells in both a field's window and the map's."""
-        (ax, ay), (bx, by), n = self._origins[which], self._window.origin, self._window.n
+        (ax, ay), (bx, by), n = self._origins[field_index], self._window.origin, self._window.n
         return max(ax, bx), max(ay, by), min(ax, bx) + n, min(ay, by) + n
 
-    def _clear(self, wave: Wave) -> bool:
-        """Clear a part of the older field in each step; return True when it is empty."""
+    def _clear_older(self, wave: Wave) -> bool:
+        """Clear some rows of the older field, so that the next one can start in it.
+
+        Returns:
+            True when it is empty.
+        """
         x0, y0, x1, y1 = (int(v) for v in wave.bounds)
         if x1 <= x0:
             return True
         row = y0 if self._clear_row < 0 else self._clear_row
-        rows = max(1, self._per_tick * _CLEAR_PER_CELL // (x1 - x0))
+        rows = max(1, self._per_tick * _CLEARED_PER_CELL // (x1 - x0))
         end = min(row + rows, y1)
         wave.distance[row:end, x0:x1] = UNREACHED
         self._clear_row = end
@@ -217,8 +226,11 @@ class TravelCostField:
         return True
 
 
-def _place_m(x: int, y: int, steps: int, res_m: float) -> tuple[float, float, float] | None:
-    """Return (x_m, y_m, geodesic_m) of a cell's centre; None if it was not reached."""
+def _centre_m(x: int, y: int, steps: int, res_m: float) -> tuple[float, float, float] | None:
+    """Return (x_m, y_m, distance_m) of a cell's centre; None if it was not reached.
+
+    `steps` is a value of `Wave.distance`.
+    """
     if steps == UNREACHED:
         return None
     return (x + 0.5) * res_m, (y + 0.5) * res_m, (steps - 1) / STRAIGHT * res_m

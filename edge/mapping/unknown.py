@@ -1,4 +1,7 @@
-"""Share of unknown cells around a point (VL-Nav eq. 6), on the map's bit planes."""
+"""Kernels on the map's bit planes: share of unknown cells around points (VL-Nav eq. 6).
+
+A bit plane holds 64 cells of a row in one word, so one operation handles 64 cells.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from edge.jit import jit
 
 @jit(inline="always")
 def _popcount(x):
-    """Return the number of set bits of a word."""
+    """Return the number of set bits of a word, by adding neighbouring groups of bits."""
     x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
     x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
     x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -29,8 +32,8 @@ def count(plane):
 
 
 @jit(inline="always")
-def _fill(x, p):
-    """Spread the bits x along the row within p."""
+def _spread_in_row(x, p):
+    """Return the bits of p that are connected to a bit of x within one row of 64 cells."""
     while x != p:
         wider = (x | (x << np.uint64(1)) | (x >> np.uint64(1))) & p
         wider |= ((wider << np.uint64(1)) | (wider >> np.uint64(1))) & p
@@ -45,12 +48,19 @@ def unknown_ratios(
     known, blocked, shift_x, shift_y, origin_x, origin_y, inv_res, xy, n_points, disc,
     passable, flooded, out,
 ):  # fmt: skip
-    """Write out[:n_points]: unknown cells over all cells that a 4-connected search reaches.
+    """Write the share of unknown cells in the cells that a 4-connected search reaches.
 
     The search starts at the point's cell, crosses unknown and free cells, and stays within the disc
-    and the window. A point on a blocked cell or outside the window has ratio 0. `disc` has the half
-    widths of the disc's rows, at most `edge.config.MAX_RADIUS_CELLS`. `passable` and
-    `flooded` are (64,) uint64 scratch.
+    and the window. A point on a blocked cell or outside the window has ratio 0.
+
+    - `known`, `blocked`: see `edge.mapping.layers.Layers`.
+    - `shift_x`, `shift_y`: storage cell of the window's corner; `origin_x`, `origin_y`: its world
+      cell.
+    - `inv_res`: cells per metre.
+    - `xy`: (n_points or more, 2) float32, points in `map`.
+    - `disc`: half widths of the disc's rows, at most `edge.config.MAX_RADIUS_CELLS`.
+    - `passable`, `flooded`: (64,) uint64 scratch, one word for each row of the disc.
+    - `out`: (n_points or more,) float32 output.
     """
     n = known.shape[0]
     words = n >> 6
@@ -65,29 +75,32 @@ def unknown_ratios(
             continue
         left = x - radius
         word, offset = left >> 6, np.uint64(left & 63)
-        # A row's 64 columns are in two words; `inside` masks columns outside the window.
-        low = (word + (shift_x >> 6)) % words
-        high = (low + 1) % words
+        # A row's 64 columns from `left` on are in two words of the bit plane.
+        first_word = (word + (shift_x >> 6)) % words
+        second_word = (first_word + 1) % words
         back = np.uint64(63) - offset
         # Columns of the 64 that lie in the window.
-        inside = full
+        in_window = full
         if left < 0:
-            inside &= full << np.uint64(-left)
+            in_window &= full << np.uint64(-left)
         if left + 64 > n:
-            inside &= full >> np.uint64(left + 64 - n)
+            in_window &= full >> np.uint64(left + 64 - n)
         first, last = max(0, radius - y), min(rows, n - y + radius)
         for k in range(first, last):
             sy = y + k - radius + shift_y
             if sy >= n:
                 sy -= n
             width = np.uint64(2 * disc[k] + 1)
-            mask = ((np.uint64(1) << width) - np.uint64(1)) << np.uint64(radius - disc[k])
-            bits = (blocked[sy, low] >> offset) | ((blocked[sy, high] << back) << np.uint64(1))
-            passable[k] = ~bits & mask & inside
+            in_disc = ((np.uint64(1) << width) - np.uint64(1)) << np.uint64(radius - disc[k])
+            # Two shifts, because a shift by 64 (for offset 0) is not defined.
+            bits = (blocked[sy, first_word] >> offset) | (
+                (blocked[sy, second_word] << back) << np.uint64(1)
+            )
+            passable[k] = ~bits & in_disc & in_window
             flooded[k] = 0
         if passable[radius] & seed == np.uint64(0):
             continue
-        flooded[radius] = _fill(seed, passable[radius])
+        flooded[radius] = _spread_in_row(seed, passable[radius])
         _flood(flooded, passable, radius, first, last)
         visited, unknown = np.uint64(0), np.uint64(0)
         for k in range(first, last):
@@ -95,33 +108,39 @@ def unknown_ratios(
             if sy >= n:
                 sy -= n
             visited += _popcount(flooded[k])
-            bits = (known[sy, low] >> offset) | ((known[sy, high] << back) << np.uint64(1))
+            bits = (known[sy, first_word] >> offset) | (
+                (known[sy, second_word] << back) << np.uint64(1)
+            )
             unknown += _popcount(flooded[k] & ~bits)
         out[i] = float(unknown) / float(visited)
 
 
 @jit
 def _flood(flooded, passable, start, first, last):
-    """Spread from row `start` up and down until nothing changes or everything is full."""
+    """Spread the bits of `flooded` within `passable`, over the rows from `first` to before `last`.
+
+    Each round goes up from row `start`, and then down. It ends when a round changes nothing, or
+    when all passable bits are set.
+    """
     while True:
-        moving = False
+        is_changing = False
         row = flooded[start]
         for k in range(start + 1, last):
             more = flooded[k] | (row & passable[k])
             if more != flooded[k]:
-                more = _fill(more, passable[k])
+                more = _spread_in_row(more, passable[k])
                 flooded[k] = more
-                moving = True
+                is_changing = True
             row = more
         full = row == passable[last - 1]
         for k in range(last - 2, first - 1, -1):
             more = flooded[k] | (row & passable[k])
             if more != flooded[k]:
-                more = _fill(more, passable[k])
+                more = _spread_in_row(more, passable[k])
                 flooded[k] = more
-                moving = True
+                is_changing = True
             full &= more == passable[k]
             row = more
-        if full or not moving:
+        if full or not is_changing:
             return
         start = first

@@ -1,4 +1,4 @@
-"""Value maps: scores of each place for each target (ViTL IV-B2, or as VLFM writes them).
+"""Value maps: a score of each place for each target (ViTL IV-B2, or as VLFM writes them).
 
 A cell is about 0.2 m wide. For each target it has a value and a weight of 16 bits each. The weight
 is the scene score when ViTL writes, and the confidence when VLFM writes. Weight 0: no score yet.
@@ -19,6 +19,7 @@ from edge.mapping.window import TILE, Window
 from edge.types import Observation
 
 RAYS = 128
+"""Number of directions of a `RangeProfile`."""
 ROWS = 120
 """Number of rows of a depth image that are read; more would not change cells of this width."""
 UNIT = 65535
@@ -74,18 +75,20 @@ class ValueMap:
             range_m: farthest range that counts as in view.
             beta: factor of ViTL's virtual edge frontiers, in [0, 1].
         """
-        # The window moves by multiples of 64 map cells.
-        self._bits = min(6, max(0, round(math.log2(cell_m / window.resolution_m))))
-        self.cell_m = window.resolution_m * 2**self._bits
+        # A value cell has 2**_cell_bits map cells on a side, at most 64: the window moves by
+        # multiples of 64 map cells.
+        self._cell_bits = min(6, max(0, round(math.log2(cell_m / window.resolution_m))))
+        self.cell_m = window.resolution_m * 2**self._cell_bits
         self._layers, self._window = layers, window
         self._range_m, self._beta = range_m, beta
         self._targets: tuple[str, ...] = ()
-        m = self._cells = window.n >> self._bits
+        m = self._cells = window.n >> self._cell_bits
         self.value = np.zeros((m, m, 0), np.uint16)
         self.weight = np.zeros((m, m, 0), np.uint16)
         side = 2 * math.ceil(range_m / self.cell_m) + 4
-        self._cell = np.zeros((side * side, 2), np.int32)
-        self._bearing = np.zeros(side * side, np.float32)
+        # Results of `seen_cells`.
+        self._seen_cells = np.zeros((side * side, 2), np.int32)
+        self._seen_bearings = np.zeros(side * side, np.float32)
 
     def set_targets(self, targets: Sequence[str]) -> None:
         """Make one channel per target, in this order; targets that stay keep their values."""
@@ -109,14 +112,14 @@ class ValueMap:
     @property
     def n_side_cells(self) -> int:
         """Value cells on a side of a tile of the map."""
-        return TILE >> self._bits
+        return TILE >> self._cell_bits
 
     def roll(self, axis: int, by: int) -> None:
         """Clear the strip that leaves the window when it moves by `by` map cells along x or y."""
         start, n = self._window.origin[axis], self._window.n
         gone = min(abs(by), n)
         start += 0 if by > 0 else n - gone
-        strip = np.arange(start >> self._bits, (start + gone) >> self._bits) % self._cells
+        strip = np.arange(start >> self._cell_bits, (start + gone) >> self._cell_bits) % self._cells
         where = (slice(None), strip) if axis == 0 else strip
         self.value[where] = 0
         self.weight[where] = 0
@@ -148,28 +151,28 @@ class ValueMap:
             )  # fmt: skip
         return RangeProfile(x_m, y_m, yaw_rad, camera.hfov_rad, range_m)
 
-    def write_view(self, sight: RangeProfile, targets: Sequence[str], score: np.ndarray) -> None:
+    def write_view(self, profile: RangeProfile, targets: Sequence[str], score: np.ndarray) -> None:
         """Write one VLFM score per target for everything in view, with more weight in the middle.
 
         v = (c v + c' v') / (c + c'), c = (c^2 + c'^2) / (c + c'). The confidence c' falls as cos^2
         from 1 in the middle of the field of view to 0 at its edges.
 
         Args:
-            sight: range of the observation.
+            profile: range of the observation.
             targets: targets of the scores; targets without a channel are ignored.
             score: (n,) one for each target, clipped to [0, 1].
         """
         channel = [self._targets.index(t) for t in targets if t in self._targets]
         scores = np.array([s for t, s in zip(targets, score, strict=True) if t in self._targets])
-        n = self._list_seen_cells(sight)
+        n = self._find_seen_cells(profile)
         if n and channel:
             blend(
-                self.value, self.weight, self._cell, self._bearing, n, sight.fov_rad,
+                self.value, self.weight, self._seen_cells, self._seen_bearings, n, profile.fov_rad,
                 np.array(channel, np.int64), np.clip(scores, 0.0, 1.0).astype(np.float64),
             )  # fmt: skip
 
     def write_directions(
-        self, sight: RangeProfile, target: str, xy_m: np.ndarray, p: np.ndarray, scene: float
+        self, profile: RangeProfile, target: str, xy_m: np.ndarray, p: np.ndarray, scene: float
     ) -> None:
         """Write ViTL's score of each direction, fused with the earlier values, over the view.
 
@@ -177,26 +180,26 @@ class ValueMap:
         scores.
 
         Args:
-            sight: range of the observation.
+            profile: range of the observation.
             target: target of the scores; without a channel nothing is written.
             xy_m: (n, 2) frontiers in `map`.
             p: (n,) probabilities of eq. 4.
             scene: S_curr of eq. 5, in [0, 1].
         """
-        n = self._list_seen_cells(sight)
+        n = self._find_seen_cells(profile)
         if n == 0 or target not in self._targets:
             return
-        channel, half = self._targets.index(target), 0.5 * sight.fov_rad
-        bearing = sight.bearing_rad(xy_m)
+        channel, half = self._targets.index(target), 0.5 * profile.fov_rad
+        bearing = profile.bearing_rad(xy_m)
         inside = np.flatnonzero(np.abs(bearing) <= half)
         points = sorted(
-            (float(bearing[i]), fuse(*self._at(channel, xy_m[i]), scene * float(p[i]), scene))
+            (float(bearing[i]), fuse(*self._value_at(channel, xy_m[i]), scene * float(p[i]), scene))
             for i in inside
         )
         edge = self._beta * scene
         angle, value = zip((-half, edge), *points, (half, edge), strict=True)
         spread(
-            self.value, self.weight, self._cell, self._bearing, n, channel,
+            self.value, self.weight, self._seen_cells, self._seen_bearings, n, channel,
             np.array(angle), np.array(value), scene,
         )  # fmt: skip
 
@@ -219,8 +222,8 @@ class ValueMap:
             raise IndexError(f"value channel {channel}: the map has {len(self._targets)} channels")
         ox, oy = self._window.origin
         best_near(
-            self.value, self.weight, channel, ox >> self._bits, oy >> self._bits, self.cell_m,
-            xy_m, n, radius_m, out,
+            self.value, self.weight, channel, ox >> self._cell_bits, oy >> self._cell_bits,
+            self.cell_m, xy_m, n, radius_m, out,
         )  # fmt: skip
 
     def snapshot(self, target: str) -> Grid:
@@ -241,27 +244,27 @@ class ValueMap:
 
         return self._window.copy_of(plane)
 
-    def _at(self, channel: int, xy_m: np.ndarray) -> tuple[float, float]:
+    def _value_at(self, channel: int, xy_m: np.ndarray) -> tuple[float, float]:
         """Return (value, weight) of a place's cell; (0, 0) outside the window."""
         window, m = self._window, self._cells
         x, y = window.cell_of(float(xy_m[0]), float(xy_m[1]))
         if not window.contains(x, y):
             return 0.0, 0.0
-        at = (y >> self._bits) % m, (x >> self._bits) % m, channel
+        at = (y >> self._cell_bits) % m, (x >> self._cell_bits) % m, channel
         return float(self.value[at]) / UNIT, float(self.weight[at]) / UNIT
 
-    def _list_seen_cells(self, sight: RangeProfile) -> int:
-        """List the window's cells that a sight showed, into scratch; return their number."""
+    def _find_seen_cells(self, profile: RangeProfile) -> int:
+        """Write the window's cells in view to `_seen_cells`; return their number."""
         if not self._window.placed:
             return 0
         window, (ox, oy) = self._window, self._window.origin
-        x, y = window.cell_of(sight.x_m, sight.y_m)
-        reach = math.ceil((float(sight.range_m.max()) + self.cell_m) / window.resolution_m) + 1
+        x, y = window.cell_of(profile.x_m, profile.y_m)
+        reach = math.ceil((float(profile.range_m.max()) + self.cell_m) / window.resolution_m) + 1
         window.mark_written(x - reach, y - reach, x + reach + 1, y + reach + 1)
         return seen_cells(
-            sight.x_m, sight.y_m, sight.yaw_rad, sight.fov_rad, sight.range_m,
-            ox >> self._bits, oy >> self._bits, self._cells, self.cell_m,
-            self._cell, self._bearing,
+            profile.x_m, profile.y_m, profile.yaw_rad, profile.fov_rad, profile.range_m,
+            ox >> self._cell_bits, oy >> self._cell_bits, self._cells, self.cell_m,
+            self._seen_cells, self._seen_bearings,
         )  # fmt: skip
 
 
@@ -290,12 +293,12 @@ def depth_profile(depth, fx, fy, cx, cy, R, fov, limit, range_m):
     """
     h, w = depth.shape
     k = len(range_m)
-    level = math.hypot(R[0, 2], R[1, 2])  # cosine of the camera's pitch
+    cos_pitch = math.hypot(R[0, 2], R[1, 2])  # cosine of the camera's pitch
     column = np.empty(k, np.int64)
     a0, a1, best = np.empty(k), np.empty(k), np.zeros(k)
     for i in range(k):
         bearing = ((i + 0.5) / k - 0.5) * fov
-        u = cx - fx * math.tan(bearing) / max(level, 1e-3)
+        u = cx - fx * math.tan(bearing) / max(cos_pitch, 1e-3)
         column[i] = min(max(math.floor(u + 0.5), 0), w - 1)
         x = (column[i] - cx) / fx
         a0[i], a1[i] = R[0, 0] * x + R[0, 2], R[1, 0] * x + R[1, 2]
@@ -312,12 +315,12 @@ def depth_profile(depth, fx, fy, cx, cy, R, fov, limit, range_m):
 
 
 @jit
-def map_profile(raw, shift_x, shift_y, x, y, yaw, fov, far, res, range_m):
+def map_profile(raw, shift_x, shift_y, x, y, yaw, fov, max_cells, res, range_m):
     """Compute the range in each direction from the map: up to the first occupied or unseen cell.
 
     - `raw`: (N, N) uint8 by storage cell.
     - `x`, `y`: window coordinates in map cells, with fractions.
-    - `far`: largest range in cells.
+    - `max_cells`: largest range in cells.
     - `res`: metres per cell.
     - `range_m`: (RAYS,) float32 output.
     """
@@ -325,7 +328,7 @@ def map_profile(raw, shift_x, shift_y, x, y, yaw, fov, far, res, range_m):
     for i in range(k):
         angle = yaw + ((i + 0.5) / k - 0.5) * fov
         dx, dy, along = math.cos(angle), math.sin(angle), 0.0
-        while along < far:
+        while along < max_cells:
             wx, wy = math.floor(x + along * dx), math.floor(y + along * dy)
             if wx < 0 or wy < 0 or wx >= n or wy >= n:
                 break
@@ -333,12 +336,12 @@ def map_profile(raw, shift_x, shift_y, x, y, yaw, fov, far, res, range_m):
             if state == UNSEEN or state >= OCCUPIED:
                 break
             along += 1.0
-        range_m[i] = min(along, far) * res
+        range_m[i] = min(along, max_cells) * res
 
 
 @jit
 def seen_cells(x, y, yaw, fov, range_m, origin_x, origin_y, m, cell, cells, bearings):
-    """List the cells of the window whose centres a sight showed, with cells cut by its end.
+    """List the window's cells in view: their centres are in range, or at most half a cell beyond.
 
     - `x`, `y`, `cell`: place of the camera and side of a cell, metres.
     - `origin_x`, `origin_y`: first cell of the window, which has `m` cells on a side.
@@ -349,23 +352,23 @@ def seen_cells(x, y, yaw, fov, range_m, origin_x, origin_y, m, cell, cells, bear
         The number of cells.
     """
     k, n = len(range_m), 0
-    far = 0.0
+    farthest_m = 0.0
     for i in range(k):
-        far = max(far, range_m[i])
-    if far == 0.0:
+        farthest_m = max(farthest_m, range_m[i])
+    if farthest_m == 0.0:
         return 0
-    far += 0.5 * cell
+    farthest_m += 0.5 * cell
     c, s = math.cos(yaw), math.sin(yaw)
-    x0 = max(math.floor((x - far) / cell), origin_x)
-    x1 = min(math.floor((x + far) / cell) + 1, origin_x + m)
-    y0 = max(math.floor((y - far) / cell), origin_y)
-    y1 = min(math.floor((y + far) / cell) + 1, origin_y + m)
+    x0 = max(math.floor((x - farthest_m) / cell), origin_x)
+    x1 = min(math.floor((x + farthest_m) / cell) + 1, origin_x + m)
+    y0 = max(math.floor((y - farthest_m) / cell), origin_y)
+    y1 = min(math.floor((y + farthest_m) / cell) + 1, origin_y + m)
     for cy in range(y0, y1):
         dy = (cy + 0.5) * cell - y
         for cx in range(x0, x1):
             dx = (cx + 0.5) * cell - x
             d2 = dx * dx + dy * dy
-            if d2 > far * far:
+            if d2 > farthest_m * farthest_m:
                 continue
             bearing = math.atan2(dy * c - dx * s, dx * c + dy * s)
             i = math.floor((bearing / fov + 0.5) * k)
@@ -420,7 +423,7 @@ def spread(value, weight, cells, bearings, n, channel, angle, v, scene):
 def best_near(value, weight, channel, origin_x, origin_y, cell, xy, n, radius, out):
     """Do the work of `ValueMap.best`.
 
-    The cells are those with centres within the radius, and the cell that contains the place.
+    It reads the cells with centres within the radius, and the cell that contains the place.
     """
     m = value.shape[0]
     reach = int(radius / cell) + 1

@@ -12,7 +12,7 @@ class ValuesView:
     """Read-only view of the value maps.
 
     Attributes:
-        best: see `edge.mapping.values.ValueMap`.
+        best: writes the highest value near each point; see `edge.mapping.values.ValueMap`.
     """
 
     def __init__(self, values: ValueMap) -> None:
@@ -26,9 +26,15 @@ class MapView:
         resolution_m: side of a cell.
         layers: read-only, by storage cell (see `edge.mapping.layers`).
         window: part of the world that the layers hold; only the map moves it.
-        state_at, unknown_ratio, snapshot: see `edge.mapping.grid.RollingMap`.
-        distance_m, nearest, stopping_point: see `edge.mapping.travel_cost.TravelCostField`.
-        is_worth_it: see `edge.mapping.coverage.Coverage`.
+        state_at: state of the cell of a point: unknown, free or occupied.
+        unknown_ratio: share of unknown cells around a point.
+        snapshot: copy of the whole map; these three are methods of `edge.mapping.grid.RollingMap`.
+        distance_m: driving distance to a point.
+        nearest: nearest free cell that the robot can reach, near a point.
+        stopping_point: free cell from which an object is in sight; these three are methods of
+            `edge.mapping.travel_cost.TravelCostField`.
+        is_worth_visiting: see `edge.mapping.coverage.Coverage`: True if a view still shows enough
+            places that were not seen well.
         values: one channel per target of the mission, if the policy's scorer feeds them.
     """
 
@@ -39,7 +45,7 @@ class MapView:
         self.snapshot = grid.snapshot
         self.distance_m, self.nearest = grid.travel_cost.distance_m, grid.travel_cost.nearest
         self.stopping_point = grid.travel_cost.stopping_point
-        self.is_worth_it = grid.coverage.is_worth_it
+        self.is_worth_visiting = grid.coverage.is_worth_visiting
         self.values = ValuesView(grid.values)
         self._grid = grid
         shown = grid.frontiers
@@ -47,11 +53,11 @@ class MapView:
 
     @property
     def frontiers(self) -> Frontiers:
-        """Target points; the arrays are read-only."""
+        """Frontiers of the map: the points to drive to. The arrays are read-only."""
         self._frontiers.n = self._grid.frontiers.n
         return self._frontiers
 
     @property
     def known_m2(self) -> float:
-        """See `edge.mapping.grid.RollingMap`."""
+        """Known area of the map in m²."""
         return self._grid.known_m2

@@ -14,47 +14,50 @@ from edge.types import Observation
 
 def warmup(mapping: config.MappingConfig) -> None:
     """Compile the kernels that every map needs, on a small map."""
-    grid, camera, T = _small(mapping)
-    holed = np.full((16, 16), 1.0, np.float32)
-    holed[8, 8] = np.nan
-    grid.update_depth(holed, camera, np.eye(4), T)
+    grid, camera, T = _small_map(mapping)
+    depth_with_hole = np.full((16, 16), 1.0, np.float32)
+    depth_with_hole[8, 8] = np.nan
+    grid.update_depth(depth_with_hole, camera, np.eye(4), T)
     grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), np.eye(4))
     grid.bumps.close(SE2(0.0, 0.0, 0.0), (0.4, 0.0), 0.2, 0)
     grid.bumps.open_all()
     grid.travel_cost.step(SE2(0.0, 0.0, 0.0))
     grid.travel_cost.nearest(0.0, 0.0, 0.5)
     grid.travel_cost.stopping_point(np.zeros((1, 3), np.float32), 0.5)
-    grid.travel_cost.path_m(0.0, 0.0)
-    which = np.zeros(1, np.int32)
-    grid.gain.around(grid.frontiers.xy_m, which, 1, np.zeros(1, np.float32))
+    grid.travel_cost.path_xy_m(0.0, 0.0)
+    indices = np.zeros(1, np.int32)
+    grid.gain.around(grid.frontiers.xy_m, indices, 1, np.zeros(1, np.float32))
     grid.gain.on_view(SE2(0.0, 0.0, 0.0), 0.0, 1.0)
     grid.gain.best_spin(SE2(0.0, 0.0, 0.0), 0.0, 1.0)
     grid.coverage.on_image(Observation(0, 0, np.eye(4), camera=camera), 1.0, 1)
     grid.coverage.search(grid.travel_cost)
-    grid.coverage.is_worth_it(Viewpoint(0.0, 0.0, 0.0))
+    grid.coverage.is_worth_visiting(Viewpoint(0.0, 0.0, 0.0))
     points_m = read_only(grid.frontiers.xy_m)
     grid.unknown_ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
     _ = grid.known_m2
     grid.state_dict()
-    far = grid.window.n * grid.resolution_m
-    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, SE2(far, 0.0, 0.0).matrix(), T)
+    one_window_m = grid.window.n * grid.resolution_m
+    # The window moves.
+    grid.update_depth(
+        np.full((16, 16), 1.0, np.float32), camera, SE2(one_window_m, 0.0, 0.0).matrix(), T
+    )
 
 
 def warm_values(mapping: config.MappingConfig) -> None:
     """Compile the kernels of value maps."""
-    grid, camera, T = _small(mapping)
+    grid, camera, T = _small_map(mapping)
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, np.eye(4), T)
     grid.values.set_targets(("x",))
     for depth in (None, np.full((16, 16), 1.0, np.float32)):
-        sight = grid.values.range_profile(Observation(0, 0, T, depth_m=depth, camera=camera))
-        assert sight is not None
-        grid.values.write_view(sight, ("x",), np.ones(1, np.float32))
-        grid.values.write_directions(sight, "x", np.ones((1, 2), np.float32), np.ones(1), 1.0)
+        profile = grid.values.range_profile(Observation(0, 0, T, depth_m=depth, camera=camera))
+        assert profile is not None
+        grid.values.write_view(profile, ("x",), np.ones(1, np.float32))
+        grid.values.write_directions(profile, "x", np.ones((1, 2), np.float32), np.ones(1), 1.0)
     grid.values.best(0, read_only(grid.frontiers.xy_m), 1, 0.5, np.zeros(8, np.float32))
 
 
-def _small(mapping: config.MappingConfig) -> tuple[RollingMap, CameraModel, np.ndarray]:
+def _small_map(mapping: config.MappingConfig) -> tuple[RollingMap, CameraModel, np.ndarray]:
     """Return a small map, a camera, and the camera's pose on the robot."""
     grid = RollingMap(mapping.model_copy(update={"extent_m": 1.0}))
     T = np.eye(4)

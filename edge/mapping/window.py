@@ -1,4 +1,4 @@
-"""Window of the world that the map's torus holds."""
+"""Window: the square of the world that the map's layers hold, and how they store its cells."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TILE = 64
 
 
 class Window:
-    """A square of n x n world cells; world cell c of an axis is stored at c mod n.
+    """A square of n x n world cells; world cell c of an axis is stored at c mod n (a torus).
 
     World cells count from the origin of `map`: cell (x, y) spans [x, x + 1) x [y, y + 1) times
     `resolution_m`. Layers read the window; only the map moves it.
@@ -25,7 +25,7 @@ class Window:
         origin: world cell (x, y) of the lower-left corner.
         placed: True once the window has its place; the first sensor data decide it.
         written: (n / TILE, n / TILE) bool by storage tile: True if a layer of the checkpoint was
-            written there. Writers of layers set it; the copier clears it.
+            written there since the last copy. Writers of layers set it; `TileCopier` clears it.
     """
 
     __slots__ = ("n", "origin", "placed", "resolution_m", "written")
@@ -67,9 +67,9 @@ class Window:
         """
         while True:
             (ox, oy), cells = self.origin, plane()
-            step = self.n // len(cells)
-            cell_m = step * self.resolution_m
-            unrolled = np.roll(cells, (-(oy // step), -(ox // step)), (0, 1))
+            factor = self.n // len(cells)
+            cell_m = factor * self.resolution_m
+            unrolled = np.roll(cells, (-(oy // factor), -(ox // factor)), (0, 1))
             if self.origin == (ox, oy):
                 break
         rows, columns = (np.flatnonzero(unrolled.any(axis=axis)) for axis in (1, 0))

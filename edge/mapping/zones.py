@@ -1,4 +1,4 @@
-"""Zones: polygons that the robot must stay out of, or inside of."""
+"""Zones: polygons that the robot must stay out of, or inside of, as closed cells of the map."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Zones:
         low = np.floor(cells.min(axis=0)).astype(int) - self._margin - 1
         high = np.ceil(cells.max(axis=0)).astype(int) + self._margin + 1
         (x0, y0), (x1, y1) = np.clip(low, 0, n).tolist(), np.clip(high, 0, n).tolist()
-        x0, x1 = x0 // WORD * WORD, -(-x1 // WORD) * WORD
+        x0, x1 = x0 // WORD * WORD, math.ceil(x1 / WORD) * WORD
         if x0 < x1 and y0 < y1:
             self.paint((x0, y0, x1, y1), changed)
 
@@ -167,6 +167,7 @@ def keepout_mask(zones: ZonePolygons, resolution_m: float, inflation_m: float) -
 
 
 def _margin_cells(inflation_cells: float) -> int:
+    """Return the distance in cells that the robot's centre keeps from the polygons' edges."""
     return math.ceil(inflation_cells) + MARGIN_CELLS
 
 

@@ -1,4 +1,4 @@
-"""Order in which the clauses of an instruction are driven.
+"""Order in which the clauses of an instruction are driven; `edge.tasks.reading` uses it.
 
 "Go to the gate after passing the van" passes the van first. The tokens of such clauses are put into
 driving order. An instruction with an unclear order is refused.
@@ -49,25 +49,25 @@ def order_clauses(text: str, tokens: list[Token]) -> list[Token]:
     Raises:
         TranslationError: the order is not clear; the error names the clause.
     """
-    clauses = _split(tokens)
+    clauses = _split_clauses(tokens)
     if not any(clause.depends for clause in clauses):
         return tokens
     ordered: list[_Clause] = []
-    waiting: list[_Clause] = []  # "before …" at the start: driven after the next clause
+    for_next: list[_Clause] = []  # "before …" at the start: driven after the next clause
     for n, clause in enumerate(clauses):
         after = clauses[n + 1] if n + 1 < len(clauses) else None
-        leads = after is not None and not after.depends and _are_commas(after.joints)
+        main_follows = after is not None and not after.depends and _are_commas(after.joints)
         if not clause.depends:
-            ordered += [clause, *waiting]
-            waiting = []
+            ordered += [clause, *for_next]
+            for_next = []
         elif not ordered or (
             clause.joints and not _are_commas(clause.joints)
         ):  # before its main one
-            if not leads or waiting:
+            if not main_follows or for_next:
                 _refuse(text, tokens, clause)
-            (waiting if clause.depends == "before" else ordered).append(clause)
+            (for_next if clause.depends == "before" else ordered).append(clause)
         elif (
-            (clause.joints and leads)
+            (clause.joints and main_follows)
             or ordered[-1].depends
             or not _has_clear_order(clauses[n - 1 : n + 1])
         ):
@@ -111,7 +111,7 @@ def _refers(clause: _Clause) -> bool:
     )
 
 
-def _split(tokens: list[Token]) -> list[_Clause]:
+def _split_clauses(tokens: list[Token]) -> list[_Clause]:
     """Split an instruction into its clauses; none is empty."""
     found = [_Clause("", [])]
     at = 0
@@ -134,9 +134,9 @@ def _split(tokens: list[Token]) -> list[_Clause]:
             at += 1
             continue
         if (depends or found[-1].depends) and tokens[at].kind in _VERBS:
-            fresh = not found[-1].tokens or found[-1].tokens[-1].kind == "and"
+            begins = not found[-1].tokens or found[-1].tokens[-1].kind == "and"
             verb = tokens[at]
-            found[-1].tokens.append(replace(verb, kind=_VERBS[verb.kind]) if fresh else verb)
+            found[-1].tokens.append(replace(verb, kind=_VERBS[verb.kind]) if begins else verb)
             at += 1
         elif not depends:
             found[-1].tokens.append(token)

@@ -1,7 +1,8 @@
-"""Status of a task, for display and messages."""
+"""Status of a task (`TaskStatus`), for display and messages, and numbers that displays need."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -71,18 +72,19 @@ def same_text(one: TaskStatus | None, other: TaskStatus | None) -> bool:
     """
     if one is None or other is None:
         return one is other
-    same_line = (
+    same_coarse = (
         one.coarse_m is other.coarse_m
         if one.coarse_m is None or other.coarse_m is None
         else np.array_equal(one.coarse_m, other.coarse_m)
     )
-    return same_line and all(getattr(one, name) == getattr(other, name) for name in _WORDS)
+    return same_coarse and all(getattr(one, name) == getattr(other, name) for name in _COMPARED)
 
 
-_WORDS = tuple(name for name in TaskStatus.__slots__ if name not in ("coarse_m", "index"))
+_COMPARED = tuple(name for name in TaskStatus.__slots__ if name not in ("coarse_m", "index"))
+"""Attributes that `same_text` compares with `==`."""
 
 
-def thinned(refined: RefinedTrajectory, index: int, most: int) -> tuple[np.ndarray, int]:
+def thinned(refined: RefinedTrajectory, index: int, max_poses: int) -> tuple[np.ndarray, int]:
     """Return a trajectory with fewer poses for drawing; the last pose is always kept.
 
     Returns:
@@ -90,7 +92,7 @@ def thinned(refined: RefinedTrajectory, index: int, most: int) -> tuple[np.ndarr
         that is not after pose `index` of `refined`, -1 if there is none.
     """
     n = len(refined.poses)
-    stride = -(-n // most)
+    stride = math.ceil(n / max_poses)
     first = (n - 1) % stride
     return refined.poses[first::stride][:, [0, 1, 3]], (index - first) // stride
 

@@ -1,4 +1,7 @@
-"""Following of a refined trajectory: a goal that moves ahead of the robot, and blocked paths."""
+"""Functions to follow a refined trajectory: a goal ahead of the robot, and obstacles on the path.
+
+`FollowBehaviour` calls them in each tick.
+"""
 
 from __future__ import annotations
 
@@ -13,28 +16,26 @@ from edge.tasks.ground import ESCAPE_M
 from edge.tasks.refine import RefinedTrajectory
 from edge.trajectory.pursuit import index_ahead, nearest_index
 
-LOST_M = 3.0
-"""Length of the path ahead in which the robot is searched.
+SEARCH_M = 3.0
+"""Length of the path ahead on which the pose nearest to the robot is searched for.
 
 It is short, so that no part is skipped where a path crosses itself.
 """
-LOOK_M = 10.0
+CHECKED_M = 10.0
 """Length of the path ahead that is checked for obstacles."""
-
-
-CUT_M = 0.25
+MAX_CUT_M = 0.25
 """Largest distance by which a controller that drives straight to the goal may leave the path.
 
 The robot's current distance from the path is added. Only the path itself was checked for obstacles.
 """
-LEAST_M = 0.5
+MIN_AHEAD_M = 0.5
 """Smallest distance of the goal, so that the robot keeps moving through a bend."""
 PASSED_M = 0.14
 """A leg is driven when the robot was this near to its last pose.
 
 That pose lies within half of `edge.tasks.refine.SPACING_M` of the leg's end, so within 0.2 m.
 """
-CUT_END_M = 0.1
+MAX_END_CUT_M = 0.1
 """Largest distance between the straight line to a goal and the end of a leg that it passes."""
 
 
@@ -42,99 +43,101 @@ def goal_ahead(
     trajectory: RefinedTrajectory,
     pose: SE2,
     look_ahead_m: float,
-    since: int = 0,
-    until: int | None = None,
+    from_index: int = 0,
+    last_index: int | None = None,
 ) -> tuple[SE2, int]:
     """Return the goal ahead of the robot, and the robot's index on the path.
 
     The goal is the farthest pose within `look_ahead_m` along the path that the robot can drive to
-    straight without cutting a bend (`CUT_M`). The robot must come within `PASSED_M` of each leg's
-    end: where a path doubles back, the way back is as near as the way there.
+    straight without cutting a bend (`MAX_CUT_M`). The robot must come within `PASSED_M` of each
+    leg's end: where a path doubles back, the way back is as near as the way there.
 
     Args:
         trajectory: the trajectory.
         pose: the robot's.
         look_ahead_m: largest distance of the goal along the path.
-        since: index that the last call returned; the robot is searched from here on.
-        until: index of the last pose that may be driven to; None: the end.
+        from_index: index that the last call returned; the search for the robot begins here.
+        last_index: index of the last pose that may be driven to; None: the end.
 
     Returns:
         The goal, which is the last pose near the end, and the index of the pose nearest to the
         robot.
     """
-    path_m = trajectory.poses[: None if until is None else until + 1, :2]
+    path_m = trajectory.poses[: None if last_index is None else last_index + 1, :2]
     robot_m = np.array([pose.x_m, pose.y_m])
-    end = min(leg_end(trajectory, since), len(path_m) - 1)
-    window = index_ahead(path_m, since, LOST_M)
-    index = nearest_index(path_m[: min(window, end) + 1], pose.x_m, pose.y_m, since)
+    end = min(end_of_current_leg(trajectory, from_index), len(path_m) - 1)
+    window = index_ahead(path_m, from_index, SEARCH_M)
+    index = nearest_index(path_m[: min(window, end) + 1], pose.x_m, pose.y_m, from_index)
+    # Up to the end of the leg, and further only if the robot has come to that end.
     while end < min(window, len(path_m) - 1) and math.dist(robot_m, path_m[end]) <= PASSED_M:
-        begin, end = end + 1, min(leg_end(trajectory, end + 1), len(path_m) - 1)
+        begin, end = end + 1, min(end_of_current_leg(trajectory, end + 1), len(path_m) - 1)
         index = nearest_index(path_m[: min(window, end) + 1], pose.x_m, pose.y_m, begin)
-    least = min(index_ahead(path_m, index, min(LEAST_M, look_ahead_m)), end)
-    most = index_ahead(path_m, index, look_ahead_m)
-    may_m = np.full(most - index + 1, CUT_M + math.dist(robot_m, path_m[index]))
-    may_m[:-1][np.diff(trajectory.leg[index : most + 1]) > 0] = CUT_END_M
+    # The goal is between these two: the farthest one that cuts no bend.
+    nearest = min(index_ahead(path_m, index, min(MIN_AHEAD_M, look_ahead_m)), end)
+    farthest = index_ahead(path_m, index, look_ahead_m)
+    max_cut_m = np.full(farthest - index + 1, MAX_CUT_M + math.dist(robot_m, path_m[index]))
+    max_cut_m[:-1][np.diff(trajectory.leg[index : farthest + 1]) > 0] = MAX_END_CUT_M
     ahead = next(
         (
             k
-            for k in range(most, least, -1)
-            if (_cut_m(path_m[index : k + 1], robot_m) <= may_m[: k + 1 - index]).all()
+            for k in range(farthest, nearest, -1)
+            if (_deviation_m(path_m[index : k + 1], robot_m) <= max_cut_m[: k + 1 - index]).all()
         ),
-        least,
+        nearest,
     )
     x_m, y_m, _, heading_rad = trajectory.poses[ahead].tolist()
     return SE2(x_m, y_m, heading_rad), index
 
 
-def leg_end(trajectory: RefinedTrajectory, index: int) -> int:
+def end_of_current_leg(trajectory: RefinedTrajectory, index: int) -> int:
     """Return the index of the last pose of the leg that contains a pose."""
-    return end_of(trajectory, int(trajectory.leg[index]))
+    return end_of_leg(trajectory, int(trajectory.leg[index]))
 
 
-def end_of(trajectory: RefinedTrajectory, leg: int) -> int:
-    """Return the index of the pose at which a leg ends; without poses, where it begins."""
+def end_of_leg(trajectory: RefinedTrajectory, leg: int) -> int:
+    """Return the index of the last pose of a leg; if it has no pose, of the last pose before it."""
     return max(int(np.searchsorted(trajectory.leg, leg, side="right")) - 1, 0)
 
 
-def index_at_goal(trajectory: RefinedTrajectory, goal: SE2, since: int) -> int:
+def index_at_goal(trajectory: RefinedTrajectory, goal: SE2, from_index: int) -> int:
     """Return the robot's index on the path after the controller reported a goal as reached.
 
-    `since` is the index before. If the goal was the end of a leg, the index is after this end. Else
-    it is at the goal, but not after the end of the leg.
+    `from_index` is the index before. If the goal was the end of a leg, the index is after this end.
+    Else it is at the goal, but not after the end of the leg.
     """
     at = np.flatnonzero(
-        (trajectory.poses[since:, [0, 1, 3]] == (goal.x_m, goal.y_m, goal.yaw_rad)).all(axis=1)
+        (trajectory.poses[from_index:, [0, 1, 3]] == (goal.x_m, goal.y_m, goal.yaw_rad)).all(axis=1)
     )
-    end, last = leg_end(trajectory, since), len(trajectory.poses) - 1
-    index = since + int(at[0]) if len(at) else since
+    end, last = end_of_current_leg(trajectory, from_index), len(trajectory.poses) - 1
+    index = from_index + int(at[0]) if len(at) else from_index
     return min(end + 1, last) if index == end else min(index, end)
 
 
-def _cut_m(path_m: np.ndarray, from_m: np.ndarray) -> np.ndarray:
+def _deviation_m(path_m: np.ndarray, from_m: np.ndarray) -> np.ndarray:
     """Return the distance (n,) of each point of a path (n, 2) from the straight line to its end."""
-    way, off = path_m[-1] - from_m, path_m - from_m
-    along = np.clip(off @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
-    return np.hypot(*(off - along[:, None] * way).T)
+    line, offset = path_m[-1] - from_m, path_m - from_m
+    along = np.clip(offset @ line / max(float(line @ line), 1e-12), 0.0, 1.0)
+    return np.hypot(*(offset - along[:, None] * line).T)
 
 
-def blocked_ahead_m(trajectory: RefinedTrajectory, map: MapView, index: int = 0) -> float | None:
+def blocked_ahead_m(trajectory: RefinedTrajectory, view: MapView, index: int = 0) -> float | None:
     """Return how far along the path, from `index` on, the robot would hit something now.
 
-    The cost depends on the length `LOOK_M`, not on the size of the map.
+    The cost depends on the length `CHECKED_M`, not on the size of the map.
 
     Args:
         trajectory: the trajectory.
-        map: its inflated cells block. Unknown cells and cells outside its window do not.
+        view: its inflated cells block. Unknown cells and cells outside its window do not.
         index: pose that the robot has reached.
 
     Returns:
         Metres to the first blocked pose; None if the path is free.
     """
     path_m = trajectory.poses[index:, :2]
-    path_m = path_m[: index_ahead(path_m, 0, LOOK_M) + 1]
-    window, (ox, oy), n = map.window, map.window.origin, map.window.n
+    path_m = path_m[: index_ahead(path_m, 0, CHECKED_M) + 1]
+    window, (ox, oy), n = view.window, view.window.origin, view.window.n
     x, y = np.floor(path_m / window.resolution_m).astype(np.int64).T
-    blocked = map.layers.near[y % n, x % n] > 0
+    blocked = view.layers.near[y % n, x % n] > 0
     blocked &= (x >= ox) & (x < ox + n) & (y >= oy) & (y < oy + n)
     along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(path_m, axis=0).T)))
     if blocked[0]:

@@ -45,9 +45,9 @@ SIDES_RAD = {"behind": 0.0, "left": math.pi / 2, "right": -math.pi / 2, "in fron
 TURNS = {"left": -1.0, "right": 1.0}
 """Sense of rotation around an object that leads past its side: 1.0 is counter-clockwise."""
 _ARC_STEP_RAD = math.radians(3)  # angle between two points of an arc, before it is simplified
-_ARC_OFF_M = 0.1  # largest distance of a simplified arc from these points
+_ARC_TOLERANCE_M = 0.1  # largest distance of a simplified arc from these points
 _NEAR_STEP_M = 0.5  # largest distance of a reachable end from the requested one
-_FARTHEST_BESIDE_M = 50.0  # largest distance from an object that a script may ask for
+_MAX_SIDE_DISTANCE_M = 50.0  # largest distance from an object that a script may ask for
 
 Point = tuple[float, float]
 
@@ -84,9 +84,9 @@ class ScriptFunctions:
                 raise CallError(
                     f"det_object: name: expected the name of a thing, got {shown(name)}"
                 )
-            found = [thing for thing in found if names.is_kind_of(thing.label, name)]
-        found.sort(key=lambda thing: self._scene.pose.distance_to(*thing.position_m[:2]))
-        return [describe_object(thing) for thing in found]
+            found = [obj for obj in found if names.is_kind_of(obj.label, name)]
+        found.sort(key=lambda obj: self._scene.pose.distance_to(*obj.position_m[:2]))
+        return [describe_object(obj) for obj in found]
 
     def a_star_plan(self, start: Any, end: Any, regions: Any = ()) -> list[Point]:
         """Return the cheapest path over open ground.
@@ -175,11 +175,11 @@ class ScriptFunctions:
 
         The side is as seen from `seen_from`, by default from the robot.
         """
-        thing = self._object(id)
+        obj = self._object(id)
         if not isinstance(side, str) or side not in SIDES_RAD:
             raise CallError(f"offset: side: expected {_choices(SIDES_RAD)}, got {shown(side)}")
-        angle_rad = self._view_direction_rad(thing, seen_from) + SIDES_RAD[side]
-        return self.ground.outline(thing).point_at(angle_rad, self._side_distance_m(distance_m))
+        angle_rad = self._view_direction_rad(obj, seen_from) + SIDES_RAD[side]
+        return self.ground.outline(obj).point_at(angle_rad, self._side_distance_m(distance_m))
 
     def arc(
         self, id: Any, start: Any, end: Any, side: Any, distance_m: Any = PASSING_DISTANCE_M
@@ -189,35 +189,36 @@ class ScriptFunctions:
         The arc leads past the side that is seen from the first point. It is a full circle if both
         points are in the same direction.
         """
-        thing = self._object(id)
+        obj = self._object(id)
         if not isinstance(side, str) or side not in TURNS:
             raise CallError(f"arc: side: expected {_choices(TURNS)}, got {shown(side)}")
         begin_rad, end_rad = (
-            wrap_angle(self._view_direction_rad(thing, p) + math.pi)
+            wrap_angle(self._view_direction_rad(obj, p) + math.pi)
             for p in (self._point(start, "start"), self._point(end, "end"))
         )
         turn = TURNS[side]
         sweep_rad = (turn * (end_rad - begin_rad)) % (2.0 * math.pi) or 2.0 * math.pi
         steps = math.ceil(sweep_rad / _ARC_STEP_RAD)
         angles_rad = begin_rad + turn * np.linspace(0.0, sweep_rad, steps + 1)
-        outline, distance_m = self.ground.outline(thing), self._side_distance_m(distance_m)
+        outline, distance_m = self.ground.outline(obj), self._side_distance_m(distance_m)
         around_m = np.array([outline.point_at(angle, distance_m) for angle in angles_rad.tolist()])
-        corners_m = around_m[simplified(around_m, _ARC_OFF_M)]
+        corners_m = around_m[simplified(around_m, _ARC_TOLERANCE_M)]
         return _points(resample(corners_m, 0.5 * self.limits.max_jump_m))
 
     def stopping_point(self, id: Any, coming_from: Any = None) -> Point:
         """Return the point where the robot stops at an object if it comes from a point.
 
-        By default it comes from its present place. See `edge.tasks.ground.ReachableGround.stop`.
+        By default it comes from its present place. See
+        `edge.tasks.ground.ReachableGround.stopping_point`.
         """
         pose = self._scene.pose
         here = (pose.x_m, pose.y_m)
         from_m = here if coming_from is None else self._point(coming_from, "coming_from")
-        thing = self._object(id)
-        found, gap_m = self.ground.stopping_point(thing, from_m)
+        obj = self._object(id)
+        found, gap_m = self.ground.stopping_point(obj, from_m)
         if found is None:
-            than = f" than {gap_m:.1f} m" if gap_m < math.inf else ""
-            raise CallError(f"the robot gets no nearer to {thing.label} {thing.id}{than}")
+            nearer_than = f" than {gap_m:.1f} m" if gap_m < math.inf else ""
+            raise CallError(f"the robot gets no nearer to {obj.label} {obj.id}{nearer_than}")
         return found
 
     @property
@@ -248,14 +249,14 @@ class ScriptFunctions:
         x_m, y_m = point(value, name)[:2]
         return x_m, y_m
 
-    def _view_direction_rad(self, thing: SceneObject, seen_from: Any) -> float:
+    def _view_direction_rad(self, obj: SceneObject, seen_from: Any) -> float:
         """Return the direction of view from a point to an object, by default from the robot."""
         pose = self._scene.pose
         from_m = (pose.x_m, pose.y_m) if seen_from is None else self._point(seen_from, "seen_from")
-        return self.heading(from_m, tuple(thing.position_m[:2].tolist()))
+        return self.heading(from_m, tuple(obj.position_m[:2].tolist()))
 
     def _side_distance_m(self, distance_m: Any) -> float:
-        distance_m = number(distance_m, "distance_m", _FARTHEST_BESIDE_M)
+        distance_m = number(distance_m, "distance_m", _MAX_SIDE_DISTANCE_M)
         if distance_m < 0:
             raise CallError(f"distance_m: expected 0 or more, got {distance_m:g}")
         return distance_m
@@ -279,16 +280,16 @@ def signature(function: Callable[..., Any]) -> inspect.Signature:
     return full.replace(parameters=parameters, return_annotation=full.empty)
 
 
-def describe_object(thing: SceneObject) -> dict[str, Any]:
+def describe_object(obj: SceneObject) -> dict[str, Any]:
     """Return an object as scripts and prompts see it (OpenNav III-A2)."""
     return {
-        "id": thing.id,
-        "label": one_line(thing.label, MOST_CAPTION_CHARS),
-        "caption": one_line(thing.caption, MOST_CAPTION_CHARS),
-        "position": _rounded(thing.position_m),
-        "size": _rounded(thing.size_m),
-        "heading_rad": round(float(thing.heading_rad), 3),
-        "nearest_reachable": {region: _rounded(at) for region, at in thing.nearest_m.items()},
+        "id": obj.id,
+        "label": one_line(obj.label, MOST_CAPTION_CHARS),
+        "caption": one_line(obj.caption, MOST_CAPTION_CHARS),
+        "position": _rounded(obj.position_m),
+        "size": _rounded(obj.size_m),
+        "heading_rad": round(float(obj.heading_rad), 3),
+        "nearest_reachable": {region: _rounded(at) for region, at in obj.nearest_m.items()},
     }
 
 

@@ -1,4 +1,4 @@
-"""Ground that the robot can reach in a scene."""
+"""Ground that the robot can reach in a scene: distances, lines of sight, stopping points, paths."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ ESCAPE_M = 0.6
 REACH_M = 5.0
 """The robot is not sent to an object that it cannot come this near to."""
 ABOUT_M = 0.35
-"""Points farther from an object by less than this count as equally near.
+"""Stopping points that are farther from an object by less than this count as equally near.
 
 A robot has reached an object when it stands within 1 m of it. A robot that gets within 0.4 m still
 meets this, with some room for errors of the outline and of the controller.
 """
 OWN_CELLS = 2.0
 """Occupied cells this close to an object's own cells belong to the object."""
-ASIDE = 5
+OTHER_GROUND_FACTOR = 5
 """Cost factor of ground outside the regions that were chosen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReachableGround:
-    """The ground of a scene for a robot of some size.
+    """The ground of a scene for a robot with some clearance; `ground_of` makes it.
 
     A cell is open as `edge.tasks.value_map.open_cells` defines it.
 
     Attributes:
         scene: the scene.
-        costmap: closed cells have weight 0; costs grow towards obstacles.
-        unoccupied: closed only at occupied cells.
+        costmap: cells that are not open have weight 0; costs grow towards obstacles.
+        unoccupied: weight 0 only at occupied cells, for lines of sight.
         reachable: (h, w) bool, the cells of the scene's grids that are open and connected with the
             robot.
     """
@@ -107,22 +107,22 @@ class ReachableGround:
         x, y = centres_m[k].tolist()
         return (x, y) if distance_m[k] <= within_m else None
 
-    def outline(self, thing: SceneObject) -> Outline:
+    def outline(self, obj: SceneObject) -> Outline:
         """Return the outline of an object."""
-        if thing.id not in self._outlines:
-            self._outlines[thing.id] = outline_of(thing, self.scene.occupancy)
-        return self._outlines[thing.id]
+        if obj.id not in self._outlines:
+            self._outlines[obj.id] = outline_of(obj, self.scene.occupancy)
+        return self._outlines[obj.id]
 
-    def has_clear_view_of(self, thing: SceneObject, at_m: tuple[float, float]) -> bool:
+    def has_clear_view_of(self, obj: SceneObject, at_m: tuple[float, float]) -> bool:
         """Return True if nothing stands between a point and an object."""
-        near_m = self.outline(thing).nearest(at_m)
+        near_m = self.outline(obj).nearest(at_m)
         margin_m = OWN_CELLS * self.scene.occupancy.resolution_m
         share = 1.0 - margin_m / max(math.dist(at_m, near_m), margin_m)
         (x, y), (nx, ny) = at_m, near_m
         return self.has_line_of_sight(at_m, (x + share * (nx - x), y + share * (ny - y)))
 
     def stopping_point(
-        self, thing: SceneObject, from_m: tuple[float, float]
+        self, obj: SceneObject, from_m: tuple[float, float]
     ) -> tuple[tuple[float, float] | None, float]:
         """Return where the robot stops at an object if it comes from a point.
 
@@ -136,32 +136,34 @@ class ReachableGround:
             object, inf if no point is reachable.
         """
         regions = self.scene.regions_grid.cells > 0
-        on_region = self._stop(thing, from_m, self.reachable & regions)
-        return on_region if on_region[0] else self._stop(thing, from_m, self.reachable)
+        on_region = self._stopping_point_on(obj, from_m, self.reachable & regions)
+        return on_region if on_region[0] else self._stopping_point_on(obj, from_m, self.reachable)
 
-    def _stop(
-        self, thing: SceneObject, from_m: tuple[float, float], among: np.ndarray
+    def _stopping_point_on(
+        self, obj: SceneObject, from_m: tuple[float, float], cells: np.ndarray
     ) -> tuple[tuple[float, float] | None, float]:
-        """Do the work of `stopping_point` for the cells `among`, (h, w) bool."""
-        centres_m = self.scene.occupancy.centres_m(*np.nonzero(among))
+        """Do the work of `stopping_point` for some cells, (h, w) bool."""
+        centres_m = self.scene.occupancy.centres_m(*np.nonzero(cells))
         if not len(centres_m):
             return None, math.inf
-        gaps_m = self.outline(thing).gaps_m(centres_m).round(6)  # 0.7 m may be 0.7000000001 m
+        gaps_m = self.outline(obj).gaps_m(centres_m).round(6)  # 0.7 m may be 0.7000000001 m
         near = np.flatnonzero(gaps_m <= REACH_M + ABOUT_M)
         by_gap = near[np.argsort(gaps_m[near], kind="stable")]
-        nearest = self._first_facing(thing, centres_m, by_gap)
+        nearest = self._first_with_view(obj, centres_m, by_gap)
         if nearest is None or gaps_m[nearest] > REACH_M:
             return None, float(gaps_m.min())
         nearest_m = float(gaps_m[nearest])
-        about = near[gaps_m[near] <= nearest_m + ABOUT_M]
-        away_m = np.hypot(*(centres_m[about] - from_m).T)
-        first = self._first_facing(thing, centres_m, about[np.argsort(away_m, kind="stable")])
+        equally_near = near[gaps_m[near] <= nearest_m + ABOUT_M]
+        away_m = np.hypot(*(centres_m[equally_near] - from_m).T)
+        first = self._first_with_view(
+            obj, centres_m, equally_near[np.argsort(away_m, kind="stable")]
+        )
         assert first is not None  # about is not empty
         x_m, y_m = centres_m[first].tolist()
         return (x_m, y_m), nearest_m
 
-    def _first_facing(
-        self, thing: SceneObject, points_m: np.ndarray, order: np.ndarray
+    def _first_with_view(
+        self, obj: SceneObject, points_m: np.ndarray, order: np.ndarray
     ) -> int | None:
         """Return the first index in `order` whose point has a clear view of an object.
 
@@ -170,7 +172,7 @@ class ReachableGround:
         """
         for k in order.tolist():
             x_m, y_m = points_m[k].tolist()
-            if self.has_clear_view_of(thing, (x_m, y_m)):
+            if self.has_clear_view_of(obj, (x_m, y_m)):
                 return k
         return int(order[0]) if len(order) else None
 
@@ -186,8 +188,8 @@ class ReachableGround:
         Args:
             start_m: (x, y) in `map`.
             goal_m: (x, y) in `map`.
-            regions: ids; other ground costs `ASIDE` times as much. Empty: all ground costs the
-                same.
+            regions: ids; other ground costs `OTHER_GROUND_FACTOR` times as much. Empty: all ground
+                costs the same.
             spacing_m: largest distance between two points.
         """
         costmap = self._costmap(regions)
@@ -195,12 +197,15 @@ class ReachableGround:
         return replace(found, path_m=smooth(costmap, found.path_m, spacing_m))
 
     def _costmap(self, regions: frozenset[int]) -> CostMap:
+        """Return the cost map in which ground outside these regions costs more."""
         if not regions:
             return self.costmap
         if regions not in self._costmaps:
             weights = self.costmap.grid.cells
             other = ~np.isin(self.scene.regions_grid.cells, list(regions))
-            raised = np.where(other, np.minimum(weights.astype(np.uint16) * ASIDE, 255), weights)
+            raised = np.where(
+                other, np.minimum(weights.astype(np.uint16) * OTHER_GROUND_FACTOR, 255), weights
+            )
             grid = replace(self.costmap.grid, cells=raised.astype(np.uint8))
             self._costmaps[regions] = from_weights(grid, self.costmap.unit)
         return self._costmaps[regions]
@@ -220,8 +225,8 @@ def ground_of(scene: Scene, clearance_m: float) -> ReachableGround:
 def reachable(is_open: np.ndarray, grid: Grid, pose: SE2) -> np.ndarray:
     """Return the open cells that are connected with the robot's cell, (h, w) bool.
 
-    If the robot's cell is closed, start from the nearest open cell within `ESCAPE_M`. `is_open` is
-    (h, w) bool, on the cells of `grid`.
+    If the robot's cell is not open, start from the nearest open cell within `ESCAPE_M`. `is_open`
+    is (h, w) bool, on the cells of `grid`.
     """
     rows, columns = np.nonzero(is_open)
     away_m = np.hypot(*(grid.centres_m(rows, columns) - (pose.x_m, pose.y_m)).T)

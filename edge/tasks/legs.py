@@ -1,4 +1,7 @@
-"""Legs of a coarse trajectory: parts for which A* runs one after the other."""
+"""Legs of a coarse trajectory: parts for which A* runs one after the other.
+
+`edge.tasks.refine` uses them. The *tube* is the strip around the coarse trajectory that A* prefers.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ class Leg:
     ends_segment: bool
 
 
-def cut(
+def cut_into_legs(
     segments: Sequence[np.ndarray], start_xy_m: tuple[float, float], tube_m: float
 ) -> tuple[Leg, ...]:
     """Split the coarse trajectory into legs: its segments, cut where they turn by `TURN_RAD`.

@@ -15,7 +15,7 @@ from edge.mission.translate import Translation
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
 from edge.tasks.reading import named_objects, task_steps
 
-_NO_SITE = Site()
+_NO_SITE = Site()  # without places
 _MOST_WORDS = 4
 """Largest number of words in a name that `known_names` looks for."""
 

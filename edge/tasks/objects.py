@@ -12,8 +12,8 @@ import numpy as np
 
 from edge import names
 
-REACH_M, REACH_SHARE = 0.4, 0.012
-"""Largest gap between points of one object: `REACH_M` plus `REACH_SHARE` of the sensor's distance.
+GAP_M, GAP_SHARE = 0.4, 0.012
+"""Largest gap between points of one object: `GAP_M` plus `GAP_SHARE` of the sensor's distance.
 """
 VOXEL_M = 0.1
 """Side of a voxel; an object has at most one point in each."""
@@ -32,7 +32,7 @@ _CLOSE_M = 0.05
 _FIT_POINTS = 400  # points from which a box's heading is estimated
 MOST_POINTS = 4096
 """Most points of an object."""
-AGREED = 3
+MIN_VOTES = 3
 """Votes with which a voxel belongs to an object that is in many pictures."""
 MOST_VOTES = 1 << 16
 """Largest number of voxels with votes; the least recently seen ones are dropped."""
@@ -96,9 +96,9 @@ def box_around(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     xy, z = points_m[:, :2].astype(np.float64), points_m[:, 2].astype(np.float64)
     middle = xy.mean(axis=0)
     xy = xy - middle
-    some = xy[np.linspace(0, len(xy) - 1, min(len(xy), _FIT_POINTS)).astype(np.intp)]
-    turn = _best_turn(some, np.radians(np.arange(0.0, 90.0, 2.0)))
-    turn = _best_turn(some, turn + np.radians(np.arange(-2.0, 2.01, 0.1)))
+    sample = xy[np.linspace(0, len(xy) - 1, min(len(xy), _FIT_POINTS)).astype(np.intp)]
+    turn = _best_turn(sample, np.radians(np.arange(0.0, 90.0, 2.0)))
+    turn = _best_turn(sample, turn + np.radians(np.arange(-2.0, 2.01, 0.1)))
     c, s = math.cos(turn), math.sin(turn)
     turned = xy @ np.array([[c, -s], [s, c]])
     low, high = turned.min(axis=0), turned.max(axis=0)
@@ -130,7 +130,7 @@ def main_cluster(points_m: np.ndarray, sensor_m: np.ndarray) -> np.ndarray:
     if not len(points_m):
         return np.zeros(0, np.intp)
     away_m = float(np.median(np.linalg.norm(points_m - sensor_m, axis=1)))
-    part = _parts(points_m[:, :2], REACH_M + REACH_SHARE * away_m)
+    part = _parts(points_m[:, :2], GAP_M + GAP_SHARE * away_m)
     return np.flatnonzero(part == np.argmax(np.bincount(part)))
 
 
@@ -188,9 +188,9 @@ def overlap_share(a_m: np.ndarray, b_m: np.ndarray, near_m: float = NEAR_M) -> f
     a, b = (np.floor((points - corner) / near_m).astype(np.int64) + 1 for points in (a_m, b_m))
     sides = np.maximum(a.max(axis=0), b.max(axis=0)) + 2
     steps = np.array([sides[1] * sides[2], sides[2], 1])
-    around = np.arange(-1, 2)
-    beside = (around[:, None, None] * steps[0] + around[:, None] * steps[1] + around).ravel()
-    near = np.unique((np.unique(b @ steps)[:, None] + beside).ravel())
+    offsets = np.arange(-1, 2)
+    neighbours = (offsets[:, None, None] * steps[0] + offsets[:, None] * steps[1] + offsets).ravel()
+    near = np.unique((np.unique(b @ steps)[:, None] + neighbours).ravel())
     return float(np.isin(a @ steps, near).mean())
 
 
@@ -244,17 +244,17 @@ class ObjectMap:
         )
         likeness = {old.id: _likeness(old, new) for old in self.objects.values()}
         best = max(likeness, key=lambda id: likeness[id], default=0)
-        thing = self.objects[best] if likeness.get(best) else None
-        if thing is None:
+        obj = self.objects[best] if likeness.get(best) else None
+        if obj is None:
             self._newest += 1
-            thing = self.objects[new.id] = new
+            obj = self.objects[new.id] = new
         else:
-            _absorb(thing, new)
+            _absorb(obj, new)
         for other in self.objects.values():
-            if picture is not None and other.picture == picture and other is not thing:
-                thing.seen_with.add(other.id)
-                other.seen_with.add(thing.id)
-        return self._unite(thing)
+            if picture is not None and other.picture == picture and other is not obj:
+                obj.seen_with.add(other.id)
+                other.seen_with.add(obj.id)
+        return self._unite(obj)
 
     def vote(self, label: str, points_m: np.ndarray, by: int) -> None:
         """Count one picture's vote about an object with this label at some points.
@@ -270,31 +270,31 @@ class ObjectMap:
         for oldest in list(islice(self._votes, max(0, len(self._votes) - MOST_VOTES))):
             del self._votes[oldest]
 
-    def vote_against(self, thing: MapObject, points_m: np.ndarray) -> None:
+    def vote_against(self, obj: MapObject, points_m: np.ndarray) -> None:
         """Count one picture's vote against the points (n, 3) that it shows outside a box."""
-        held, shown = _voxels(thing.points_m), _voxels(points_m)
+        own, shown = _voxels(obj.points_m), _voxels(points_m)
         # A picture has thousands of points, but few of them near the object.
-        shown = shown[((shown >= held.min(0)) & (shown <= held.max(0))).all(axis=1)]
-        for voxel in {*map(tuple, shown.tolist())} & {*map(tuple, held.tolist())}:
-            if (thing.label, *voxel) in self._votes:
-                self._votes[(thing.label, *voxel)] -= 1
+        shown = shown[((shown >= own.min(0)) & (shown <= own.max(0))).all(axis=1)]
+        for voxel in {*map(tuple, shown.tolist())} & {*map(tuple, own.tolist())}:
+            if (obj.label, *voxel) in self._votes:
+                self._votes[(obj.label, *voxel)] -= 1
 
-    def confirmed_points_m(self, thing: MapObject) -> np.ndarray:
+    def confirmed_points_m(self, obj: MapObject) -> np.ndarray:
         """Return the points of an object that enough pictures confirm, (n, 3) float32.
 
-        Votes for minus votes against must reach `AGREED`, or a third of the object's detections if
-        that is less. If this leaves too few points, return all of them.
+        Votes for minus votes against must reach `MIN_VOTES`, or a third of the object's detections
+        if that is less. If this leaves too few points, return all of them.
         """
-        voxels = _voxels(thing.points_m).tolist()
-        votes = np.array([self._votes[(thing.label, *voxel)] for voxel in voxels])
-        agreed = (votes > 0) & (votes >= min(AGREED, thing.hits / 3))
+        voxels = _voxels(obj.points_m).tolist()
+        votes = np.array([self._votes[(obj.label, *voxel)] for voxel in voxels])
+        agreed = (votes > 0) & (votes >= min(MIN_VOTES, obj.hits / 3))
         enough = agreed.sum() >= LEAST_POINTS
-        return thing.points_m[agreed] if enough else thing.points_m
+        return obj.points_m[agreed] if enough else obj.points_m
 
-    def _unite(self, grown: MapObject) -> MapObject:
+    def _unite(self, changed: MapObject) -> MapObject:
         """Merge an object that has grown with those that it touches now; the oldest one stays."""
-        same = [o for o in self.objects.values() if o is grown or _likeness(grown, o)]
-        first = min(same, key=lambda thing: thing.id)
+        same = [o for o in self.objects.values() if o is changed or _likeness(changed, o)]
+        first = min(same, key=lambda obj: obj.id)
         for other in same:
             if other is not first:
                 _absorb(first, other)
@@ -319,17 +319,17 @@ def _likeness(a: MapObject, b: MapObject) -> float:
     return max(shares) if min(shares) >= ALIKE_SHARE else 0.0
 
 
-def _absorb(one: MapObject, other: MapObject) -> None:
-    """Merge `other` into `one`."""
-    hits = one.hits + other.hits
-    if one.embedding is None:
-        one.embedding = other.embedding
+def _absorb(target: MapObject, other: MapObject) -> None:
+    """Merge `other` into `target`."""
+    hits = target.hits + other.hits
+    if target.embedding is None:
+        target.embedding = other.embedding
     elif other.embedding is not None:
-        one.embedding = (one.hits * one.embedding + other.hits * other.embedding) / hits
-    one.points_m = downsample(np.concatenate((one.points_m, other.points_m)))
+        target.embedding = (target.hits * target.embedding + other.hits * other.embedding) / hits
+    target.points_m = downsample(np.concatenate((target.points_m, other.points_m)))
     for label, score in other.labels.items():
-        one.labels[label] = one.labels.get(label, 0.0) + score
-    for label, said in other.captions.items():
-        one.captions.setdefault(label, Counter()).update(said)
-    one.score, one.hits = max(one.score, other.score), hits
-    one.picture, one.seen_with = other.picture, one.seen_with | other.seen_with
+        target.labels[label] = target.labels.get(label, 0.0) + score
+    for label, counts in other.captions.items():
+        target.captions.setdefault(label, Counter()).update(counts)
+    target.score, target.hits = max(target.score, other.score), hits
+    target.picture, target.seen_with = other.picture, target.seen_with | other.seen_with

@@ -1,4 +1,4 @@
-"""Outline of an object on the ground: how near a point is to it, and where to pass it."""
+"""Outline of an object on the ground: the distance of points from it, and points to pass it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from edge.geometry import SE2, Grid
 from edge.tasks.scene import SceneObject
 from edge.trajectory.smoothing import resample
 
-_CHUNK = 128  # points whose distances to all cells are in memory at a time
+_CHUNK_POINTS = 128  # points whose distances to all cells are in memory at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,9 +38,9 @@ class Outline:
     def gaps_m(self, points_m: np.ndarray) -> np.ndarray:
         """Return the distance (n,) from points (n, 2) to the nearest cell; 0 on a cell."""
         away_m = np.empty(len(points_m))
-        for k in range(0, len(points_m), _CHUNK):
-            apart_m = points_m[k : k + _CHUNK, None] - self.cells_m
-            away_m[k : k + _CHUNK] = np.hypot(apart_m[..., 0], apart_m[..., 1]).min(axis=1)
+        for k in range(0, len(points_m), _CHUNK_POINTS):
+            apart_m = points_m[k : k + _CHUNK_POINTS, None] - self.cells_m
+            away_m[k : k + _CHUNK_POINTS] = np.hypot(apart_m[..., 0], apart_m[..., 1]).min(axis=1)
         return np.maximum(away_m - self.rim_m, 0.0)
 
     def nearest(self, point_m: tuple[float, float]) -> tuple[float, float]:
@@ -57,22 +57,23 @@ class Outline:
         low_m, high_m = max(float(along_m.mean()), 0.0), max(float(along_m.max()), 0.0) + distance_m
         while high_m - low_m > 1e-4:
             middle_m = 0.5 * (low_m + high_m)
-            if self._from_hull_m(middle_m * ray) < distance_m:
+            if self._distance_to_hull_m(middle_m * ray) < distance_m:
                 low_m = middle_m
             else:
                 high_m = middle_m
         x_m, y_m = self.middle_m.tolist()
         return SE2(x_m, y_m, angle_rad).ahead(high_m)
 
-    def _from_hull_m(self, point_m: np.ndarray) -> float:
+    def _distance_to_hull_m(self, point_m: np.ndarray) -> float:
+        """Return the distance of a point, relative to the centre; negative inside the hull."""
         x_m, y_m = point_m.tolist()
         return -cv2.pointPolygonTest(self.hull_m.astype(np.float32), (x_m, y_m), True)
 
 
-def outline_of(thing: SceneObject, occupancy: Grid) -> Outline:
+def outline_of(obj: SceneObject, occupancy: Grid) -> Outline:
     """Return the outline of an object; `occupancy` is the map of its scene."""
-    middle_m, half_m = thing.position_m[:2], 0.5 * thing.size_m[:2]
-    c, s = math.cos(thing.heading_rad), math.sin(thing.heading_rad)
+    middle_m, half_m = obj.position_m[:2], 0.5 * obj.size_m[:2]
+    c, s = math.cos(obj.heading_rad), math.sin(obj.heading_rad)
     turn = np.array([[c, s], [-s, c]])
     rim_m = 0.5 * occupancy.resolution_m
     cells_m = _covered_cells(occupancy, middle_m, half_m, turn, rim_m)

@@ -11,8 +11,8 @@ from edge.tasks.scene import Scene
 SHOWN_PX = 960
 """The longer side of a smaller picture is enlarged to this, to make room for the numbers."""
 _RADIUS_SHARE = 0.011  # radius of a number's disc, as a share of the picture's longer side
-_LEAST_RADIUS_PX = 10
-_GOLDEN = 0.618034
+_MIN_RADIUS_PX = 10
+_HUE_STEP = 0.618034
 """Step between hues as a share of the colour circle; any number of such hues differ."""
 _BLACK, _WHITE = (0, 0, 0), (255, 255, 255)
 
@@ -36,8 +36,12 @@ def draw_marks(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
     longer = max(height, width)
     scale = min(max(1.0, SHOWN_PX / longer), longest_px / longer)
     size = max(1, round(width * scale)), max(1, round(height * scale))
-    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
-    image = scene.rgb.copy() if scale == 1.0 else cv2.resize(scene.rgb, size, interpolation=how)
+    interpolation = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+    image = (
+        scene.rgb.copy()
+        if scale == 1.0
+        else cv2.resize(scene.rgb, size, interpolation=interpolation)
+    )
     lines = {
         i: [np.rint(line * scale).astype(np.int32) for line in outlines]
         for i, outlines in scene.contours.items()
@@ -46,7 +50,7 @@ def draw_marks(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
     for i, outlines in lines.items():
         cv2.polylines(image, outlines, True, _BLACK, 3, cv2.LINE_AA)
         cv2.polylines(image, outlines, True, colour(i), 2, cv2.LINE_AA)
-    radius = max(_LEAST_RADIUS_PX, round(_RADIUS_SHARE * max(size)))
+    radius = max(_MIN_RADIUS_PX, round(_RADIUS_SHARE * max(size)))
     spots = [_middle(max(outlines, key=cv2.contourArea), size) for outlines in lines.values()]
     for i, spot, at in zip(lines, spots, place(spots, size, radius), strict=True):
         if at is not None:
@@ -56,7 +60,7 @@ def draw_marks(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
 
 def colour(number: int) -> tuple[int, int, int]:
     """Return a bright RGB colour for an object's number."""
-    hsv = np.array([[[int(180 * (number * _GOLDEN % 1.0)), 190, 255]]], np.uint8)
+    hsv = np.array([[[int(180 * (number * _HUE_STEP % 1.0)), 190, 255]]], np.uint8)
     red, green, blue = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0, 0].tolist()
     return red, green, blue
 
@@ -76,16 +80,16 @@ def _draw_number(
     radius: int,
 ) -> None:
     """Draw a number on a black disc, with a line to its object, in place."""
-    own = colour(number)
-    here, centre = ((round(x), round(y)) for x, y in (spot, at))
-    if np.hypot(here[0] - centre[0], here[1] - centre[1]) > radius:
-        cv2.line(image, here, centre, own, 1, cv2.LINE_AA)
-        cv2.circle(image, here, 2, own, -1, cv2.LINE_AA)
+    own_colour = colour(number)
+    spot_px, centre = ((round(x), round(y)) for x, y in (spot, at))
+    if np.hypot(spot_px[0] - centre[0], spot_px[1] - centre[1]) > radius:
+        cv2.line(image, spot_px, centre, own_colour, 1, cv2.LINE_AA)
+        cv2.circle(image, spot_px, 2, own_colour, -1, cv2.LINE_AA)
     cv2.circle(image, centre, radius, _BLACK, -1, cv2.LINE_AA)
-    cv2.circle(image, centre, radius, own, 1, cv2.LINE_AA)
+    cv2.circle(image, centre, radius, own_colour, 1, cv2.LINE_AA)
     text, font = str(number), cv2.FONT_HERSHEY_SIMPLEX
-    (wide, high), _ = cv2.getTextSize(text, font, 1.0, 1)
-    scale = min(1.1 * radius / high, 1.5 * radius / wide)
-    (wide, high), _ = cv2.getTextSize(text, font, scale, 1)
-    corner = round(centre[0] - wide / 2), round(centre[1] + high / 2)
+    (text_width, text_height), _ = cv2.getTextSize(text, font, 1.0, 1)
+    scale = min(1.1 * radius / text_height, 1.5 * radius / text_width)
+    (text_width, text_height), _ = cv2.getTextSize(text, font, scale, 1)
+    corner = round(centre[0] - text_width / 2), round(centre[1] + text_height / 2)
     cv2.putText(image, text, corner, font, scale, _WHITE, 1, cv2.LINE_AA)

@@ -2,7 +2,7 @@
 
 The parts are tags → boxes → masks → captions. The paper uses RAM, Grounding DINO and TAP. Here the
 words of a vocabulary are the tags, the configured detector and segmenter make boxes and masks, and
-`edge.tasks.captions` composes the captions. Each part is a function.
+`edge.tasks.captions` composes the captions. `SceneBuilder` uses the pipeline.
 """
 
 from __future__ import annotations
@@ -23,8 +23,12 @@ from edge.perception.masks.masker import make_masker
 from edge.tasks.captions import compose_captions
 from edge.types import Detections, Observation
 
-TILE_FROM, TILE_OVERLAP, TILE_SAME = 1.5, 0.25, 0.6
+# See `in_tiles`.
+TILE_FROM = 1.5
+TILE_OVERLAP = 0.25
+TILE_MERGE_SHARE = 0.6
 
+# The parts of a `PerceptionPipeline`.
 Tags = Callable[[Observation], Sequence[str]]
 Boxes = Callable[[Observation, Sequence[str]], Detections]
 Masks = Callable[[Detections], Detections]
@@ -33,7 +37,7 @@ Embeddings = Callable[[Detections], np.ndarray]
 
 
 class PerceptionPipeline(NamedTuple):
-    """The parts of eq. 1.
+    """The parts of the pipeline of OpenNav eq. 1, each a function.
 
     Attributes:
         tags: words to look for in a picture (RAM).
@@ -51,26 +55,32 @@ class PerceptionPipeline(NamedTuple):
 
 
 class CaptionedDetections(NamedTuple):
-    """Result of a pipeline for one picture; `caption` and `embedding` are parallel to the boxes."""
+    """Result of a pipeline for one picture.
+
+    Attributes:
+        found: n boxes, with their masks if there is a segmenter.
+        caption: n captions.
+        embedding: (n, d) float32; None without embeddings.
+    """
 
     found: Detections
     caption: tuple[str, ...]
     embedding: np.ndarray | None
 
 
-def run_pipeline(chain: PerceptionPipeline, observation: Observation) -> CaptionedDetections:
+def run_pipeline(pipeline: PerceptionPipeline, observation: Observation) -> CaptionedDetections:
     """Run the pipeline on a picture (OpenNav eq. 1).
 
     Raises:
         ValueError: the observation has no usable image, or a part returned a wrong number of
             results.
     """
-    found = chain.masks(chain.boxes(observation, chain.tags(observation)))
-    caption = tuple(chain.captions(found))
-    embedding = None if chain.embeddings is None else chain.embeddings(found)
-    for what, answers in (("captions", caption), ("embeddings", embedding)):
+    found = pipeline.masks(pipeline.boxes(observation, pipeline.tags(observation)))
+    caption = tuple(pipeline.captions(found))
+    embedding = None if pipeline.embeddings is None else pipeline.embeddings(found)
+    for name, answers in (("captions", caption), ("embeddings", embedding)):
         if answers is not None and len(answers) != len(found):
-            raise ValueError(f"{len(found)} boxes, but {len(answers)} {what}; expected as many")
+            raise ValueError(f"{len(found)} boxes, but {len(answers)} {name}; expected as many")
     return CaptionedDetections(found, caption, embedding)
 
 
@@ -84,7 +94,7 @@ def in_tiles(boxes: Boxes, aspect: float = 4.0 / 3.0) -> Boxes:
 
     Otherwise a detector with a narrow input would see a wide picture at a fraction of its size.
     Parts are as high as the picture and overlap by `TILE_OVERLAP`. Boxes of one word that cover
-    each other by `TILE_SAME` of the smaller box are merged into one around both.
+    each other by `TILE_MERGE_SHARE` of the smaller box are merged into one around both.
 
     Args:
         boxes: the detector.
@@ -92,26 +102,26 @@ def in_tiles(boxes: Boxes, aspect: float = 4.0 / 3.0) -> Boxes:
             cut.
     """
 
-    def tiled(observation: Observation, tags: Sequence[str]) -> Detections:
-        whole = boxes(observation, tags)
+    def detect_in_tiles(observation: Observation, tags: Sequence[str]) -> Detections:
+        on_whole = boxes(observation, tags)
         rgb = check_rgb(observation)
         height, width = rgb.shape[:2]
         side = round(aspect * height)
         if width < TILE_FROM * side:
-            return whole
+            return on_whole
         n = math.ceil((width - TILE_OVERLAP * side) / ((1.0 - TILE_OVERLAP) * side))
-        parts = [whole]
+        parts = [on_whole]
         for left in np.linspace(0, width - side, n).round().astype(int):
             part = np.ascontiguousarray(rgb[:, left : left + side])
             found = boxes(replace(observation, rgb=part, camera=None, depth_m=None), tags)
             shift = np.array([left, 0, left, 0], np.float32)
             parts.append(replace(found, xyxy_px=found.xyxy_px + shift))
-        return _united(whole, parts)
+        return _merge_boxes(on_whole, parts)
 
-    return tiled
+    return detect_in_tiles
 
 
-def _united(whole: Detections, parts: Sequence[Detections]) -> Detections:
+def _merge_boxes(on_whole: Detections, parts: Sequence[Detections]) -> Detections:
     """Merge boxes of one object that were found in several parts of a picture."""
     xyxy, score, class_id = (
         np.concatenate([getattr(part, name) for part in parts])
@@ -121,36 +131,36 @@ def _united(whole: Detections, parts: Sequence[Detections]) -> Detections:
     kept: list[int] = []
     for i in order.tolist():
         same = next((k for k in kept if class_id[k] == class_id[i]
-                     and _covered(xyxy[k], xyxy[i]) >= TILE_SAME), None)  # fmt: skip
+                     and _overlap_share(xyxy[k], xyxy[i]) >= TILE_MERGE_SHARE), None)  # fmt: skip
         if same is None:
             kept.append(i)
         else:
             xyxy[same, :2] = np.minimum(xyxy[same, :2], xyxy[i, :2])
             xyxy[same, 2:] = np.maximum(xyxy[same, 2:], xyxy[i, 2:])
     return replace(
-        whole, xyxy_px=xyxy[kept], score=score[kept], class_id=class_id[kept],
+        on_whole, xyxy_px=xyxy[kept], score=score[kept], class_id=class_id[kept],
         competing_score=None, context=None, mask=None,
         latency_ns=sum(part.latency_ns for part in parts),
     )  # fmt: skip
 
 
-def _covered(a: np.ndarray, b: np.ndarray) -> float:
+def _overlap_share(a: np.ndarray, b: np.ndarray) -> float:
     """Return the share of the smaller box that the other box covers."""
-    both = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
-    least = min(np.prod(a[2:] - a[:2]), np.prod(b[2:] - b[:2]))
-    return float(np.prod(both) / least) if both.min() > 0.0 and least > 0.0 else 0.0
+    overlap = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
+    smaller = min(np.prod(a[2:] - a[:2]), np.prod(b[2:] - b[:2]))
+    return float(np.prod(overlap) / smaller) if overlap.min() > 0.0 and smaller > 0.0 else 0.0
 
 
-def _with_context(found: Detections, around: Detections | None) -> Detections:
+def _with_context(found: Detections, context: Detections | None) -> Detections:
     """Add the boxes of the context, with its words after the prompts."""
-    if around is None:
+    if context is None:
         return found
-    score = np.concatenate((found.score, around.score))
+    score = np.concatenate((found.score, context.score))
     order = np.argsort(-score, kind="stable")
     return replace(
-        found, xyxy_px=np.concatenate((found.xyxy_px, around.xyxy_px))[order], score=score[order],
-        class_id=np.concatenate((found.class_id, around.class_id + len(found.prompts)))[order],
-        prompts=(*found.prompts, *around.prompts), context=None,
+        found, xyxy_px=np.concatenate((found.xyxy_px, context.xyxy_px))[order], score=score[order],
+        class_id=np.concatenate((found.class_id, context.class_id + len(found.prompts)))[order],
+        prompts=(*found.prompts, *context.prompts), context=None,
     )  # fmt: skip
 
 

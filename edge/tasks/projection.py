@@ -8,7 +8,7 @@ from edge.geometry import CameraModel
 from edge.tasks import scan_kernels as kernels
 from edge.types import MASK_SIDE
 
-BESIDE = 0.25
+MARGIN_SHARE = 0.25
 """Width of a margin around each box, as a share of the box's size.
 
 The window is the box with this margin, which shows the background next to the object."""
@@ -25,7 +25,7 @@ LEAST_SPAN = 0.2
 Fewer points belong to something else in the box, such as the hedge in front of a house that is
 higher than the LiDAR's field of view.
 """
-_BOXES_ALONE = np.zeros((0, MASK_SIDE, MASK_SIDE), np.bool_)
+_NO_MASKS = np.zeros((0, MASK_SIDE, MASK_SIDE), np.bool_)
 
 
 def points_of_masks(
@@ -57,42 +57,51 @@ def points_of_masks(
     k, n = len(xyxy_px), len(cloud_m)
     if k == 0 or n == 0:
         return [np.zeros(0, np.int32) for _ in range(k)]
-    masks = _BOXES_ALONE
+    masks = _NO_MASKS
     if mask is not None:
         masks = np.where(mask.any(axis=(1, 2), keepdims=True), mask, True)
-    seen_by = (
+    intrinsics = (
         float(camera.width_px), float(camera.height_px),
         camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
     )  # fmt: skip
     keep = np.ones(n, np.bool_) if keep is None else keep
     boxes = np.ascontiguousarray(xyxy_px, np.float32)
-    room = n
+    capacity = n
     while True:
-        mask_of, point_of = np.empty(room, np.int32), np.empty(room, np.int32)
-        depth_m = np.empty(room, np.float32)
+        mask_of, point_of = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
+        depth_m = np.empty(capacity, np.float32)
         found = kernels.points_of_windows(
-            cloud_m, T_camera_cloud, seen_by, boxes, masks, BESIDE, keep, mask_of, point_of, depth_m
+            cloud_m,
+            T_camera_cloud,
+            intrinsics,
+            boxes,
+            masks,
+            MARGIN_SHARE,
+            keep,
+            mask_of,
+            point_of,
+            depth_m,
         )
-        if found <= room:
+        if found <= capacity:
             break
-        room = found
+        capacity = found
     mask_of, point_of, depth_m = mask_of[:found], point_of[:found], depth_m[:found]
-    on = mask_of >= 0
-    window = np.where(on, mask_of, -1 - mask_of)
+    on_mask = mask_of >= 0
+    window = np.where(on_mask, mask_of, -1 - mask_of)
     order = np.lexsort((depth_m, window))
     ends = np.searchsorted(window[order], np.arange(k + 1))
     out = []
     for i in range(k):
         in_window = order[ends[i] : ends[i + 1]]
-        first, last = kernels.best_surface(depth_m[in_window], on[in_window], GAP_M, GAP_SHARE)
-        taken = in_window[first:last]
-        points = np.sort(point_of[taken[on[taken]]])
-        fits = len(points) and _spans(cloud_m[points], T_camera_cloud, camera, boxes[i])
-        out.append(points if fits else points[:0])
+        first, last = kernels.best_surface(depth_m[in_window], on_mask[in_window], GAP_M, GAP_SHARE)
+        part = in_window[first:last]
+        points = np.sort(point_of[part[on_mask[part]]])
+        covers = len(points) and _covers_box(cloud_m[points], T_camera_cloud, camera, boxes[i])
+        out.append(points if covers else points[:0])
     return out
 
 
-def _spans(
+def _covers_box(
     points_m: np.ndarray, T_camera_cloud: np.ndarray, camera: CameraModel, box: np.ndarray
 ) -> bool:
     """Return True if the picture of some points covers enough of the visible part of a box."""

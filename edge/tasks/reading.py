@@ -47,10 +47,12 @@ from edge.tasks.phrases import tokenise
 from edge.tasks.scene import Scene, SceneObject
 from edge.text import one_line
 
-ASIDE_RAD = math.radians(5)
+SIDE_RAD = math.radians(5)
 """An object closer to straight ahead than this is neither on the left nor on the right."""
 AHEAD_RAD = math.radians(45)
+"""An object closer to straight ahead than this is "ahead"; the same holds for "behind"."""
 NEAR_M = 3.0
+"""Largest distance of an object that is "near" another one."""
 
 Kind = Literal["to", "past", "around", "beside", "between", "straight", "stop"]
 
@@ -81,30 +83,34 @@ class InstructionStep:
             case "past" | "around" if self.side:
                 return f"{self.kind} the {self.side} of {object_name}"
             case "beside":
-                return f"{self.side}{OF.get(self.side, '')} {object_name}"
+                return f"{self.side}{OF_SUFFIX.get(self.side, '')} {object_name}"
         return f"{self.kind} {object_name}".strip()
 
 
 def parse_steps(
-    instruction: str, scene: Scene, which: slice = slice(None)
+    instruction: str, scene: Scene, step_slice: slice = slice(None)
 ) -> list[InstructionStep]:
     """Parse the steps of an instruction, at least one.
 
     Args:
         instruction: the text.
         scene: what is around the robot.
-        which: steps to return. The objects of the other steps need not be in the scene. No returned
-            step may refer (`it`) to an object that another step names.
+        step_slice: steps to return. The objects of the other steps need not be in the scene. No
+            returned step may refer (`it`) to an object that another step names.
 
     Raises:
         TranslationError: the instruction is not understood; the error names the part.
     """
-    steps = _steps(instruction, lambda n: scene if n in range(n + 1)[which] else _Unseen())
-    return steps[which]
+    steps = _read_steps(
+        instruction, lambda n: scene if n in range(n + 1)[step_slice] else _UnseenScene()
+    )
+    return steps[step_slice]
 
 
-def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list[InstructionStep]:
-    """Parse all steps; `scene_of` returns the scene for the step with a given index."""
+def _read_steps(
+    instruction: str, scene_for: Callable[[int], Scene | _UnseenScene]
+) -> list[InstructionStep]:
+    """Parse all steps; `scene_for` returns the scene for the step with a given index."""
     reader = TokenReader(instruction, order_clauses(instruction, tokenise(instruction)))
     steps: list[InstructionStep] = []
     reader.skip("filler", "first")
@@ -113,7 +119,7 @@ def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list
         verb, start = start, reader.peek()
         if steps and start.kind in _RELATIONS:
             _check_joined(reader, steps[-1], verb)
-        step = _step(reader, scene_of(len(steps)), steps)
+        step = _read_step(reader, scene_for(len(steps)), steps)
         end = reader.peek(-1).end
         steps.append(replace(step, said=instruction[start.start : end]))
         on_to = step.kind in ("past", "around") and reader.is_at("to")  # "past the van to the gate"
@@ -144,13 +150,13 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
     Raises:
         TranslationError: the instruction is not understood; the error names the part.
     """
-    unseen: list[_Unseen] = []
+    unseen: list[_UnseenScene] = []
 
-    def scene_of(number: int) -> _Unseen:
-        unseen.append(_Unseen())
+    def scene_for(number: int) -> _UnseenScene:
+        unseen.append(_UnseenScene())
         return unseen[-1]
 
-    steps = _steps(instruction, scene_of)
+    steps = _read_steps(instruction, scene_for)
     first: dict[str, str] = {}
     named_objects = [
         tuple(first.setdefault(one, name) for one, name in there.names.items()) for there in unseen
@@ -180,7 +186,7 @@ def named_objects(instruction: str) -> tuple[str, ...]:
 
 
 @dataclass(slots=True)
-class _Unseen:
+class _UnseenScene:
     """Stand-in for a scene: every name that is read gives one placeholder object.
 
     Attributes:
@@ -202,9 +208,10 @@ class _Unseen:
         return SceneObject(0, "", "", np.zeros(3), np.zeros(3), 0.0, np.empty((0, 3)), {})
 
 
-def _step(
-    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep]
+def _read_step(
+    reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep]
 ) -> InstructionStep:
+    """Read one step; `before` are the steps that were read before it."""
     verb = reader.take("go", "pass", "stop", "reach", "leave")
     reader.skip("first", "filler")
     if verb is None and not (before and reader.is_at(*_RELATIONS)):
@@ -213,14 +220,14 @@ def _step(
         reader.refuse("expected what to do: go to, drive past, around, between, stop at, …")
     doing = verb.kind if verb else "go"
     if doing == "pass" and not reader.is_at("between"):
-        return _passing(reader, scene, before, "past")
+        return _read_passing(reader, scene, before, "past")
     if doing == "leave":
-        return _leaving(reader, scene, before)
+        return _read_leaving(reader, scene, before)
     if doing == "reach":
-        return _at(reader, scene, before)
+        return _read_destination(reader, scene, before)
     counted = reader.is_at("number", "article") and reader.is_at("metres", "and a half", ahead=1)
     if doing == "go" and (counted or reader.is_at("half")):
-        return _straight(reader)
+        return _read_straight(reader)
     if doing == "stop" and (there := reader.take("there")):
         if not before or before[-1].kind not in ("to", "beside", "between", "straight"):
             reader.refuse("it is not clear where; name a thing", there)
@@ -240,21 +247,23 @@ def _step(
         reader.refuse("a robot cannot stop there; say 'at', 'left of', 'behind', …", relation)
     match relation.kind:
         case "past" | "around":
-            return _passing(reader, scene, before, relation.kind)
+            return _read_passing(reader, scene, before, relation.kind)
         case "between":
-            return InstructionStep("between", _two(reader, scene, before))
+            return InstructionStep("between", _read_two_objects(reader, scene, before))
         case "straight" if reader.is_at("to"):
             reader.refuse("'straight to' is not understood; say 'to'", relation)
         case "straight":
             reader.take("for") or (reader.peek().text == "by" and reader.take("at"))
-            return InstructionStep("straight", distance_m=_metres(reader))
+            return InstructionStep("straight", distance_m=_read_distance_m(reader))
         case "to" | "at":
-            return _at(reader, scene, before)
+            return _read_destination(reader, scene, before)
         case "its left" | "its right":
             return InstructionStep(
-                "beside", (_it(scene, before, reader, relation),), _SIDE_OF[relation.kind]
+                "beside",
+                (_object_of_last_step(scene, before, reader, relation),),
+                _SIDE_OF[relation.kind],
             )
-    thing = _thing(reader, scene, before)
+    thing = _read_object(reader, scene, before)
     return InstructionStep("beside", (thing,), _SIDE_OF.get(relation.kind, relation.kind))
 
 
@@ -278,24 +287,24 @@ def _check_joined(reader: TokenReader, last: InstructionStep, verb: Token) -> No
         reader.refuse("it is not clear when or how; say 'then go', 'then go past' or 'passing'")
 
 
-def _at(
-    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep]
+def _read_destination(
+    reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep]
 ) -> InstructionStep:
     """Read `the van`, `the van's left side`."""
-    thing = _thing(reader, scene, before)
-    side = _own_side(reader)
+    thing = _read_object(reader, scene, before)
+    side = _read_own_side(reader)
     return InstructionStep("beside", (thing,), side) if side else InstructionStep("to", (thing,))
 
 
-def _straight(reader: TokenReader) -> InstructionStep:
+def _read_straight(reader: TokenReader) -> InstructionStep:
     """Read `3 metres forward`."""
-    distance_m = _metres(reader)
+    distance_m = _read_distance_m(reader)
     if not reader.take("straight"):
         reader.refuse("say in which direction, as '3 metres straight on'")
     return InstructionStep("straight", distance_m=distance_m)
 
 
-def _own_side(reader: TokenReader) -> str:
+def _read_own_side(reader: TokenReader) -> str:
     """Read the side that follows `the van's`; return "" if there is none."""
     token = reader.take("left", "right")
     if token is None:
@@ -305,7 +314,8 @@ def _own_side(reader: TokenReader) -> str:
     return token.kind
 
 
-OF = {"left": " of", "right": " of"}
+OF_SUFFIX = {"left": " of", "right": " of"}
+"""Side → word after it: "left of the van", but "behind the van"."""
 _SIDE_OF = {
     "left of": "left", "its left": "left", "right of": "right", "its right": "right",
 }  # fmt: skip
@@ -314,34 +324,37 @@ _RELATIONS = (
     "straight", "its left", "its right",
 )  # fmt: skip
 _RETURN = "say where to return to, as 'back to the gate'"
-OTHER = {"left": "right", "right": "left"}
+OTHER_SIDE = {"left": "right", "right": "left"}
+"""Side → the opposite one."""
 
 
-def _passing(
-    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep], kind: Kind
+def _read_passing(
+    reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep], kind: Kind
 ) -> InstructionStep:
     """Read `past the left of the van`, `around the van on its left`, `past the van`."""
     if side := reader.take("left of", "right of"):
-        return InstructionStep(kind, (_thing(reader, scene, before),), _SIDE_OF[side.kind])
+        return InstructionStep(kind, (_read_object(reader, scene, before),), _SIDE_OF[side.kind])
     if side := reader.take("its left", "its right"):
-        return InstructionStep(kind, (_it(scene, before, reader, side),), _SIDE_OF[side.kind])
+        return InstructionStep(
+            kind, (_object_of_last_step(scene, before, reader, side),), _SIDE_OF[side.kind]
+        )
     begin, start = reader.at, reader.peek()
-    found = _things(reader, scene, before, parting=True)
-    said, aside = reader.peek(), _aside(reader)
+    found = _read_objects(reader, scene, before, is_passed=True)
+    said, aside = reader.peek(), _read_passing_side(reader)
     if aside is None or reader.is_at("its left", "its right"):
         if aside is not None:  # "the car on the left on its right": the first side chooses the car
             reader.at = begin
-            found = _things(reader, scene, before)
+            found = _read_objects(reader, scene, before)
         side = reader.take("its left", "its right")
-        whose = _SIDE_OF[side.kind] if side else _own_side(reader)
-        return InstructionStep(kind, (_only(found, reader, start),), whose)
+        whose = _SIDE_OF[side.kind] if side else _read_own_side(reader)
+        return InstructionStep(kind, (_only_one(found, reader, start),), whose)
     end, reader.at = reader.at, begin
     try:
-        on_that_side = _things(reader, scene, before)
+        on_that_side = _read_objects(reader, scene, before)
     except TranslationError:
         on_that_side = []  # no such object on that side: the words can only mean the passing side
     reader.at = end
-    side = OTHER[aside.direction] if aside.of_robot else aside.direction
+    side = OTHER_SIDE[aside.direction] if aside.of_robot else aside.direction
     differs = isinstance(scene, Scene) and bool(on_that_side) and on_that_side[0] is not found[0]
     if len(found) > 1 or differs:
         reader.refuse(
@@ -351,69 +364,72 @@ def _passing(
     return InstructionStep(kind, (found[0],), side)
 
 
-def _leaving(
-    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep]
+def _read_leaving(
+    reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep]
 ) -> InstructionStep:
     """Read `leave the van on your left`: the robot passes its right."""
     start = reader.peek()
-    thing = _only(_things(reader, scene, before, parting=True), reader, start)
-    aside = _aside(reader)
+    thing = _only_one(_read_objects(reader, scene, before, is_passed=True), reader, start)
+    aside = _read_passing_side(reader)
     if aside is None:
         reader.refuse("say on which side, as 'on your left'", start)
-    return InstructionStep("past", (thing,), OTHER[aside.direction])
+    return InstructionStep("past", (thing,), OTHER_SIDE[aside.direction])
 
 
 @dataclass(frozen=True, slots=True)
-class _Aside:
+class _PassingSide:
     """A side after an object: `on the left`, or with `of_robot` `on your left`."""
 
     direction: str
     of_robot: bool
 
 
-def _aside(reader: TokenReader) -> _Aside | None:
+def _read_passing_side(reader: TokenReader) -> _PassingSide | None:
     """Read the side after an object that is passed; return None if there is no such phrase."""
     token, at = reader.peek(), reader.at
-    if _parts(reader):
+    if _is_passing_side(reader):
         reader.at += 1
         of_robot = token.text.split()[1] != "the" or "robot" in token.text
-        return _Aside(token.kind.removeprefix("on the "), of_robot)
+        return _PassingSide(token.kind.removeprefix("on the "), of_robot)
     if reader.take("to") and reader.take("article"):
-        side = _own_side(reader)
+        side = _read_own_side(reader)
         if side and not reader.is_at("word"):
-            return _Aside(side, reader.tokens[at + 1].text in ("your", "my"))
+            return _PassingSide(side, reader.tokens[at + 1].text in ("your", "my"))
     reader.at = at
     return None
 
 
-def _parts(reader: TokenReader) -> bool:
+def _is_passing_side(reader: TokenReader) -> bool:
     """Return True if a side ends the phrase here, and is not a side of the road."""
     ends = not reader.is_at(*_PLACES, *_ORDER, "at", "which is", ahead=1)
     of_road = reader.peek().text.endswith((" road", " street"))
     return ends and reader.is_at("on the left", "on the right") and not of_road
 
 
-def _it(
-    scene: Scene | _Unseen, before: Sequence[InstructionStep], reader: TokenReader, token: Token
+def _object_of_last_step(
+    scene: Scene | _UnseenScene,
+    before: Sequence[InstructionStep],
+    reader: TokenReader,
+    token: Token,
 ) -> SceneObject:
     """Return the only object of the previous step, for which `it` or `its` stands."""
     if not before or len(before[-1].things) != 1:
         reader.refuse("it is not clear what this stands for; name the object", token)
-    if isinstance(scene, _Unseen):
+    if isinstance(scene, _UnseenScene):
         scene.refers = True
     return before[-1].things[0]
 
 
-def _two(
-    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep]
+def _read_two_objects(
+    reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep]
 ) -> tuple[SceneObject, ...]:
     """Read `the van and the tree`, `the two cars` or `the cars`."""
     start = reader.peek()
     if reader.is_at("article") and reader.is_at("number", ahead=1) and reader.peek(1).text == "2":
         reader.at += 2
-    found = _things(reader, scene, before)
+    found = _read_objects(reader, scene, before)
     if reader.take("and"):
-        found = [_only(found, reader, start), _thing(reader, scene, before)]
+        found = [_only_one(found, reader, start), _read_object(reader, scene, before)]
         if found[0] is found[1]:
             reader.refuse("this is the same thing twice; name two", start)
     if len(found) != 2 and isinstance(scene, Scene):
@@ -421,7 +437,8 @@ def _two(
     return tuple(found)
 
 
-def _metres(reader: TokenReader) -> float:
+def _read_distance_m(reader: TokenReader) -> float:
+    """Read `3 metres`, `half a metre`, `a metre and a half`."""
     start, distance_m = reader.peek(), 0.0
     if token := reader.take("number"):
         distance_m = float(token.text)
@@ -448,15 +465,16 @@ class AmbiguousObjectError(TranslationError):
         self.things = things
 
 
-def _thing(
-    reader: TokenReader, scene: Scene | _Unseen, before: Sequence[InstructionStep]
+def _read_object(
+    reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep]
 ) -> SceneObject:
     """Read a noun phrase and return the only object that it names."""
     start = reader.peek()
-    return _only(_things(reader, scene, before), reader, start)
+    return _only_one(_read_objects(reader, scene, before), reader, start)
 
 
-def _only(found: list[SceneObject], reader: TokenReader, start: Token) -> SceneObject:
+def _only_one(found: list[SceneObject], reader: TokenReader, start: Token) -> SceneObject:
+    """Return the only object found; raise AmbiguousObjectError if there are several."""
     if len(found) > 1:
         listed = ", ".join(map(object_name, found[:4])) + (", …" if len(found) > 4 else "")
         hint = f"it may be any of {len(found)}: {listed}; say which, as 'the nearest' or 'object 3'"
@@ -468,83 +486,88 @@ def _only(found: list[SceneObject], reader: TokenReader, start: Token) -> SceneO
     return found[0]
 
 
-def _things(
+def _read_objects(
     reader: TokenReader,
-    scene: Scene | _Unseen,
+    scene: Scene | _UnseenScene,
     before: Sequence[InstructionStep],
-    parting: bool = False,
+    is_passed: bool = False,
 ) -> list[SceneObject]:
     """Read a noun phrase and return the objects that it may mean, at least one.
 
-    If `parting` is True, a side at the end is left to the caller, because the object is passed.
+    If `is_passed` is True, a side at the end is left to the caller, because the object is passed.
+    Words that choose an object, such as "nearest" and "second", are kept as `choosers`.
     """
     start = reader.peek()
     if token := reader.take("pronoun"):
-        return [_it(scene, before, reader, token)]
+        return [_object_of_last_step(scene, before, reader, token)]
     reader.skip("article")
-    which, words = [], []
-    while token := _describing(reader, bool(words)):
+    choosers, words = [], []
+    while token := _read_word(reader, bool(words)):
         if token.kind == "id":
-            return [_by_id(reader, scene, words, which)]
+            return [_read_by_number(reader, scene, words, choosers)]
         if token.kind != "word":
-            which.append(token)
+            choosers.append(token)
             continue
         if token.text.endswith("'s") and _is_own_side(reader):
             words.append(replace(token, text=token.text.removesuffix("'s")))
             break
         words.append(token)
     if words and reader.is_at("number"):
-        return [_by_id(reader, scene, words, which)]
+        return [_read_by_number(reader, scene, words, choosers)]
     if not _is_name(words):
         reader.refuse("expected the name of a thing", start)
-    unseen = isinstance(scene, _Unseen)
+    unseen = isinstance(scene, _UnseenScene)
     found = (
-        [scene.thing(words)] if unseen else _described(_named(reader, scene, words), reader, words)
+        [scene.thing(words)]
+        if unseen
+        else _objects_described(_objects_named(reader, scene, words), reader, words)
     )
-    origin = _measured_from(reader, scene, before, which)
-    asides, says_which = list(which), False  # says_which: the last word was "that is"
-    while (says_which or not (parting and _parts(reader))) and (
+    origin = _read_origin(reader, scene, before, choosers)
+    maybe_sides, says_which = list(choosers), False  # says_which: the last word was "that is"
+    while (says_which or not (is_passed and _is_passing_side(reader))) and (
         token := reader.take(*_PLACES, "at", *_ORDER, "which is")
     ):
         if not says_which:
-            asides.append(token)
+            maybe_sides.append(token)
         if token.kind == "which is":
-            at, found = reader.at, _such(found, reader, scene)
+            at, found = reader.at, _read_that_is(found, reader, scene)
             says_which = reader.at == at
             continue
         says_which = False
         if token.kind in _ORDER:
-            which.append(token)
-            origin = origin or _measured_from(reader, scene, before, [token])
+            choosers.append(token)
+            origin = origin or _read_origin(reader, scene, before, [token])
             continue
-        other = _thing(reader, scene, before) if token.kind == "at" else None
+        other = _read_object(reader, scene, before) if token.kind == "at" else None
         if unseen:
             continue
         if other is not None:
-            found = _kept(found, lambda t, o=other: t is not o and _gap_m(scene, t, o) <= NEAR_M)
+            found = _filtered(
+                found, lambda t, o=other: t is not o and _gap_m(scene, t, o) <= NEAR_M
+            )
         else:
-            found = _kept(found, lambda t, k=token.kind: _PLACES[k](_bearing_rad(scene, t)))
+            found = _filtered(found, lambda t, k=token.kind: _PLACES[k](_bearing_rad(scene, t)))
         if not found:
             reader.refuse("no such thing is there", token)
-    for token in asides if parting else ():
-        if token.kind in ("leftmost", "rightmost") and token.text.startswith(_ASIDE):
+    for token in maybe_sides if is_passed else ():
+        if token.kind in ("leftmost", "rightmost") and token.text.startswith(_SIDE_OPENERS):
             side = token.kind.removesuffix("most")
             hint = f"say 'past the {side} of …', or 'the {token.kind} …'"
             reader.refuse(
                 f"it may say which one is meant, or on which side to pass it; {hint}", token
             )
-    for token in which:
-        if token.kind.startswith("from the") and not any(t.kind in _COUNTS for t in which):
+    for token in choosers:
+        if token.kind.startswith("from the") and not any(t.kind in _COUNTS for t in choosers):
             reader.refuse(f"say which, as 'second {token.text}'", token)
-    return found if unseen else _chosen(found, reader, scene, which, origin)
+    return found if unseen else _choose(found, reader, scene, choosers, origin)
 
 
-_ASIDE = ("on ", "to ", "at ")
+_SIDE_OPENERS = ("on ", "to ", "at ")
 """First words of "on the far left"; a bare "far left" has none of them."""
 _COUNTS = ("ordinal", "first")
 
 
-def _describing(reader: TokenReader, has_name: bool) -> Token | None:
+def _read_word(reader: TokenReader, has_name: bool) -> Token | None:
     """Read the next word of a noun phrase: part of the name, or a word that chooses an object.
 
     `has_name` is True after a word of the name. A word that is also a verb or a unit belongs to the
@@ -578,8 +601,8 @@ def _is_own_side(reader: TokenReader) -> bool:
     return reader.is_at("left", "right") and own
 
 
-def _such(
-    found: list[SceneObject], reader: TokenReader, scene: Scene | _Unseen
+def _read_that_is(
+    found: list[SceneObject], reader: TokenReader, scene: Scene | _UnseenScene
 ) -> list[SceneObject]:
     """Read the words after `that is`: a description, unless a place follows."""
     words = []
@@ -587,75 +610,81 @@ def _such(
         words.append(reader.take("word"))
     if not words and not reader.is_at(*_PLACES, "at", *_ORDER):
         reader.refuse("expected what it is like, or where it is")
-    return found if isinstance(scene, _Unseen) else _described(found, reader, words)
+    return found if isinstance(scene, _UnseenScene) else _objects_described(found, reader, words)
 
 
-def _measured_from(
+def _read_origin(
     reader: TokenReader,
-    scene: Scene | _Unseen,
+    scene: Scene | _UnseenScene,
     before: Sequence[InstructionStep],
-    which: Sequence[Token],
+    choosers: Sequence[Token],
 ) -> SceneObject | None:
     """Return the object of `nearest to the sign`, or None if the robot is meant."""
     at = reader.at
-    if not any(token.kind in ("nearest", "farthest") for token in which) or _aside(reader):
+    if not any(token.kind in ("nearest", "farthest") for token in choosers) or _read_passing_side(
+        reader
+    ):
         reader.at = at  # "the nearest tree to the left"
         return None
-    return _thing(reader, scene, before) if reader.take("to", "from") else None
+    return _read_object(reader, scene, before) if reader.take("to", "from") else None
 
 
-def _by_id(
-    reader: TokenReader, scene: Scene | _Unseen, words: list[Token], which: Sequence[Token]
+def _read_by_number(
+    reader: TokenReader, scene: Scene | _UnseenScene, words: list[Token], choosers: Sequence[Token]
 ) -> SceneObject:
     """Return the object with the number that comes next; the words before must fit the object."""
     start = reader.peek()
     token = reader.take("number")
     if token is None:
         reader.refuse("say its number", start)
-    if which:
-        reader.refuse("this chooses the object in two ways; say only one", which[0])
-    if isinstance(scene, _Unseen):
+    if choosers:
+        reader.refuse("this chooses the object in two ways; say only one", choosers[0])
+    if isinstance(scene, _UnseenScene):
         return scene.thing(words)
     thing = scene.objects.get(int(token.text)) if token.text.isdecimal() else None
     if thing is None:
-        reader.refuse(f"no object has that number; there are {_listed(scene)}", start)
-    if words and thing not in _described(_named(reader, scene, words), reader, words):
+        reader.refuse(f"no object has that number; there are {_labels_text(scene)}", start)
+    if words and thing not in _objects_described(
+        _objects_named(reader, scene, words), reader, words
+    ):
         reader.refuse(f"that is the number of {object_name(thing)}", start)
     return thing
 
 
-def _named(reader: TokenReader, scene: Scene, words: list[Token]) -> list[SceneObject]:
+def _objects_named(reader: TokenReader, scene: Scene, words: list[Token]) -> list[SceneObject]:
     """Return the objects whose kind is named by the longest possible end of `words`.
 
     The words before that end stay in `words`, because they describe the object.
     """
     for begin in range(len(words)):
-        if kinds := _of_kind(scene, words[begin:]):
+        if kinds := _objects_of_kind(scene, words[begin:]):
             del words[begin:]
             return kinds
     for end in range(len(words) - 1, 0, -1):
-        if any(_of_kind(scene, words[begin:end]) for begin in range(end)):
+        if any(_objects_of_kind(scene, words[begin:end]) for begin in range(end)):
             reader.refuse(f"unknown word after {words[end - 1].text!r}", words[end])
-    reader.refuse(f"no object here has that name; there are {_listed(scene)}", words[0])
+    reader.refuse(f"no object here has that name; there are {_labels_text(scene)}", words[0])
 
 
 def _is_name(words: Sequence[Token]) -> bool:
     return names.is_name(" ".join(token.text for token in words))
 
 
-def _of_kind(scene: Scene, words: Sequence[Token]) -> list[SceneObject]:
+def _objects_of_kind(scene: Scene, words: Sequence[Token]) -> list[SceneObject]:
     if not _is_name(words):
         return []
     name = " ".join(token.text for token in words)
-    return _kept(list(scene.objects.values()), lambda thing: names.is_kind_of(thing.label, name))
+    return _filtered(
+        list(scene.objects.values()), lambda thing: names.is_kind_of(thing.label, name)
+    )
 
 
-def _described(
+def _objects_described(
     found: list[SceneObject], reader: TokenReader, words: Sequence[Token]
 ) -> list[SceneObject]:
     """Return the objects that every word describes."""
     for token in words:
-        fitting = _kept(found, lambda t, word=token.text: word in _words_of(t))
+        fitting = _filtered(found, lambda t, word=token.text: word in _caption_words(t))
         if not fitting:
             hint = f"this word describes none of them: {', '.join(map(object_name, found[:4]))}"
             reader.refuse(hint, token)
@@ -663,11 +692,11 @@ def _described(
     return found
 
 
-def _chosen(
+def _choose(
     found: list[SceneObject],
     reader: TokenReader,
     scene: Scene,
-    which: Sequence[Token],
+    choosers: Sequence[Token],
     origin: SceneObject | None,
 ) -> list[SceneObject]:
     """Return the objects that sides, an order and a number choose, as seen from the robot.
@@ -675,10 +704,10 @@ def _chosen(
     `nearest` and `farthest` are measured from `origin`; None: from the robot.
     """
     of_order: dict[bool, Token] = {}
-    for token in which:
+    for token in choosers:
         if token.kind in ("left", "right"):
             side = _PLACES[f"on the {token.kind}"]
-            kept = _kept(found, lambda t, side=side: side(_bearing_rad(scene, t)))
+            kept = _filtered(found, lambda t, side=side: side(_bearing_rad(scene, t)))
             if not kept:
                 _none_there(found, reader, token)
             found = kept
@@ -692,7 +721,7 @@ def _chosen(
     kind = order.kind if order else "nearest"
     found = [thing for thing in found if thing is not origin]
     if kind not in ("nearest", "farthest"):
-        ahead = _kept(found, lambda t: abs(_bearing_rad(scene, t)) < math.pi / 2)
+        ahead = _filtered(found, lambda t: abs(_bearing_rad(scene, t)) < math.pi / 2)
         found = ahead or found  # "from left to right" counts the objects in view
     if origin is not None:
         away_m = {t.id: _gap_m(scene, t, origin) for t in found}
@@ -729,11 +758,11 @@ def _gap_m(scene: Scene, a: SceneObject, b: SceneObject) -> float:
     return float(outline_of(a, scene.occupancy).gaps_m(cells_m).min())
 
 
-def _kept(found: list[SceneObject], keep: Callable[[SceneObject], bool]) -> list[SceneObject]:
+def _filtered(found: list[SceneObject], keep: Callable[[SceneObject], bool]) -> list[SceneObject]:
     return [thing for thing in found if keep(thing)]
 
 
-def _words_of(thing: SceneObject) -> set[str]:
+def _caption_words(thing: SceneObject) -> set[str]:
     return set(re.findall(r"[^\W_]+", f"{thing.label} {thing.caption}".lower()))
 
 
@@ -743,14 +772,14 @@ def object_name(thing: SceneObject) -> str:
     return f"{thing.label} {thing.id}" + (f" ({caption})" if caption else "")
 
 
-def _listed(scene: Scene) -> str:
+def _labels_text(scene: Scene) -> str:
     labels = dict.fromkeys(thing.label for thing in scene.objects.values())
     return one_line(", ".join(labels), 120) or "no objects"
 
 
 _PLACES: dict[str, Callable[[float], bool]] = {
-    "on the left": lambda bearing_rad: bearing_rad > ASIDE_RAD,
-    "on the right": lambda bearing_rad: bearing_rad < -ASIDE_RAD,
+    "on the left": lambda bearing_rad: bearing_rad > SIDE_RAD,
+    "on the right": lambda bearing_rad: bearing_rad < -SIDE_RAD,
     "straight": lambda bearing_rad: abs(bearing_rad) < AHEAD_RAD,
     "here ahead": lambda bearing_rad: abs(bearing_rad) < AHEAD_RAD,
     "here behind": lambda bearing_rad: abs(bearing_rad) > math.pi - AHEAD_RAD,

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from edge.tasks.ground import ESCAPE_M
-from edge.tasks.legs import Leg, RefineError, cut
+from edge.tasks.legs import Leg, RefineError, cut_into_legs
 from edge.tasks.scene import Scene
 from edge.tasks.speeds import headings_rad, speeds_mps, times_s
 from edge.tasks.value_map import HIGH, PathMargins, closed_cells, value_map
@@ -26,7 +26,7 @@ SPACING_M = 0.1
 """Largest distance between two points of a refined trajectory."""
 CONTROL_M = (2.0, 1.0, 0.5, 0.25)
 """Distances between a spline's control points; the first gives the smoothest spline."""
-MOST_COST_RATIO = 1.05
+MAX_COST_RATIO = 1.05
 """A spline may cost this factor more than the path that it smooths.
 
 It must not be longer over ground that was not chosen.
@@ -47,7 +47,7 @@ class RefinedTrajectory:
         heading_rad: requested heading at the end; None: along the path.
         cost_m: cost of the path in metres of the tube's ground (`value_map`).
         control_m: distance between the spline's control points; 0: the path is A*'s own, because
-            every spline of `CONTROL_M` entered a closed cell or cost too much (`MOST_COST_RATIO`).
+            every spline of `CONTROL_M` entered a closed cell or cost too much (`MAX_COST_RATIO`).
         off_region_m: length of the path over ground that was not chosen.
         notes: differences from the request, a line each.
     """
@@ -69,7 +69,7 @@ def refine(
     scene: Scene,
     segments: Sequence[np.ndarray],
     drivable: Collection[int],
-    body: PathMargins,
+    margins: PathMargins,
     limits: MotionLimits,
     speed_mps: float = 0.0,
     heading_rad: float | None = None,
@@ -77,14 +77,14 @@ def refine(
     """Run A* over the value map through the ends of the coarse segments, then fit a spline.
 
     A* runs once from the end of each segment to the end of the next. A segment that bends is also
-    cut at its bends (`legs.cut`), so that A* does not shorten a detour around something. The spline
-    is the smoothest of `CONTROL_M` that enters no closed cell.
+    cut at its bends (`legs.cut_into_legs`), so that A* does not shorten a detour around something.
+    The spline is the smoothest of `CONTROL_M` that enters no closed cell.
 
     Args:
         scene: what is around the robot.
         segments: each (n, 2 or 3) float64 in `map`; points without a height get 0.
         drivable: ids of the regions chosen; empty: any.
-        body: clearance, and radius of the tube around the coarse trajectory.
+        margins: clearance, and radius of the tube around the coarse trajectory.
         limits: highest speeds and accelerations.
         speed_mps: current speed of the robot.
         heading_rad: heading of the last pose; None: along the path.
@@ -92,16 +92,16 @@ def refine(
     Raises:
         RefineError: points are invalid, an end cannot be reached, or the robot is shut in.
     """
-    legs = cut(segments, (scene.pose.x_m, scene.pose.y_m), body.tube_m)
+    legs = cut_into_legs(segments, (scene.pose.x_m, scene.pose.y_m), margins.tube_m)
     chosen = frozenset(drivable) or frozenset(scene.regions)
-    return refine_legs(scene, legs, chosen, body, limits, speed_mps, heading_rad)
+    return refine_legs(scene, legs, chosen, margins, limits, speed_mps, heading_rad)
 
 
 def refine_again(
     scene: Scene,
     before: RefinedTrajectory,
     index: int,
-    body: PathMargins,
+    margins: PathMargins,
     limits: MotionLimits,
     speed_mps: float = 0.0,
 ) -> RefinedTrajectory:
@@ -116,14 +116,14 @@ def refine_again(
     away = np.hypot(*(first.points_m[:, :2] - (scene.pose.x_m, scene.pose.y_m)).T)
     ahead = first.points_m[int(np.argmin(away)) :]
     legs = (Leg(ahead, first.ends_segment), *rest)
-    return refine_legs(scene, legs, before.drivable, body, limits, speed_mps, before.heading_rad)
+    return refine_legs(scene, legs, before.drivable, margins, limits, speed_mps, before.heading_rad)
 
 
 def refine_legs(
     scene: Scene,
     legs: Sequence[Leg],
     drivable: frozenset[int],
-    body: PathMargins,
+    margins: PathMargins,
     limits: MotionLimits,
     speed_mps: float,
     heading_rad: float | None,
@@ -131,15 +131,15 @@ def refine_legs(
     """Refine a trajectory that is already cut into legs; see `refine`."""
     pose = scene.pose
     coarse = np.concatenate([[(pose.x_m, pose.y_m)], *(leg.points_m[:, :2] for leg in legs)])
-    costmap = value_map(scene.occupancy, scene.regions_grid, drivable, coarse, body)
-    begin = _begin(costmap, scene, body)
-    costmap.weight[~_reachable(costmap, begin)] = 0
+    costmap = value_map(scene.occupancy, scene.regions_grid, drivable, coarse, margins)
+    start_m = _find_start(costmap, scene, margins)
+    costmap.weight[~_reachable(costmap, start_m)] = 0
     notes: list[str] = []
-    if (gone := math.dist(begin, (pose.x_m, pose.y_m))) > 0.0:
-        notes.append(f"the robot is too close to an obstacle: moves {gone:.1f} m away first")
-    kept, ends = _ends(costmap, legs, body.tube_m, notes)
-    paths = _search(costmap, begin, ends)
-    points, leg, control_m = _smooth(costmap, paths, kept)
+    if (escaped_m := math.dist(start_m, (pose.x_m, pose.y_m))) > 0.0:
+        notes.append(f"the robot is too close to an obstacle: moves {escaped_m:.1f} m away first")
+    kept_legs, ends = _find_ends(costmap, legs, margins.tube_m, notes)
+    paths = _find_paths(costmap, start_m, ends)
+    points, leg, control_m = _fit_spline(costmap, paths, kept_legs)
     if not control_m:
         notes.append(
             "not smoothed: every spline came too close to an obstacle, or left the chosen ground"
@@ -148,9 +148,9 @@ def refine_legs(
     off_m = _length_at_m(costmap, points, HIGH)
     if off_m > 0.0:
         notes.append(f"{off_m:.1f} m of the path are over ground that was not chosen")
-    if gone > 0.0:
+    if escaped_m > 0.0:
         points, leg = np.concatenate([[(pose.x_m, pose.y_m)], points]), np.append(leg[:1], leg)
-    heights_m = _heights_m(points, leg, kept)
+    heights_m = _heights_m(points, leg, kept_legs)
     headings = headings_rad(points) if len(points) > 1 else np.array([pose.yaw_rad])
     if heading_rad is not None:
         headings[-1] = heading_rad
@@ -160,7 +160,7 @@ def refine_legs(
         speeds_mps=speeds,
         times_s=times_s(points, speeds, limits.accel_mps2),
         leg=leg,
-        legs=kept,
+        legs=kept_legs,
         drivable=drivable,
         heading_rad=heading_rad,
         cost_m=cost_m,
@@ -170,66 +170,78 @@ def refine_legs(
     )
 
 
-def _begin(costmap: CostMap, scene: Scene, body: PathMargins) -> tuple[float, float]:
-    """Return the start of the search: the robot's place, or the nearest open cell in view of it."""
+def _find_start(costmap: CostMap, scene: Scene, margins: PathMargins) -> tuple[float, float]:
+    """Return the start of the search: the robot's place, or the nearest open cell in view of it.
+
+    Raises:
+        RefineError: there is no such cell, or the robot is outside the map.
+    """
     here = scene.pose.x_m, scene.pose.y_m
     cell = costmap.cell_of(*here)
     if cell is None:
-        raise RefineError(f"the robot at {_place(here)} is outside the map; wait for a newer map")
+        raise RefineError(f"the robot at {_xy_text(here)} is outside the map; wait for a newer map")
     if costmap.weight[cell]:
         return here
-    nearest = astar.nearest_open(costmap, cell, here, ESCAPE_M)
+    nearest = astar.nearest_free(costmap, cell, here, ESCAPE_M)
     solid = closed_cells(scene.occupancy, 0.0)
-    bare = from_weights(replace(scene.occupancy, cells=np.where(solid, 0, 1).astype(np.uint8)))
-    bare.weight[cell] = 1  # the robot itself is there, so the cell is not an obstacle
-    if nearest is None or not smoothing.line_is_free(bare, here, _centre(costmap, nearest)):
+    unoccupied = from_weights(
+        replace(scene.occupancy, cells=np.where(solid, 0, 1).astype(np.uint8))
+    )
+    unoccupied.weight[cell] = 1  # the robot itself is there, so the cell is not an obstacle
+    if nearest is None or not smoothing.line_is_free(unoccupied, here, _centre(costmap, nearest)):
         raise RefineError(
-            f"the robot at {_place(here)} is shut in: no place within {ESCAPE_M} m is "
-            f"{body.clearance_m:g} m clear of obstacles; drive the robot away from them, or set a "
-            "smaller tasks.trajectory.clearance_m"
+            f"the robot at {_xy_text(here)} is shut in: no place within {ESCAPE_M} m is "
+            f"{margins.clearance_m:g} m clear of obstacles; drive the robot away from them, or set "
+            "a smaller tasks.trajectory.clearance_m"
         )
     return _centre(costmap, nearest)
 
 
-def _reachable(costmap: CostMap, begin: tuple[float, float]) -> np.ndarray:
-    """Return the cells with a path to `begin`, bool as `costmap.weight`.
+def _reachable(costmap: CostMap, start_m: tuple[float, float]) -> np.ndarray:
+    """Return the cells with a path to `start_m`, bool as `costmap.weight`.
 
     Paths are 4-connected, because A* cuts no corners.
     """
     is_open = (costmap.weight != 0).view(np.uint8)
     _, part = cv2.connectedComponents(is_open, connectivity=4)
-    return part == part[costmap.cell_of(*begin)]
+    return part == part[costmap.cell_of(*start_m)]
 
 
-def _ends(
+def _find_ends(
     costmap: CostMap, legs: Sequence[Leg], tube_m: float, notes: list[str]
 ) -> tuple[tuple[Leg, ...], list[tuple[float, float]]]:
-    """Return the legs and their ends: the last point, or the nearest open cell in the tube.
+    """Return the legs, and an end (x, y) for each: its last point, or the nearest open cell.
 
-    A leg whose end is closed and need not be reached becomes part of the next leg.
+    That cell must be within `tube_m`. A leg without an end that need not be reached becomes part of
+    the next leg. `notes` gets a line for each end that moved.
+
+    Raises:
+        RefineError: a segment has no such end.
     """
-    kept: list[Leg] = []
+    kept_legs: list[Leg] = []
     ends: list[tuple[float, float]] = []
     before = np.empty((0, 3))
     for leg in legs:
         points = np.concatenate([before, leg.points_m])
-        asked = (float(points[-1, 0]), float(points[-1, 1]))
-        end = _nearest_open(costmap, asked, tube_m)
+        wanted = (float(points[-1, 0]), float(points[-1, 1]))
+        end = _nearest_open(costmap, wanted, tube_m)
         if end is None and not leg.ends_segment:
             before = points
             continue
         if end is None:
             raise RefineError(
-                f"no path to {_place(asked)}: no place within {tube_m:g} m of it can be reached; "
-                "name another place, or wait until the path is free"
+                f"no path to {_xy_text(wanted)}: no place within {tube_m:g} m of it can be "
+                "reached; name another place, or wait until the path is free"
             )
-        if end != asked and leg.ends_segment:
-            moved = math.dist(end, asked)
-            notes.append(f"{_place(asked)} is too close to an obstacle: stops {moved:.1f} m away")
-        kept.append(Leg(points, leg.ends_segment))
+        if end != wanted and leg.ends_segment:
+            moved = math.dist(end, wanted)
+            notes.append(
+                f"{_xy_text(wanted)} is too close to an obstacle: stops {moved:.1f} m away"
+            )
+        kept_legs.append(Leg(points, leg.ends_segment))
         ends.append(end)
         before = np.empty((0, 3))
-    return tuple(kept), ends
+    return tuple(kept_legs), ends
 
 
 def _nearest_open(
@@ -243,44 +255,50 @@ def _nearest_open(
     cell = costmap.cell_of(*xy_m)
     if cell is None or costmap.weight[cell]:
         return None if cell is None else xy_m
-    nearest = astar.nearest_open(costmap, cell, xy_m, within_m)
+    nearest = astar.nearest_free(costmap, cell, xy_m, within_m)
     return None if nearest is None else _centre(costmap, nearest)
 
 
-def _search(
-    costmap: CostMap, begin: tuple[float, float], ends: Sequence[tuple[float, float]]
+def _find_paths(
+    costmap: CostMap, start_m: tuple[float, float], ends: Sequence[tuple[float, float]]
 ) -> list[np.ndarray]:
     """Return a path (n, 2) for each leg."""
     paths, workspace = [], astar.Workspace()
-    for start, end in zip([begin, *ends[:-1]], ends, strict=True):
+    for start, end in zip([start_m, *ends[:-1]], ends, strict=True):
         plan = astar.plan(costmap, start, end, workspace)
         if not plan.ok:
             raise RefineError(
-                f"no path from {_place(start)} to {_place(end)}: {plan.reason}; name a nearer place"
+                f"no path from {_xy_text(start)} to {_xy_text(end)}: {plan.reason}; name a nearer "
+                "place"
             )
         paths.append(plan.path_m)
     return paths
 
 
-def _smooth(
+def _fit_spline(
     costmap: CostMap, paths: Sequence[np.ndarray], legs: Sequence[Leg]
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return (points (n, 2), leg of each point, distance between the control points or 0)."""
-    plain, leg = _joined([smoothing.smooth(costmap, path, SPACING_M) for path in paths])
-    most_m = MOST_COST_RATIO * smoothing.polyline_cost_m(costmap, plain)
-    most_off_m = _length_at_m(costmap, plain, HIGH)
+    """Fit the smoothest spline that is no worse than the paths of A*.
+
+    Returns:
+        (n, 2) points; (n,) leg of each point; and the distance between the control points, 0 if no
+        spline is good enough and the points are those of A*.
+    """
+    polyline, leg = _joined([smoothing.smooth(costmap, path, SPACING_M) for path in paths])
+    max_cost_m = MAX_COST_RATIO * smoothing.polyline_cost_m(costmap, polyline)
+    max_off_m = _length_at_m(costmap, polyline, HIGH)
     for control_m in CONTROL_M:
-        control, of_control = _through_ends(
+        control, control_leg = _repeat_at_ends(
             *_joined([smoothing.smooth(costmap, path, control_m) for path in paths]), legs
         )
         curve, at = b_spline(control, SPACING_M)
         if len(curve) < 2 or (
-            smoothing.polyline_cost_m(costmap, curve) <= most_m
-            and _length_at_m(costmap, curve, HIGH) <= most_off_m
+            smoothing.polyline_cost_m(costmap, curve) <= max_cost_m
+            and _length_at_m(costmap, curve, HIGH) <= max_off_m
         ):
             # A leg begins after the point where the previous leg ends.
-            return curve, of_control[np.minimum(at + 1, len(control) - 1)], control_m
-    return plain, leg, 0.0
+            return curve, control_leg[np.minimum(at + 1, len(control) - 1)], control_m
+    return polyline, leg, 0.0
 
 
 def _joined(paths: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -291,10 +309,10 @@ def _joined(paths: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return points[moved], leg[moved]
 
 
-def _through_ends(
+def _repeat_at_ends(
     control_m: np.ndarray, leg: np.ndarray, legs: Sequence[Leg]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Repeat the control points at the ends of segments, and at legs that double back.
+    """Repeat the control points at the ends of segments, and between legs that double back.
 
     A spline leads through a point that counts three times. Otherwise it would cut the tip of a
     hairpin.
@@ -312,10 +330,10 @@ def _through_ends(
     ends = np.append(np.diff(segment) > 0, False)
     way_m = np.diff(control_m, axis=0)
     ends[1:-1] |= (np.diff(leg)[1:] > 0) & ((way_m[:-1] * way_m[1:]).sum(axis=1) < 0.0)
-    times = np.where(ends, 3, 1)
-    of_control, last = np.repeat(leg, times), np.cumsum(times)[ends] - 1
-    of_control[last] = of_control[last + 1]
-    return np.repeat(control_m, times, axis=0), of_control
+    repeats = np.where(ends, 3, 1)
+    control_leg, last = np.repeat(leg, repeats), np.cumsum(repeats)[ends] - 1
+    control_leg[last] = control_leg[last + 1]
+    return np.repeat(control_m, repeats, axis=0), control_leg
 
 
 def _length_at_m(costmap: CostMap, points_m: np.ndarray, weight: int) -> float:
@@ -330,11 +348,13 @@ def _heights_m(points_m: np.ndarray, leg: np.ndarray, legs: Sequence[Leg]) -> np
     heights = np.zeros(len(points_m))
     before = legs[0].points_m[:1]
     for k, coarse in enumerate(legs):
-        mine = leg == k
-        way = np.concatenate([before, coarse.points_m])
-        if mine.any():
-            heights[mine] = np.interp(_shares(points_m[mine]), _shares(way[:, :2]), way[:, 2])
-        before = way[-1:]
+        on_leg = leg == k
+        path_m = np.concatenate([before, coarse.points_m])
+        if on_leg.any():
+            heights[on_leg] = np.interp(
+                _shares(points_m[on_leg]), _shares(path_m[:, :2]), path_m[:, 2]
+            )
+        before = path_m[-1:]
     return heights
 
 
@@ -345,9 +365,10 @@ def _shares(points_m: np.ndarray) -> np.ndarray:
 
 
 def _centre(costmap: CostMap, cell: tuple[int, int]) -> tuple[float, float]:
+    """Return the centre (x, y) of a cell (row, column) in `map`."""
     x_m, y_m = costmap.metres_of(np.array([cell[1] + 0.5, cell[0] + 0.5]))
     return float(x_m), float(y_m)
 
 
-def _place(xy_m: tuple[float, float]) -> str:
+def _xy_text(xy_m: tuple[float, float]) -> str:
     return f"({xy_m[0]:.1f}, {xy_m[1]:.1f})"

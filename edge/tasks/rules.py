@@ -1,5 +1,6 @@
-"""Planner `rules`: instructions of a small grammar (`edge.tasks.reading`), without a model.
+"""Planner `rules`: writes a trajectory for an instruction of a small grammar, without a model.
 
+`edge.tasks.reading` reads the instruction.
 The planner makes the calls that a model's script would make, and guesses nothing. The sides of an
 object are named as the robot sees them when it comes to the object.
 """
@@ -23,7 +24,14 @@ from edge.tasks.functions import (
     Point,
     ScriptFunctions,
 )
-from edge.tasks.reading import OF, OTHER, InstructionStep, centre_m, object_name, parse_steps
+from edge.tasks.reading import (
+    OF_SUFFIX,
+    OTHER_SIDE,
+    InstructionStep,
+    centre_m,
+    object_name,
+    parse_steps,
+)
 from edge.tasks.scene import SceneObject
 from edge.tasks.trajectory import TrajectoryError
 from edge.text import one_line
@@ -40,7 +48,7 @@ PAST_RAD = math.pi / 2 + BEYOND_RAD - SNAPPED_RAD
 
 
 def plan_by_rules(
-    instruction: str, functions: ScriptFunctions, which: slice = slice(None)
+    instruction: str, functions: ScriptFunctions, step_slice: slice = slice(None)
 ) -> list[InstructionStep]:
     """Hand over the trajectory for an instruction, or for some of its steps, to `functions`.
 
@@ -49,7 +57,7 @@ def plan_by_rules(
     Args:
         instruction: the task in words.
         functions: the functions over the scene; they receive the trajectory.
-        which: steps to do; see `edge.tasks.reading.parse_steps`.
+        step_slice: steps to do; see `edge.tasks.reading.parse_steps`.
 
     Returns:
         The steps that were understood.
@@ -58,14 +66,14 @@ def plan_by_rules(
         TranslationError: the instruction is not understood; the error names the part.
         TrajectoryError: the instruction is understood, but cannot be carried out.
     """
-    steps = parse_steps(instruction, functions.ground.scene, which)
+    steps = parse_steps(instruction, functions.ground.scene, step_slice)
     pose = functions.ground.scene.pose
     here, heading_rad = (pose.x_m, pose.y_m), pose.yaw_rad
     segments: list[list[Point]] = []
     for step, following in zip(steps, [*steps[1:], None], strict=True):
         try:
-            part = following is None and which.stop is not None
-            segments += _segment(step, following, SE2(*here, heading_rad), functions, part)
+            more_follow = following is None and step_slice.stop is not None
+            segments += _plan_step(step, following, SE2(*here, heading_rad), functions, more_follow)
         except TrajectoryError as error:
             raise TrajectoryError(f"{one_line(step.said, 60)!r}: {error}") from None
         (x0, y0), (x1, y1) = ([here] + segments[-1])[-2:]
@@ -85,17 +93,17 @@ def _facing(last: InstructionStep, at: Point) -> float | None:
     return math.atan2(ty - y, tx - x)
 
 
-def _segment(
+def _plan_step(
     step: InstructionStep,
     following: InstructionStep | None,
     here: SE2,
     functions: ScriptFunctions,
-    part: bool = False,
+    more_follow: bool = False,
 ) -> list[list[Point]]:
     """Return the path of one step from `here`, as one segment.
 
-    `part` is True if unknown steps follow. The robot must then be completely past an object, or it
-    may have to turn back later.
+    `more_follow` is True if unknown steps follow. The robot must then be completely past an object,
+    or it may have to turn back later.
     """
     at = (here.x_m, here.y_m)
     match step.kind:
@@ -106,14 +114,14 @@ def _segment(
                     f"a path straight on of {step.distance_m:g} m is too long: at most {most_m:g} m"
                 )
             end = here.ahead(step.distance_m)
-            way = functions.line(at, end)
-            blocked = next((p for p in way[1:] if not functions.is_free(p)), None)
+            path = functions.line(at, end)
+            blocked = next((p for p in path[1:] if not functions.is_free(p)), None)
             if blocked is not None:
                 gone_m = math.dist(at, blocked)
                 unseen = functions.ground.is_unseen(*blocked)
-                what = "was seen only up to" if unseen else "is blocked after"
-                raise CallError(f"the path straight on {what} {gone_m:.1f} m")
-            return [way]
+                problem = "was seen only up to" if unseen else "is blocked after"
+                raise CallError(f"the path straight on {problem} {gone_m:.1f} m")
+            return [path]
         case "to":
             points = [functions.stopping_point(step.things[0].id, at)]
         case "beside":
@@ -125,7 +133,7 @@ def _segment(
                 raise _no_room_error(str(step), [wanted], functions)
             points = [middle]
         case _:
-            return [_plan_past(step, following, at, functions, part)]
+            return [_plan_past(step, following, at, functions, more_follow)]
     return [_plan_through(at, points, functions)]
 
 
@@ -134,39 +142,39 @@ def _plan_past(
     following: InstructionStep | None,
     at: Point,
     functions: ScriptFunctions,
-    part: bool,
+    more_follow: bool,
 ) -> list[Point]:
     """Return the shortest path past an object or around it that does not turn back.
 
     Without a given side, try both. Past a long object, the path may go as far as one around it.
     """
-    why: list[str] = []
+    errors: list[str] = []
     for kind in dict.fromkeys((step.kind, "around")):
-        ways = []
+        paths = []
         for side in [step.side] if step.side else ["left", "right"]:
             try:
                 points = _side_points(replace(step, kind=kind), following, at, side, functions)
                 is_past = partial(_is_past, step.things[0], side)
-                ways.append((side, _plan_through(at, points, functions, is_past)))
+                paths.append((side, _plan_through(at, points, functions, is_past)))
             except TrajectoryError as error:
-                why.append(str(error))
-        for side, way in sorted(ways, key=lambda one: _length_m(one[1])):
+                errors.append(str(error))
+        for side, path in sorted(paths, key=lambda one: _length_m(one[1])):
             try:
-                _check_side(step, following, side, way, functions, part)
+                _check_side(step, following, side, path, functions, more_follow)
             except TrajectoryError as error:
-                why.append(str(error))
+                errors.append(str(error))
             else:
-                return way
-    raise CallError(why[0])
+                return path
+    raise CallError(errors[0])
 
 
 def _check_side(
     step: InstructionStep,
     following: InstructionStep | None,
     side: str,
-    way: list[Point],
+    path: list[Point],
     functions: ScriptFunctions,
-    part: bool,
+    more_follow: bool,
 ) -> None:
     """Check that a path keeps to one side of an object, also with the next step.
 
@@ -176,52 +184,54 @@ def _check_side(
     Raises:
         TrajectoryError: the path does not keep to the side.
     """
-    thing = step.things[0]
-    turned_rad = _turned_rad(thing, side, way)
+    obj = step.things[0]
+    turned_rad = _turned_rad(obj, side, path)
     if turned_rad.min() < -PAST_RAD:
         raise CallError(
-            f"the robot can reach the {side} of {object_name(thing)} only past its {OTHER[side]}"
+            f"the robot can reach the {side} of {object_name(obj)} only past its {OTHER_SIDE[side]}"
         )
-    if part and turned_rad[-1] < PAST_RAD:
+    if more_follow and turned_rad[-1] < PAST_RAD:
         raise CallError(
-            f"it is not known yet if the robot can pass the {side} of {object_name(thing)}"
+            f"it is not known yet if the robot can pass the {side} of {object_name(obj)}"
         )
-    asked = following and following.things == step.things and following.side == OTHER[side]
-    if following is None or asked:
+    turns_back_on_purpose = (
+        following and following.things == step.things and following.side == OTHER_SIDE[side]
+    )
+    if following is None or turns_back_on_purpose:
         return
-    (x0, y0), (x1, y1) = way[-2:]
+    (x0, y0), (x1, y1) = path[-2:]
     here = SE2(x1, y1, math.atan2(y1 - y0, x1 - x0))
     try:
-        (onward,) = _segment(following, None, here, functions)
+        (onward,) = _plan_step(following, None, here, functions)
     except TrajectoryError:
         return  # reported when that step is planned
-    if _turned_rad(thing, side, [*way, *onward]).min() < -PAST_RAD:
+    if _turned_rad(obj, side, [*path, *onward]).min() < -PAST_RAD:
         raise CallError(
-            f"from the {side} of {object_name(thing)} the robot would have to turn back and pass "
-            f"its {OTHER[side]} to go on ({following})"
+            f"from the {side} of {object_name(obj)} the robot would have to turn back and pass "
+            f"its {OTHER_SIDE[side]} to go on ({following})"
         )
 
 
-_FINE_M = 0.1  # spacing of the points at which the angle of a path is measured
+_ANGLE_STEP_M = 0.1  # spacing of the points at which the angle of a path is measured
 DETOUR = 4.0
 """Largest ratio of the path between two points of an arc to their distance.
 
 A longer path goes back."""
 
 
-def _is_past(thing: SceneObject, side: str, way: Sequence[Point]) -> bool:
+def _is_past(obj: SceneObject, side: str, path: Sequence[Point]) -> bool:
     """Return True if a path ends past an object."""
-    return bool(_turned_rad(thing, side, way)[-1] >= PAST_RAD)
+    return bool(_turned_rad(obj, side, path)[-1] >= PAST_RAD)
 
 
-def _turned_rad(thing: SceneObject, side: str, way: Sequence[Point]) -> np.ndarray:
+def _turned_rad(obj: SceneObject, side: str, path: Sequence[Point]) -> np.ndarray:
     """Return the angle (n,) by which a path has turned around an object's centre since its start.
 
     It is positive towards `side`: pi / 2 when the robot is abeam on that side, pi when it is behind
     the object.
     """
-    fine = resample(np.array(way), _FINE_M) - centre_m(thing)
-    angle_rad = np.unwrap(np.arctan2(fine[:, 1], fine[:, 0]))
+    offsets = resample(np.array(path), _ANGLE_STEP_M) - centre_m(obj)
+    angle_rad = np.unwrap(np.arctan2(offsets[:, 1], offsets[:, 0]))
     return TURNS[side] * (angle_rad - angle_rad[0])
 
 
@@ -238,22 +248,22 @@ def _side_points(
     far side. The point at the side itself must be reachable and on that side. Other points are left
     out if the robot cannot be there.
     """
-    thing = step.things[0]
-    abeam = functions.offset(thing.id, side, PASSING_DISTANCE_M, at)
-    end = functions.offset(thing.id, "behind", PASSING_DISTANCE_M, at)
+    obj = step.things[0]
+    abeam = functions.offset(obj.id, side, PASSING_DISTANCE_M, at)
+    end = functions.offset(obj.id, "behind", PASSING_DISTANCE_M, at)
     if step.kind == "around" and following and following.things not in ((), step.things):
         end = centre_m(following.things[0])
-    arc = functions.arc(thing.id, at, end, side, PASSING_DISTANCE_M)
-    looking_rad = functions.heading(at, centre_m(thing))
-    points = [_place_next_to(thing, side, at, functions)]
+    arc = functions.arc(obj.id, at, end, side, PASSING_DISTANCE_M)
+    looking_rad = functions.heading(at, centre_m(obj))
+    points = [_place_next_to(obj, side, at, functions)]
     k = min(range(len(arc)), key=lambda i: math.dist(arc[i], abeam))
     for point in arc[k + 1 :]:
-        angle_rad = functions.heading(centre_m(thing), point)
+        angle_rad = functions.heading(centre_m(obj), point)
         behind_rad = abs(math.remainder(angle_rad - looking_rad, math.tau))
         if step.kind == "past" and behind_rad < math.pi / 2 - BEYOND_RAD - 1e-6:
             break
         snapped = functions.ground.nearest(*point, within_m=SNAP_M)
-        if snapped is not None and functions.ground.has_clear_view_of(thing, snapped):
+        if snapped is not None and functions.ground.has_clear_view_of(obj, snapped):
             points.append(snapped)
     return points
 
@@ -262,39 +272,41 @@ def _plan_through(
     at: Point,
     points: Sequence[Point],
     functions: ScriptFunctions,
-    enough: Callable[[list[Point]], bool] = lambda way: False,
+    may_end: Callable[[list[Point]], bool] = lambda path: False,
 ) -> list[Point]:
     """Return the cheapest path through points.
 
-    `enough` returns True if the path so far may end, in case the next point needs a long detour.
+    `may_end` returns True if the path so far may end, in case the next point needs a long detour.
     """
-    way = [at]
+    path = [at]
     for k, point in enumerate(points):
-        leg = functions.a_star_plan(way[-1], point)
-        if k and _length_m(leg) > DETOUR * math.dist(way[-1], point) and enough(way):
+        leg = functions.a_star_plan(path[-1], point)
+        if k and _length_m(leg) > DETOUR * math.dist(path[-1], point) and may_end(path):
             break
-        way += leg[1:]
-    return way
+        path += leg[1:]
+    return path
 
 
 def _place_next_to(
-    thing: SceneObject, side: str, seen_from: Point, functions: ScriptFunctions
+    obj: SceneObject, side: str, seen_from: Point, functions: ScriptFunctions
 ) -> Point:
     """Return a place for the robot on a side of an object, with a clear view of it.
 
     The place is `PASSING_DISTANCE_M` from the object, or nearer.
     """
-    looking_rad = functions.heading(seen_from, centre_m(thing))
-    wanted = [
-        functions.offset(thing.id, side, k * PASSING_DISTANCE_M, seen_from) for k in (1.0, 0.6, 0.3)
+    looking_rad = functions.heading(seen_from, centre_m(obj))
+    places = [
+        functions.offset(obj.id, side, k * PASSING_DISTANCE_M, seen_from) for k in (1.0, 0.6, 0.3)
     ]
-    for point in wanted:
+    for point in places:
         found = functions.ground.nearest(*point, within_m=SNAP_M)
-        if found is not None and functions.ground.has_clear_view_of(thing, found):
-            away = SE2(*centre_m(thing), looking_rad + SIDES_RAD[side])
+        if found is not None and functions.ground.has_clear_view_of(obj, found):
+            away = SE2(*centre_m(obj), looking_rad + SIDES_RAD[side])
             if abs(away.bearing_to(*found)) < math.pi / 2:
                 return found
-    raise _no_room_error(f"{side}{OF.get(side, '')} {object_name(thing)}", wanted[::-1], functions)
+    raise _no_room_error(
+        f"{side}{OF_SUFFIX.get(side, '')} {object_name(obj)}", places[::-1], functions
+    )
 
 
 def _no_room_error(where: str, points: Sequence[Point], functions: ScriptFunctions) -> CallError:
@@ -321,5 +333,6 @@ def _point_between(step: InstructionStep, functions: ScriptFunctions) -> Point:
     return 0.5 * (px + qx), 0.5 * (py + qy)
 
 
-def _length_m(way: Sequence[Point]) -> float:
-    return float(np.hypot(*np.diff(np.array(way), axis=0).T).sum())
+def _length_m(path: Sequence[Point]) -> float:
+    """Return the length of a path."""
+    return float(np.hypot(*np.diff(np.array(path), axis=0).T).sum())

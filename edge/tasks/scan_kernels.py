@@ -1,4 +1,4 @@
-"""Numba loops over LiDAR points and over cells of the ground; arrays only."""
+"""Kernels over LiDAR points and cells of the ground, for `projection` and `terrain`."""
 
 from __future__ import annotations
 

@@ -36,14 +36,14 @@ OFF_GROUND_M = 0.15
 """Points lower than this are ground, or show too little of an object."""
 MARGIN_SHARE = 0.05
 """A point is clearly outside a box at this share of the box's size plus one pixel from it."""
-FARTHEST_M = 300.0
+MAX_RANGE_M = 300.0
 """Points beyond this are an error of the sensor or the file."""
-MOST_DEPTH_POINTS = 60_000
-GROUND_VOXEL_M = 0.2
+MAX_DEPTH_POINTS = 60_000  # of a depth image; a larger one is thinned
+GROUND_VOXEL_M = 0.2  # side of the cells in which ground points of one kind count once
 MASK_SCALE = 4
 """Factor by which masks are enlarged before contours are drawn, for finer corners."""
 
-_INFLATED = 50
+_INFLATED_VALUE = 50  # of inflated cells, in a copy of the map
 
 OUTDOORS = config.MappingConfig(
     input="cloud", resolution_m=0.2, extent_m=110.0, range_m=50.0, min_range_m=3.0,
@@ -53,10 +53,12 @@ OUTDOORS = config.MappingConfig(
 
 
 class SceneBuilder:
-    """Builder of a scene from frames of a run, through a perception pipeline (OpenNav eq. 1-2).
+    """Builds a scene from frames of a run, through a perception pipeline (OpenNav eq. 1-2).
+
+    Call `add` for each frame, then `scene`.
 
     Args:
-        chain: the pipeline.
+        pipeline: the pipeline.
         mapping: settings of the occupancy map.
         radius_m: clearance of the trajectories; at least the robot's radius.
         ground_labels: kinds of drivable ground, if semantics are available; empty: free ground that
@@ -69,16 +71,20 @@ class SceneBuilder:
 
     def __init__(
         self,
-        chain: PerceptionPipeline,
+        pipeline: PerceptionPipeline,
         mapping: config.MappingConfig = OUTDOORS,
         radius_m: float = 0.5,
         ground_labels: Sequence[str] = (),
     ) -> None:
         self.objects, self.map = ObjectMap(), RollingMap(mapping)
-        self._chain, self._radius_m, self._ground_labels = chain, radius_m, tuple(ground_labels)
+        self._pipeline, self._radius_m, self._ground_labels = (
+            pipeline,
+            radius_m,
+            tuple(ground_labels),
+        )
         self._range_m = mapping.range_m
-        self._own_m = mapping.min_range_m  # nearer points are the robot's own body
-        self._ground = np.zeros((0, 3), np.float32)  # x, y, and its kind in the place of z
+        self._body_m = mapping.min_range_m  # nearer points are the robot's own body
+        self._ground = np.zeros((0, 3), np.float32)  # x [m], y [m] and kind of ground points
         self._newest: Observation | None = None
         self._contours: dict[int, list[np.ndarray]] = {}
 
@@ -99,10 +105,10 @@ class SceneBuilder:
             raise ValueError(
                 f"ground_kind: expected {len(cloud_m)} values, one a point, got {len(ground_kind)}"
             )
-        fine = plausible_points(cloud_m)
-        if not fine.all():
-            cloud_m = cloud_m[fine]
-            ground_kind = None if ground_kind is None else ground_kind[fine]
+        is_plausible = plausible_points(cloud_m)
+        if not is_plausible.all():
+            cloud_m = cloud_m[is_plausible]
+            ground_kind = None if ground_kind is None else ground_kind[is_plausible]
         T_map_base, pose = observation.T_map_base, observation.pose
         T_map_cloud = T_map_base @ T_base_cloud
         points_m = _moved(T_map_cloud, cloud_m)
@@ -111,21 +117,22 @@ class SceneBuilder:
         ground = terrain.estimate_ground(points_m, pose.x_m, pose.y_m, base_z_m, self._range_m)
         above = terrain.height_above(ground, points_m)
         if ground_kind is not None:
-            far = np.linalg.norm(cloud_m, axis=1) >= self._own_m
+            far = np.linalg.norm(cloud_m, axis=1) >= self._body_m
             self._add_ground(points_m[far, :2], ground_kind[far])
-        seen = run_pipeline(self._chain, observation)
-        shown = _in_boxes(seen.found, cloud_m, T_base_cloud, above > OFF_GROUND_M)
+        result = run_pipeline(self._pipeline, observation)
+        in_boxes = _in_boxes(result.found, cloud_m, T_base_cloud, above > OFF_GROUND_M)
         self._newest, self._contours = observation, {}
-        for i, (which, _) in enumerate(shown):
-            points = points_m[which]
+        for i, (indices, _) in enumerate(in_boxes):
+            points = points_m[indices]
             points = points[main_cluster(points, T_map_cloud[:3, 3])]
-            thing = self.objects.add(
-                seen.found.prompts[seen.found.class_id[i]], points, seen.caption[i],
-                float(seen.found.score[i]), None if seen.embedding is None else seen.embedding[i],
+            obj = self.objects.add(
+                result.found.prompts[result.found.class_id[i]], points, result.caption[i],
+                float(result.found.score[i]),
+                None if result.embedding is None else result.embedding[i],
                 observation.seq,
             )  # fmt: skip
-            if thing is not None:
-                self._contours.setdefault(thing.id, []).extend(contours_of(seen.found, i))
+            if obj is not None:
+                self._contours.setdefault(obj.id, []).extend(contours_of(result.found, i))
 
     def scene(self) -> Scene:
         """Return the scene around the pose of the newest frame.
@@ -134,13 +141,13 @@ class SceneBuilder:
             ValueError: no frame was added.
         """
         if self._newest is None:
-            raise ValueError("no frame was added; call Survey.add first")
+            raise ValueError("no frame was added; call SceneBuilder.add first")
         occupancy = terrain.with_blind_spot(uninflated(self.map), self._newest.pose)
         kind, labels = None, self._ground_labels
         if labels:
-            xy_m, of = self._ground[:, :2], self._ground[:, 2].astype(np.int64)
+            xy_m, point_kind = self._ground[:, :2], self._ground[:, 2].astype(np.int64)
             pose = self._newest.pose
-            kind = terrain.classify_ground(occupancy, pose, xy_m, of, len(labels))
+            kind = terrain.classify_ground(occupancy, pose, xy_m, point_kind, len(labels))
         contours = {i: lines for i, lines in self._contours.items() if i in self.objects.objects}
         return _scene(
             self._newest, occupancy, kind, labels or (terrain.GROUND,),
@@ -152,8 +159,8 @@ class SceneBuilder:
 
         So a cell at a kerb does not count as half a road.
         """
-        fine = np.isfinite(xy_m).all(axis=1)
-        new = np.column_stack((xy_m[fine], kind[fine])).astype(np.float32)
+        is_plausible = np.isfinite(xy_m).all(axis=1)
+        new = np.column_stack((xy_m[is_plausible], kind[is_plausible])).astype(np.float32)
         # One vote for each kind and place, so that near ground has no greater weight.
         first = first_in_voxels(new, np.array([GROUND_VOXEL_M, GROUND_VOXEL_M, 1.0]))
         self._ground = np.concatenate((self._ground, new[first]))
@@ -174,30 +181,28 @@ def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> Non
     Raises:
         ValueError: see `cloud_of`.
     """
-    seen = found.observation
-    cloud_m, T_base_cloud = cloud_of(seen)
+    observation = found.observation
+    cloud_m, T_base_cloud = cloud_of(observation)
     cloud_m = cloud_m[np.linalg.norm(cloud_m, axis=1) <= range_m]
-    points_m = _moved(seen.T_map_base @ T_base_cloud, cloud_m)
-    pose, base_z_m = seen.pose, float(seen.T_map_base[2, 3])
+    points_m = _moved(observation.T_map_base @ T_base_cloud, cloud_m)
+    pose, base_z_m = observation.pose, float(observation.T_map_base[2, 3])
     ground = terrain.estimate_ground(points_m, pose.x_m, pose.y_m, base_z_m, range_m)
     above = terrain.height_above(ground, points_m)
-    around, sensor_m = found.around(), (seen.T_map_base @ T_base_cloud)[:3, 3]
+    around, sensor_m = found.around(), (observation.T_map_base @ T_base_cloud)[:3, 3]
     keep = above > OFF_GROUND_M
     smallest_px2 = np.full(len(points_m), np.inf)  # area of another object's box around the point
     if around is not None:
-        for which, area_px2 in _in_boxes(around, cloud_m, T_base_cloud, keep):
-            smallest_px2[which] = np.minimum(smallest_px2[which], area_px2)
-    for i, (which, area_px2) in enumerate(_in_boxes(found, cloud_m, T_base_cloud, keep)):
-        label, own = found.prompts[found.class_id[i]], smallest_px2[which] >= area_px2
-        points = points_m[which[own]]
+        for indices, area_px2 in _in_boxes(around, cloud_m, T_base_cloud, keep):
+            smallest_px2[indices] = np.minimum(smallest_px2[indices], area_px2)
+    for i, (indices, area_px2) in enumerate(_in_boxes(found, cloud_m, T_base_cloud, keep)):
+        label, is_own = found.prompts[found.class_id[i]], smallest_px2[indices] >= area_px2
+        points = points_m[indices[is_own]]
         points = points[main_cluster(points, sensor_m)]
-        thing = objects.add(label, points, score=float(found.score[i]), picture=seen.seq)
+        obj = objects.add(label, points, score=float(found.score[i]), picture=observation.seq)
         objects.vote(label, points, 1)
-        objects.vote(label, points_m[which[~own]], -1)
-        if thing is not None:
-            objects.vote_against(
-                thing, points_m[_outside_boxes(found, label, cloud_m, T_base_cloud)]
-            )
+        objects.vote(label, points_m[indices[~is_own]], -1)
+        if obj is not None:
+            objects.vote_against(obj, points_m[_outside_boxes(found, label, cloud_m, T_base_cloud)])
 
 
 def scene_of_map(
@@ -207,7 +212,7 @@ def scene_of_map(
     radius_m: float,
     found: Detections | None = None,
     floor: str = "floor",
-    seen: ObjectMap | None = None,
+    object_map: ObjectMap | None = None,
 ) -> Scene:
     """Build a scene from the service's map and instances; each piece of free floor is one region.
 
@@ -218,32 +223,40 @@ def scene_of_map(
         radius_m: see `SceneBuilder`.
         found: boxes of the same picture. A box around an instance's centre is its contour.
         floor: label of free ground.
-        seen: object map of the same objects. A tracker keeps only a few points of an instance, and
-            may have several instances of a large object.
+        object_map: object map of the same objects. A tracker keeps only a few points of an
+            instance, and may have several instances of a large object.
     """
-    objects = _whole([one for one in instances if len(one.points_m)], seen or ObjectMap())
-    contours = {} if found is None else _boxed(objects, found)
+    objects = _with_all_points(
+        [instance for instance in instances if len(instance.points_m)], object_map or ObjectMap()
+    )
+    contours = {} if found is None else _contours_by_object(objects, found)
     occupancy = terrain.with_blind_spot(uninflated(view), observation.pose)
     return _scene(observation, occupancy, None, (floor,), objects, contours, radius_m)
 
 
-def _whole(instances: Sequence[Instance], seen: ObjectMap) -> list[MapObject]:
+def _with_all_points(instances: Sequence[Instance], object_map: ObjectMap) -> list[MapObject]:
     """Return the instances with all points that were seen of them.
 
     Instances of one object are merged, under the first of their ids.
     """
     objects: dict[int, MapObject] = {}
-    for one in sorted(instances, key=lambda instance: instance.id):
-        points_m, key = one.points_m, -one.id
-        alike = [
-            thing for thing in seen.objects.values() if names.same_name(thing.label, one.label)
+    for instance in sorted(instances, key=lambda instance: instance.id):
+        points_m, key = instance.points_m, -instance.id
+        same_name = [
+            obj for obj in object_map.objects.values() if names.same_name(obj.label, instance.label)
         ]
-        share = [overlap_share(one.points_m, thing.points_m) for thing in alike]
+        share = [overlap_share(instance.points_m, obj.points_m) for obj in same_name]
         if share and max(share) > 0.0:
-            thing = alike[int(np.argmax(share))]
-            points_m, key = seen.confirmed_points_m(thing), thing.id
-        whole = MapObject(one.id, {one.label: one.score}, points_m, score=one.score, hits=one.hits)
-        objects.setdefault(key, whole)
+            obj = same_name[int(np.argmax(share))]
+            points_m, key = object_map.confirmed_points_m(obj), obj.id
+        merged = MapObject(
+            instance.id,
+            {instance.label: instance.score},
+            points_m,
+            score=instance.score,
+            hits=instance.hits,
+        )
+        objects.setdefault(key, merged)
     return list(objects.values())
 
 
@@ -251,8 +264,8 @@ def _outside_boxes(
     found: Detections, label: str, cloud_m: np.ndarray, T_base_cloud: np.ndarray
 ) -> np.ndarray:
     """Return the points in the picture that are clearly outside every box of a label, (n,) bool."""
-    seen, camera = found.observation, found.observation.camera
-    x, y, z = _moved(invert(seen.T_base_camera) @ T_base_cloud, cloud_m).T
+    observation, camera = found.observation, found.observation.camera
+    x, y, z = _moved(invert(observation.T_base_camera) @ T_base_cloud, cloud_m).T
     ahead = z > 0.0
     z = np.where(ahead, z, 1.0)
     u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
@@ -272,10 +285,12 @@ def _in_boxes(
 
     `keep` is (n,) bool, the points to use.
     """
-    seen = found.observation
-    T_camera_cloud = invert(seen.T_base_camera) @ T_base_cloud
-    shown = points_of_masks(cloud_m, T_camera_cloud, seen.camera, found.xyxy_px, found.mask, keep)
-    return zip(shown, _areas_px2(found).tolist(), strict=True)
+    observation = found.observation
+    T_camera_cloud = invert(observation.T_base_camera) @ T_base_cloud
+    in_boxes = points_of_masks(
+        cloud_m, T_camera_cloud, observation.camera, found.xyxy_px, found.mask, keep
+    )
+    return zip(in_boxes, _areas_px2(found).tolist(), strict=True)
 
 
 def _areas_px2(found: Detections) -> np.ndarray:
@@ -285,8 +300,8 @@ def _areas_px2(found: Detections) -> np.ndarray:
 
 def uninflated(view: RollingMap | MapView) -> Grid:
     """Return a map without inflation: inflated cells become free or unknown, as observed."""
-    grid, n = view.snapshot(_INFLATED), view.window.n
-    rows, columns = np.nonzero(grid.cells == _INFLATED)
+    grid, n = view.snapshot(_INFLATED_VALUE), view.window.n
+    rows, columns = np.nonzero(grid.cells == _INFLATED_VALUE)
     corner = np.rint(np.array(grid.origin_xy_m) / grid.resolution_m).astype(np.int64)
     seen = view.layers.raw[(rows + corner[1]) % n, (columns + corner[0]) % n] > 0
     grid.cells[rows, columns] = np.where(seen, 0, -1)
@@ -308,7 +323,7 @@ def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(
             f"observation {observation.seq}: neither a cloud nor depth of the camera's size"
         )
-    stride = max(1, int(np.ceil(np.sqrt(depth.size / MOST_DEPTH_POINTS))))
+    stride = max(1, int(np.ceil(np.sqrt(depth.size / MAX_DEPTH_POINTS))))
     z = depth[::stride, ::stride]
     v, u = np.nonzero((z > 0.0) & np.isfinite(z))
     z = z[v, u]
@@ -320,7 +335,7 @@ def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
 def plausible_points(cloud_m: np.ndarray) -> np.ndarray:
     """Return the points (n, 3) of a scan that are finite and not absurdly far, (n,) bool."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.linalg.norm(cloud_m, axis=1) <= FARTHEST_M
+        return np.linalg.norm(cloud_m, axis=1) <= MAX_RANGE_M
 
 
 def contours_of(found: Detections, i: int) -> list[np.ndarray]:
@@ -340,33 +355,35 @@ def _moved(T: np.ndarray, points_m: np.ndarray) -> np.ndarray:
     return points_m @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
 
 
-def _boxed(objects: Iterable[MapObject], found: Detections) -> dict[int, list[np.ndarray]]:
+def _contours_by_object(
+    objects: Iterable[MapObject], found: Detections
+) -> dict[int, list[np.ndarray]]:
     """Return the contours of each object in a picture.
 
     They come from the smallest box with the object's name that contains the median of its points.
     """
-    seen, camera = found.observation, found.observation.camera
+    observation, camera = found.observation, found.observation.camera
     if camera is None:
         return {}
-    T = invert(seen.T_map_base @ seen.T_base_camera)
+    T = invert(observation.T_map_base @ observation.T_base_camera)
     area = _areas_px2(found)
-    out = {}
-    for thing in objects:
-        x, y, z = _moved(T, np.median(thing.points_m, axis=0)[None])[0]
+    contours = {}
+    for obj in objects:
+        x, y, z = _moved(T, np.median(obj.points_m, axis=0)[None])[0]
         if z <= 0.0:
             continue
         u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
         x0, y0, x1, y1 = found.xyxy_px.T
         around = (x0 <= u) & (u <= x1) & (y0 <= v) & (v <= y1)
-        around &= np.array([found.prompts[k] == thing.label for k in found.class_id], np.bool_)
+        around &= np.array([found.prompts[k] == obj.label for k in found.class_id], np.bool_)
         if around.any():
-            which = np.flatnonzero(around)[np.argmin(area[around])]
-            out[thing.id] = contours_of(found, int(which))
-    return out
+            indices = np.flatnonzero(around)[np.argmin(area[around])]
+            contours[obj.id] = contours_of(found, int(indices))
+    return contours
 
 
 def _scene(
-    seen: Observation,
+    observation: Observation,
     occupancy: Grid,
     kind: np.ndarray | None,
     labels: Sequence[str],
@@ -378,26 +395,26 @@ def _scene(
 
     If `kind` is None, the ground is free ground that the robot could drive to.
     """
-    pose = seen.pose
+    pose = observation.pose
     if kind is None:
         kind = reachable(occupancy.cells == 0, occupancy, pose).astype(np.uint8)
     regions, cells = terrain.regions_of(occupancy, kind, labels)
     allowed = reachable(open_cells(occupancy, cells, radius_m), occupancy, pose)
-    described = {thing.id: _described(thing, pose, cells, allowed) for thing in objects}
-    pictured = seen.rgb is not None and seen.camera is not None
+    described = {obj.id: _scene_object(obj, pose, cells, allowed) for obj in objects}
+    pictured = observation.rgb is not None and observation.camera is not None
     return Scene(
-        seen.stamp_ns, pose, described, regions, occupancy, cells,
-        rgb=seen.rgb if pictured else None,
-        camera=seen.camera if pictured else None,
-        T_map_camera=seen.T_map_base @ seen.T_base_camera if pictured else None,
+        observation.stamp_ns, pose, described, regions, occupancy, cells,
+        rgb=observation.rgb if pictured else None,
+        camera=observation.camera if pictured else None,
+        T_map_camera=observation.T_map_base @ observation.T_base_camera if pictured else None,
         contours=contours,
     )  # fmt: skip
 
 
-def _described(thing: MapObject, pose: SE2, regions: Grid, allowed: np.ndarray) -> SceneObject:
-    position, size, heading = box_around(thing.points_m)
+def _scene_object(obj: MapObject, pose: SE2, regions: Grid, allowed: np.ndarray) -> SceneObject:
+    position, size, heading = box_around(obj.points_m)
     return SceneObject(
-        thing.id, thing.label, caption_with_place(thing.caption, position, size, pose), position,
+        obj.id, obj.label, caption_with_place(obj.caption, position, size, pose), position,
         size,
-        heading, thing.points_m, terrain.nearest_points(thing.points_m, regions, allowed),
+        heading, obj.points_m, terrain.nearest_points(obj.points_m, regions, allowed),
     )  # fmt: skip

@@ -1,4 +1,6 @@
-"""Sandbox for a model's Python script: it cannot reach anything of the host (OpenNav III-A3).
+"""Sandbox for a Python script that a language model wrote (OpenNav III-A3).
+
+The script cannot reach anything of the host. `edge.tasks.write` runs each answer of a model.
 
 The interpreter `pydantic-monty` has no files, processes or sockets. It runs in its own process,
 which ends with the script. A script can only call the functions that it is given.
@@ -45,8 +47,11 @@ class ScriptLimits:
     """Limits of a model's script.
 
     Attributes:
-        time_s: computing time; after twice this time no call is answered.
+        time_s: computing time. After twice this time on the clock, each call raises TimeoutError.
+        max_memory_mb: memory of the interpreter.
+        max_recursion: depth of nested calls.
         max_calls: calls of functions, and look-ups of their names.
+        max_chars: length of the script.
         max_printed_chars: length of the output that goes back to the model.
     """
 
@@ -73,12 +78,12 @@ def run_script(code: str, functions: ScriptFunctions, limits: ScriptLimits) -> S
             error=f"the script has {len(code)} characters, at most {limits.max_chars}"
         )
     deadline_s = time.monotonic() + 2.0 * limits.time_s
-    called = {name: _guarded(name, f, deadline_s) for name, f in functions.table().items()}
-    return _run_sandboxed(code, called, limits)
+    callables = {name: _guarded(name, f, deadline_s) for name, f in functions.table().items()}
+    return _run_sandboxed(code, callables, limits)
 
 
 def version() -> str:
-    """Return the interpreter's version, after it has run a script on this computer.
+    """Run an empty script as a test, and return the interpreter's version.
 
     Raises:
         UnavailableError: the interpreter is not installed, or does not run.
@@ -91,8 +96,9 @@ def version() -> str:
 
 
 def _run_sandboxed(
-    code: str, called: dict[str, Callable[..., Any]], limits: ScriptLimits
+    code: str, callables: dict[str, Callable[..., Any]], limits: ScriptLimits
 ) -> ScriptResult:
+    """Run a script that may call `callables` by their names; see `run_script`."""
     monty = _interpreter()
     printed = monty.CollectString(max_bytes=_PRINTED_BYTES)
     bounds = {
@@ -109,7 +115,7 @@ def _run_sandboxed(
             monty.Monty(max_processes=1, request_timeout=limits.time_s + _GRACE_S) as pool,
             pool.checkout(script_name="script.py", limits=bounds, os_policy=policy) as session,
         ):
-            session.feed_run(code, print_callback=printed, external_lookup=called)
+            session.feed_run(code, print_callback=printed, external_lookup=callables)
             error = ""
     except monty.MontyError as raised:
         error = _error_line(raised)

@@ -33,7 +33,7 @@ BLIND_M = 4.5
 A ring of an HDL-64E, 24.8 degrees down from 1.73 m, meets the ground at 3.7 m. Hidden ground takes
 the kind that is most frequent within twice this distance.
 """
-LEAST_M2 = 3.0
+MIN_REGION_M2 = 3.0
 """Smallest area of a region."""
 MOST_REGIONS = 255
 """Most regions of a scene; their ids are uint8."""
@@ -95,8 +95,8 @@ def with_blind_spot(occupancy: Grid, pose: SE2) -> Grid:
     """Return a map in which the ground under the robot is joined to the ground that it sees.
 
     No sensor sees the ground under itself: a LiDAR's lowest ring meets it metres away. If the free
-    ground around the robot is smaller than a region (`LEAST_M2`), unknown cells become free on the
-    straight lines to the first known ground, at most `BLIND_M` away. Lines that first meet an
+    ground around the robot is smaller than a region (`MIN_REGION_M2`), unknown cells become free on
+    the straight lines to the first known ground, at most `BLIND_M` away. Lines that first meet an
     occupied cell, or no known cell, change nothing.
 
     Args:
@@ -109,10 +109,10 @@ def with_blind_spot(occupancy: Grid, pose: SE2) -> Grid:
         return occupancy
     free = cells == 0
     _, part = cv2.connectedComponents(free.view(np.uint8), connectivity=4)
-    own = free & (part == part[cell])
-    if own.sum() * occupancy.resolution_m**2 >= LEAST_M2:
+    around_robot = free & (part == part[cell])
+    if around_robot.sum() * occupancy.resolution_m**2 >= MIN_REGION_M2:
         return occupancy
-    state = np.where(own, np.int8(-1), cells)
+    state = np.where(around_robot, np.int8(-1), cells)
     angle_rad = np.arange(0.0, 2.0 * np.pi, step_m / BLIND_M)[:, None]
     away_m = np.arange(0.0, BLIND_M, step_m)
     xy_m = np.stack((pose.x_m + away_m * np.cos(angle_rad), pose.y_m + away_m * np.sin(angle_rad)))
@@ -158,15 +158,17 @@ def classify_ground(
     away, nearest = cv2.distanceTransformWithLabels(
         (out == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    of_label = np.zeros(nearest.max() + 1, np.uint8)
-    of_label[nearest[out > 0]] = out[out > 0]
+    kind_of_label = np.zeros(nearest.max() + 1, np.uint8)
+    kind_of_label[nearest[out > 0]] = out[out > 0]
     rows, columns = np.mgrid[:h, :w]
     from_robot_m = np.linalg.norm(grid.centres_m(rows, columns) - (pose.x_m, pose.y_m), axis=2)
     unseen = (votes.sum(axis=2) == 0) & (grid.cells == 0)
     gap = unseen & (away * grid.resolution_m <= FILL_M + FILL_SHARE * from_robot_m)
     near = np.bincount(out[(from_robot_m < 2.0 * BLIND_M) & (out > 0)], minlength=1)
     under = unseen & (from_robot_m < BLIND_M) if near.any() else np.zeros_like(unseen)
-    return np.where(under, np.argmax(near), np.where(gap, of_label[nearest], out)).astype(np.uint8)
+    return np.where(under, np.argmax(near), np.where(gap, kind_of_label[nearest], out)).astype(
+        np.uint8
+    )
 
 
 def regions_of(
@@ -183,19 +185,19 @@ def regions_of(
         At most `MOST_REGIONS` regions by id, the largest first, and a grid with each cell's region.
     """
     found: list[tuple[int, str, np.ndarray]] = []
-    least = max(1.0, LEAST_M2 / occupancy.resolution_m**2)
+    min_cells = max(1.0, MIN_REGION_M2 / occupancy.resolution_m**2)
     for k, label in enumerate(labels if kind.size else (), start=1):  # OpenCV fails on no cells
-        here = ((kind == k) & (occupancy.cells <= 0)).astype(np.uint8)
-        n, part, stats, _ = cv2.connectedComponentsWithStats(here, connectivity=8)
+        is_kind = ((kind == k) & (occupancy.cells <= 0)).astype(np.uint8)
+        n, part, stats, _ = cv2.connectedComponentsWithStats(is_kind, connectivity=8)
         for i in range(1, n):
             area = int(stats[i, cv2.CC_STAT_AREA])
-            if area >= least:
+            if area >= min_cells:
                 found.append((area, label, part == i))
     found.sort(key=lambda piece: -piece[0])
     cells = np.zeros(kind.shape, np.uint8)
     regions = {}
-    for i, (area, label, here) in enumerate(found[:MOST_REGIONS], start=1):
-        cells[here] = i
+    for i, (area, label, is_kind) in enumerate(found[:MOST_REGIONS], start=1):
+        cells[is_kind] = i
         regions[i] = Region(i, label, area * occupancy.resolution_m**2)
     return regions, replace(occupancy, cells=cells)
 

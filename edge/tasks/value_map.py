@@ -13,7 +13,8 @@ from edge.geometry import Grid
 from edge.trajectory.costmap import OCCUPIED, CostMap, from_weights
 
 TUBE, DRIVABLE, HIGH = 10, 20, 250
-"""Weights of cells; see `value_map`. A cell of weight TUBE costs 1 per metre.
+"""Weights of cells in the tube, of other drivable cells, and of all other ground; see `value_map`.
+A cell of weight TUBE costs 1 per metre.
 
 The paper gives the order of the weights but no numbers. A half circle is pi / 2 times as long as
 its chord. So DRIVABLE must be so much larger than TUBE that A* does not take the chord.
@@ -41,7 +42,7 @@ def value_map(
     regions: Grid,
     drivable: Collection[int],
     coarse_m: np.ndarray,
-    body: PathMargins,
+    margins: PathMargins,
 ) -> CostMap:
     """Build the bird's-eye-view value map (OpenNav III-A4), ready for A*.
 
@@ -63,7 +64,7 @@ def value_map(
         regions: uint8, the same cells: id of the region, 0 = none.
         drivable: ids of the chosen regions, 1 to 255.
         coarse_m: (n, 2) float64 in `map`; empty: no tube.
-        body: clearance and tube radius.
+        margins: clearance and tube radius.
 
     Raises:
         ValueError: a grid has another type or other cells, or an id is not in 1 to 255.
@@ -84,10 +85,10 @@ def value_map(
     table[list(drivable)] = DRIVABLE
     weights = cv2.LUT(regions.cells, table)
     if len(coarse_m):
-        tube = _tube(occupancy, coarse_m, body.tube_m)
+        tube = _tube(occupancy, coarse_m, margins.tube_m)
         tube &= cv2.compare(weights, DRIVABLE, cv2.CMP_EQ)
         weights[tube.view(bool)] = TUBE
-    weights[~open_cells(occupancy, regions, body.clearance_m)] = CLOSED
+    weights[~open_cells(occupancy, regions, margins.clearance_m)] = CLOSED
     return from_weights(replace(occupancy, cells=weights), TUBE)
 
 

@@ -14,18 +14,20 @@ from edge.errors import UserError
 from edge.tasks import rules
 from edge.tasks.functions import ScriptFunctions
 from edge.tasks.ground import ReachableGround, ground_of
-from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, version
+from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, prompt_version
 from edge.tasks.reading import InstructionStep
 from edge.tasks.scene import Scene
 from edge.tasks.script import ScriptLimits, run_script
 from edge.tasks.trajectory import CoarseTrajectory
 from edge.text import one_line
 
+# Parts of an answer: code, what a model thinks aloud, and a refusal as `prompt.txt` asks for it.
 _BLOCK = re.compile(r"```[ \t]*(\w*)[ \t]*\n(.*?)(?:^[ \t]*```|\Z)", re.DOTALL | re.MULTILINE)
 _LANGUAGES = ("", "py", "python", "python3")
 _THOUGHTS = re.compile(r"\A\s*<think>.*?</think>", re.DOTALL)
 _REFUSED = re.compile(r"^\W*REFUSED\b\W*(.*)", re.MULTILINE)
-_KEPT_CHARS = 20_000  # of a wrong answer that stays in the conversation
+_MAX_ANSWER_CHARS = 20_000  # of a wrong answer in the next request
+# Errors of an answer, also sent to the model.
 NO_CODE = "the answer has no ```python block"
 NO_TRAJECTORY = "the script called no give_trajectory"
 
@@ -92,8 +94,10 @@ def write_trajectory(
     config: TasksConfig,
     on_answer: Callable[[PlanAttempt], None] = lambda round: None,
     why: str = "",
-    make: Callable[[ReachableGround, TrajectoryLimits], ScriptFunctions] = ScriptFunctions,
-    which: slice = slice(None),
+    make_functions: Callable[
+        [ReachableGround, TrajectoryLimits], ScriptFunctions
+    ] = ScriptFunctions,
+    step_slice: slice = slice(None),
 ) -> WrittenTrajectory:
     """Write and check the trajectory for an instruction, with the configured planner.
 
@@ -104,8 +108,8 @@ def write_trajectory(
         on_answer: called with each answer of a model as soon as it is there, for display.
         why: reason why the previous trajectory has to be replaced, sent to the model; "" for the
             first.
-        make: makes the functions that a script may call; evaluations pass a reduced set.
-        which: steps of the instruction to do, for the rules only; a model does the whole
+        make_functions: makes the functions that a script may call; evaluations pass a reduced set.
+        step_slice: steps of the instruction to do, for the rules only; a model does the whole
             instruction.
 
     Raises:
@@ -129,24 +133,26 @@ def write_trajectory(
     ground = ground_of(scene, config.trajectory.clearance_m)
     if not ground.reachable.any():
         raise WriteError("no free ground is known around the robot; drive the robot to open ground")
-    functions = make(ground, config.trajectory)
+    functions = make_functions(ground, config.trajectory)
     if isinstance(config.planner, WriterModel):
-        rounds = _ask(instruction, functions, config.planner, on_answer, why)
+        rounds = _ask_model(instruction, functions, config.planner, on_answer, why)
         assert functions.trajectory is not None
-        return WrittenTrajectory(instruction, functions.trajectory, ground, "", rounds, version())
-    steps = rules.plan_by_rules(instruction, functions, which)
+        return WrittenTrajectory(
+            instruction, functions.trajectory, ground, "", rounds, prompt_version()
+        )
+    steps = rules.plan_by_rules(instruction, functions, step_slice)
     assert functions.trajectory is not None
     understood = "; ".join(map(str, steps))
     stops_at = steps[-1].things[0].id if steps[-1].kind == "to" else None
-    stops = [_stops(step) for step in steps]
-    if which.stop is None:  # the robot stops after the last step of the instruction
+    stops = [_stop_ids(step) for step in steps]
+    if step_slice.stop is None:  # the robot stops after the last step of the instruction
         stops[-1] = tuple(thing.id for thing in steps[-1].things)
     return WrittenTrajectory(
         instruction, functions.trajectory, ground, understood, stops_at=stops_at, stops=tuple(stops)
     )
 
 
-def _stops(step: InstructionStep) -> tuple[int, ...]:
+def _stop_ids(step: InstructionStep) -> tuple[int, ...]:
     """Return the ids of the objects that the robot stops at in a step."""
     stops = step.kind in ("to", "beside", "between")
     return tuple(thing.id for thing in step.things) if stops else ()
@@ -167,7 +173,7 @@ def check_instruction(instruction: str) -> None:
         )
 
 
-def _ask(
+def _ask_model(
     instruction: str,
     functions: ScriptFunctions,
     config: WriterModel,
@@ -176,22 +182,24 @@ def _ask(
 ) -> tuple[PlanAttempt, ...]:
     """Ask the model until a script gives a trajectory; send errors back (OpenNav algorithm 1)."""
     client, begin_s = make_chat_client(config), time.monotonic()
-    talk = messages(instruction, functions.ground.scene, functions.limits, config.picture, why)
+    conversation = messages(
+        instruction, functions.ground.scene, functions.limits, config.picture, why
+    )
     rounds: list[PlanAttempt] = []
     while len(rounds) < config.max_attempts:
         left_s = config.time_limit_s - (time.monotonic() - begin_s)
         try:
-            answer, cut = client.ask(talk, left_s=left_s, temperature=0), ""
+            answer, cut_error = client.ask(conversation, left_s=left_s, temperature=0), ""
         except TokenLimitError as error:
-            answer, cut = error.answer, "the answer was cut off; write a shorter one"
-        rounds.append(_round(answer, cut, functions))
+            answer, cut_error = error.answer, "the answer was cut off; write a shorter one"
+        rounds.append(_run_answer(answer, cut_error, functions))
         on_answer(rounds[-1])
         if not rounds[-1].error:
             return tuple(rounds)
         if why := _REFUSED.search(_THOUGHTS.sub("", answer)) if not rounds[-1].code else None:
             reason = one_line(why[1]) or "no reason given"
             raise WriteError(f"{client.url}: the model refused: {reason}", tuple(rounds))
-        talk += _repair(rounds[-1])
+        conversation += _messages_about(rounds[-1])
     raise WriteError(
         f"{client.url}: no trajectory in {len(rounds)} answers, last error: "
         f"{rounds[-1].error}; rephrase the instruction or use a larger model",
@@ -199,11 +207,14 @@ def _ask(
     )
 
 
-def _round(answer: str, cut: str, functions: ScriptFunctions) -> PlanAttempt:
-    """Run the script in an answer. Its trajectory counts only if the script runs to its end."""
+def _run_answer(answer: str, cut_error: str, functions: ScriptFunctions) -> PlanAttempt:
+    """Run the script in an answer. Its trajectory counts only if the script runs to its end.
+
+    `cut_error` is the error of an answer that was cut off; "" for a whole answer.
+    """
     code = script_in(answer)
-    if cut or not code:
-        return PlanAttempt(answer, code, "", cut or NO_CODE)
+    if cut_error or not code:
+        return PlanAttempt(answer, code, "", cut_error or NO_CODE)
     functions.trajectory = None
     outcome = run_script(code, functions, ScriptLimits())
     error = outcome.error or ("" if functions.trajectory is not None else NO_TRAJECTORY)
@@ -221,11 +232,11 @@ def script_in(answer: str) -> str:
     return scripts[-1].strip() if scripts else ""
 
 
-def _repair(last: PlanAttempt) -> list[dict[str, Any]]:
-    """Return the messages that send the error and the printed output back to the model."""
+def _messages_about(last: PlanAttempt) -> list[dict[str, Any]]:
+    """Return the messages that send the error of an answer and its output back to the model."""
     printed = f"It printed:\n{last.printed.strip()}\n" if last.printed else ""
-    wanted = f"{printed}No trajectory yet: {last.error}. Write the whole corrected script."
+    request = f"{printed}No trajectory yet: {last.error}. Write the whole corrected script."
     return [
-        {"role": "assistant", "content": last.answer[:_KEPT_CHARS] or "..."},
-        {"role": "user", "content": wanted},
+        {"role": "assistant", "content": last.answer[:_MAX_ANSWER_CHARS] or "..."},
+        {"role": "user", "content": request},
     ]

@@ -31,8 +31,8 @@ class GridPath:
         cost_m: cost of the path in metres of free ground; inf without a path.
         reason: empty if there is a path.
         expansions: number of cells that the search expanded.
-        escape_m: distance from a start in a closed cell to the cell where the search began; 0 if
-            the start was in an open cell.
+        escape_m: distance from a start in a blocked cell to the free cell where the search began; 0
+            if the start was in a free cell.
     """
 
     path_m: np.ndarray
@@ -63,9 +63,9 @@ class Workspace:
         head: (BUCKETS,) int32, newest entry of each bucket in `pool`; -1: the bucket is empty.
         pool: (m,) int64, entries of the queue; doubled when it is full.
         path: (k,) int32, flat indices of the path; doubled when it is too short.
-        out: (3,) int64: number of expansions, first and last flat index that was expanded.
+        out: (3,) int64: number of expansions, lowest and highest flat index that was expanded.
         width: cells in a row of the map, border included.
-        tables: see `kernels.step_tables`.
+        tables: three tables of the steps by direction; see `kernels.step_tables`.
     """
 
     g: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))
@@ -89,6 +89,7 @@ class Workspace:
         """Return (status, flat indices of the path from the goal back to the start, expansions)."""
         weight, width = costmap.weight.ravel(), costmap.width
         self.fit(weight.size, width)
+        # A bucket holds keys that differ by less than the cheapest step.
         shift = max(kernels.STRAIGHT * costmap.min_weight, 1).bit_length() - 1
         # The largest step must fit into the ring of buckets, so widen the buckets until it does.
         reach = kernels.DIAGONAL * (255 + costmap.min_weight)
@@ -106,14 +107,15 @@ class Workspace:
                 while length < 0:
                     self.path = np.empty(2 * self.path.size, np.int32)
                     length = kernels.backtrack(weight, start, goal, self.g, *self.tables, self.path)
-            self._clear(int(self.out[1]), int(self.out[2]), weight.size)
+            self._clear_touched(int(self.out[1]), int(self.out[2]), weight.size)
             if status != kernels.POOL_FULL:
                 return status, self.path[:length], expansions
             self.pool = np.empty(2 * self.pool.size, np.int64)
 
-    def _clear(self, first: int, last: int, cells: int) -> None:
+    def _clear_touched(self, lowest: int, highest: int, cells: int) -> None:
+        """Clear the expanded cells (flat indices) and their neighbours; empty the queue."""
         margin = self.width + 1
-        self.g[max(first - margin, 0) : min(last + margin + 1, cells)] = kernels.UNSEEN
+        self.g[max(lowest - margin, 0) : min(highest + margin + 1, cells)] = kernels.UNSEEN
         self.head.fill(-1)
 
 
@@ -135,8 +137,8 @@ def plan(
         start_xy_m: (x, y) in `map`.
         goal_xy_m: (x, y) in `map`.
         workspace: arrays to reuse; None makes new ones.
-        escape_m: if the start's cell is closed, the search begins at the nearest open cell within
-            this distance, and the path leads straight to that cell.
+        escape_m: limit of `GridPath.escape_m`: if the start's cell is blocked, the search begins at
+            the nearest free cell within this distance, and the path leads straight to that cell.
 
     Returns:
         The path. Without a path, `GridPath.ok` is False and `GridPath.reason` gives the cause.
@@ -157,7 +159,7 @@ def plan(
         return _no_path("goal outside the map")
     if costmap.weight[goal] == 0:
         return _no_path("goal blocked")
-    begin = start if costmap.weight[start] else nearest_open(costmap, start, start_xy_m, escape_m)
+    begin = start if costmap.weight[start] else nearest_free(costmap, start, start_xy_m, escape_m)
     if begin is None:
         return _no_path("start blocked")
     width = costmap.width
@@ -178,7 +180,16 @@ def _found(
     escaped: bool,
     expansions: int,
 ) -> GridPath:
-    """Convert the path to metres: cell centres, with the exact start and goal at its ends."""
+    """Convert the path to metres: cell centres, with the exact start and goal at its ends.
+
+    Args:
+        costmap: the weights.
+        flat: (n,) flat indices of the path's cells, the start first.
+        start_xy_m: the exact start.
+        goal_xy_m: the exact goal.
+        escaped: the search began at another cell than that of the start.
+        expansions: number of cells that the search expanded.
+    """
     rows, columns = np.divmod(flat.astype(np.int64), costmap.width)
     path = costmap.metres_of(np.stack([columns + 0.5, rows + 0.5], axis=1))
     cost = path_cost_m(costmap, path)
@@ -209,10 +220,10 @@ def path_cost_m(costmap: CostMap, path_m: np.ndarray) -> float:
     return float(steps @ costmap.weight[cells[:, 1], cells[:, 0]]) / costmap.unit
 
 
-def nearest_open(
+def nearest_free(
     costmap: CostMap, cell: tuple[int, int], xy_m: tuple[float, float], within_m: float
 ) -> tuple[int, int] | None:
-    """Return the open cell with the nearest centre, or None if that is farther than `within_m`."""
+    """Return (row, column) of the free cell with the nearest centre; None beyond `within_m`."""
     reach = math.ceil(within_m / costmap.grid.resolution_m)
     row, column = max(cell[0] - reach, 0), max(cell[1] - reach, 0)
     window = costmap.weight[row : cell[0] + reach + 1, column : cell[1] + reach + 1]

@@ -10,10 +10,10 @@ import numpy as np
 from edge.geometry import Grid
 from edge.trajectory.kernels import MAX_SIDE
 
-OCCUPIED = 50  # occupancy from which a cell is closed
+OCCUPIED = 50  # occupancy from which a cell is blocked
 # Largest ratio of the mean weight to the smallest at which A*'s heuristic is used. Above it, the
 # heuristic costs more time than it saves.
-H_PAYS = 3.0
+MAX_MEAN_RATIO = 3.0
 UNIT = 16  # weight of a free cell far from obstacles; weights are UNIT times the cost factor
 
 
@@ -22,7 +22,7 @@ class CostMap:
     """Integer weights of the cells of a rectangle in `map`.
 
     Attributes:
-        weight: (h + 2, w + 2) uint8 with a border of zeros; 0 = closed. Entering a cell costs
+        weight: (h + 2, w + 2) uint8 with a border of zeros; 0 = blocked. Entering a cell costs
             weight / unit times the length of the step.
         grid: the weights inside the border.
         min_weight: the smallest weight above 0.
@@ -59,7 +59,7 @@ class CostMap:
         return None if inside is None else (inside[0] + 1, inside[1] + 1)
 
     def is_free(self, x_m: float, y_m: float) -> bool:
-        """Return True if the cell is open; False outside the map."""
+        """Return True if the cell is not blocked; False outside the map."""
         cell = self.cell_of(x_m, y_m)
         return cell is not None and self.weight[cell] != 0
 
@@ -68,7 +68,7 @@ def from_weights(grid: Grid, unit: int = UNIT) -> CostMap:
     """Make a cost map from given weights.
 
     Args:
-        grid: uint8, 0 = closed.
+        grid: uint8, 0 = blocked.
         unit: the weight that costs 1 per metre.
 
     Raises:
@@ -82,10 +82,10 @@ def from_weights(grid: Grid, unit: int = UNIT) -> CostMap:
     padded = np.pad(weights, 1)
     counts = cv2.calcHist([padded], [0], None, [256], [0, 256]).ravel()[1:]
     cells = counts.sum()
-    least = int(np.flatnonzero(counts)[0]) + 1 if cells else 1
+    min_weight = int(np.flatnonzero(counts)[0]) + 1 if cells else 1
     mean = float(counts @ np.arange(1, 256)) / max(cells, 1.0)
-    h_weight = least if mean <= H_PAYS * least else 0
-    return CostMap(padded, replace(grid, cells=padded[1:-1, 1:-1]), least, h_weight, unit)
+    h_weight = min_weight if mean <= MAX_MEAN_RATIO * min_weight else 0
+    return CostMap(padded, replace(grid, cells=padded[1:-1, 1:-1]), min_weight, h_weight, unit)
 
 
 def from_occupancy(
@@ -96,18 +96,18 @@ def from_occupancy(
     near_cost: float = 4.0,
     unknown_cost: float | None = 3.0,
 ) -> CostMap:
-    """Make a cost map from an occupancy grid: obstacles are closed, cells near them cost more.
+    """Make a cost map from an occupancy grid: obstacles are blocked, cells near them cost more.
 
     The cost factor is 1 on free and `unknown_cost` on unknown cells, plus near_cost (1 - d /
-    near_m)^2 within `near_m` of the closed cells.
+    near_m)^2 within `near_m` of the blocked cells.
 
     Args:
         grid: int8 occupancy; 50 and above count as occupied.
-        clearance_m: closes cells whose centre is nearer than this to the centre of an occupied
+        clearance_m: blocks cells whose centre is nearer than this to the centre of an occupied
             cell; 0 if the map is inflated already.
-        near_m: distance from closed cells within which the cost is higher.
-        near_cost: cost factor that is added next to a closed cell.
-        unknown_cost: cost factor of unknown cells; None closes them.
+        near_m: distance from blocked cells within which the cost is higher.
+        near_cost: cost factor that is added next to a blocked cell.
+        unknown_cost: cost factor of unknown cells; None blocks them.
 
     Raises:
         ValueError: the grid is not int8, or a side is too long for the search.
@@ -117,12 +117,12 @@ def from_occupancy(
         raise ValueError(f"cells: expected (h, w) int8, got {cells.shape} {cells.dtype}")
     if cells.size == 0:
         return from_weights(replace(grid, cells=np.zeros((0, 0), np.uint8)))
-    closed = cells >= OCCUPIED
-    if not closed.any():
+    blocked = cells >= OCCUPIED
+    if not blocked.any():
         distance = np.full(cells.shape, near_m + clearance_m, np.float32)
     else:
-        open_mask = np.logical_not(closed).view(np.uint8)
-        distance = cv2.distanceTransform(open_mask, cv2.DIST_L2, 5)
+        free_mask = np.logical_not(blocked).view(np.uint8)
+        distance = cv2.distanceTransform(free_mask, cv2.DIST_L2, 5)
         distance *= resolution_m
     # One table of weights for known and one for unknown cells, by distance in 1/16 cells.
     step_m = resolution_m / 16

@@ -1,14 +1,18 @@
 """A* on a weighted grid: the search kernel.
 
-Weights are integers. A step costs the weight of the entered cell times the length of the step, so
-keys are integers too, and a queue of buckets needs no heap. Two properties make the search fast:
+`edge.trajectory.astar` calls it. A cell is *free* if its weight is above 0, else *blocked*.
 
-- Entering a cell costs the same weight from every side. So if a parent reaches a neighbour in a
-  step no longer than the child's, the child cannot improve that neighbour. Each cell therefore
-  expands only five neighbours: those within 90 degrees of the direction in which it was entered.
+Weights are integers. A step costs the weight of the entered cell times the length of the step. So
+the key of a cell in the queue (its cost from the start plus the heuristic) is an integer too, and
+the queue is a ring of buckets instead of a heap. Two properties make the search fast:
+
+- Entering a cell costs the same weight from every side. If a cell was entered from its parent, and
+  the parent also touches a neighbour of it by a step that is not longer, then the way through the
+  cell cannot be cheaper. Each cell therefore expands only five neighbours: those within 90 degrees
+  of the direction in which it was entered.
 - A bucket is a stack. Of two entries for a cell, the newer one has the smaller key and is popped
-  first; the older one then finds the cell closed. A closed cell that improves is opened again. This
-  keeps the result exact although a bucket is not sorted.
+  first; the older one then finds the cell expanded, and is ignored. An expanded cell whose cost
+  falls later waits again. This keeps the result exact although a bucket is not sorted.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ UNSEEN = np.int32(2**31 - 1)  # cost of a cell that the search has not reached
 G_LIMIT = 2**30 - 1 - DIAGONAL * 255  # largest cost to which any step can be added
 MAX_SIDE = 1 << 14  # largest side of a map, border included: x and y take 14 bits each
 
-FOUND, UNREACHABLE, POOL_FULL, TOO_FAR = 0, 1, 2, 3  # results of `search`
+FOUND, UNREACHABLE, POOL_FULL, COST_OVERFLOW = 0, 1, 2, 3  # results of `search`
 
 # Directions counter-clockwise from +x: the odd ones are diagonals.
 _DX = (1, 1, 0, -1, -1, -1, 0, 1)
@@ -63,7 +67,7 @@ def _heuristic(cell, goal_x, goal_y, h_long, h_short):
 def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, packed, length, out):
     """Run A* from `start` to `goal`.
 
-    - `weight`: (n,) uint8, row by row, with a border of zeros; 0 = closed.
+    - `weight`: (n,) uint8, row by row, with a border of zeros; 0 = blocked.
     - `width`: cells in a row, border included; at most MAX_SIDE.
     - `start`, `goal`: flat indices.
     - `h_weight`: weight of the heuristic, at most the smallest weight above 0; 0 = Dijkstra.
@@ -72,15 +76,15 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
       waits to be expanded.
     - `head`: (BUCKETS,) int32, newest entry of each bucket, all -1 on entry.
     - `pool`: (m,) int64, entries: packed cell and direction in the low half, index of the next
-      entry in the high half.
+      entry of its bucket in the high half. Unused entries form a list too; `unused` is its first.
     - `offset`, `packed`, `length`: `step_tables(width)`.
-    - `out`: (3,) int64 output: expansions, first and last flat index expanded.
+    - `out`: (3,) int64 output: expansions, lowest and highest flat index that was expanded.
 
     Returns:
-        FOUND, UNREACHABLE, POOL_FULL (run again with a larger pool) or TOO_FAR (cost overflow).
+        FOUND, UNREACHABLE, POOL_FULL (run again with a larger pool) or COST_OVERFLOW.
     """
     goal_x, goal_y = goal % width, goal // width
-    full, limit = pool.size - 8, 2 * G_LIMIT
+    full, limit = pool.size - 8, 2 * G_LIMIT  # one expansion adds up to 5 entries
     h_long, h_short = STRAIGHT * h_weight, (DIAGONAL - STRAIGHT) * h_weight
     for e in range(pool.size):
         pool[e] = int64(e + 1) << 32
@@ -90,10 +94,11 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
     pool[0], pool[1] = cell | (int64(1) << 32), cell | (int64(4) << 28) | (int64(-1) << 32)
     head[bucket & (BUCKETS - 1)] = 0
     g[start] = 1
-    free = int64(2)
+    unused = int64(2)
     expansions, lo, hi, idle = -1, start, start, 0  # -1: the start is popped twice
     status = UNREACHABLE
     while idle < BUCKETS:
+        # No entry that is left has a smaller key than the goal, so none leads to it at less cost.
         if g[goal] != UNSEEN and g[goal] >> 1 >> shift < bucket:
             status = FOUND
             break
@@ -103,17 +108,19 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
         while entry >= 0:
             cell = pool[uint32(entry)]
             head[slot] = cell >> 32
-            pool[uint32(entry)] = free << 32
-            free = entry
+            pool[uint32(entry)] = unused << 32
+            unused = entry
             i = ((cell >> 14) & _XY) * width + (cell & _XY)
             g_i = int64(g[uint32(i)])
+            # Bit 0 of `g` says that the cell waits. It is cleared in `g`, and stays set in `g_i`,
+            # so that the neighbours get it with the cost. The start has two entries; both expand.
             if g_i & 1 or i == start:
                 g_i |= 1
                 g[uint32(i)] = g_i - 1
                 expansions += 1
                 lo = min(lo, i)
                 hi = max(hi, i)
-                d = ((cell >> 28) & 7) + 6
+                d = ((cell >> 28) & 7) + 6  # -2 (mod 8): two directions clockwise from the entry's
                 for m in range(5):
                     k = uint32((d + m) & 7)
                     j = uint32(i + offset[k])
@@ -123,7 +130,7 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
                         g_j < g[j]
                         and w != 0
                         and (
-                            # No cut corners: both cells next to a diagonal step must be open.
+                            # No cut corners: both cells next to a diagonal step must be free.
                             k & 1 == 0
                             or (
                                 weight[uint32(i + offset[uint32((k + 1) & 7)])] != 0
@@ -137,12 +144,12 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
                         if h_weight > 0:
                             f += _heuristic(entered, goal_x, goal_y, h_long, h_short)
                         into = uint32((f >> shift) & (BUCKETS - 1))
-                        new = free
-                        free = pool[uint32(new)] >> 32
+                        new = unused
+                        unused = pool[uint32(new)] >> 32
                         pool[uint32(new)] = entered | (int64(head[into]) << 32)
                         head[into] = new
-                if free >= full or g_i > limit:
-                    status = POOL_FULL if free >= full else TOO_FAR
+                if unused >= full or g_i > limit:
+                    status = POOL_FULL if unused >= full else COST_OVERFLOW
                     break
             entry = int64(head[slot])
         if status > UNREACHABLE:
@@ -178,6 +185,7 @@ def backtrack(weight, start, goal, g, offset, packed, length, path):
                 continue
             if k & 1 and (weight[i - offset[(k + 1) & 7]] == 0 or weight[i - offset[k - 1]] == 0):
                 continue
+            # Without the bit of waiting. `length` is twice the step, as `g` is twice the cost.
             through = (g[j] >> 1) * 2 + length[k] * int64(weight[i])
             if through < best_g:
                 best, best_g = j, through
@@ -191,13 +199,13 @@ def line_cost(weight, x0, y0, x1, y1):
     Args:
         weight: (h, w) uint8 with a border of zeros.
         x0: start of the line in grid coordinates (`CostMap.grid_of`).
-        y0: see `x0`.
-        x1: end of the line.
-        y1: see `x1`.
+        y0: as `x0`.
+        x1: end of the line, as `x0`.
+        y1: as `x1`.
 
     Returns:
-        The cost in cells, or -1 if the line leaves the map or enters a closed cell. A line through
-        a corner needs both cells next to the corner open.
+        The cost in cells, or -1 if the line leaves the map or enters a blocked cell. A line through
+        a corner needs both cells next to the corner free.
     """
     rows, columns = weight.shape
     for x, y in ((x0, y0), (x1, y1)):
@@ -260,9 +268,9 @@ def shortcut(weight, points, out):
             if leg < 0 or line < 0:
                 break
             walked += leg
-            if line <= walked * 1.001:
+            if line <= walked * 1.001:  # the steps of the search are only exact to 0.1 %
                 best = j
-            elif j > best + 8:
+            elif j > best + 8:  # eight longer lines in a row failed, so a still longer one will too
                 break
             j += 1
         out[kept] = points[best]
@@ -273,7 +281,7 @@ def shortcut(weight, points, out):
 
 @jit
 def polyline_cost(weight, points):
-    """Return the sum of `line_cost` over the legs of (n, 2) grid points; -1 if a leg is closed."""
+    """Return the sum of `line_cost` over the legs of (n, 2) grid points; -1 if one is blocked."""
     cost = 0.0
     for k in range(len(points) - 1):
         leg = line_cost(weight, points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1])

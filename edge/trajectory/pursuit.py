@@ -37,6 +37,7 @@ class VelocityCommand:
 
 
 STOP = VelocityCommand()
+"""Command to stand still."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ def smooth(costmap: CostMap, path_m: np.ndarray, spacing_m: float = 0.05) -> np.
         spacing_m: largest distance between two points.
 
     Returns:
-        (k, 2) float64 with the same ends. It enters closed cells only if `path_m` does, and costs
+        (k, 2) float64 with the same ends. It enters blocked cells only if `path_m` does, and costs
         no more.
     """
     if len(path_m) < 2:
@@ -49,13 +49,13 @@ def resample(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
 def line_is_free(
     costmap: CostMap, from_xy_m: tuple[float, float], to_xy_m: tuple[float, float]
 ) -> bool:
-    """Return True if a straight line enters no closed cell and stays in the map."""
+    """Return True if a straight line enters no blocked cell and stays in the map."""
     (x0, y0), (x1, y1) = costmap.grid_of(np.array([from_xy_m, to_xy_m]))
     return kernels.line_cost(costmap.weight, x0, y0, x1, y1) >= 0
 
 
 def polyline_cost_m(costmap: CostMap, path_m: np.ndarray) -> float:
-    """Return the cost of a polyline in metres of free ground; inf if it enters a closed cell."""
+    """Return the cost of a polyline in metres of free ground; inf if it enters a blocked cell."""
     grid = costmap.grid_of(path_m)
     cost = kernels.polyline_cost(costmap.weight, grid)
     return cost * costmap.grid.resolution_m / costmap.unit if cost >= 0 else math.inf

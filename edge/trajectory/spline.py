@@ -24,7 +24,8 @@ def b_spline(control_m: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.nd
             curve.
 
     Returns:
-        (k, d) float64 points, and (k,) int64: for each point the control point before it.
+        (k, d) float64 points, and (k,) int64: for each point the index of the control point before
+        it.
     """
     n = len(control_m)
     if n < 2:

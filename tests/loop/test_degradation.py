@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.loop import degradation
-from edge.loop.degradation import MOST_DOUBLINGS, UNLIKELY, DegradationLevels, LoadSample
+from edge.loop.degradation import MOST_DOUBLINGS, UNLIKELY_DOUBLINGS, DegradationLevels, LoadSample
 
 S = 1_000_000_000
 BUDGET_MS = 33.0
@@ -107,7 +107,7 @@ def test_whatever_came_before_all_is_taken_back_once_there_is_room(phases, load)
 
 @given(st.floats(0.05, 6.0), st.tuples(*[st.floats(0.1, 1.0)] * 2), st.floats(5.0, 60.0))
 def test_under_a_load_that_stays_it_steps_down_and_hardly_ever_up(load, shares, cost_ms):
-    """The gain of a level is known after a try; tries come at 16 times `ROOM_S` or later."""
+    """The gain of a level is known after a try; tries come at 16 times `LOW_S` or later."""
     costs_ms = (cost_ms, cost_ms * shares[0], cost_ms * shares[0] * shares[1])
-    plant = Plant(costs_ms).run(60 << UNLIKELY, load)
+    plant = Plant(costs_ms).run(60 << UNLIKELY_DOUBLINGS, load)
     assert [level for _, level, _ in plant.moves] == list(range(1, len(plant.moves) + 1))

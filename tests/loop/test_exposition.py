@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from edge.loop.exposition import MOST_SERIES, OTHER, Exposition, MetricSpec, families
+from edge.loop.exposition import MOST_SERIES, OTHER, Exposition, MetricSpec, read_table
 from edge.loop.histogram import Histogram
 
 NASTY = ['say "hi"', "a\nb", "\\", "x" * 10_000, "\0\x1b[2J", "ß→", "", "a b\r\nc"]
@@ -13,7 +13,7 @@ NASTY = ['say "hi"', "a\nb", "\\", "x" * 10_000, "\0\x1b[2J", "ß→", "", "a b\
 
 def read(*table: MetricSpec) -> dict[str, dict[tuple[str, ...], float]]:
     """Name of a sample → its labels' values → value, as Prometheus' own parser reads the page."""
-    page = Exposition(lambda: families(table, None)).page()
+    page = Exposition(lambda: read_table(table, None)).page()
     assert page.media_type.startswith("text/plain")
     found: dict[str, dict[tuple[str, ...], float]] = {}
     for family in text_string_to_metric_families(page.body.decode()):
@@ -77,7 +77,7 @@ def test_what_cannot_be_read_fails_the_scrape_and_not_the_next():
             raise answer
         return answer
 
-    exposition = Exposition(lambda: families([MetricSpec("a", "gauge", "h", look)], None))
+    exposition = Exposition(lambda: read_table([MetricSpec("a", "gauge", "h", look)], None))
     with pytest.raises(ValueError, match="no"):
         exposition.page()
     assert b"\na 1.0\n" in exposition.page().body

@@ -68,7 +68,7 @@ class Map:
     def search(self, reach) -> bool:
         return True
 
-    def is_worth_it(self, view: Viewpoint) -> bool:
+    def is_worth_visiting(self, view: Viewpoint) -> bool:
         return True
 
     def write_off(self, view: Viewpoint) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.loop.histogram import INTERVALS_S, SPANS_S, Histograms
+from edge.loop.histogram import INTERVAL_BOUNDS_S, STAGE_BOUNDS_S, Histograms
 
 BOUNDS_S = (0.001, 0.01, 1.0)
 NEVER = -1
@@ -33,6 +33,6 @@ def test_every_duration_is_in_the_first_bucket_that_holds_it(rows):
         assert found.sum_s == pytest.approx(sum(durations_ns) * 1e-9)
 
 
-@pytest.mark.parametrize("bounds_s", [SPANS_S, INTERVALS_S])
+@pytest.mark.parametrize("bounds_s", [STAGE_BOUNDS_S, INTERVAL_BOUNDS_S])
 def test_bounds_rise(bounds_s):
     assert list(bounds_s) == sorted(set(bounds_s))

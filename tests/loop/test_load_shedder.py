@@ -130,10 +130,10 @@ class Bench:
 
 @pytest.fixture
 def bench(monkeypatch):
-    monkeypatch.setattr(module, "_check_here", lambda name: None)
+    monkeypatch.setattr(module, "_check_model_is_here", lambda name: None)
     monkeypatch.setattr(module, "BOARD_S", 0.01)
     monkeypatch.setattr(swapped, "IMAGES", 1)
-    for name, seconds in {"OVER_S": 2.0, "DWELL_S": 5.0, "ROOM_S": 10.0}.items():
+    for name, seconds in {"OVER_S": 2.0, "DWELL_S": 5.0, "LOW_S": 10.0}.items():
         monkeypatch.setattr(degradation, name, seconds)
     opened = []
 
@@ -276,8 +276,8 @@ def test_a_service_tells_of_each_step_in_its_status_and_to_its_sinks():
 
 def test_levels_name_models_that_are_here():
     with pytest.raises(ModelError, match=r"^model 'none': no such card"):
-        module._check_here("none")
+        module._check_model_is_here("none")
     with pytest.raises(
         ModelError, match=r"480x640-fp32 of perception\.load_shedding\.levels is not"
     ):
-        module._check_here("yolo-world-s-480x640-fp32")
+        module._check_model_is_here("yolo-world-s-480x640-fp32")

@@ -26,7 +26,7 @@ class Coverage:
         self.view = self.left[0] if self.left else None
         return self._calls >= self.steps
 
-    def is_worth_it(self, view: Viewpoint) -> bool:
+    def is_worth_visiting(self, view: Viewpoint) -> bool:
         return view not in self.shown
 
     def write_off(self, view: Viewpoint) -> None:

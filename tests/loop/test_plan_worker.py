@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from task_scenes import STREET, Thing, street
 
-from edge.loop.behaviours.plan_worker import SAME_OBJECT_M, _found_again
+from edge.loop.behaviours.plan_worker import SAME_OBJECT_M, _find_again
 
 
 @pytest.mark.parametrize(
@@ -25,5 +25,5 @@ def test_a_thing_that_got_another_number_is_found_again(things, asked, found):
     scene = street(*things)
     for i, one in scene.objects.items():
         scene.objects[i] = replace(one, points_m=one.position_m[None])
-    thing = _found_again(asked, scene)
+    thing = _find_again(asked, scene)
     assert (None if thing is None else thing.id) == found

@@ -18,7 +18,7 @@ from simulated import simulated
 from edge.config import Config
 from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
-from edge.loop.plausibility import LASTS_NS, TELL_AGAIN_NS, Plausibility
+from edge.loop.plausibility import LOG_AGAIN_NS, REPORT_AFTER_NS, Plausibility
 from edge.loop.semantic_map import SemanticMap
 from edge.types import Observation
 
@@ -324,7 +324,7 @@ def test_a_fault_is_told_once_it_lasts_and_again_only_after_a_while():
     judge.see(**bad)
     assert judge.said == []
     assert judge.stage.why("stand").startswith("camera/depth: only 0.0%")
-    judge.see(after_ns=LASTS_NS, **bad)
+    judge.see(after_ns=REPORT_AFTER_NS, **bad)
     line = (
         "camera/depth: only 0.0% of the pixels have a value: uncover the camera, restart the "
         "camera driver, or correct the depth's unit"
@@ -334,11 +334,11 @@ def test_a_fault_is_told_once_it_lasts_and_again_only_after_a_while():
     assert judge.said[1:] == [("depth_empty: good again", logging.INFO)]
     assert judge.stage.status() == {"state": "ok", "failed": {}, "refused": {
         name: 2 * (name == "depth_empty") for name in judge.stage.refused}}  # fmt: skip
-    for after_ns, lines in ((LASTS_NS, 0), (TELL_AGAIN_NS, 1)):
+    for after_ns, lines in ((REPORT_AFTER_NS, 0), (LOG_AGAIN_NS, 1)):
         judge.see(after_ns=after_ns, **room())
         judge.said.clear()
         judge.see(**bad)
-        judge.see(after_ns=LASTS_NS, **bad)
+        judge.see(after_ns=REPORT_AFTER_NS, **bad)
         assert judge.said == [(line, logging.WARNING)] * lines
 
 

@@ -15,7 +15,7 @@ from simulated import simulated
 from edge.config import Config
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
-from edge.loop.scorers import SIGHTED_NS, Scorers, make_scorers, sightings
+from edge.loop.scorers import IN_VIEW_NS, Scorers, make_scorers, objects_in_view
 from edge.loop.status import status_message
 from edge.mission.spec import prepare
 from edge.perception.runtime.cards import ModelError
@@ -194,16 +194,16 @@ def test_the_running_detectors_scores_are_taken_from_its_detections():
 
 def test_what_stands_around_is_told_too():
     tracker, around = InstanceTracker(simulated().perception), TrackedObjects(8)
-    seen_ns = 5 * SIGHTED_NS
+    seen_ns = 5 * IN_VIEW_NS
     center = np.array([4.0, 1.0, 0.5], np.float32)
     tracker.add(Instance(1, "TV", center, center[None], 0.5, 3, 0, seen_ns, "rejected"))
     things = [("stove", 2.0, 3, 0), ("television", 1.0, 3, 0)]
-    things += [("lamp", 1.0, 1, 0), ("desk", 1.0, 3, SIGHTED_NS + 1)]
+    things += [("lamp", 1.0, 1, 0), ("desk", 1.0, 3, IN_VIEW_NS + 1)]
     around.words, around.n = [word for word, *_ in things], len(things)
     for i, (_, x_m, hits, ago_ns) in enumerate(things):
         around.word[i], around.hits[i], around.xyz_m[i] = i, hits, (x_m, 1.0, 0.5)
         around.last_seen_ns[i] = seen_ns - ago_ns
-    told = sightings(tracker, around, Observation(0, seen_ns, SE2(0.0, 1.0, 0.0).matrix()))
+    told = objects_in_view(tracker, around, Observation(0, seen_ns, SE2(0.0, 1.0, 0.0).matrix()))
     # What is rejected, seen once or seen long ago is not told, under any name.
     assert [(s.label, s.distance_m) for s in told] == [("stove", pytest.approx(2.0))]
 

@@ -12,7 +12,7 @@ from simulated import simulated
 
 from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
-from edge.loop.cooccurrence import PriorChoice, RelatedScores, p_given
+from edge.loop.cooccurrence import PriorChoice, RelatedScores, p_object_given_word
 from edge.loop.scorers import Scorers, mark_costs
 from edge.mapping.grid import RollingMap
 from edge.mission.spec import prepare
@@ -109,7 +109,7 @@ def test_a_late_answer_is_written_where_it_was_asked():
 
 
 def test_an_idle_service_ends_the_probation_of_another_model():
-    case = Case(Scorers(None, Chooser(), value_source="choice", remake=lambda card: Chooser()))
+    case = Case(Scorers(None, Chooser(), value_source="choice", make_other=lambda card: Chooser()))
     swap, values = case.scorers.swap, case.grid.values
     swap.request("other")
     eventually(lambda: case.scorers.collect_answers(values) or swap.state == "on probation")
@@ -174,12 +174,12 @@ def test_a_view_of_nothing_promises_nothing():
 def test_related_things_promise_a_target_by_how_often_they_share_a_room():
     score = RelatedScores()
     assert score(detections([("bed", 0.5)]))[0] == pytest.approx(0.5)
-    p = p_given(load(), BOTH, ("pillow", "toilet", "lampion"))
+    p = p_object_given_word(load(), BOTH, ("pillow", "toilet", "lampion"))
     assert p[0, 0] > 0.6 > 0.05 > p[0, 1]
     assert p[:, 2].tolist() == [0.0, 0.0]  # a word of which nothing is known
     around = [("pillow", 0.8), ("toilet", 0.9), ("lampion", 1.0)]
     got = score(detections([("bed", 0.1), ("sofa", 0.9)], around))
-    by_sofa = p_given(load(), BOTH, ("sofa",))[0, 0] * 0.9
+    by_sofa = p_object_given_word(load(), BOTH, ("sofa",))[0, 0] * 0.9
     assert got == pytest.approx([max(p[0, 0] * 0.8, by_sofa), 0.9], abs=1e-6)
 
 

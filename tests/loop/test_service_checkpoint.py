@@ -13,7 +13,7 @@ from test_map_checkpoint import Run
 from edge.host.checkpoint import load, save
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.result import mission_facts
-from edge.loop.status import mission_of
+from edge.loop.status import mission_json
 from edge.mission.checkpoint import MISSION
 from edge.mission.spec import prepare
 from edge.text import MAX_CHARS
@@ -46,7 +46,7 @@ def test_which_reading_was_taken_is_saved(path):
     assert before.translation.implied
     assert again.warnings == before.warnings != ()
     assert again.translation.readings == before.translation.readings
-    mission = mission_of(mission_facts(run.service.mission))
+    mission = mission_json(mission_facts(run.service.mission))
     assert (mission["reading"], mission["readings"]) == (1, list(before.translation.readings))
     run.service.checkpoint.close()
 
@@ -105,7 +105,7 @@ def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
     service = run.service
     shown = [
         service.status.instruction,
-        *mission_of(mission_facts(service.mission)).values(),
+        *mission_json(mission_facts(service.mission)).values(),
         *run.notes.events,
     ]
     for text in map(str, [*told, *shown]):

@@ -8,7 +8,7 @@ from dataclasses import replace
 from results import facts, result
 from task_facts import HOSTILE, INSTRUCTION, by_a_model, driving, written
 
-from edge.loop.status import MOST_POSES, MOST_ROUNDS, answer_of, status_message, task_of
+from edge.loop.status import MOST_POSES, MOST_ROUNDS, reply_json, status_message, task_json
 from edge.tasks.refine import RefinedTrajectory
 from edge.types import MissionStatus
 
@@ -25,7 +25,7 @@ def long_one() -> RefinedTrajectory:
 def test_a_task_that_is_driven():
     task = driving(index=40)
     said = status_message(result(task=lambda: task))["task"]
-    assert said == answer_of(MissionStatus("van", "approaching"), facts(), task)["task"]
+    assert said == reply_json(MissionStatus("van", "approaching"), facts(), task)["task"]
     assert (said["instruction"], said["writer"]) == (INSTRUCTION, "rules")
     assert said["understood"] == task.understood
     x_m, y_m, heading_rad = said["trajectory"][-1]
@@ -35,7 +35,7 @@ def test_a_task_that_is_driven():
 
 
 def test_what_a_model_wrote_is_told_without_what_drives_a_terminal():
-    said = task_of(by_a_model())
+    said = task_json(by_a_model())
     first, second = said["rounds"]
     assert (first["code"], first["error"][:14]) == ("", "the answer has")
     assert (second["error"], second["printed"].splitlines()[0]) == ("", "1")
@@ -50,7 +50,7 @@ def test_however_much_a_model_says_the_message_stays_small():
     task = replace(
         task, missing=task.notes * 1000, notes=task.notes * 1000, steps=task.steps * 1000
     )
-    said = task_of(replace(task, instruction=task.prompt, understood=task.prompt))
+    said = task_json(replace(task, instruction=task.prompt, understood=task.prompt))
     assert (said["answers"], len(said["rounds"])) == (20, MOST_ROUNDS)
     assert len(said["trajectory"]) == MOST_POSES
     assert len(json.dumps(said)) < MOST_BYTES

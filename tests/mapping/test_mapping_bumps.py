@@ -15,7 +15,7 @@ from edge.geometry import SE2
 from edge.mapping import bumps
 from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
-from edge.mapping.update import SEEN_FREE
+from edge.mapping.update import MOST_FLOOR_UPDATES
 
 HOME = SE2(0.0, 0.0, 0.0)
 RADIUS_M = 0.2
@@ -43,7 +43,7 @@ def bump(grid: RollingMap, place: tuple[float, float], now_ns: int = 0) -> None:
 def test_a_bump_closes_what_the_front_touched_and_no_ray_clears_it():
     grid = seen_around()
     bump(grid, PLACE)
-    for _ in range(2 * SEEN_FREE):
+    for _ in range(2 * MOST_FLOOR_UPDATES):
         look(grid, HOME, SILL)
     assert_consistent(grid)
     cells = grid.snapshot(inflated=50).cells
@@ -97,14 +97,14 @@ AWAY = SE2(0.0, 0.0, math.pi)
 @pytest.mark.parametrize(
     ("looks", "touched_before", "opens"),
     [
-        ([(HOME, [], SEEN_FREE - 1)], False, False),
-        ([(HOME, [], SEEN_FREE)], False, True),
-        ([(HOME, PASSER_BY, 2 * SEEN_FREE)], False, False),
-        ([(HOME, PASSER_BY, 5), (HOME, [], SEEN_FREE)], False, True),
-        ([(HOME, [], SEEN_FREE - 1), (HOME, PASSER_BY, 1), (HOME, [], 1)], False, False),
-        ([(HOME, SILL, 2 * SEEN_FREE)], False, False),
-        ([(AWAY, [], 2 * SEEN_FREE)], False, False),
-        ([(HOME, [], 2 * SEEN_FREE)], True, False),
+        ([(HOME, [], MOST_FLOOR_UPDATES - 1)], False, False),
+        ([(HOME, [], MOST_FLOOR_UPDATES)], False, True),
+        ([(HOME, PASSER_BY, 2 * MOST_FLOOR_UPDATES)], False, False),
+        ([(HOME, PASSER_BY, 5), (HOME, [], MOST_FLOOR_UPDATES)], False, True),
+        ([(HOME, [], MOST_FLOOR_UPDATES - 1), (HOME, PASSER_BY, 1), (HOME, [], 1)], False, False),
+        ([(HOME, SILL, 2 * MOST_FLOOR_UPDATES)], False, False),
+        ([(AWAY, [], 2 * MOST_FLOOR_UPDATES)], False, False),
+        ([(HOME, [], 2 * MOST_FLOOR_UPDATES)], True, False),
     ],
     ids=[
         "not yet", "floor", "someone stands there", "who stood there went", "floor, with a break",

@@ -12,7 +12,7 @@ from mapping_twins import CAMERA, T_BASE_CAMERA, complete, look, room, seen_arou
 
 from edge.geometry import SE2, se3, to_optical
 from edge.mapping import coverage as cv
-from edge.mapping.coverage import COUNT, KEEP, LEAST_M2, WRITE_OFF, Coverage, Viewpoint
+from edge.mapping.coverage import COUNT, KEEP, MIN_VIEW_M2, WRITE_OFF, Coverage, Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import FREE, OCCUPIED, make_layers
 from edge.mapping.window import Window
@@ -41,7 +41,7 @@ def searched(grid: RollingMap) -> Viewpoint | None:
 
 def window(grid: RollingMap) -> np.ndarray:
     """Return the view counts in window coordinates."""
-    looks, bits = grid.coverage.looks, grid.coverage._bits
+    looks, bits = grid.coverage.looks, grid.coverage._place_bits
     (x, y), m = grid.window.origin, len(looks)
     return np.roll(looks, (-((y >> bits) % m), -((x >> bits) % m)), axis=(0, 1))
 
@@ -167,15 +167,15 @@ def test_view_after_view_comes_to_an_end(how):
     while (view := searched(grid)) is not None:
         assert grid.travel_cost.distance_m(view.x_m, view.y_m) < math.inf
         assert grid.state_at(view.x_m, view.y_m) == 0
-        assert coverage.area_m2(view) > 0.9 * LEAST_M2
+        assert coverage.area_m2(view) > 0.9 * MIN_VIEW_M2
         views.append(view)
         before = np.count_nonzero(window(grid) >= 2)
         if how == "looked from there":
             for _ in range(2):
                 ahead = SE2(view.x_m, view.y_m, view.heading_rad)
                 coverage.on_image(seen_from(ahead, to_optical(se3(0.0, 0.0, 0.6))), 1.6, 2)
-            assert not coverage.is_worth_it(view)
-            assert coverage.area_m2(view) < 1.1 * LEAST_M2
+            assert not coverage.is_worth_visiting(view)
+            assert coverage.area_m2(view) < 1.1 * MIN_VIEW_M2
         coverage.write_off(view)
         assert coverage.area_m2(view) == 0.0
         assert np.count_nonzero(window(grid) >= 2) > before
@@ -190,7 +190,7 @@ def test_view_after_view_comes_to_an_end(how):
 
 def place(grid: RollingMap, x_m: float, y_m: float) -> int:
     """Return the number of views of a point's cell."""
-    side_m = grid.resolution_m * 2**grid.coverage._bits
+    side_m = grid.resolution_m * 2**grid.coverage._place_bits
     x, y = math.floor(x_m / side_m), math.floor(y_m / side_m)
     m = len(grid.coverage.looks)
     return int(grid.coverage.looks[y % m, x % m])

@@ -54,7 +54,7 @@ def test_the_area_is_what_its_rays_show(seed):
     xy_m = rng.uniform(0, n * res, (5, 2)).astype(np.float32)
     out = np.full(5, -1.0, np.float32)
     grid.gain.around(xy_m, np.array([3, 1], np.int32), 2, out)
-    steps = int(g.SURE * SMALL.range_m / (g.STEP_CELLS * res))
+    steps = int(g.SAFE_SHARE * SMALL.range_m / (g.STEP_CELLS * res))
     decay = math.exp(-g.STEP_CELLS * res / g.OPEN_M)
     for i in (3, 1):
         x, y = (float(v) / res for v in xy_m[i])
@@ -105,4 +105,4 @@ def test_no_direction_is_looked_along_twice_from_one_place():
     else:
         pytest.fail(f"turned on and on: {turned}")
     assert turned == sorted(turned, reverse=True)
-    assert grid.gain.best_spin(SE2(2 * g.HERE_M, 0.0, 0.0), 0.0, FOV)[2] > 0.0
+    assert grid.gain.best_spin(SE2(2 * g.SAME_PLACE_M, 0.0, 0.0), 0.0, FOV)[2] > 0.0

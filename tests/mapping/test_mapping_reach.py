@@ -187,7 +187,7 @@ def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
 
 
 def test_without_a_field_there_is_no_way():
-    assert RollingMap(SMALL).travel_cost.path_m(0.0, 0.0).shape == (0, 2)
+    assert RollingMap(SMALL).travel_cost.path_xy_m(0.0, 0.0).shape == (0, 2)
 
 
 @settings(max_examples=5)
@@ -198,7 +198,7 @@ def test_the_way_goes_back_step_by_step_and_is_as_long_as_the_distance(seed):
     rng = np.random.default_rng(seed)
     res, reach = grid.resolution_m, grid.travel_cost
     for x, y in np.add(rng.uniform(-3, 3, (20, 2)), (pose.x_m, pose.y_m)):
-        way, away_m = reach.path_m(x, y), reach.distance_m(x, y)
+        way, away_m = reach.path_xy_m(x, y), reach.distance_m(x, y)
         if math.isinf(away_m):
             assert len(way) == 0
             continue

@@ -115,7 +115,7 @@ def test_the_controllers_word_passes_the_end_of_a_leg_and_no_other():
         assert index_at_goal(refined, goal, since) == index
     last = len(refined.poses) - 1
     assert index_at_goal(refined, SE2(*refined.poses[-1, [0, 1, 3]]), last - 2) == last
-    goal, index = goal_ahead(refined, SE2(-2.0, 0.0, 0.0), 1.5, tip - 9, until=tip)
+    goal, index = goal_ahead(refined, SE2(-2.0, 0.0, 0.0), 1.5, tip - 9, last_index=tip)
     assert ((goal.x_m, goal.y_m), index) == (pytest.approx(refined.poses[tip, :2].tolist()), tip)
 
 

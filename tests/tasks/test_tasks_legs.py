@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.tasks.legs import RefineError, cut
+from edge.tasks.legs import RefineError, cut_into_legs
 
 ORIGIN = (0.0, 0.0)
 
 
 def ends(segments, start=ORIGIN, tube_m=1.0) -> list[tuple[float, float, bool]]:
     """Return the end of each leg, and True if a segment ends there."""
-    legs = cut([np.array(segment, float) for segment in segments], start, tube_m)
+    legs = cut_into_legs([np.array(segment, float) for segment in segments], start, tube_m)
     return [(*leg.points_m[-1, :2].tolist(), leg.ends_segment) for leg in legs]
 
 
@@ -33,7 +33,7 @@ def ends(segments, start=ORIGIN, tube_m=1.0) -> list[tuple[float, float, bool]]:
 )
 def test_what_is_no_trajectory_is_refused_in_one_line(segments, words):
     with pytest.raises(RefineError, match=words) as refusal:
-        cut(segments, ORIGIN, 1.0)
+        cut_into_legs(segments, ORIGIN, 1.0)
     assert "\n" not in str(refusal.value)
 
 
@@ -63,7 +63,7 @@ def test_a_leg_ends_where_it_has_turned(segments, expected):
 def test_a_circle_is_cut_in_eight():
     angle = np.linspace(-math.pi, math.pi, 65)
     circle = 3 * np.column_stack([np.cos(angle), np.sin(angle)])
-    assert 5 <= len(cut([circle], (-3.0, 0.0), 0.5)) <= 9
+    assert 5 <= len(cut_into_legs([circle], (-3.0, 0.0), 0.5)) <= 9
 
 
 @given(
@@ -73,7 +73,7 @@ def test_a_circle_is_cut_in_eight():
     )
 )  # fmt: skip
 def test_legs_joined_are_the_segments(segments):
-    legs = cut([np.array(segment) for segment in segments], ORIGIN, 1.0)
+    legs = cut_into_legs([np.array(segment) for segment in segments], ORIGIN, 1.0)
     joined = np.concatenate([leg.points_m for leg in legs])
     np.testing.assert_array_equal(joined[:, :2], np.concatenate([np.array(s) for s in segments]))
     assert sum(leg.ends_segment for leg in legs) == len(segments)

@@ -10,7 +10,7 @@ from scans import CAMERA, LIDAR, MODEL, Box, found_in, street
 
 from edge.geometry import CameraModel, invert
 from edge.tasks import scan_kernels as kernels
-from edge.tasks.projection import BESIDE, GAP_M, GAP_SHARE, in_picture, points_of_masks
+from edge.tasks.projection import GAP_M, GAP_SHARE, MARGIN_SHARE, in_picture, points_of_masks
 from edge.types import MASK_SIDE
 
 T_CAMERA_LIDAR = invert(CAMERA) @ LIDAR
@@ -109,8 +109,8 @@ def windows_twin(cloud, T, camera, boxes, masks, keep):
     for i, (x0, y0, x1, y1) in enumerate(boxes.astype(np.float64)):
         u, v = at_px.T
         wide, high = x1 - x0, y1 - y0
-        near = (u >= x0 - BESIDE * wide) & (u < x1 + BESIDE * wide)
-        near &= (v >= y0 - BESIDE * high) & (v < y1 + BESIDE * high) & shown
+        near = (u >= x0 - MARGIN_SHARE * wide) & (u < x1 + MARGIN_SHARE * wide)
+        near &= (v >= y0 - MARGIN_SHARE * high) & (v < y1 + MARGIN_SHARE * high) & shown
         for p in np.flatnonzero(near):
             on = x0 <= u[p] < x1 and y0 <= v[p] < y1
             if on and len(masks):
@@ -135,7 +135,7 @@ def test_windows_agree_with_their_twin(masked, seed):
     mask_of, point_of = np.empty(2000, np.int32), np.empty(2000, np.int32)
     depth = np.empty(2000, np.float32)
     n = kernels.points_of_windows(
-        cloud, np.eye(4), (64.0, 48.0, 40.0, 40.0, 31.7, 23.1), boxes, masks, BESIDE, keep,
+        cloud, np.eye(4), (64.0, 48.0, 40.0, 40.0, 31.7, 23.1), boxes, masks, MARGIN_SHARE, keep,
         mask_of, point_of, depth,
     )  # fmt: skip
     got = {

@@ -16,7 +16,7 @@ from edge.config import TasksConfig, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.mission.language.tokens import TranslationError
 from edge.tasks import write as writing
-from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, version
+from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, prompt_version
 from edge.tasks.trajectory import check
 from edge.tasks.write import NO_CODE, NO_TRAJECTORY, WriteError, script_in, write_trajectory
 
@@ -93,7 +93,7 @@ def test_an_answer_becomes_a_trajectory():
     (only,) = written.rounds
     assert (only.answer, only.code, only.error) == (BLOCK, GOOD.strip(), "")
     assert told == [only]
-    assert (written.prompt, written.understood) == (version(), "")
+    assert (written.prompt, written.understood) == (prompt_version(), "")
     assert written.coarse.regions == (1,)
     assert written.coarse.points_m[-1].tolist() == pytest.approx([14.8, 2.0])
 

@@ -329,7 +329,7 @@ class Controller:
         cell = self._map.cell_of(*goal)
         if cell is None or self._map.weight[cell] != 0:
             return goal
-        cell = astar.nearest_open(self._map, cell, goal, SNAP_M)
+        cell = astar.nearest_free(self._map, cell, goal, SNAP_M)
         if cell is None:
             return goal
         x, y = self._map.metres_of(np.array([cell[1] + 0.5, cell[0] + 0.5]))

@@ -41,7 +41,13 @@ from edge.mission.run import MissionRun
 from edge.mission.task_step import TaskStep
 from edge.policies.base import PolicyInput
 from edge.tasks.facts import StepState, StepStatus, TaskPhase, TaskStatus
-from edge.tasks.follow import blocked_ahead_m, end_of, goal_ahead, index_at_goal, leg_end
+from edge.tasks.follow import (
+    blocked_ahead_m,
+    end_of_current_leg,
+    end_of_leg,
+    goal_ahead,
+    index_at_goal,
+)
 from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import RefinedTrajectory
 from edge.text import one_line
@@ -49,11 +55,11 @@ from edge.types import Detections, Goal, Instance, Observation
 
 AHEAD_M = 1.5
 """Distance of the goal ahead of the robot on the trajectory."""
-APART_M = 0.3
+RESEND_M = 0.3
 """The goal is sent again when it has moved by this distance."""
-LOOK_NS = 500_000_000
+CHECK_PERIOD_NS = 500_000_000
 """Period of the check for obstacles on the path ahead."""
-AGAIN_NS = 2_000_000_000
+RETRY_NS = 2_000_000_000
 """Period of new tries to write a trajectory that was not possible with the objects seen so far."""
 TURNS = 3
 """Number of turns in a full circle, which the robot does before a model writes the trajectory."""
@@ -61,7 +67,7 @@ FACING_RAD = math.radians(25.0)
 """The robot faces an object if the angle to it is not larger than this."""
 SAME_PLACE_M = 0.5
 """If the robot is blocked twice within this distance, a new trajectory is written."""
-_REASON_CHARS = 300
+_MAX_TEXT_CHARS = 300
 
 
 class FollowBehaviour:
@@ -70,7 +76,7 @@ class FollowBehaviour:
     Args:
         mission: The mission of the task. It has the time, the limits and the log.
         config: The configuration.
-        here: The semantic map.
+        semantic_map: The semantic map.
         goals: The goal tracker.
         input_log: Input log, which records the worker's results.
 
@@ -82,42 +88,45 @@ class FollowBehaviour:
         self,
         mission: MissionRun,
         config: Config,
-        here: SemanticMap,
+        semantic_map: SemanticMap,
         goals: GoalTracker,
         input_log: InputLog,
     ) -> None:
         self._config = config
-        self._mission, self._map, self._goals = mission, here, goals
+        self._mission, self._map, self._goals = mission, semantic_map, goals
         self._inner_worker: Worker[ObjectMapUpdate | PlanRequest, PlanResult] = Worker(
             "task", run_request, inline=config.loop.lockstep, drop=release_frame
         )
         self._worker: Any = input_log.wrap(TASK, self._inner_worker)
         self._objects = ObjectMap()  # only the worker uses it
-        self._begin()
+        self._restart()
 
-    def _begin(self) -> None:
-        """Begin with the first step that was not driven."""
+    def _restart(self) -> None:
+        """Reset all state, and begin with the first step that was not driven."""
         self.phase: TaskPhase = "looking"
-        self._turns = TURNS if self._by_model else 0
-        self._turning: SE2 | None = None
-        self._result = PlanResult()
-        self._index = self._refinements = 0
+        self._turns_left = TURNS if self._by_model else 0
+        self._turning: SE2 | None = None  # goal of a turn on the spot
+        self._result = PlanResult()  # the trajectory that is driven
+        self._index = 0  # pose of the trajectory that the robot has come to
+        self._refinements = 0
         self._request: PlanRequest | None = None  # request that the worker handles
         self._abandon_reason = ""  # reason why an earlier trajectory was abandoned
-        self._refusal = ""  # reason why no trajectory can be written with the objects seen so far
+        # Reason why no trajectory can be written with the objects seen so far.
+        self._no_plan_reason = ""
         self._ambiguous: tuple[int, ...] = ()  # instances that an ambiguous name may mean
         self._all_seen = False  # the last try was made with an exhausted search
         self._blocked_at: SE2 | None = None
-        self._checked_ns = 0
+        self._checked_ns = 0  # newest check of the path, or newest try to write
         self._n_verified = self._mission.state  # number of steps whose stops were verified
         self._next_stop: tuple[int, int] | None = None  # next stop: its step, the index of its pose
         self._unverified: list[tuple[int, str]] = []  # objects to verify at this stop
         self._verified: set[int] = set()  # instances that were verified at this stop
         self._images = 0  # number of images since `_stopped_ns`
-        self._stopped_ns = 0
+        self._stopped_ns = 0  # when the robot began to look at the next object of a stop
 
     @property
     def _by_model(self) -> bool:
+        """True if a language model writes the trajectory, False if the rules do."""
         return isinstance(self._config.tasks.planner, WriterModel)
 
     @property
@@ -133,7 +142,7 @@ class FollowBehaviour:
     @property
     def searching(self) -> bool:
         """True while the robot explores, for a missing target or for space to drive through."""
-        return self.waits_for_target or (self.phase == "looking" and bool(self._refusal))
+        return self.waits_for_target or (self.phase == "looking" and bool(self._no_plan_reason))
 
     @property
     def _steps(self) -> tuple[TaskStep, ...]:
@@ -159,14 +168,14 @@ class FollowBehaviour:
     def plan(self, context: PolicyInput, images: int) -> None:
         """Advance the task. Slow work is started in the background."""
         mission, goals, now_ns = self._mission, self._goals, context.now_ns
-        targets, sure = mission.spec.targets, not self._config.policy.instances
+        targets, only_confirmed = mission.spec.targets, not self._config.policy.instances
         # An object that the robot drives past may get lost, but is not searched for again.
-        seen = newest_ids(self._map.tracker, targets, sure, doubted=False)
+        seen = newest_ids(self._map.tracker, targets, only_confirmed, doubted=False)
         mission.on_detections(seen, now_ns, keep=self.phase != "looking")
         if not (goals.follows(mission) and mission.active):
             return
         stuck = goals.check_progress(self._map.grid, context.pose, mission, images, now_ns)
-        self._step(context, stuck)
+        self._advance(context, stuck)
         if goals.exhausted and self.waits_for_target:
             mission.abandon_target(goals.failure_reason(mission, self._map.grid), now_ns)
 
@@ -177,8 +186,8 @@ class FollowBehaviour:
         self._set_goal(context.pose, context.now_ns)
         return self._goals.goal
 
-    def _step(self, context: PolicyInput, stuck: bool) -> None:
-        """Do one step of the current phase.
+    def _advance(self, context: PolicyInput, stuck: bool) -> None:
+        """Do what the current phase needs in this tick.
 
         Args:
             context: Observation, detections and time of the tick.
@@ -189,10 +198,10 @@ class FollowBehaviour:
         if detections is not None:
             self._add_detections(detections)
             self._images += 1
-        if (draft := self._worker.poll()) is not None and self._request is not None:
-            self._on_plan(draft, self._request, now_ns)
+        if (result := self._worker.poll()) is not None and self._request is not None:
+            self._on_plan(result, self._request, now_ns)
         if self.phase == "looking" and not self.waits_for_target and not self._mission.done:
-            if self._refusal:
+            if self._no_plan_reason:
                 self._retry_plan(observation, now_ns)
             else:
                 self._turn_around(pose, stuck)
@@ -202,7 +211,7 @@ class FollowBehaviour:
             elif detections is not None:  # with the image of the boxes
                 self._request_plan(detections.observation, detections)
         elif self.phase == "driving":
-            self._drive(observation, stuck, now_ns)
+            self._check_drive(observation, stuck, now_ns)
         elif self.phase == "verifying" and not self._mission.done:
             self._verify(pose, stuck, now_ns)
 
@@ -212,11 +221,12 @@ class FollowBehaviour:
         if self.phase == "driving" and refined is not None:
             until = None if self._next_stop is None else self._next_stop[1]
             ahead, self._index = goal_ahead(refined, pose, AHEAD_M, self._index, until)
-            ends = (leg_end(refined, self._index), len(refined.poses) - 1)
+            ends = (end_of_current_leg(refined, self._index), len(refined.poses) - 1)
+            # The ends of legs and of the trajectory are sent exactly, however near they are.
             exact = any(
                 _is_at(ahead, refined, end) for end in ends if until is None or end <= until
             )
-            apart_m = 0.0 if exact else APART_M
+            apart_m = 0.0 if exact else RESEND_M
             self._goals.override(ahead, self._mission, now_ns, apart_m)
         elif self._turning is not None:
             self._goals.override(self._turning, self._mission, now_ns, 0.0)
@@ -230,7 +240,7 @@ class FollowBehaviour:
         """Begin again after a pose jump. The trajectory is invalid in the new frame."""
         self._worker.discard_all()
         self._objects = ObjectMap()
-        self._begin()
+        self._restart()
 
     def close(self) -> None:
         """Drop the running request and stop the worker."""
@@ -239,35 +249,35 @@ class FollowBehaviour:
 
     def facts(self) -> TaskStatus:
         """Return the state of the task; see `edge.loop.result.TickResult.task`."""
-        mission, draft, planner = self._mission, self._result, self._config.tasks.planner
+        mission, result, planner = self._mission, self._result, self._config.tasks.planner
         outcome = mission.status("searching").phase
         return TaskStatus(
             instruction=mission.spec.translation.instruction,
             phase=outcome if outcome in ("reached", "failed") else self.phase,
             writer=f"{planner.model} at {planner.url}" if planner.kind == "model" else planner.kind,
             missing=self.missing,
-            understood=draft.understood,
-            prompt=draft.prompt,
-            rounds=draft.rounds if self._request is None else tuple(self._request.attempts),
-            coarse_m=draft.coarse_m,
-            refined=draft.refined,
+            understood=result.understood,
+            prompt=result.prompt,
+            rounds=result.rounds if self._request is None else tuple(self._request.attempts),
+            coarse_m=result.coarse_m,
+            refined=result.refined,
             index=self._index,
             refinements=self._refinements,
-            notes=() if draft.refined is None else draft.refined.notes,
+            notes=() if result.refined is None else result.refined.notes,
             steps=tuple(self.steps()),
         )
 
     def steps(self) -> Iterator[StepStatus]:
-        """Yield the state of each step; for any thread."""
-        mission, order, missing = self._mission, self._request, set(self.missing)
-        upto = self._result.n_done if order is None else order.ends[0]
+        """Yield the state of each step of the task; for any thread."""
+        mission, request, missing = self._mission, self._request, set(self.missing)
+        end = self._result.n_done if request is None else request.ends[0]  # step of its end
         for n, step in enumerate(self._steps):
             state: StepState
             if n < mission.state:
                 state = "driven"
             elif mission.done:
                 state = "not driven"
-            elif n < upto and self.phase != "looking":
+            elif n < end and self.phase != "looking":
                 state = "under way"
             else:
                 state = "to come" if missing.isdisjoint(step.names) else "looked for"
@@ -281,21 +291,21 @@ class FollowBehaviour:
         ended = answer is not None and answer.state in ("reached", "failed")
         if self._turning is not None and not (stuck or ended):
             return
-        if self._turns:
-            self._turns -= 1
+        if self._turns_left:
+            self._turns_left -= 1
             self._turning = SE2(pose.x_m, pose.y_m, pose.yaw_rad + math.tau / TURNS)
         else:
             self._turning, self.phase = None, "writing"
 
     def _retry_plan(self, observation: Observation, now_ns: int) -> None:
-        """Try again every `AGAIN_NS` while the map grows, and a last time when it is explored."""
+        """Try again every `RETRY_NS` while the map grows, and a last time when it is explored."""
         if self._request is not None:
             return
         if self._all_seen:
-            self._mission.fail(_line(self._refusal), now_ns)
+            self._mission.fail(_log_text(self._no_plan_reason), now_ns)
             return
-        settled = self._ambiguous and not self.gather()
-        if settled or self._goals.exhausted or now_ns - self._checked_ns >= AGAIN_NS:
+        is_settled = self._ambiguous and not self.gather()
+        if is_settled or self._goals.exhausted or now_ns - self._checked_ns >= RETRY_NS:
             self._checked_ns, self._all_seen = now_ns, self._goals.exhausted
             self._request_plan(observation, None)
 
@@ -323,7 +333,8 @@ class FollowBehaviour:
         The image is copied, so that its frame is not held while a model runs.
         """
         rgb = seen.rgb if self._by_model and before is None else None
-        still = replace(
+        # Without the arrays of its frame, which is then free for another image.
+        at_request = replace(
             seen, rgb=None if rgb is None else rgb.copy(), depth_m=None, cloud_m=None, slot=None
         )
         instances = {
@@ -331,7 +342,7 @@ class FollowBehaviour:
             for label in self._mission.spec.targets
             for one in self._map.tracker.of(label, doubted=False)
         }
-        if not self._refusal:
+        if not self._no_plan_reason:
             self.phase = "writing"
         self._request = PlanRequest(
             self._config,
@@ -340,10 +351,10 @@ class FollowBehaviour:
             self._possible_ends,
             len(self._steps),
             self._map.view,
-            still,
+            at_request,
             tuple(instances.values()),
             self._objects,
-            None if found is None else replace(found, observation=still),
+            None if found is None else replace(found, observation=at_request),
             before,
             self._index,
             self._abandon_reason,
@@ -353,59 +364,61 @@ class FollowBehaviour:
 
     def _on_plan(
         self,
-        draft: PlanResult,
-        order: PlanRequest,
+        result: PlanResult,
+        request: PlanRequest,
         now_ns: int,
     ) -> None:
         """Start to drive the new trajectory. If there is none, write another or fail."""
         mission, self._request = self._mission, None
-        self._ambiguous = draft.ambiguous
-        unsure = self.gather()
-        for n, answer in enumerate(draft.rounds, start=1):
-            if answer.error and order.before is None:
-                mission.log_trajectory(_line(f"answer {n} of the model: {answer.error}"), now_ns)
-        if draft.refined is not None:
-            refined = draft.refined
-            if order.nearer_to is not None:  # other facts stay those of the task's trajectory
-                draft = replace(self._result, refined=refined, stops_at=None)
-            self._result, self._index, self._checked_ns = draft, 0, 0
+        self._ambiguous = result.ambiguous
+        to_verify = self.gather()
+        for n, answer in enumerate(result.rounds, start=1):
+            if answer.error and request.before is None:
+                mission.log_trajectory(
+                    _log_text(f"answer {n} of the model: {answer.error}"), now_ns
+                )
+        if result.refined is not None:
+            refined = result.refined
+            if request.nearer_to is not None:  # other facts stay those of the task's trajectory
+                result = replace(self._result, refined=refined, stops_at=None)
+            self._result, self._index, self._checked_ns = result, 0, 0
             self._refinements += 1
             self._next_stop = self._find_next_stop(refined)
-            self.phase, self._refusal = "driving", ""
-            mission.log_trajectory(_line(log_line(draft, refined, order)), now_ns)
-        elif order.nearer_to is not None:
+            self.phase, self._no_plan_reason = "driving", ""
+            mission.log_trajectory(_log_text(log_line(result, refined, request)), now_ns)
+        elif request.nearer_to is not None:
             self._on_stop(now_ns)
-        elif order.before is not None:
-            self._write_again(draft.error, now_ns)
-        elif unsure or not (draft.hopeless or self._abandon_reason or self._by_model):
-            if not self._refusal:
-                mission.log_trajectory(_line(f"{draft.error}: exploring further"), now_ns)
-            self.phase, self._refusal, self._checked_ns = "looking", draft.error, now_ns
+        elif request.before is not None:
+            self._write_again(result.error, now_ns)
+        elif to_verify or not (result.hopeless or self._abandon_reason or self._by_model):
+            if not self._no_plan_reason:
+                mission.log_trajectory(_log_text(f"{result.error}: exploring further"), now_ns)
+            self.phase, self._no_plan_reason, self._checked_ns = "looking", result.error, now_ns
         else:
-            self._result = draft
+            self._result = result
             after = f"{self._abandon_reason}; no new trajectory: " if self._abandon_reason else ""
-            mission.fail(_line(f"{after}{draft.error}"), now_ns)
+            mission.fail(_log_text(f"{after}{result.error}"), now_ns)
 
-    def _drive(
+    def _check_drive(
         self,
         observation: Observation,
         stuck: bool,
         now_ns: int,
     ) -> None:
-        """Check whether the robot has arrived, is blocked, or has an obstacle ahead."""
+        """React if the robot has arrived, is blocked, or has an obstacle ahead."""
         refined, goal, answer = self._result.refined, self._goals.goal, self._goals.goal_status
         assert refined is not None
         pose, state = observation.pose, None if answer is None else answer.state
-        if (driven := self._driven(refined)) > self._mission.state:
+        if (driven := self._n_steps_driven(refined)) > self._mission.state:
             self._mission.on_task_steps_driven(driven, now_ns)
         last = len(refined.poses) - 1
         until = last if self._next_stop is None else self._next_stop[1]
         if state == "reached" and goal is not None and _is_at(goal.pose, refined, until):
-            thing = self._result.stops_at
-            if thing is None or until < last:
+            obj = self._result.stops_at
+            if obj is None or until < last:
                 self._on_stop(now_ns)
-            else:
-                self._request_plan(observation, None, nearer_to=thing)
+            else:  # from here the object is seen better: perhaps a stop nearer to it is possible
+                self._request_plan(observation, None, nearer_to=obj)
         elif state == "reached" and goal is not None:
             self._index = index_at_goal(refined, goal.pose, self._index)
         elif stuck or state == "failed":
@@ -417,28 +430,28 @@ class FollowBehaviour:
                 self._write_again(why, now_ns)
             else:
                 self._refine_again(why, observation, now_ns)
-        elif now_ns - self._checked_ns >= LOOK_NS:
+        elif now_ns - self._checked_ns >= CHECK_PERIOD_NS:
             self._checked_ns = now_ns
             away_m = blocked_ahead_m(refined, self._map.view, self._index)
             if away_m is not None:
                 why = f"obstacle on the path {away_m:.1f} m ahead"
                 self._refine_again(why, observation, now_ns)
 
-    def _driven(self, refined: RefinedTrajectory) -> int:
+    def _n_steps_driven(self, refined: RefinedTrajectory) -> int:
         """Return the number of driven steps. The rules write one segment for each step."""
         ahead = refined.legs[refined.leg[self._index] :]
         driven = max(self._result.n_done - sum(leg.ends_segment for leg in ahead), 0)
-        while self._steps[driven].joined:
+        while self._steps[driven].joined:  # this step is one leg with the step before it
             driven -= 1
         return driven
 
     def _find_next_stop(self, refined: RefinedTrajectory) -> tuple[int, int] | None:
         """Return the next step that stops at objects, and the index of the pose of the stop."""
         ends = [k for k, leg in enumerate(refined.legs) if leg.ends_segment]
-        upto, stops = self._result.n_done, self._result.stops
-        for step, leg in zip(range(upto - len(ends), upto), ends, strict=True):
-            if step >= max(self._n_verified, upto - len(stops)) and stops[step - upto]:
-                return step, end_of(refined, leg)
+        end, stops = self._result.n_done, self._result.stops
+        for step, leg in zip(range(end - len(ends), end), ends, strict=True):
+            if step >= max(self._n_verified, end - len(stops)) and stops[step - end]:
+                return step, end_of_leg(refined, leg)
         return None
 
     def _on_stop(self, now_ns: int) -> None:
@@ -456,44 +469,44 @@ class FollowBehaviour:
         An object that is too far away to verify is accepted.
         """
         (number, label), perception = self._unverified[0], self._config.perception
-        here = [
+        near = [
             one
             for one in self._map.tracker.of(label)
             if one.distance_m(pose.x_m, pose.y_m) <= min(SAME_OBJECT_M, perception.confirm_range_m)
             and one.id not in self._verified
         ]
-        here.sort(key=lambda one: (one.id != number, one.distance_m(pose.x_m, pose.y_m)))
-        thing = self._map.tracker.get(number)
-        found = next((one for one in here if self._map.tracker.confirmed(one)), None)
-        away = thing is not None and thing.state != "rejected" and not here
-        if thing is not None and away and not self._map.tracker.confirmed(thing):
-            away_m = thing.distance_m(pose.x_m, pose.y_m)
+        near.sort(key=lambda one: (one.id != number, one.distance_m(pose.x_m, pose.y_m)))
+        obj = self._map.tracker.get(number)
+        found = next((one for one in near if self._map.tracker.confirmed(one)), None)
+        is_away = obj is not None and obj.state != "rejected" and not near
+        if obj is not None and is_away and not self._map.tracker.confirmed(obj):
+            away_m = obj.distance_m(pose.x_m, pose.y_m)
             text = f"{label} {number} is {away_m:.1f} m away: too far to verify, accepted"
-            self._mission.log_trajectory(_line(text), now_ns)
-        if away or found is not None:
+            self._mission.log_trajectory(_log_text(text), now_ns)
+        if is_away or found is not None:
             self._verified.add(number if found is None else found.id)
             self._turning, self._stopped_ns, self._images = None, now_ns, 0
             self._unverified.pop(0)
             if not self._unverified:
                 self._leave_stop(now_ns)
             return
-        if here and not self._faces(here[0], pose, stuck):
+        if near and not self._faces(near[0], pose, stuck):
             self._stopped_ns, self._images = now_ns, 0
         elif (
             self._images >= MIN_IMAGES
             and (now_ns - self._stopped_ns) * 1e-9 > self._config.mission.verify_s
         ):
-            if here:  # the object may have got another id
-                number = here[0].id
+            if near:  # the object may have got another id
+                number = near[0].id
             self._map.tracker.reject(number)
             text = f"{label} {number} was not confirmed from near by, rejected: exploring further"
-            self._mission.log_trajectory(_line(text), now_ns)
-            self._begin()
+            self._mission.log_trajectory(_log_text(text), now_ns)
+            self._restart()
             self._goals.retarget(self._mission)
 
-    def _faces(self, thing: Instance, pose: SE2, stuck: bool) -> bool:
+    def _faces(self, obj: Instance, pose: SE2, stuck: bool) -> bool:
         """Return True if the robot faces an object, or its turn has ended; else turn it, once."""
-        bearing_rad = pose.bearing_to(*thing.center_m[:2].tolist())
+        bearing_rad = pose.bearing_to(*obj.center_m[:2].tolist())
         if self._turning is None:
             if abs(bearing_rad) <= FACING_RAD:
                 return True
@@ -519,26 +532,29 @@ class FollowBehaviour:
         """Continue with the remaining steps at the end of a trajectory, if there are any."""
         self._mission.on_task_steps_driven(self._result.n_done, now_ns)
         if not self._mission.done:
-            self._begin()
+            self._restart()
             self._goals.retarget(self._mission)
 
     def _refine_again(self, why: str, observation: Observation, now_ns: int) -> None:
-        self._mission.log_trajectory(_line(f"{why}: refining the rest again"), now_ns)
+        self._mission.log_trajectory(_log_text(f"{why}: refining the rest again"), now_ns)
         self._request_plan(observation, None, self._result)
 
     def _write_again(self, why: str, now_ns: int) -> None:
         """Write a new trajectory, once. The second time, the mission fails."""
         if self._abandon_reason:
-            self._mission.fail(_line(why), now_ns)
+            self._mission.fail(_log_text(why), now_ns)
             return
         self.phase, self._abandon_reason = "writing", why
-        self._mission.log_trajectory(_line(f"{why}: writing a new trajectory from here"), now_ns)
+        self._mission.log_trajectory(
+            _log_text(f"{why}: writing a new trajectory from here"), now_ns
+        )
 
 
 def _is_at(pose: SE2, refined: RefinedTrajectory, index: int) -> bool:
+    """Return True if a goal is exactly this pose of the trajectory."""
     x_m, y_m, _, yaw_rad = refined.poses[index].tolist()
     return pose == SE2(x_m, y_m, yaw_rad)
 
 
-def _line(text: str) -> str:
-    return one_line(text, _REASON_CHARS)
+def _log_text(text: str) -> str:
+    return one_line(text, _MAX_TEXT_CHARS)

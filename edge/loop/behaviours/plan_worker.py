@@ -126,10 +126,10 @@ class PlanRequest:
     attempts: list[PlanAttempt] = field(default_factory=list)
 
 
-def log_line(draft: PlanResult, refined: RefinedTrajectory, request: PlanRequest) -> str:
+def log_line(result: PlanResult, refined: RefinedTrajectory, request: PlanRequest) -> str:
     """Return a line about a trajectory for the mission log."""
     length_m = float(np.hypot(*np.diff(refined.poses[:, :2], axis=0).T).sum())
-    origin = draft.understood or "written by the model"
+    origin = result.understood or "written by the model"
     if request.before is not None:
         origin = "refined again"
     elif request.nearer_to is not None:
@@ -167,12 +167,12 @@ def release_frame(request: ObjectMapUpdate | PlanRequest) -> None:
 
 def _write(request: PlanRequest) -> PlanResult:
     """Write a trajectory for as many steps as possible."""
-    scene, draft = _scene(request), PlanResult()
+    scene, result = _scene(request), PlanResult()
     for n_steps in request.ends:
-        draft = _write_up_to(n_steps, request, scene)
-        if draft.refined is not None or draft.hopeless:
+        result = _write_up_to(n_steps, request, scene)
+        if result.refined is not None or result.hopeless:
             break
-    return draft
+    return result
 
 
 def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult:
@@ -180,66 +180,72 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
     config = request.config
     # An open slice tells `write_trajectory` that the robot stops at its end.
     steps = slice(request.n_driven, n_steps if n_steps < request.n_steps else None)
-    limits, instruction = _tasks(config).trajectory, request.instruction
+    limits, instruction = _task_settings(config).trajectory, request.instruction
     prompt = ""
     if isinstance(config.tasks.planner, WriterModel):
         prompt = f"{system_prompt()}\n\n{task_text(instruction, scene, limits, request.reason)}"
-    draft = PlanResult(prompt=prompt, n_done=n_steps)
+    result = PlanResult(prompt=prompt, n_done=n_steps)
     try:
         written = write_trajectory(
-            instruction, scene, _tasks(config), request.attempts.append, request.reason, which=steps
+            instruction,
+            scene,
+            _task_settings(config),
+            request.attempts.append,
+            request.reason,
+            step_slice=steps,
         )
         coarse, end_id = written.coarse, written.stops_at
         labels = {k: obj.label for k, obj in scene.objects.items()}
         stops_at = None if end_id is None else (end_id, labels[end_id])
         stops = tuple(tuple((k, labels[k]) for k in step) for step in written.stops)
-        draft = replace(
-            draft, coarse_m=coarse.points_m, speed_mps=coarse.speed_mps,
+        result = replace(
+            result, coarse_m=coarse.points_m, speed_mps=coarse.speed_mps,
             understood=written.understood, stops_at=stops_at, stops=stops,
         )  # fmt: skip
         refined = refine(
-            scene, coarse.segments, coarse.regions, _margins(config), _limits(config, draft),
+            scene, coarse.segments, coarse.regions, _margins(config),
+            _motion_limits(config, result),
             heading_rad=coarse.heading_rad,
         )  # fmt: skip
     except UserError as error:
         ambiguous = error.things if isinstance(error, AmbiguousObjectError) else ()
         return replace(
-            draft, error=str(error), hopeless=isinstance(error, TranslationError),
+            result, error=str(error), hopeless=isinstance(error, TranslationError),
             ambiguous=ambiguous, rounds=tuple(request.attempts),
         )  # fmt: skip
-    return replace(draft, refined=refined, rounds=tuple(request.attempts))
+    return replace(result, refined=refined, rounds=tuple(request.attempts))
 
 
 def _refine(request: PlanRequest, before: PlanResult, refined: RefinedTrajectory) -> PlanResult:
     """Refine the rest of an earlier trajectory on the current map."""
     config = request.config
-    limits = _limits(config, before)
+    limits = _motion_limits(config, before)
     refined = refine_again(_scene(request), refined, request.index, _margins(config), limits)
     return replace(before, refined=refined)
 
 
-def _approach(request: PlanRequest, thing: tuple[int, str]) -> PlanResult:
+def _approach(request: PlanRequest, obj: tuple[int, str]) -> PlanResult:
     """Write a trajectory nearer to an object that was far away, or hidden, before.
 
     The result has no trajectory if the approach is below `NEARER_M`.
     """
     scene = _scene(request)
-    found = _found_again(thing, scene)
+    found = _find_again(obj, scene)
     if found is None:
         return PlanResult()
     instruction = f"go to object {found.id}"
-    draft = _write(replace(request, instruction=instruction, n_driven=0, ends=(1,), n_steps=1))
-    if draft.refined is None:
-        return draft
-    x_m, y_m, _, yaw_rad = draft.refined.poses[-1].tolist()
+    result = _write(replace(request, instruction=instruction, n_driven=0, ends=(1,), n_steps=1))
+    if result.refined is None:
+        return result
+    x_m, y_m, _, yaw_rad = result.refined.poses[-1].tolist()
     if _distance_m(found, scene.pose) - _distance_m(found, SE2(x_m, y_m, yaw_rad)) < NEARER_M:
         return PlanResult()
-    return draft
+    return result
 
 
-def _found_again(thing: tuple[int, str], scene: Scene) -> SceneObject | None:
+def _find_again(obj: tuple[int, str], scene: Scene) -> SceneObject | None:
     """Return the object with this id. If it is gone, return the nearest object of its label."""
-    object_id, label = thing
+    object_id, label = obj
     if object_id in scene.objects:
         return scene.objects[object_id]
     same_label = [obj for obj in scene.objects.values() if obj.label == label]
@@ -247,8 +253,8 @@ def _found_again(thing: tuple[int, str], scene: Scene) -> SceneObject | None:
     return None if nearest is None or _distance_m(nearest, scene.pose) > SAME_OBJECT_M else nearest
 
 
-def _distance_m(thing: SceneObject, at: SE2) -> float:
-    return float(np.hypot(*(thing.points_m[:, :2] - (at.x_m, at.y_m)).T).min())
+def _distance_m(obj: SceneObject, at: SE2) -> float:
+    return float(np.hypot(*(obj.points_m[:, :2] - (at.x_m, at.y_m)).T).min())
 
 
 def _scene(request: PlanRequest) -> Scene:
@@ -259,11 +265,11 @@ def _scene(request: PlanRequest) -> Scene:
         request.instances,
         radius_m,
         request.found,
-        seen=request.objects,
+        object_map=request.objects,
     )
 
 
-def _tasks(config: Config) -> TasksConfig:
+def _task_settings(config: Config) -> TasksConfig:
     """Return the task settings, with a clearance of at least the map's inflation.
 
     A path inside the inflated cells would count as blocked.
@@ -275,11 +281,11 @@ def _tasks(config: Config) -> TasksConfig:
 
 
 def _margins(config: Config) -> PathMargins:
-    return PathMargins(_tasks(config).trajectory.clearance_m)
+    return PathMargins(_task_settings(config).trajectory.clearance_m)
 
 
-def _limits(config: Config, draft: PlanResult) -> MotionLimits:
+def _motion_limits(config: Config, result: PlanResult) -> MotionLimits:
     """Return the robot's limits, with the speed of the instruction if that is lower."""
     limits = MotionLimits.of(config.robot)
-    asked_mps = limits.speed_mps if draft.speed_mps is None else draft.speed_mps
-    return replace(limits, speed_mps=min(asked_mps, limits.speed_mps))
+    wanted_mps = limits.speed_mps if result.speed_mps is None else result.speed_mps
+    return replace(limits, speed_mps=min(wanted_mps, limits.speed_mps))

@@ -1,4 +1,6 @@
-"""Pursuits: how the robot pursues one target of a mission, by the kind of the target.
+"""Pursuits: one class for each kind of target says how the robot goes there and when it is done.
+
+`SearchBehaviour` makes a pursuit for each active target and calls it in each tick.
 
 `PURSUITS` has one class for each kind of destination. Another kind needs a class and a line there.
 """
@@ -42,31 +44,41 @@ from edge.policies.select import ranked
 from edge.text import one_line
 from edge.types import Goal, Instance
 
-_MOST_NAMED = 12
-# Least votes for a kind at a goal, as a share of the range from the worst to the best point; number
-# of surveys that must agree that the robot is inside.
-_BEST, _SURVEYS = 0.9, 2
+_MAX_NAMES = 12  # object names in the report of an exploration
+# `RoomMemory.votes` says how much the objects near a point speak for a kind of room. A point needs
+# this share of the range from the lowest to the highest votes to be a goal.
+_MIN_VOTES_SHARE = 0.9
+_SURVEYS = 2  # surveys after the arrival that must agree that the robot is inside
 _DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
 _AROUND_M = 3.0  # distance within which a room of a kind is explored before it counts as reached
 _LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
 _ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
-Kind = TypeVar("Kind", bound="Destination | None")
+DestinationType = TypeVar("DestinationType", bound="Destination | None")
 
 
-class Pursuit(Generic[Kind]):
+class Pursuit(Generic[DestinationType]):
     """Pursuit of a thing: search for it, and go to it. Base class of the others.
 
     Args:
         destination: The active target; None for a thing.
         mission: The mission.
-        here: The semantic map.
+        semantic_map: The semantic map.
         goals: The goal tracker.
     """
 
     def __init__(
-        self, destination: Kind, mission: MissionRun, here: SemanticMap, goals: GoalTracker
+        self,
+        destination: DestinationType,
+        mission: MissionRun,
+        semantic_map: SemanticMap,
+        goals: GoalTracker,
     ) -> None:
-        self._destination, self._mission, self._map, self._goals = destination, mission, here, goals
+        self._destination, self._mission, self._map, self._goals = (
+            destination,
+            mission,
+            semantic_map,
+            goals,
+        )
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
 
     @property
@@ -76,18 +88,24 @@ class Pursuit(Generic[Kind]):
 
     def gather(self) -> Sequence[Instance]:
         """Return the objects that are candidates for this target."""
-        sure, doubted = not self._map.config.policy.instances, self._goals.candidates_exhausted
-        return self._map.tracker.of(self._target_label, sure, doubted=doubted)
+        only_confirmed = not self._map.config.policy.instances
+        # Objects that probably are another thing come last, when nothing else is left.
+        doubted = self._goals.candidates_exhausted
+        return self._map.tracker.of(self._target_label, only_confirmed, doubted=doubted)
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         """Check the goal, then the end of the target; see `Behaviour.plan`."""
-        turns = self._mission.retargets
+        retargets_before = self._mission.retargets
         if self._since_ns is None:
             self._since_ns = context.observation.stamp_ns
         self._goals.check_progress(
             self._map.grid, context.pose, self._mission, images, context.now_ns, self._is_reached
         )
-        if self._mission.retargets == turns and not self._mission.done and self._goals.exhausted:
+        if (
+            self._mission.retargets == retargets_before
+            and not self._mission.done
+            and self._goals.exhausted
+        ):
             self.finish(context.now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
@@ -136,12 +154,12 @@ class ExplorePursuit(Pursuit[ExploreTarget]):
             if left_s <= 0:
                 self.finish(context.now_ns)
                 return
-            mission.activity = f"exploring, {_left(left_s)}"
+            mission.activity = f"exploring, {_time_left(left_s)}"
         super().check_progress(context, images)
 
     def finish(self, now_ns: int) -> None:
         known = f"{self._map.grid.known_m2:.0f} m² are known"
-        self._mission.on_reached(known, now_ns, f"{known}, {_found(self._map)}")
+        self._mission.on_reached(known, now_ns, f"{known}, {_objects_found(self._map)}")
 
 
 class WaitPursuit(Pursuit[WaitTarget]):
@@ -157,7 +175,7 @@ class WaitPursuit(Pursuit[WaitTarget]):
             mission.activity = "waiting until told to go on"
             return
         left_s = seconds - mission.pursued_now_s
-        mission.activity = f"waiting, {_left(left_s)}"
+        mission.activity = f"waiting, {_time_left(left_s)}"
         if left_s <= 0:
             mission.on_reached(f"waited {shown_s(seconds)}", context.now_ns)
 
@@ -167,26 +185,26 @@ class WaitPursuit(Pursuit[WaitTarget]):
 
 
 class CheckAnswer:
-    """The answer to a check: yes for a thing that is confirmed and seen during the pursuit.
+    """Answers a check: yes for a thing that is confirmed and seen during the pursuit, else no.
 
     Args:
         check: The check.
         mission: The mission.
-        here: The semantic map.
+        semantic_map: The semantic map.
     """
 
-    def __init__(self, check: CheckTarget, mission: MissionRun, here: SemanticMap) -> None:
+    def __init__(self, check: CheckTarget, mission: MissionRun, semantic_map: SemanticMap) -> None:
         self.label = check.name
         self._room = f"in the {check.room}" if check.room else ""
-        self._mission, self._map = mission, here
+        self._mission, self._map = mission, semantic_map
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
-        self._before = ""  # what was known before
+        self._known_before = ""  # text about the thing from earlier sightings
 
     def new_detections(self, context: PolicyInput) -> list[Instance]:
         """Return the confirmed objects that were detected since the first call."""
         if self._since_ns is None:
             self._since_ns = context.observation.stamp_ns
-            self._before = self._remembered(context)
+            self._known_before = self._remembered(context)
         confirmed = self._map.tracker.of(self.label, only_confirmed=True)
         return [one for one in confirmed if one.last_seen_ns >= self._since_ns]
 
@@ -203,7 +221,7 @@ class CheckAnswer:
 
     def answer_no(self, reason: str, now_ns: int) -> None:
         """Answer that there is none."""
-        before = f"; seen before: {self._before}" if self._before else ""
+        before = f"; seen before: {self._known_before}" if self._known_before else ""
         none = " ".join(filter(None, ("no, there is no", self.label, self._room)))
         answer = f"{none}: {reason}{before}"
         self._mission.on_reached(answer, now_ns, answer)
@@ -232,10 +250,14 @@ class CheckPursuit(Pursuit[CheckTarget]):
     """
 
     def __init__(
-        self, destination: CheckTarget, mission: MissionRun, here: SemanticMap, goals: GoalTracker
+        self,
+        destination: CheckTarget,
+        mission: MissionRun,
+        semantic_map: SemanticMap,
+        goals: GoalTracker,
     ) -> None:
-        super().__init__(destination, mission, here, goals)
-        self._answer = CheckAnswer(destination, mission, here)
+        super().__init__(destination, mission, semantic_map, goals)
+        self._answer = CheckAnswer(destination, mission, semantic_map)
 
     @property
     def _target_label(self) -> str:
@@ -263,10 +285,11 @@ class RoomPursuit(Pursuit[RoomTarget]):
     The robot is inside if the map says so, whatever the controller says of its goal.
     """
 
-    _chosen = 0  # id of the room to go to
-    _entered = _explored = 0  # id of the room that the robot came to, and that has no frontier left
-    _arrived_m = np.zeros(2, np.float32)  # where it came to it
-    _closed: MappedRoom | None = None  # a room that it may be, but that zones close
+    _chosen_id = 0  # id of the room to go to; 0: none
+    _exploring_id = 0  # id of the room that is explored around `_arrived_m`; 0: none
+    _explored_id = 0  # id of the room in which that is done
+    _arrived_m = np.zeros(2, np.float32)  # where the robot came into the room
+    _closed_room: MappedRoom | None = None  # a room that the target may mean, if zones close all
     _is_final = False  # True if all is explored: the choice stays
     _surveyed: RoomSurvey | None = None  # the newest survey that agreed
     _agreed = 0  # number of surveys since the arrival that agree
@@ -276,7 +299,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         mission, room = self._mission, self._choose(context)
-        if room is None and self._closed is not None and self._kind is None:
+        if room is None and self._closed_room is not None and self._kind is None:
             self.finish(context.now_ns)
             return
         if room is None:
@@ -300,21 +323,21 @@ class RoomPursuit(Pursuit[RoomTarget]):
         self._mission.on_reached(evidence, now_ns)
 
     def finish(self, now_ns: int) -> None:
-        room, kind = self._map.rooms.room(self._chosen), self._kind
+        room, kind = self._map.rooms.room(self._chosen_id), self._kind
         if room is not None:
-            pass  # no path to it
+            pass  # this room was chosen before, and there is no path to it
         elif self._destination.which == "largest":
             room = max(self._map.rooms.rooms, key=lambda one: one.area_m2, default=None)
-        elif self._closed is not None:
-            room = self._closed  # no other is likelier
+        elif self._closed_room is not None:
+            room = self._closed_room  # no other is likelier
         elif kind is not None:
             room = self._most_likely(kind)
         if room is not None and is_closed(room, self._map, kind):
             self._mission.abandon_target(f"a zone closes {room.phrase}, room {room.id}", now_ns)
-        elif room is None or self._chosen == room.id:
+        elif room is None or self._chosen_id == room.id:
             super().finish(now_ns)
-        else:
-            self._chosen, self._is_final = room.id, True
+        else:  # a last chance: go to this room
+            self._chosen_id, self._is_final = room.id, True
 
     def _most_likely(self, kind: str) -> MappedRoom | None:
         """Return the room to try when none is certain; None if nothing speaks for any."""
@@ -327,18 +350,20 @@ class RoomPursuit(Pursuit[RoomTarget]):
         return rooms[int(np.argmax(votes))] if max(votes) > 0.0 else None
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
+        """Return a goal in the room, or on the way to it; while no room is known, explore."""
         target, grid, goals = self._destination, self._map.grid, self._goals
-        if target.which != "with":
+        if target.which != "with":  # no object is searched for, so the policy's scores do not apply
             prior = None if self._kind is None else RoomKindPrior(self._map.rooms, self._kind)
             scores = SearchPolicy(PolicySearch()).score(replace(context, prior=prior))
         scores = np.asarray(scores, np.float32)
-        room = self._map.rooms.room(self._chosen)
-        if room is not None and self._has_frontiers(room, context):
+        room = self._map.rooms.room(self._chosen_id)
+        if room is not None and self._explore_around_arrival(room, context):
             return goals.choose(context, grid, scores, images)
         if room is not None:
-            points_m, old, rooms = self._points_m(room), goals.goal, self._map.rooms
+            points_m, old, rooms = self._stopping_points_m(room), goals.goal, self._map.rooms
             keep = old is not None and rooms.entered(old.pose.x_m, old.pose.y_m) == room.id
             pose = context.pose
+            # The controller has arrived, but the map says that the robot is not inside: go deeper.
             if goals.arrived and rooms.entered(pose.x_m, pose.y_m) != room.id:
                 keep = False
                 away_m = np.hypot(*(points_m - np.array((pose.x_m, pose.y_m), np.float32)).T)
@@ -361,27 +386,28 @@ class RoomPursuit(Pursuit[RoomTarget]):
         and if the next surveys agree. The goal is such a point, as long as it stays.
         """
         inside = self._map.rooms.entered(context.pose.x_m, context.pose.y_m) == room.id
-        if not inside or not self._by_kind(room):
+        if not inside or not self._is_found_by_kind(room):
             return inside
         goal = self._goals.goal
         if not self._goals.arrived or goal is None or goal.kind != "place":
             self._agreed = 0
-        elif self._explored != room.id:
-            self._entered = room.id
+        elif self._explored_id != room.id:
+            self._exploring_id = room.id
             self._arrived_m = np.array((context.pose.x_m, context.pose.y_m), np.float32)
         elif self._map.rooms.survey is not self._surveyed:
             self._surveyed, self._agreed = self._map.rooms.survey, self._agreed + 1
         return self._agreed > _SURVEYS
 
-    def _by_kind(self, room: MappedRoom) -> bool:
+    def _is_found_by_kind(self, room: MappedRoom) -> bool:
+        """Return True if the room is taken for the target because of its objects, not its name."""
         return self._kind is not None and not room.is_named
 
-    def _has_frontiers(self, room: MappedRoom, context: PolicyInput) -> bool:
-        """Return True while a room that the robot came to by its kind is not explored around there.
+    def _explore_around_arrival(self, room: MappedRoom, context: PolicyInput) -> bool:
+        """Return True while a room found by its kind has frontiers near the point of arrival.
 
         All other frontiers are then blocked in this tick.
         """
-        if self._entered != room.id or not self._by_kind(room):
+        if self._exploring_id != room.id or not self._is_found_by_kind(room):
             return False
         self._block_outside(room)
         c, delta_m = self._map.pool.candidates, self._map.config.policy.delta_reached_m
@@ -389,7 +415,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         left = ranked(c, c.path_m[: c.n], context.pose, delta_m)
         if np.isfinite(c.path_m[left]).any():
             return True
-        self._entered, self._explored = 0, room.id
+        self._exploring_id, self._explored_id = 0, room.id
         return False
 
     def _is_in(self, xy_m: np.ndarray, room: MappedRoom) -> np.ndarray:
@@ -403,44 +429,48 @@ class RoomPursuit(Pursuit[RoomTarget]):
         outside = ~self._is_in(c.xy_m[: c.n], room)
         c.blocked[: c.n] |= outside & (c.kind[: c.n] == FRONTIER)
 
-    def _points_m(self, room: MappedRoom) -> np.ndarray:
+    def _stopping_points_m(self, room: MappedRoom) -> np.ndarray:
         """Return the points of a room to go to, (k, 2) float32, k > 0."""
-        if not self._by_kind(room):
+        if not self._is_found_by_kind(room):
             return room.points_m
         assert self._kind is not None
-        votes, near = self._map.rooms.votes(room, self._kind), self._paths_m(room, POINT_SNAP_M)
-        can = np.isfinite(near) if np.isfinite(near).any() else np.ones(len(near), np.bool_)
-        low, high = float(votes[can].min()), float(votes[can].max())
-        return room.points_m[can & (votes >= low + _BEST * (high - low))]
+        votes, near = self._map.rooms.votes(room, self._kind), self._distances_m(room, POINT_SNAP_M)
+        reachable = np.isfinite(near) if np.isfinite(near).any() else np.ones(len(near), np.bool_)
+        low, high = float(votes[reachable].min()), float(votes[reachable].max())
+        return room.points_m[reachable & (votes >= low + _MIN_VOTES_SHARE * (high - low))]
 
     def _choose(self, context: PolicyInput) -> MappedRoom | None:
         """Return the room to go to; None if none is known. A choice stays while it is possible."""
         rooms, which = self._map.rooms, self._destination.which
         kept = self._is_final or which == "next"
-        if kept and (room := rooms.room(self._chosen)) is not None:
+        if kept and (room := rooms.room(self._chosen_id)) is not None:
             return room
         known = rooms_of(self._destination, self._map)
         found = [room for room in known if not is_closed(room, self._map, self._kind)]
-        self._closed = known[0] if known and not found else None
+        self._closed_room = known[0] if known and not found else None
         if which == "next":
-            here = rooms.room_at(context.pose.x_m, context.pose.y_m)
-            beside = set() if here is None else {door.room for door in here.doors}
-            found = [room for room in found if np.isfinite(self._path_m(room)) and room is not here]
-            found = [room for room in found if room.id in beside] or found
-        chosen = next((room for room in found if room.id == self._chosen), None)
+            current = rooms.room_at(context.pose.x_m, context.pose.y_m)
+            next_door = set() if current is None else {door.room for door in current.doors}
+            found = [
+                room
+                for room in found
+                if np.isfinite(self._distance_m(room)) and room is not current
+            ]
+            found = [room for room in found if room.id in next_door] or found
+        chosen = next((room for room in found if room.id == self._chosen_id), None)
         if chosen is None and found:
-            chosen = min(found, key=lambda room: (self._path_m(room), room.id))
+            chosen = min(found, key=lambda room: (self._distance_m(room), room.id))
         number = 0 if chosen is None else chosen.id
-        if number != self._chosen:
-            self._chosen = number
+        if number != self._chosen_id:
+            self._chosen_id = number
             self._goals.abandon()
         return chosen
 
-    def _path_m(self, room: MappedRoom) -> float:
+    def _distance_m(self, room: MappedRoom) -> float:
         """Return the driving distance to a room; inf if no path is known."""
-        return float(self._paths_m(room, _ROOM_SNAP_M).min(initial=np.inf))
+        return float(self._distances_m(room, _ROOM_SNAP_M).min(initial=np.inf))
 
-    def _paths_m(self, room: MappedRoom, snap_m: np.ndarray) -> np.ndarray:
+    def _distances_m(self, room: MappedRoom, snap_m: np.ndarray) -> np.ndarray:
         """Return the driving distance to each point of a room, (j,) float32; inf without a path."""
         n, path_m = len(room.points_m), np.empty(len(room.points_m), np.float32)
         self._map.grid.travel_cost.path_lengths_m(
@@ -456,13 +486,13 @@ class ExploreRoomPursuit(RoomPursuit):
         self,
         destination: ExploreTarget | CheckTarget,
         mission: MissionRun,
-        here: SemanticMap,
+        semantic_map: SemanticMap,
         goals: GoalTracker,
     ) -> None:
-        super().__init__(room_target(destination.room), mission, here, goals)
-        self._name, self._doing = destination.room, "exploring"
+        super().__init__(room_target(destination.room), mission, semantic_map, goals)
+        self._name, self._activity = destination.room, "exploring"
         self._limit_s = destination.limit_s if isinstance(destination, ExploreTarget) else None
-        self._inside: MappedRoom | None = None  # once the robot has been inside
+        self._inside: MappedRoom | None = None  # the room, once the robot has been inside
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         if self._inside is not None:
@@ -473,12 +503,12 @@ class ExploreRoomPursuit(RoomPursuit):
         elif self._inside is None:
             super().check_progress(context, images)
         else:
-            left = "" if self._limit_s is None else f", {_left(left_s)}"
-            self._mission.activity = f"{self._doing} the {self._name}{left}"
-            self._judge_inside(context, images)
+            left = "" if self._limit_s is None else f", {_time_left(left_s)}"
+            self._mission.activity = f"{self._activity} the {self._name}{left}"
+            self._explore_inside(context, images)
 
     def arrive(self, evidence: str, now_ns: int) -> None:
-        self._inside = self._map.rooms.room(self._chosen)
+        self._inside = self._map.rooms.room(self._chosen_id)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         if self._inside is None:
@@ -493,17 +523,21 @@ class ExploreRoomPursuit(RoomPursuit):
         """End the target: the room is explored, or the time is over."""
         known = f"the {self._name} was not reached"
         if self._inside is not None:
-            found = _found(self._map, self._inside)
+            found = _objects_found(self._map, self._inside)
             known = f"{self._name}: {self._inside.area_m2:.0f} m² are known, {found}"
         self._mission.on_reached(known, now_ns, known)
 
-    def _judge_inside(self, context: PolicyInput, images: int) -> None:
+    def _explore_inside(self, context: PolicyInput, images: int) -> None:
         """Follow the goal; end the target when no candidate in the room is left."""
-        mission, turns = self._mission, self._mission.retargets
+        mission, retargets_before = self._mission, self._mission.retargets
         self._goals.check_progress(
             self._map.grid, context.pose, mission, images, context.now_ns, self._is_reached
         )
-        if mission.retargets == turns and not mission.done and self._goals.candidates_exhausted:
+        if (
+            mission.retargets == retargets_before
+            and not mission.done
+            and self._goals.candidates_exhausted
+        ):
             self.end(context.now_ns)
 
 
@@ -511,11 +545,15 @@ class CheckRoomPursuit(ExploreRoomPursuit):
     """A look if a thing is in one room."""
 
     def __init__(
-        self, destination: CheckTarget, mission: MissionRun, here: SemanticMap, goals: GoalTracker
+        self,
+        destination: CheckTarget,
+        mission: MissionRun,
+        semantic_map: SemanticMap,
+        goals: GoalTracker,
     ) -> None:
-        super().__init__(destination, mission, here, goals)
-        self._doing = f"checking for the {destination.name} in"
-        self._answer = CheckAnswer(destination, mission, here)
+        super().__init__(destination, mission, semantic_map, goals)
+        self._activity = f"checking for the {destination.name} in"
+        self._answer = CheckAnswer(destination, mission, semantic_map)
 
     @property
     def _target_label(self) -> str:
@@ -546,39 +584,43 @@ class CheckRoomPursuit(ExploreRoomPursuit):
         ]
 
 
-def _explore(destination: ExploreTarget, *others: Any) -> Pursuit:
-    kind = ExploreRoomPursuit if destination.room else ExplorePursuit
-    return kind(destination, *others)
+def _make_explore_pursuit(destination: ExploreTarget, *others: Any) -> Pursuit:
+    pursuit_class = ExploreRoomPursuit if destination.room else ExplorePursuit
+    return pursuit_class(destination, *others)
 
 
-def _check(destination: CheckTarget, *others: Any) -> Pursuit:
-    return (CheckRoomPursuit if destination.room else CheckPursuit)(destination, *others)
+def _make_check_pursuit(destination: CheckTarget, *others: Any) -> Pursuit:
+    pursuit_class = CheckRoomPursuit if destination.room else CheckPursuit
+    return pursuit_class(destination, *others)
 
 
 PURSUITS: dict[type | None, Callable[..., Pursuit]] = {
     None: Pursuit,
     PlaceTarget: PlacePursuit,
-    ExploreTarget: _explore,
+    ExploreTarget: _make_explore_pursuit,
     WaitTarget: WaitPursuit,
-    CheckTarget: _check,
+    CheckTarget: _make_check_pursuit,
     RoomTarget: RoomPursuit,
 }
-"""The pursuit of each kind of destination; that of `None` is for things."""
+"""Pursuit by the class of the destination; `None` is for a thing, which has no destination."""
 
 
-def _left(left_s: float) -> str:
+def _time_left(left_s: float) -> str:
+    """Return a time as text: "5 min left"."""
     return f"{shown_s(math.ceil(max(0.0, left_s)))} left"
 
 
-def _found(here: SemanticMap, room: MappedRoom | None = None) -> str:
+def _objects_found(semantic_map: SemanticMap, room: MappedRoom | None = None) -> str:
     """Return the names of the objects in the map, or in a room, the most frequent first."""
-    objects = known_objects(here.objects.read_only, 0, here.config.perception.min_hits)
+    objects = known_objects(
+        semantic_map.objects.read_only, 0, semantic_map.config.perception.min_hits
+    )
     if room is not None:
         xy_m = np.array([one.xyz_m[:2] for one in objects], np.float32).reshape(-1, 2)
-        ids = here.rooms.survey.ids[here.rooms.survey.regions.at(xy_m)]
+        ids = semantic_map.rooms.survey.ids[semantic_map.rooms.survey.regions.at(xy_m)]
         objects = [one for one, at in zip(objects, ids.tolist(), strict=True) if at == room.id]
     numbers = Counter(one.name for one in objects).most_common()
-    named = [f"{name} ({n})" if n > 1 else name for name, n in numbers[:_MOST_NAMED]]
+    named = [f"{name} ({n})" if n > 1 else name for name, n in numbers[:_MAX_NAMES]]
     more = len(numbers) - len(named)
     named += [f"{more} more kinds"] if more else []
     return f"found: {', '.join(named)}" if named else "found no objects"

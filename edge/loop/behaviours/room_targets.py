@@ -1,4 +1,7 @@
-"""Rooms as targets of a mission: which rooms are meant, which are known, which are closed."""
+"""Rooms as targets of a mission: the rooms that a target may mean, and rooms that are closed.
+
+The search behaviour and its `RoomPursuit` use it.
+"""
 
 from __future__ import annotations
 
@@ -14,30 +17,39 @@ from edge.text import one_line
 
 
 class RoomKindPrior:
-    """A prior of frontiers by the kind of room that they are in or lead to."""
+    """A prior of frontiers by the kind of room that they are in or lead to.
+
+    Args:
+        rooms: The known rooms.
+        kind: The kind of room that is searched for.
+    """
 
     def __init__(self, rooms: RoomMemory, kind: str) -> None:
         self._rooms, self._kind = rooms, kind
 
     def likelihood_ratio(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
-        """See `TargetPrior.likelihood_ratio`; the target is the kind of room."""
+        """See `TargetPrior.likelihood_ratio`. `target` is not used: the kind was given."""
         np.clip(self._rooms.kind_ratio(self._kind, xy_m[:n]), LEAST, MOST, out=out[:n])
 
 
-def rooms_of(target: RoomTarget, here: SemanticMap) -> list[MappedRoom]:
-    """Return the known rooms that a target may mean, without the largest one."""
-    rooms = here.rooms
+def rooms_of(target: RoomTarget, semantic_map: SemanticMap) -> list[MappedRoom]:
+    """Return the known rooms that a target may mean, the most likely first for `with`.
+
+    For `largest` it returns []: until all is explored, another room may be larger. `RoomPursuit`
+    chooses it at the end.
+    """
+    rooms = semantic_map.rooms
     if target.which == "called":
         return rooms.find(target.name)
     if target.which == "next":
         return [room for room in rooms.rooms if not room.is_visited]
-    if target.which == "with":
-        shown, min_hits = here.objects.read_only, here.config.perception.min_hits
+    if target.which == "with":  # "the room with the sofa": only the most likely one
+        shown, min_hits = semantic_map.objects.read_only, semantic_map.config.perception.min_hits
         return rooms.with_thing(target.name, shown, min_hits)[:1]
-    return []
+    return []  # `largest`
 
 
-def is_closed(room: MappedRoom, here: SemanticMap, kind: str | None = None) -> bool:
+def is_closed(room: MappedRoom, semantic_map: SemanticMap, kind: str | None = None) -> bool:
     """Return True if zones, or the mission itself, close all of a room.
 
     If only its objects show that it is of `kind`, it is closed, too, if most of these objects are
@@ -46,24 +58,24 @@ def is_closed(room: MappedRoom, here: SemanticMap, kind: str | None = None) -> b
 
     Args:
         room: The room.
-        here: The semantic map.
+        semantic_map: The semantic map.
         kind: The wanted kind of room; None if the room is wanted for another reason.
     """
-    zones = here.grid.zones
+    zones = semantic_map.grid.zones
     if not zones.any:
         return False
     if all(zones.contains(x_m, y_m) for x_m, y_m in room.points_m.tolist()):
         return True
     if kind is None or room.is_named:
         return False
-    xy_m, weights = here.rooms.evidence(room, kind)
+    xy_m, weights = semantic_map.rooms.evidence(room, kind)
     shows_it = weights > 0.0
     closed = [zones.contains(x_m, y_m) for x_m, y_m in xy_m[shows_it].tolist()]
     weights = weights[shows_it]
     return bool(weights @ np.array(closed, np.float64) > 0.5 * weights.sum())
 
 
-def refuse_closed(spec: MissionSpec, site: Site, here: SemanticMap) -> None:
+def refuse_closed(spec: MissionSpec, site: Site, semantic_map: SemanticMap) -> None:
     """Refuse a mission to a room if a zone closes each room that it may mean.
 
     Raises:
@@ -71,33 +83,35 @@ def refuse_closed(spec: MissionSpec, site: Site, here: SemanticMap) -> None:
     """
     for name in spec.automaton.possible:
         target = spec.translation.destinations.get(name)
-        rooms = rooms_of(target, here) if isinstance(target, RoomTarget) else []
-        if rooms and all(zones := [room.closed_by(site) for room in rooms]):
+        rooms = rooms_of(target, semantic_map) if isinstance(target, RoomTarget) else []
+        zones = [room.closed_by(site) for room in rooms]  # "" for a room that is open
+        if rooms and all(zones):
             raise MissionError(
                 f"mission: {one_line(name)} is closed by the zone {one_line(zones[0])!r}; remove "
                 "the zone or name another room"
             )
 
 
-def known_targets(mission: MissionRun, here: SemanticMap) -> dict[str, int]:
+def known_targets(mission: MissionRun, semantic_map: SemanticMap) -> dict[str, int]:
     """Return the destinations of a mission that are known, each with the id of its newest room.
 
-    A destination that is no room is always known, with id 0.
+    The mission notices by a higher id that another room became known. A destination that is no room
+    is always known, with id 0.
     """
     known = {}
     for name, target in mission.destinations.items():
         if not isinstance(target, RoomTarget):
             known[name] = 0
-        elif found := rooms_of(target, here):
+        elif found := rooms_of(target, semantic_map):
             known[name] = max(room.id for room in found)
     return known
 
 
-def close_forbidden(mission: MissionRun, here: SemanticMap) -> None:
+def close_forbidden(mission: MissionRun, semantic_map: SemanticMap) -> None:
     """Close the rooms that the mission must not reach now, as zones; open all others."""
     closed: list[MappedRoom] = []
     for name in () if mission.done else mission.forbidden:
         target = mission.destinations.get(name)
         if isinstance(target, RoomTarget):
-            closed += here.rooms.matching(target.name)
-    here.close_rooms(closed)
+            closed += semantic_map.rooms.matching(target.name)  # all rooms of this name or kind
+    semantic_map.close_rooms(closed)

@@ -24,7 +24,7 @@ class SearchBehaviour:
     Args:
         mission: The mission.
         config: The configuration.
-        here: The semantic map.
+        semantic_map: The semantic map.
         goals: The goal tracker.
         travel_costs: Estimates travel costs between targets; None if the planner does not use them.
     """
@@ -35,16 +35,17 @@ class SearchBehaviour:
         self,
         mission: MissionRun,
         config: Config,
-        here: SemanticMap,
+        semantic_map: SemanticMap,
         goals: GoalTracker,
         travel_costs: TravelCostEstimator | None,
     ) -> None:
         self._mission, self._config = mission, config
-        self._map, self._goals, self._travel_costs = here, goals, travel_costs
+        self._map, self._goals, self._travel_costs = semantic_map, goals, travel_costs
         self._object_targets = tuple(
             t for t in mission.spec.targets if t not in mission.destinations
         )
-        self._pursued: tuple[int, Pursuit] | None = None  # first the turns of the mission
+        # `MissionRun.retargets` when the pursuit began, and the pursuit.
+        self._pursued: tuple[int, Pursuit] | None = None
 
     @property
     def _pursuit(self) -> Pursuit:
@@ -52,8 +53,8 @@ class SearchBehaviour:
         if self._pursued is None or self._pursued[0] != self._mission.retargets:
             mission = self._mission
             destination = mission.destinations.get(mission.target)
-            kind = PURSUITS[None if destination is None else type(destination)]
-            pursuit = kind(destination, mission, self._map, self._goals)
+            make_pursuit = PURSUITS[None if destination is None else type(destination)]
+            pursuit = make_pursuit(destination, mission, self._map, self._goals)
             self._pursued = (mission.retargets, pursuit)
         return self._pursued[1]
 
@@ -65,8 +66,8 @@ class SearchBehaviour:
         """Check the goal; fail the target if the search for it is exhausted."""
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
-        sure = not self._config.policy.instances
-        seen = newest_ids(self._map.tracker, self._object_targets, sure)
+        only_confirmed = not self._config.policy.instances
+        seen = newest_ids(self._map.tracker, self._object_targets, only_confirmed)
         mission.on_detections(seen | known_targets(mission, self._map), now_ns)
         close_forbidden(mission, self._map)
         if self._travel_costs is not None:

@@ -181,7 +181,9 @@ def _write(
     functions = MaplessFunctions if writing == "no map" else ScriptFunctions
     begin_s = time.perf_counter()
     try:
-        given = write_trajectory(episode.task.instruction, episode.scene, config, make=functions)
+        given = write_trajectory(
+            episode.task.instruction, episode.scene, config, make_functions=functions
+        )
     except ChatError as error:
         return error, time.perf_counter() - begin_s
     except UnavailableError:

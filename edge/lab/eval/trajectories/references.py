@@ -135,7 +135,7 @@ class ReferenceScene:
         cell = self.costmap.cell_of(*here)
         if cell is None or self.costmap.weight[cell]:
             return None if cell is None else here
-        nearest = astar.nearest_open(self.costmap, cell, here, ESCAPE_M)
+        nearest = astar.nearest_free(self.costmap, cell, here, ESCAPE_M)
         if nearest is None:
             return None
         x_m, y_m = self.costmap.metres_of(np.array([nearest[1] + 0.5, nearest[0] + 0.5])).tolist()
