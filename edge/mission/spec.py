@@ -29,7 +29,7 @@ from edge.mission.language.english import describe
 from edge.mission.language.errands import CHECK, spell_out
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
-from edge.mission.language.nouns import listed
+from edge.mission.language.nouns import split_entries
 from edge.mission.language.places import EXPLORED, quote_places
 from edge.mission.language.said import MissionOrder, NoMissionError, understand
 from edge.mission.language.tokens import UnclearError
@@ -103,7 +103,7 @@ class MissionSpec:
         return tuple(lines)
 
 
-_SMALL_WORDS = frozenset(listed("the next near room and for from here there with wait"))
+_SMALL_WORDS = frozenset(split_entries("the next near room and for from here there with wait"))
 """Words of names that say nothing about the thing."""
 
 

@@ -24,9 +24,10 @@ MAX_ALTERNATIVES = 32
 """Largest number of alternatives of a formula; one with more is read out literally."""
 
 
-# A formula as alternatives of sets of chains: F(a & (F b | F c) & F d) asks for "a, then d", and
-# for "a, then b" or "a, then c". Sequences distribute over & and |, because a chain that asks for
-# something later also asks for its earlier part.
+# A chain is a sequence of visits. A formula becomes alternatives of sets of chains:
+# F(a & (F b | F c) & F d) asks for "a, then d", and for "a, then b" or "a, then c". Sequences
+# distribute over & and |, because a chain that asks for something later also asks for its earlier
+# part.
 Chain = tuple[Visit, ...]
 Alternatives = list[tuple[Chain, ...]]
 
@@ -43,13 +44,13 @@ def alternatives_of(f: Formula) -> Alternatives | None:
         each = [alternatives_of(part) for part in f.args]
         if any(a is None for a in each):
             return None
-        return _capped([chains for a in each if a is not None for chains in a])
+        return _cap([chains for a in each if a is not None for chains in a])
     if f.op == "&":
         return _all_of(f.args)
     return _sequence(f) if f.op == "F" else None
 
 
-def _capped(found: Alternatives) -> Alternatives | None:
+def _cap(found: Alternatives) -> Alternatives | None:
     """Return the alternatives; None if there are more than `MAX_ALTERNATIVES`."""
     return found if len(found) <= MAX_ALTERNATIVES else None
 
@@ -105,7 +106,7 @@ def _once_more(first: Formula, rest: list[Formula]) -> Formula | None:
 
 
 MAX_NODES = 600
-"""Longer formulas are shown as formulas, because such long sentences do not help."""
+"""Largest number of nodes of a formula that is put into words; longer sentences do not help."""
 
 _MAX_DEPTH = 60  # levels of operators in a formula that is put into words
 _SHOWN = 2000  # characters of a formula that is too long for words
@@ -130,7 +131,7 @@ def describe(formula: Formula) -> str:
 
 def is_plain(formula: Formula) -> bool:
     """Return True if a formula has plain sentences, without operators that are read out."""
-    return _READ_OUT not in describe(formula).lower()
+    return _READ_OUT_START not in describe(formula).lower()
 
 
 def is_too_long(formula: Formula) -> bool:
@@ -146,7 +147,7 @@ def is_too_long(formula: Formula) -> bool:
 def _goals(parts: tuple[Formula, ...]) -> list[str]:
     """Return sentences for the parts that ask for something, single visits first."""
     singles = [part for part in parts if part.op == "F" and options_of(part.args[0])]
-    exact = [part for part in parts if _exactly(part, parts)]
+    exact = [part for part in parts if _is_exact_count(part, parts)]
     sentences = [f"reach {_stop(*_count_of(part), word='exactly')}" for part in exact]
     singles = [part for part in singles if part not in exact]
     if singles:
@@ -159,7 +160,7 @@ def _goals(parts: tuple[Formula, ...]) -> list[str]:
         if found is None and part.op == "|":
             sentences += [_choice(part)]
         elif found is not None and len(found) == 1:
-            sentences += [f"reach {_chain(chain)}" for chain in _merged(found[0])]
+            sentences += [f"reach {_chain(chain)}" for chain in _merge_chains(found[0])]
         elif found is not None:
             sentences.append(_choice(part))
     return sentences
@@ -167,9 +168,9 @@ def _goals(parts: tuple[Formula, ...]) -> list[str]:
 
 def _rules(parts: tuple[Formula, ...]) -> list[str]:
     """Return sentences for all other parts."""
-    counted = {_count_of(part) for part in parts if _exactly(part, parts)}
+    counted = {_count_of(part) for part in parts if _is_exact_count(part, parts)}
     return [
-        _rule(part) or _literally(part)
+        _rule(part) or _read_out(part)
         for part in parts
         if alternatives_of(part) is None
         and part.op != "|"
@@ -189,11 +190,11 @@ def _choice(f: Formula) -> str:
         rules = [_rule(part) for part in parts if part not in asked]
         found = alternatives_of(conj(*asked)) if asked else None
         if found is None or None in rules or any(_needs_a_sentence(r, asked) for r in parts):
-            return _literally(f)
+            return _read_out(f)
         for chains in found:
-            merged = _merged(chains)
+            merged = _merge_chains(chains)
             if len(merged) != 1:
-                return _literally(f)
+                return _read_out(f)
             phrases.append(", but ".join([f"reach {_chain(merged[0])}", *map(str, rules)]))
     return "; or ".join(phrases)
 
@@ -209,8 +210,8 @@ def _needs_a_sentence(f: Formula, asked: tuple[Formula, ...]) -> bool:
 _Merged = tuple[Chain, tuple[Visit, ...]]
 
 
-def _merged(chains: tuple[Chain, ...]) -> list[_Merged]:
-    """Merge chains that differ only in their last stop; return (common part, last stops)."""
+def _merge_chains(chains: tuple[Chain, ...]) -> list[_Merged]:
+    """Merge chains that differ only in their last stop; return pairs (common part, last stops)."""
     groups: dict[Chain, list[Visit]] = {}
     for chain in dict.fromkeys(chains):
         groups.setdefault(chain[:-1], []).append(chain[-1])
@@ -341,7 +342,7 @@ def _limit_of(f: Formula) -> tuple[tuple[str, ...], int] | None:
     return (options, times - 1) if options else None
 
 
-def _exactly(part: Formula, parts: tuple[Formula, ...]) -> bool:
+def _is_exact_count(part: Formula, parts: tuple[Formula, ...]) -> bool:
     """Return True if a part asks for exactly the number of visits that another part allows."""
     count = _count_of(part)
     return bool(count[0]) and any(_limit_of(other) == count for other in parts)
@@ -363,8 +364,8 @@ def _limit_until(f: Formula) -> str | None:
     return None
 
 
-_READ_OUT = "see to it, from the first step on,"
-_LITERAL = {
+_READ_OUT_START = "see to it, from the first step on,"
+_OPERATOR_WORDS = {
     "!": "it is not so that {0}",
     "X": "there is a next step, and at it {0}",
     "WX": "if there is a next step, then at it {0}",
@@ -379,7 +380,7 @@ _LITERAL = {
 }
 
 
-def _literally(formula: Formula) -> str:
+def _read_out(formula: Formula) -> str:
     """Return the formula read out operator by operator, operands in brackets."""
     texts: dict[int, str] = {}
     for f in postorder(formula):
@@ -391,5 +392,5 @@ def _literally(formula: Formula) -> str:
         elif f.op in ("true", "false"):
             texts[id(f)] = "anything happens" if f.op == "true" else "the impossible happens"
         else:
-            texts[id(f)] = _LITERAL[f.op].format(*parts)
-    return f"{_READ_OUT} that {texts[id(formula)]}"
+            texts[id(f)] = _OPERATOR_WORDS[f.op].format(*parts)
+    return f"{_READ_OUT_START} that {texts[id(formula)]}"

@@ -639,7 +639,7 @@ def _modifies(word: str) -> bool:
         return False
     if kind == "verb" and not word.endswith("ing") and not nouns.is_noun(word):
         return False
-    return word.strip("'").isalpha() and nouns.meant(word) is None
+    return word.strip("'").isalpha() and nouns.suggest_word(word) is None
 
 
 def _rewrite_back_to(found: re.Match[str]) -> str | None:

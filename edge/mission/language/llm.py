@@ -222,8 +222,8 @@ class LlmTranslator:
             else:
                 _report_left_out(formula, objects)
                 return formula
-            messages += repair(answer, fault)
-        shown = one_line(bare(answer), SHOWN_TO_USER)
+            messages += repair_messages(answer, fault)
+        shown = one_line(strip_answer(answer), SHOWN_TO_USER)
         raise TranslationError(
             f"instruction: no translation: {url} answered {shown!r}: {one_line(fault)}; "
             "say it in other words, or use a larger model"
@@ -243,7 +243,7 @@ def conversation(instruction: str) -> list[dict[str, str]]:
     return [*messages, {"role": "user", "content": instruction}]
 
 
-def repair(answer: str, fault: str) -> list[dict[str, str]]:
+def repair_messages(answer: str, fault: str) -> list[dict[str, str]]:
     """Return the messages that ask for a corrected formula."""
     wanted = f"This is wrong: {fault}. Answer with the corrected formula only."
     return [
@@ -282,7 +282,7 @@ def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
         FormulaError: the answer is no formula.
         UserError: it is too long, or it has another object, or none.
     """
-    text = bare(answer)
+    text = strip_answer(answer)
     if len(text) > MAX_FORMULA_CHARACTERS:
         raise _UnusableError(
             f"the answer has {len(text)} characters; it must be one formula of at most "
@@ -300,10 +300,10 @@ def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
     return formula
 
 
-def bare(answer: str) -> str:
+def strip_answer(answer: str) -> str:
     """Return an answer without thoughts, code fence and heading.
 
-    >>> bare("```ltl\\nLTL: F chair\\n```")
+    >>> strip_answer("```ltl\\nLTL: F chair\\n```")
     'F chair'
     """
     text = re.sub(r"\A\s*<think>.*?</think>", "", answer, flags=re.DOTALL).strip()

@@ -237,12 +237,12 @@ def _take_collective(reader: TokenReader, memory: Antecedents) -> str:
     if starts_noun_phrase(reader, ahead + 1) or is_number(reader, ahead + 1):
         return ""  # "each of the places a and b"
     reader.at += ahead + 1
-    while phrase := next((words for words in _BEEN if _says(reader, words)), None):
+    while phrase := next((words for words in _BEEN if _has_words(reader, words)), None):
         reader.at += len(phrase)
     return "them" if of_them else "places"
 
 
-def _says(reader: TokenReader, words: Sequence[str]) -> bool:
+def _has_words(reader: TokenReader, words: Sequence[str]) -> bool:
     return all(reader.peek(i).text == word for i, word in enumerate(words))
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from edge import names
 from edge.mission.language.everyday_words import ARTICLE, NAME, phrase_of
-from edge.mission.language.lexicon import TABLE, WORD, expanded
+from edge.mission.language.lexicon import TABLE, WORD, expand_word
 from edge.mission.language.remarks import SUBORDINATE, is_remark
 from edge.mission.language.spans import number_of
 from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
@@ -138,7 +138,7 @@ def _expand(found: re.Match[str]) -> str:
     word = found[0]
     if plain := _SPOKEN.get(word.lower()):
         return plain
-    parts = expanded(word.lower())
+    parts = expand_word(word.lower())
     return " ".join(parts) if len(parts) > 1 else word
 
 

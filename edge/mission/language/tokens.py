@@ -10,7 +10,7 @@ from typing import NoReturn
 from edge import names
 from edge.errors import UserError
 from edge.mission.language import nouns
-from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expanded
+from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expand_word
 from edge.text import one_line
 
 MAX_CHARS = 10_000
@@ -37,7 +37,7 @@ _ACTS = ("must", "can", "verb", "not", "do", "always")  # kinds after "u" that m
 HESITATIONS = ("uh", "um", "er", "erm", "hmm")
 _NAMES = re.compile(r"[\s,]*(?:to )?(?:the|an?|my) ", re.IGNORECASE)
 _MAY_SHUN = ("stay", "keep")  # "stay on the far side of": another translator may understand it
-_SHOWN = 60
+_SHOWN = 60  # most characters of a part in a message
 _PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
 _TOKEN = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
 STRAIGHT = str.maketrans({"’": "'", "‘": "'", "“": '"', "”": '"', "–": "-"})
@@ -137,7 +137,7 @@ def _words(text: str) -> list[Token]:
         elif match["word"] is not None:
             if found.lower() in HESITATIONS and not _corrects(words, text[end:]):
                 continue
-            for part in expanded(found.lower()):
+            for part in expand_word(found.lower()):
                 words.append(Token("word", part, start, end))
         elif found == "&":
             words.append(Token("word", found, start, end))
