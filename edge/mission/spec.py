@@ -45,6 +45,7 @@ from edge.mission.translate import Translation, TranslationError, make_translato
 from edge.text import one_line
 
 _NO_SITE = Site()
+# Spelled-out text that means more than the words as they were given.
 _MEANS_MORE = re.compile(rf'"(?:{CHECK}|{EXPLORED})\b|, then ')
 _MOST_SHOWN = 600  # characters of the parts of a contradiction
 
@@ -104,7 +105,7 @@ class MissionSpec:
 
 
 _SMALL_WORDS = frozenset(split_entries("the next near room and for from here there with wait"))
-"""Words of names that say nothing about the thing."""
+"""Words in names that a remark may share with a target by chance."""
 
 
 def prepare(
@@ -128,8 +129,8 @@ def prepare(
         reading: the chosen reading of the given instruction, counted from 1. For the
             configuration's own instruction, `config.reading` applies.
         site: a place of the site is a target that needs no search.
-        repeat: the end of a mission that repeats; None: as the instruction or formula says.
         caller: pose of the person who calls the robot, the place `caller`; None if it is not known.
+        repeat: the end of a mission that repeats; None: as the instruction or formula says.
 
     Raises:
         AmbiguousInstructionError: the instruction has several readings, and none was chosen.
@@ -157,7 +158,7 @@ def prepare(
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
-    return spec_of(config, located(repeated(translation, repeat), site))
+    return spec_of(config, with_destinations(with_repetition(translation, repeat), site))
 
 
 def translate(
@@ -167,7 +168,9 @@ def translate(
     reading: int | None = None,
     ask: bool = True,
 ) -> Translation:
-    """Spell out the everyday words of an instruction and translate it; see `prepare`.
+    """Spell out the everyday words of an instruction and translate it; for arguments see `prepare`.
+
+    `ask` is True if the sender can choose a reading.
 
     Raises:
         NoMissionError: it is a question, an order to learn, or about the present mission.
@@ -195,7 +198,7 @@ def translate(
     chosen, repeat = split_repetition(chosen)
     translation = translator.translate(chosen, reading, ask)
     letters = {name for name in ltl.propositions(translation.formula) if len(name) == 1}
-    if letters == {"a"} and '"a"' not in text:
+    if letters == {"a"} and '"a"' not in text:  # "find a" has lost its noun
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
     for reason in order.speech.reasons:
@@ -236,7 +239,7 @@ def _with_position(error: TranslationError, instruction: str) -> TranslationErro
     return type(error)(message, error.part, at)
 
 
-def repeated(translation: Translation, repeat: Repetition | None) -> Translation:
+def with_repetition(translation: Translation, repeat: Repetition | None) -> Translation:
     """Return a translation to one round of a mission that repeats, if it does.
 
     Args:
@@ -254,8 +257,8 @@ def repeated(translation: Translation, repeat: Repetition | None) -> Translation
     )
 
 
-def located(translation: Translation, site: Site) -> Translation:
-    """Return a translation whose propositions mean the destinations that their text names.
+def with_destinations(translation: Translation, site: Site) -> Translation:
+    """Return a translation with the destinations that its propositions name, also in its English.
 
     Raises:
         DestinationError: see `destination_of`.
@@ -273,14 +276,15 @@ def located(translation: Translation, site: Site) -> Translation:
             english = english.replace(f'"{letter}"', plain)
         else:
             _refuse_unknown_room(letter, site)
-    described, orders = describe(translation.formula), orders_of(translation.formula, found)
-    if found and orders and translation.english.startswith(described):
-        english = orders + translation.english[len(described) :]
+    formula_english = describe(translation.formula)
+    orders = orders_of(translation.formula, found)
+    if found and orders and translation.english.startswith(formula_english):
+        english = orders + translation.english[len(formula_english) :]
     return replace(translation, destinations=found, english=english)
 
 
 def _refuse_unknown_room(letter: str, site: Site) -> None:
-    """Refuse a thing in a room that is no kind of room, and has its name from nobody."""
+    """Refuse a thing in a room whose name is no kind of room, and which no person gave."""
     room = thing.room if (thing := described(letter)) is not None else ""
     if room and not is_room_name(room) and site.room_name(room) is None:
         raise MissionError(
@@ -389,6 +393,7 @@ def spec_of_task(
     states = np.arange(len(steps) + 1, dtype=np.int32)
     delta = np.repeat(states[:, None], len(targets) + 1, axis=1)
     delta[:-1, -1] += 1
+    # Only NOTHING, the last letter, moves the state, and the last state has no successor.
     chain = Automaton(ltl.TRUE, targets, delta, states == len(steps), np.zeros_like(states))
     return MissionSpec(translation, chain, Diagnosis((), True, ()), targets, targets, steps)
 

@@ -129,7 +129,7 @@ class Translator:
         """
         began_s = time.monotonic()
         read = self.read(instruction)
-        formulas, safer = distinct([validated(formula) for formula in read.formulas])
+        formulas, safer = distinct([check_text(formula) for formula in read.formulas])
         readings = tuple(Reading(formula, describe(formula)) for formula in formulas)
         if reading is not None and not 1 <= reading <= len(readings):
             ways = "way" if len(readings) == 1 else "ways"
@@ -155,7 +155,7 @@ class Translator:
         )
 
 
-def validated(formula: Formula) -> Formula:
+def check_text(formula: Formula) -> Formula:
     """Return the formula after checking that its text parses back to it.
 
     Raises:

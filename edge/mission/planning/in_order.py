@@ -6,7 +6,13 @@ import numpy as np
 
 from edge.config import PlannerInOrder, PlannerVitl
 from edge.mission.logic.automaton import NOTHING, Automaton
-from edge.mission.planning.plan import ACCEPTED, DEAD, MissionKnowledge, TargetPlan, named
+from edge.mission.planning.plan import (
+    ACCEPTED,
+    DEAD,
+    MissionKnowledge,
+    TargetPlan,
+    letter_text,
+)
 from edge.mission.planning.vitl import VitlPlanner
 
 
@@ -42,7 +48,7 @@ class InOrderPlanner:
             steps.append(letter)
             state = a.step(state, letter)
         cost, first = float(len(steps)), steps[0]
-        reason = f"{named(first)} is the first in the sentence that is possible now"
+        reason = f"{letter_text(first)} is the first in the sentence that is possible now"
         return TargetPlan(first or None, tuple(steps), cost, True, (), reason, ((first, cost),))
 
     def _first(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:

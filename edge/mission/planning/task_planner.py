@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from edge.mission.planning.plan import MissionKnowledge, TargetPlan, explain_blocked, listed
+from edge.mission.planning.plan import MissionKnowledge, TargetPlan, and_list, explain_blocked
 from edge.mission.task_step import TaskStep
 
 
@@ -38,7 +38,7 @@ class TaskPlanner:
             target = current or [*to_see, *self._targets][0]
             return TargetPlan(target, (), 0.0, True, (), "all objects of the task were seen", ())
         cost = float(len(unseen))
-        reason = f"{listed(unseen)} {_is(unseen)} still to be seen"
+        reason = f"{and_list(unseen)} {_is(unseen)} still to be seen"
         return TargetPlan(unseen[0], unseen, cost, True, (), reason, ((unseen[0], cost),))
 
 

@@ -64,7 +64,7 @@ class VitlPlanner:
         self._explore_m = config.explore_m
         places = k + 1 if self._by_distance else 1
         self._robot_place = places - 1
-        self._order = working_order(automaton)
+        self._order = order_of_relaxation(automaton)
         # A path without a failed edge enters no node twice, so it always costs less than FAILED.
         self._heaviest = int(kernels.FAILED - 1) // (n * places)
         self._weight = np.empty((k + 1, places), np.int64)
@@ -196,12 +196,12 @@ def _metres(distance_m: np.ndarray | None, known: list[bool], explore_m: float) 
         raise ValueError(f"distance_m: expected shape {(k + 1, k)}, got {distance_m.shape}")
     placed = np.array(known, bool) & np.isfinite(distance_m[-1])
     for j in np.flatnonzero(placed):
-        here = distance_m[-1, j]
+        from_robot = distance_m[-1, j]
         between = distance_m[:-1, j]
         metres[:-1, j] = np.where(
-            placed & np.isfinite(between), between, math.hypot(explore_m, here)
+            placed & np.isfinite(between), between, math.hypot(explore_m, from_robot)
         )
-        metres[-1, j] = here
+        metres[-1, j] = from_robot
     metres = np.maximum(metres, 0.0)
     close_triangle_inequality(metres)
     return metres
@@ -214,15 +214,15 @@ def close_triangle_inequality(metres: np.ndarray) -> None:
     triangle inequality. Then a return to the object just reached could seem better, again and
     again.
     """
-    here = metres[-1]
-    for _ in range(len(here)):
-        by_way = (here[:, None] + metres[:-1]).min(axis=0)
-        if (by_way >= here).all():
+    from_robot = metres[-1]
+    for _ in range(len(from_robot)):
+        by_way = (from_robot[:, None] + metres[:-1]).min(axis=0)
+        if (by_way >= from_robot).all():
             return
-        np.minimum(here, by_way, out=here)
+        np.minimum(from_robot, by_way, out=from_robot)
 
 
-def working_order(automaton: Automaton) -> np.ndarray:
+def order_of_relaxation(automaton: Automaton) -> np.ndarray:
     """Return the states that are neither accepting nor dead, nearest to acceptance first.
 
     Returns:
