@@ -78,7 +78,12 @@ def is_same(name: str, other: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A pose with a name."""
+    """A pose with a name.
+
+    Attributes:
+        name: see `name_of`.
+        pose: pose in `map`.
+    """
 
     name: str
     pose: SE2
@@ -117,7 +122,12 @@ class Zone:
 
 @dataclass(frozen=True, slots=True)
 class RoomName:
-    """A person's name for the room around a point."""
+    """A person's name for the room around a point.
+
+    Attributes:
+        name: see `name_of`.
+        xy_m: the point in `map`.
+    """
 
     name: str
     xy_m: Point
@@ -341,6 +351,7 @@ class _ZoneFeature(_Model):
 
 
 def _kind(value: Any) -> str:
+    """Return the tag of a feature's class in the union; a feature without a kind is a place."""
     properties = value.get("properties") if isinstance(value, dict) else None
     kind = properties.get("kind", "place") if isinstance(properties, dict) else None
     return "zone" if kind in ZONE_KINDS else "room" if kind == "room" else "place"
@@ -479,6 +490,7 @@ class SiteFile:
     def __post_init__(self) -> None:
         if self.site is None:
             self.site = Site() if self.path is None else read_site(self.path)
+        # The last result of `known`, after the site and the start for which it holds.
         self._known: tuple[Site, Place | None, Site] = self.site, None, self.site
         self._worker: Worker[Site, None] = Worker("site", self._save, finishes=True)
 
@@ -513,7 +525,7 @@ class SiteFile:
             self.on_error(f"{one_line(self.path)}: not saved: {error.strerror}")
 
 
-def merged(site: Site, items: Iterable[Item]) -> Site:
+def merge_items(site: Site, items: Iterable[Item]) -> Site:
     """Return a site with items added. Each item replaces an item of the same name."""
     for item in items:
         site = site.with_item(item)

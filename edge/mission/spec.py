@@ -13,7 +13,7 @@ from edge import names
 from edge.config import MissionConfig, TranslatorLtl
 from edge.errors import UserError
 from edge.geometry import SE2
-from edge.memory import Site, described, is_room_name
+from edge.memory import Site, is_room_name, parse_description
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
@@ -82,7 +82,7 @@ class MissionSpec:
         """Return the prompt to search for while this target is pursued."""
         destination = self.translation.destinations.get(target)
         wanted = destination.name if isinstance(destination, CheckTarget) else target
-        if wanted not in self.prompts and (thing := described(wanted)) is not None:
+        if wanted not in self.prompts and (thing := parse_description(wanted)) is not None:
             wanted = thing.noun
         if wanted in self.prompts:
             return wanted
@@ -262,7 +262,7 @@ def with_destinations(translation: Translation, site: Site) -> Translation:
 
     Raises:
         DestinationError: see `destination_of`.
-        RelationError: see `described`.
+        RelationError: see `parse_description`.
         MissionError: a zone closes a place, or a thing is in a room that has no such name.
     """
     found: dict[str, Destination] = {}
@@ -285,7 +285,7 @@ def with_destinations(translation: Translation, site: Site) -> Translation:
 
 def _refuse_unknown_room(letter: str, site: Site) -> None:
     """Refuse a thing in a room whose name is no kind of room, and which no person gave."""
-    room = thing.room if (thing := described(letter)) is not None else ""
+    room = thing.room if (thing := parse_description(letter)) is not None else ""
     if room and not is_room_name(room) and site.room_name(room) is None:
         raise MissionError(
             f"mission: {one_line(letter, 80)}: no room or thing is called {one_line(room, 60)!r}; "
@@ -352,7 +352,7 @@ def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) ->
         by_thing = isinstance(destination, RoomTarget) and destination.which == "with"
         if destination is None or isinstance(destination, CheckTarget) or by_thing:
             thing = target if destination is None else destination.name
-            relation = described(thing)
+            relation = parse_description(thing)
             for name in (thing,) if relation is None else relation.prompts:
                 found.setdefault(names.canonical(name), name)
     return tuple(found.values())

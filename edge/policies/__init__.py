@@ -43,8 +43,8 @@ def find_policy(
     """
     where, needs = f"{path}: policy", ("score()", "reset()")
     if isinstance(config, PolicyPlugin):
-        own = config.kind, config.options, REGISTRY, where, needs, tuple(given)
-        return partial(component_factory("policy", *own), **given)
+        plugin = config.kind, config.options, REGISTRY, where, needs, tuple(given)
+        return partial(component_factory("policy", *plugin), **given)
     make = component_factory("policy", config.kind, {}, REGISTRY, where, needs, ("config",))
     return partial(make, config=config)
 

@@ -21,9 +21,9 @@ from edge.memory import (
     RECOGNISED_KINDS,
     MappedRoom,
     RoomSurvey,
+    describe_location,
     kind_of_room,
     known_objects,
-    where_is,
 )
 from edge.mission.destinations import (
     CheckTarget,
@@ -38,7 +38,7 @@ from edge.mission.destinations import (
 from edge.mission.run import MissionRun
 from edge.policies.base import FRONTIER, PolicyInput
 from edge.policies.search import SearchPolicy
-from edge.policies.select import ranked
+from edge.policies.select import rank_candidates
 from edge.text import one_line
 from edge.types import Goal, Instance
 
@@ -214,7 +214,7 @@ class CheckAnswer:
         found = known_objects(shown, context.observation.stamp_ns, least, self.label)[:1]
         if not found:
             return ""
-        return where_is(self.label, found, context.pose, True, self._map.rooms.room_phrase)
+        return describe_location(self.label, found, context.pose, True, self._map.rooms.room_phrase)
 
     def time_is_over(self, now_ns: int) -> bool:
         """Answer no and return True if the search limit is over."""
@@ -384,7 +384,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         self._block_outside(room)
         c, delta_m = self._map.pool.candidates, self._map.config.policy.delta_reached_m
         c.blocked[: c.n] |= np.hypot(*(c.xy_m[: c.n] - self._arrived_m).T) > _AROUND_M
-        left = ranked(c, c.path_m[: c.n], context.pose, delta_m)
+        left = rank_candidates(c, c.path_m[: c.n], context.pose, delta_m)
         if np.isfinite(c.path_m[left]).any():
             return True
         self._entered, self._explored = 0, room.id
