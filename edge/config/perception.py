@@ -258,7 +258,7 @@ class PerceptionConfig(Section):
         detector: object detector.
         segmenter: finds the pixels of a target in its box, so that its place is right although
             another object stands before it. It runs in the background, after the detector.
-        prior: estimate of where a target is likely that is not in view: by objects nearby
+        prior: estimate of the likely places of a target that is not in view: by objects nearby
             (`cooccurrence`), by the kind of room (`rooms`), or both. Policies weigh it.
         tau_det: a box of at least this score starts a new object; weaker boxes count only for
             objects that are known.
