@@ -129,8 +129,8 @@ def open_service(
         site = SiteFile(None if mission.site is None else resources.expand(mission.site))
         stack.callback(site.close)
         if mission.checkpoint is not None:
-            requested = next((text for text in (task, formula, instruction) if text is not None), None)
-            checkpoint = ServiceCheckpoint(config, resources.expand(mission.checkpoint), requested)
+            given = next((text for text in (task, formula, instruction) if text is not None), None)
+            checkpoint = ServiceCheckpoint(config, resources.expand(mission.checkpoint), given)
             stack.callback(checkpoint.close)
             spec = checkpoint.saved_spec()
         idle = mission.on_request and spec is None and {instruction, formula, task} == {None}
@@ -289,8 +289,8 @@ def child_processes(
                         arguments, env=environ, start_new_session=True, pass_fds=(file.fileno(),)
                     )
                 except OSError as error:
-                    requested = " ".join([command, *options])
-                    raise UserError(f"cannot start `edge {requested}`: {error.strerror}") from None
+                    shown = " ".join([command, *options])
+                    raise UserError(f"cannot start `edge {shown}`: {error.strerror}") from None
                 started.append(child)
             with _watch(started, stop):
                 yield started
