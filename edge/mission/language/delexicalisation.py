@@ -93,14 +93,14 @@ def delexicalise_text(text: str) -> DelexicalisedText:
         >>> delexicalise_text("Go to the bed, then to the sofa.").words
         ('go', 'to', '<0>', ',', 'then', 'to', '<1>', '.')
     """
-    pieces = _pieces(text)
-    among_letters = _has_letter_names(pieces)
+    pieces = _split_pieces(text)
+    letters_are_names = _has_letter_names(pieces)
     words: list[str] = []
     starts: list[int] = []
     found: list[str] = []
     at = 0
     while at < len(pieces):
-        length, name = _name_at(pieces, at, among_letters)
+        length, name = _name_at(pieces, at, letters_are_names)
         if name in _RIDDEN and words and words[-1] in _RIDING:
             start = pieces[at].start
             raise not_understood(
@@ -125,7 +125,7 @@ def delexicalise_text(text: str) -> DelexicalisedText:
     return DelexicalisedText(tuple(words), tuple(found), tuple(starts))
 
 
-def _pieces(text: str) -> list[_Piece]:
+def _split_pieces(text: str) -> list[_Piece]:
     """Return the words, marks and quoted names of a text; errors as in `delexicalise_text`."""
     if len(text) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"
@@ -154,11 +154,11 @@ def _pieces(text: str) -> list[_Piece]:
     return pieces
 
 
-def _name_at(pieces: list[_Piece], at: int, among_letters: bool) -> tuple[int, str | None]:
+def _name_at(pieces: list[_Piece], at: int, letters_are_names: bool) -> tuple[int, str | None]:
     """Return the number of pieces and the canonical form of the name here, or (0, None)."""
     if pieces[at].quoted:
         return 1, names.canonical(pieces[at].text)
-    if _is_letter(pieces, at, among_letters):
+    if _is_letter(pieces, at, letters_are_names):
         return 1, pieces[at].text
     length = _known_length(pieces, at)
     if not length or _is_own_way(pieces, at) or _is_verb(pieces, at, length):
@@ -216,7 +216,7 @@ def _begins_name(texts: list[str], after_determiner: bool) -> bool:
     return (len(texts) > 1 and texts[0] in nouns.QUALITIES) or kind in (None, "word", "group")
 
 
-def _is_letter(pieces: list[_Piece], at: int, among_letters: bool) -> bool:
+def _is_letter(pieces: list[_Piece], at: int, letters_are_names: bool) -> bool:
     """Return True if a single letter here is a name; `a` is mostly an article."""
     text = pieces[at].text
     if len(text) != 1 or not text.isalpha() or not text.isascii() or text == "i":
@@ -227,7 +227,7 @@ def _is_letter(pieces: list[_Piece], at: int, among_letters: bool) -> bool:
     if after.quoted or (len(after.text) > 1 and _known_length(pieces, at + 1)):
         return False
     return after.text in _AFTER_LETTER or (
-        among_letters and (len(after.text) == 1 or after.text in _PHRASE_STARTS)
+        letters_are_names and (len(after.text) == 1 or after.text in _PHRASE_STARTS)
     )
 
 

@@ -51,7 +51,7 @@ MAX_NODES = 20_000
 """Largest size of a formula. "a and b, then c and d, then …" doubles the size with every step."""
 
 
-def _size(formula: Formula) -> int:
+def _tree_size(formula: Formula) -> int:
     """Return the number of nodes of the formula as a tree; shared parts count each time."""
     sizes: dict[int, int] = {}
     for f in postorder(formula):
@@ -147,7 +147,7 @@ class Discourse:
                 reader.skip("comma")
                 if joint is None:
                     refuse_questions(reader)
-                self._sentence(joint)
+                self._take_sentence(joint)
             reader.skip("comma", "stop")
         if self.first and self.clauses > 1:
             firsts = [token for token in reader.tokens if token.kind in ("first", "opener")]
@@ -162,7 +162,7 @@ class Discourse:
             parts += self._asked_after_all()
         parts += self._rules_for_all(AllOf(tuple(part for part in parts if names_in(part))))
         formula = formula_of(AllOf(tuple(parts)))
-        if _size(formula) > MAX_NODES:
+        if _tree_size(formula) > MAX_NODES:
             reader.refuse("the formula would be too large; ask for less at once", reader.tokens[0])
         if formula == TRUE:
             hint = "nothing is asked for; say for example 'visit the bed, then the chair'"
@@ -217,7 +217,7 @@ class Discourse:
         reader.at += 1
         return True
 
-    def _sentence(self, joint: Token | None) -> None:
+    def _take_sentence(self, joint: Token | None) -> None:
         """Parse a sentence: sequences with "or" between them."""
         reader = self.reader
         either = reader.peek()
@@ -227,7 +227,7 @@ class Discourse:
         after = self.first or (joint is not None and joint.kind in THEN)
         start = reader.peek()
         before = self.last
-        sequence, loose = self._sequence(joint)
+        sequence, loose = self._take_sequence(joint)
         after = after or (bool(sequence) and sequence[0].follows)
         if joint is not None and joint.kind == "only then" and before and sequence:
             sequence[0].rules += held_until(sequence[0].things.names, before)
@@ -243,7 +243,7 @@ class Discourse:
             reader.at += ahead
             if loose:
                 sequences[-1].append(loose)
-            sequence, loose = self._sequence(Token("or", "or", 0, 0))
+            sequence, loose = self._take_sequence(Token("or", "or", 0, 0))
             sequences.append(sequence)
         tokens = reader.tokens[reader.tokens.index(either) : reader.at]
         if either.text == "either" and not any(token.kind == "or" for token in tokens):
@@ -290,7 +290,9 @@ class Discourse:
         ahead += 1
         return ahead if starts_clause(self.reader, ahead) else None
 
-    def _sequence(self, joint: Token | None) -> tuple[list[ClauseMeaning], ClauseMeaning | None]:
+    def _take_sequence(
+        self, joint: Token | None
+    ) -> tuple[list[ClauseMeaning], ClauseMeaning | None]:
         """Parse a sequence of steps with "then" between them.
 
         Returns:
@@ -301,7 +303,7 @@ class Discourse:
         order_token: Token | None = None
         while True:
             self._check_number(joint)
-            clause, meaning = self._clause(joint, sequence)
+            clause, meaning = self._take_clause(joint, sequence)
             kind = joint.kind if joint else ""
             if meaning.loose and kind != "but" and not meaning.follows:
                 loose = _join(loose, meaning)
@@ -319,7 +321,7 @@ class Discourse:
             has_order = clause.order in ("in order", "strict order")
             if has_order and clause.things and len(clause.things.groups) + len(clause.route) < 2:
                 order_token = clause.token
-            joint = self._joint()
+            joint = self._take_joint()
             if joint is None:
                 if order_token:
                     hint = "an order goes with a list: 'visit a, then b'"
@@ -362,7 +364,7 @@ class Discourse:
         )
         meaning.repeats = True
 
-    def _clause(
+    def _take_clause(
         self, joint: Token | None, sequence: list[ClauseMeaning]
     ) -> tuple[Clause, ClauseMeaning]:
         """Parse the next clause; return it and its meaning after the clauses before it."""
@@ -516,7 +518,7 @@ class Discourse:
         elif not self.clauses:
             self.reader.refuse("no step comes before this one", clause.token)
 
-    def _joint(self) -> Token | None:
+    def _take_joint(self) -> Token | None:
         """Skip the words that join this clause to the next; return None if the sequence ends."""
         reader = self.reader
         if reader.is_at("comma") and reader.is_at("or", ahead=1):
@@ -543,15 +545,15 @@ class Discourse:
             return None
         verb = reader.peek().text.split()[0] if reader.is_at("verb") else ""
         no_order = verb.endswith(("ing", "s")) and not verb.endswith("ss")  # "…, it goes to b"
-        starts = starts_clause(reader) and self._begins_well() and not no_order
+        starts = starts_clause(reader) and self._has_own_verb() and not no_order
         if not starts:
             if reader.is_at("to") and reader.peek(-1).text in LEADING:
                 reader.refuse_finally(
                     "unclear: one thing that leads to the other, or both in turn? say 'then to …'"
                 )
             reader.refuse("unknown word")
-        return Token("", "", joint.start, joint.start)
+        return Token("", "", joint.start, joint.start)  # a joint without words
 
-    def _begins_well(self) -> bool:
+    def _has_own_verb(self) -> bool:
         """Return True if a clause without a joint before it has its own verb."""
         return not self.reader.is_at("word", "quoted", "to") or len(self.reader.peek().text) == 1

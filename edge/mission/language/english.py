@@ -327,11 +327,11 @@ def _always(f: Formula) -> str | None:
 
 def _count_of(f: Formula) -> tuple[tuple[str, ...], int]:
     """Return (names, n) of "at least n times"; ((), 0) for other formulas."""
-    found = alternatives_of(f)
-    if found is None or len(found) != 1 or len(found[0]) != 1 or len(found[0][0]) != 1:
+    alternatives = alternatives_of(f)
+    if alternatives is None or len(alternatives) != 1 or len(alternatives[0]) != 1:
         return (), 0
-    stop = found[0][0][0]
-    return stop.options, stop.times
+    (chain,) = alternatives[0]
+    return (chain[0].options, chain[0].times) if len(chain) == 1 else ((), 0)
 
 
 def _limit_of(f: Formula) -> tuple[tuple[str, ...], int] | None:

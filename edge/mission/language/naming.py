@@ -48,10 +48,10 @@ def take_name(reader: TokenReader) -> str:
         if _is_probably_article(reader):
             reader.refuse("not a known object", start)
         return _take_token(reader).text
-    words = _words(reader, article)
+    words = _take_words(reader, article)
     if not words:
         refuse_missing_name(reader, start)
-    _check(reader, words)
+    _check_words(reader, words)
     if reader.is_at("article"):
         reader.refuse("unknown word", words[0])
     text = _join_words(words)
@@ -66,7 +66,7 @@ def refuse_missing_name(reader: TokenReader, start: Token | None = None) -> NoRe
     reader.refuse("expected the name of a thing here", start)
 
 
-def _words(reader: TokenReader, article: bool) -> list[Token]:
+def _take_words(reader: TokenReader, article: bool) -> list[Token]:
     """Take the words of a name; after an article it may begin with a verb."""
     words: list[Token] = []
     while reader.is_at("word", "group") and not is_letter(reader.peek()):
@@ -99,7 +99,7 @@ def _says_number(reader: TokenReader) -> bool:
 
 def _is_lettered(reader: TokenReader) -> bool:
     """Return True if the letter here belongs to the word before it: "gate b"."""
-    article = reader.peek().text == "a" and _goes_on(reader)
+    article = reader.peek().text == "a" and _is_article_a(reader)
     return reader.peek(-1).text in nouns.NUMBERED and not article
 
 
@@ -120,10 +120,10 @@ def _take_token(reader: TokenReader) -> Token:
 
 def is_indefinite(reader: TokenReader) -> bool:
     """Return True if an `a` or `an` comes that is an article."""
-    return reader.is_at("word") and reader.peek().text in ("a", "an") and _goes_on(reader)
+    return reader.is_at("word") and reader.peek().text in ("a", "an") and _is_article_a(reader)
 
 
-def _goes_on(reader: TokenReader) -> bool:
+def _is_article_a(reader: TokenReader) -> bool:
     """Return True if `a` is an article: a longer word or a quoted name follows it."""
     follower = reader.peek(1)
     return follower.kind == "quoted" or (
@@ -150,7 +150,7 @@ def is_letter(token: Token) -> bool:
     return token.kind == "word" and len(token.text) == 1 and token.text.isalpha()
 
 
-def _check(reader: TokenReader, words: list[Token]) -> None:
+def _check_words(reader: TokenReader, words: list[Token]) -> None:
     """Refuse a name with a word that no name has, or that is not known."""
     texts = [token.text for token in words]
     wrong = next((i for i, text in enumerate(texts) if text in _NEVER_IN_NAMES), None)
