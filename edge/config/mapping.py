@@ -1,4 +1,4 @@
-"""The section of the occupancy map."""
+"""The section `mapping`: the occupancy map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The state of a mission in a checkpoint."""
+"""The state of a mission in a checkpoint, from which it continues after a restart."""
 
 from __future__ import annotations
 

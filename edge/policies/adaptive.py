@@ -1,4 +1,4 @@
-"""ApexNav's policy: use the value map if its values differ between frontiers, else geometry."""
+"""Policy `adaptive`, as in ApexNav: by the value map if its values differ enough, else by path."""
 
 from __future__ import annotations
 

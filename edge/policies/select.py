@@ -1,4 +1,4 @@
-"""Algorithm 2 of VL-Nav (III.E): choose one of the scored candidates. It has no state.
+"""Choice of one of the scored candidates as the goal: algorithm 2 of VL-Nav (III.E), without state.
 
 With any policy, instances come before frontiers. The current goal stays unless another candidate
 is clearly better.

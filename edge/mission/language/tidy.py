@@ -17,6 +17,7 @@ from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
+# Spelling of speech → full words.
 _SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is"}
 _APOSTROPHE_IS = re.compile(
     r"(?<=\d)'s (?=\w+ed\b)|"
@@ -31,12 +32,13 @@ _APOSTROPHE_IS = re.compile(
 _HESITATION = re.compile(
     rf"(?:(?P<comma>, )|(?<![\w'])){phrase_of('hesitation')}(?![\w'-]),?(?= |$)", re.I
 )
-# Words of which a speaker says one twice, and words with which a repeated clause begins.
+# Words that a speaker may say twice: "the the".
 _SMALL = (
     "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|are|was|were|there|this|"
     "that|here|for|then|with|where|what|can|could|would|do|did|have|please|go|come|find|look|stop|"
     "wait|no|not|never|me|from|ever)"
 )
+# First words of a clause that a speaker may begin twice: "go to go to".
 _BEGINS = (
     "(?:where|what|go|come|is|are|was|did|do|have|can|could|find|look|stop|wait|check|explore|visit|"
     "patrol|drive|get|show|tell|return|search)"
