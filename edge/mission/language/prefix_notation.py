@@ -26,6 +26,7 @@ from edge.mission.logic.ltl import (
 )
 
 MOST_NAMES = 8
+"""Largest number of names in a formula."""
 NAMES = tuple(f"<{i}>" for i in range(MOST_NAMES))
 """Placeholders of the objects of an instruction, in the order of their first mention."""
 COUNTS = range(1, 6)

@@ -378,7 +378,7 @@ def _tokens(text: str) -> Iterator[_Token]:
         kind, found, column = match.lastgroup, match[0], at + 1
         at = match.end()
         if kind == "quoted":
-            yield _name(re.sub(r"\\(.)", r"\1", found[1:-1], flags=re.DOTALL), column)
+            yield _name_token(re.sub(r"\\(.)", r"\1", found[1:-1], flags=re.DOTALL), column)
         elif kind == "paren":
             yield _Token(found, found, column)
         elif kind != "space":
@@ -388,14 +388,14 @@ def _tokens(text: str) -> Iterator[_Token]:
             elif op in _CONSTANTS:
                 yield _Token("constant", op, column)
             else:
-                name = _name(op, column)
+                name = _name_token(op, column)
                 if spaced := _separate_operators(op):
                     raise FormulaError(column, _missing_spaces_hint(op, spaced))
                 yield name
     yield _Token("end", "", len(text) + 1)
 
 
-def _name(text: str, column: int) -> _Token:
+def _name_token(text: str, column: int) -> _Token:
     try:
         names.normalise(text)
     except names.NotANameError as error:

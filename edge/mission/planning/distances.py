@@ -87,22 +87,22 @@ def warm_up() -> None:
 
 
 def _cost_matrix(
-    state: np.ndarray, step: np.ndarray, ends: list[np.ndarray], rows: list[np.ndarray]
+    state: np.ndarray, step: np.ndarray, ends: list[np.ndarray], starts: list[np.ndarray]
 ) -> np.ndarray:
-    """Return the costs from each start set to each object: (rows, k) float64.
+    """Return the costs from each start set to each object: (len(starts), k) float64.
 
     Args:
         state: (h, w) uint8, see `coarsen`.
         step: (2, 3) int32, see `wavefront`.
         ends: for each object (m, 2) int64: cells and extra costs at the end of a path.
-        rows: the start sets, like `ends`: the objects, then the robot.
+        starts: the start sets, like `ends`: the objects, then the robot.
     """
-    out = np.full((len(rows), len(ends)), np.inf)
-    most = max(step.max(), *(cells[:, 1].max(initial=0) for cells in rows))
-    buckets = np.empty(1 << int(most).bit_length(), np.int32)
-    queue = np.empty((2, 8 * state.size + max(len(cells) for cells in rows)), np.int32)
+    out = np.full((len(starts), len(ends)), np.inf)
+    largest = max(step.max(), *(cells[:, 1].max(initial=0) for cells in starts))
+    buckets = np.empty(1 << int(largest).bit_length(), np.int32)  # a power of 2 above all costs
+    queue = np.empty((2, 8 * state.size + max(len(cells) for cells in starts)), np.int32)
     distance = np.empty(state.shape, np.int32)
-    for i, begin in enumerate(rows):
+    for i, begin in enumerate(starts):
         wavefront(state, step, begin, distance, buckets, queue)
         for j, cells in enumerate(ends):
             costs = distance.ravel()[cells[:, 0]]
