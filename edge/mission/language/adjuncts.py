@@ -35,10 +35,10 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
     """Parse one more part of the clause; return False at its end."""
     token, start = reader.peek(), reader.at
     if token.kind == "always":
-        clause.always = token
+        clause.always = token  # "never go to a, at any moment"
         reader.at += 1
     elif token.kind == "in the end":
-        clause.ends = True
+        clause.ends = True  # "visit a last"
         reader.at += 1
     elif token.text == "directly" and reader.is_at("after", "when", "once", ahead=1):
         clause.next_step = True
@@ -84,14 +84,14 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
         clause.first = True
         reader.at += 1
     elif token.kind == "again":
-        clause.again = True
+        clause.again = True  # "do not go to a any more"
         reader.at += 1
     elif token.kind == "immediately":
         clause.next_step = True
         clause.instant = token if token.text.startswith(("in ", "at ")) else clause.instant
         reader.at += 1
     elif token.kind == "banned":
-        clause.negated = not clause.negated
+        clause.negated = not clause.negated  # "visiting a is forbidden"
         clause.count = clause.count and _negate_count(reader, clause.count, token)
         reader.at += 1
     elif token.kind == "after" and reader.is_at("comma", "stop", "end", "and", ahead=1):
@@ -100,10 +100,10 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
     elif token.kind in ("but", "comma", "all of") and _take_count_aside(reader, clause):
         pass
     elif token.kind == "no return":
-        clause.each = 1
+        clause.each = 1  # "visit a, b and c, no revisiting"
         reader.at += 1
     elif token.kind == "out of turn" and clause.negated:
-        clause.out_of_turn = True
+        clause.out_of_turn = True  # "do not visit any place out of order"
         reader.at += 1
     elif token.kind == "then" and _ends_with_after_that(reader):
         clause.trails = True
