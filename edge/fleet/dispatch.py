@@ -223,7 +223,7 @@ class Dispatcher:
                 elif robot.status_reply is not None and (part.id, name) in self._holders:
                     self._holders.remove((part.id, name))
                     self._n_forgot[part.id, name] += 1
-                    self._print(f"{_printable(name)} no longer knows its part: {part.english}")
+                    self._print(f"{_safe(name)} no longer knows its part: {part.english}")
 
     def _provisional_outcomes(self, orders: Orders) -> dict[str, PartOutcome]:
         """Return the outcomes of parts that have been lost for less than `patience_s`, by id."""
@@ -261,24 +261,22 @@ class Dispatcher:
                 self.ended_ns.pop(part.id, None)
             if (outcome := orders.outcomes.get(part.id)) is not None:
                 self.ended_ns.setdefault(part.id, time.time_ns())
-                line = f"{what}: {outcome.phase} by {_printable(outcome.by)}: {one_line(outcome.reason)}"
+                line = f"{what}: {outcome.phase} by {_safe(outcome.by)}: {one_line(outcome.reason)}"
             elif (name := orders.under_way.get(part.id)) is not None:
                 gave = (part.id, name) in self._given_here
-                line = None if gave else f"{what}: {_printable(name)} is working on it"
+                line = None if gave else f"{what}: {_safe(name)} is working on it"
                 if name not in robots:
-                    line = (f"{what}: {_printable(name)} is offline; another robot gets the part unless "
+                    line = (f"{what}: {_safe(name)} is offline; another robot gets the part unless "
                             f"it is back within {self._patience_s:g} s")  # fmt: skip
                 elif robots[name].status_reply is None:
-                    line = f"{what}: {_printable(name)} reports no status: {robots[name].problem}"
+                    line = f"{what}: {_safe(name)} reports no status: {robots[name].problem}"
             elif (outcome := provisional.get(part.id)) is not None:
                 line = (f"{what}: {one_line(outcome.reason)}; the part fails unless another robot "
                         f"comes online within {self._patience_s:g} s")  # fmt: skip
             else:
                 line = None
             self._print_if_changed(part.id, line)
-        waits = "; ".join(
-            f"{_printable(name)}: {why}" for name, why in sorted(orders.waits.items())
-        )
+        waits = "; ".join(f"{_safe(name)}: {why}" for name, why in sorted(orders.waits.items()))
         given = len(orders.outcomes) + len(orders.under_way) + len(orders.give)
         left = len(self._plan.parts) - given
         self._print_if_changed(
@@ -311,7 +309,7 @@ class Dispatcher:
             self._given_here.add((give.part.id, give.robot))
             self._holders.add((give.part.id, give.robot))
             self._assigned[give.part.id] = give.robot
-            self._print(f"{_printable(give.robot)} gets: {give.part.english}: {give.why}")
+            self._print(f"{_safe(give.robot)} gets: {give.part.english}: {give.why}")
 
     def _cancel_duplicate(self, cancel: Cancellation) -> None:
         request = {"do": "cancel", "id": cancel.id, "why": DUPLICATE_REASON}
@@ -320,8 +318,9 @@ class Dispatcher:
         except RequestError as error:
             self._print(one_line(error))
         else:
-            self._print(f"{_printable(cancel.robot)} was cancelled: {DUPLICATE_REASON}")
+            self._print(f"{_safe(cancel.robot)} was cancelled: {DUPLICATE_REASON}")
 
 
-def _printable(name: str) -> str:
+def _safe(name: str) -> str:
+    """Return a robot's name for output: printable, and at most 80 characters."""
     return one_line(name, 80)
