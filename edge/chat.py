@@ -199,6 +199,7 @@ class ChatClient:
                 self._under_way.discard(exchange)
 
     def _request(self, body: bytes, left_s: float) -> httpx.Request:
+        """Return the HTTP request for a body, with a timeout for each step of it."""
         parts = self._parts
         url = parts._replace(path=f"{parts.path.rstrip('/')}/chat/completions", fragment="")
         headers = {
@@ -212,6 +213,7 @@ class ChatClient:
         )
 
     def _parse_content(self, reply: HttpReply) -> str:
+        """Return the text of the answer; for errors see `ask`."""
         answer, shown = self._parse_json(reply), self._quote(reply.body)
         try:
             choice = answer["choices"][0]
@@ -231,6 +233,7 @@ class ChatClient:
         return content
 
     def _parse_log_probabilities(self, reply: HttpReply) -> list[tuple[str, float]]:
+        """Return the first token's alternatives; see `next_tokens`."""
         answer = self._parse_json(reply)
         try:
             found = answer["choices"][0]["logprobs"]["content"][0]["top_logprobs"]

@@ -189,9 +189,11 @@ _SMALL_NUMBERS = """
 """
 _ORDINALS = "first second third fourth fifth sixth seventh eighth ninth tenth"
 SMALL_NUMBERS = tuple(_SMALL_NUMBERS.split())
-# Values 20, 30, …
+"""Words for 0 to 19."""
+# Words for 20, 30, …
 TENS = ("twenty", "thirty", "forty", "fifty", "sixty", "seventy", "eighty", "ninety")
 ORDINALS = tuple(_ORDINALS.split())
+"""Words for 1st to 10th."""
 STOREYS = ("floor", "level", "storey", "story")  # "floor 2" is the "second floor"
 _MOST_SPELLED = 10  # largest number that a normalised name has as a word
 

@@ -18,6 +18,7 @@ from edge.text import bounded_repr, one_line, redact
 log = logging.getLogger("edge.config")
 
 PREFIX = "EDGE__"
+"""First characters of the variables that set a key."""
 KNOWN_VARIABLES = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE")
 """Variables that `edge` reads in addition to those that set a key."""
 

@@ -18,6 +18,7 @@ RosTopic = Literal[
     "map", "path", "trajectory", "markers", "keepout_mask", "keepout_info", "request", "answer",
 ]  # fmt: skip
 
+# Our name of a topic or action → its default name in ROS.
 DEFAULT_TOPICS: dict[str, str] = {
     "camera/rgb": "/camera/color/image_raw",
     "camera/depth": "/camera/aligned_depth_to_color/image_raw",

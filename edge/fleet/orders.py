@@ -80,7 +80,12 @@ class Assignment(NamedTuple):
 
 
 class Cancellation(NamedTuple):
-    """An order to cancel the mission `id` of a robot."""
+    """An order to cancel a robot's mission.
+
+    Attributes:
+        robot: Name of the robot.
+        id: Id of the mission on the robot.
+    """
 
     robot: str
     id: str

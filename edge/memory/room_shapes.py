@@ -108,6 +108,7 @@ class RoomSurvey(NamedTuple):
         return int(self.ids[self.regions.label[cell]]), float(self.depth_m[cell])
 
 
+# The survey of an empty map.
 NO_SURVEY = RoomSurvey(NO_REGIONS, np.zeros(1, np.int64), 1, (), (), np.zeros((0, 0), np.float32))
 
 

@@ -44,11 +44,14 @@ MAX_FEATURES = 500
 MAX_CORNERS = 500
 """Largest number of corners of a zone."""
 MAX_FILE_BYTES = 16 << 20
+"""Largest size of a file."""
 MAX_NAME_CHARS = 60
+"""Largest number of characters of a name."""
 START = "start"
 """A place that is always known: the first pose of this run."""
 _ARTICLES = ("the", "a", "an", "my", "our", "your")
 ZONE_KINDS = ("keep_out", "stay_inside")
+"""Kinds of zones; see `Zone`."""
 
 Point = tuple[float, float]
 
@@ -143,6 +146,9 @@ Item = Union[Place, Zone, RoomName]
 @dataclass(frozen=True, slots=True)
 class Site:
     """All places, zones and room names; immutable.
+
+    Attributes:
+        items: all of them, each with its own name.
 
     Example:
         >>> site = Site().with_item(Place("dock", SE2(1.0, 2.0, 0.0)))

@@ -264,6 +264,7 @@ def upgrade_places(data: Any) -> Any:
         return data
 
     def upgrade(name: str, pose: Any) -> Any:
+        """Return the JSON of one destination; a place was a pose, `explored` had none."""
         if isinstance(pose, dict) and "kind" in pose:
             return pose
         if name == EXPLORED and pose is None:

@@ -19,7 +19,12 @@ _SHOWN = 300  # characters of each reading
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One possible meaning of an instruction, as a formula and in English."""
+    """One possible meaning of an instruction.
+
+    Attributes:
+        formula: the meaning as a formula.
+        english: the formula in English.
+    """
 
     formula: Formula
     english: str

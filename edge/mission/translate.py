@@ -100,6 +100,10 @@ Backend = Callable[[str], ParsedInstruction]
 class Translator:
     """Translator of instructions to formulas.
 
+    Attributes:
+        kind: kind of the configuration's section `mission.translator`.
+        read: the back end that reads instructions.
+
     Example:
         >>> from edge.config import TranslatorGrammar
         >>> read = make_translator(TranslatorGrammar()).translate("Go to the bed or the sofa.")

@@ -16,6 +16,7 @@ from edge.config import PolicyPlugin
 from edge.config.components import component_factory
 from edge.policies.base import Policy
 
+# Kind of a policy → its class.
 REGISTRY = {
     "hvl": "edge.policies.hvl:HvlPolicy",
     "vlfm": "edge.policies.value_map:ValueMapPolicy",

@@ -30,6 +30,7 @@ from edge.host.signals import stop_on_signals
 log = logging.getLogger("edge.ros2_adapter")
 
 HERE = Path(__file__).parent
+# Folder of the node's program, and the file that `--launch-file` prints.
 NODE, LAUNCH_FILE = HERE / "node", HERE / "edge_adapter.launch.py"
 
 # Messages in the queues of ROS, by topic; `_DEPTH` for all others.

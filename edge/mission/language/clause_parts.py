@@ -24,7 +24,12 @@ _NUMBERS = ("number", "times n", "once")  # kinds of token that have a number
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """A range of separate visits; `most` is None without an upper limit."""
+    """A range of separate visits.
+
+    Attributes:
+        least: smallest number of visits.
+        most: largest number of visits; None: no limit.
+    """
 
     least: int
     most: int | None = None

@@ -18,6 +18,7 @@ from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 MOST_PIECES = 250
 """Largest number of words and marks in an instruction."""
 LONGEST_NAME = 6  # words
+# Articles are removed before a placeholder.
 ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
 # Words after which any known noun is a name.
 _DETERMINERS = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}

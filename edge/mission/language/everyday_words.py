@@ -179,6 +179,7 @@ _ROWS: dict[str, str] = {
 
 UNITS_S = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600}
 """Unit of time → its length [s]."""
+# Regular expression for an article or another determiner.
 ARTICLE = r"(?:the|an?|my|our|your|his|her|their|this|that|those|these|some|any)"
 
 _NOT_IN_NAMES = """

@@ -13,6 +13,7 @@ from edge.mission.language.routes import PASSING
 from edge.mission.language.tokens import Token, TokenReader
 
 THEN = ("then", "only then")
+"""Kinds of token that put the next clause after the one before."""
 JOINTS = ("comma", "and", "but", *THEN)
 """Kinds of token between clauses, in increasing strength: of several, the strongest applies."""
 

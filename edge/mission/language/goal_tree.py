@@ -47,7 +47,11 @@ class Visit:
 
 @dataclass(frozen=True, slots=True)
 class InSequence:
-    """A sequence of goals, one after the other."""
+    """A sequence of goals, one after the other.
+
+    Attributes:
+        goals: the goals, in order.
+    """
 
     goals: tuple[Goal, ...]
 
@@ -67,7 +71,11 @@ class AllOf:
 
 @dataclass(frozen=True, slots=True)
 class AnyOf:
-    """A choice of goals: at least one of them."""
+    """A choice of goals: at least one of them.
+
+    Attributes:
+        goals: the alternatives.
+    """
 
     goals: tuple[Goal, ...]
 

@@ -27,8 +27,10 @@ MOST_NESTING = 8  # depth of parentheses; a sequence of n objects needs n - 1
 MOST_OPERANDS = 12  # operands of one & or |
 SPARE = 3  # an object may occur several times: nesting and operands may exceed the number of names
 
+# Operators in the grammar; they can express the others.
 UNARY = ("!", "F ", "G ", "X ")
-BINARY = (" W ", " U ")  # they can express the other operators
+BINARY = (" W ", " U ")
+# GBNF of a quoted name of up to 40 characters.
 ANY_NAME = r'"\"" [^"\\\x00-\x1f] [^"\\\x00-\x1f]{0,39} "\""'
 
 
@@ -150,10 +152,11 @@ def _phrases(run: list[str]) -> Iterator[str]:
 log = logging.getLogger(__name__)
 
 MAX_TOKENS = 256  # six objects in three branches with two conditions need about 120
-MAX_FORMULA_CHARACTERS = 4000
+MAX_FORMULA_CHARACTERS = 4000  # of an answer that is parsed
 SHOWN_TO_MODEL = 500  # characters of a wrong answer
 SHOWN_TO_USER = 80  # characters of a wrong answer
 
+# The system prompt, and examples of instructions with their formulas.
 SYSTEM = """\
 Translate the instruction to a home robot into one formula of linear temporal logic. Answer with \
 the formula only.

@@ -185,13 +185,16 @@ _FOREIGN = split_entries(
 )
 """Short words of other languages that never occur in English sentences."""
 PEOPLE = split_entries(_PEOPLE) | {"person"}
+"""Nouns for people."""
 NOUNS = (
     split_entries(_PLACES)
     | split_entries(_OBJECTS)
     | split_entries(_EVERYDAY)
     | split_entries(_PEOPLE)
 )
+"""All nouns of the lists; the alias table of `edge.names` has more."""
 QUALITIES = split_entries(_QUALITIES) | split_entries(_MATERIALS)
+"""Words that may precede a noun in a name: "red", "wooden"."""
 PLAIN_WORDS = split_entries(_PLAIN) - NOUNS
 """Words that name no object, so a refusal must not suggest them as one."""
 NUMBERED = split_entries(
@@ -199,6 +202,7 @@ NUMBERED = split_entries(
     ward"""
 )
 """Kinds with numbered members: "second floor" is no second step."""
+# Rooms; two of them in a row are two names.
 ROOMS = split_entries(
     """apartment attic balcony basement bathroom bedroom cellar classroom conservatory corridor
     garage garden hall hallway kitchen laundry library lobby lounge nursery office pantry patio
@@ -207,6 +211,7 @@ ROOMS = split_entries(
 NUMERALS = (*names.ORDINALS, "last")
 """Ordinal numbers in order, and "last"."""
 ORDINALS = frozenset(NUMERALS)
+"""The same as a set."""
 _NAMED_BY_CONTENT = (
     "shop",
     "store",

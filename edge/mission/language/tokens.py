@@ -34,12 +34,15 @@ REASONS = {
 _DRIVEN = ("car", "vehicle")  # after "the", they may mean the robot or an object
 _ARTICLES = ("a", "an", "any", "my", "our", "your", "some", "another")
 _ACTS = ("must", "can", "verb", "not", "do", "always")  # kinds after "u" that means "you"
+# Words that are skipped, unless they correct a name.
 HESITATIONS = ("uh", "um", "er", "erm", "hmm")
+# A name with an article, after a hesitation.
 _NAMES = re.compile(r"[\s,]*(?:to )?(?:the|an?|my) ", re.IGNORECASE)
 _MAY_SHUN = ("stay", "keep")  # "stay on the far side of": another translator may understand it
 _SHOWN = 60  # most characters of a part in a message
 _PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
 _TOKEN = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
+# Typographic quotes and dashes → plain ones.
 STRAIGHT = str.maketrans({"’": "'", "‘": "'", "“": '"', "”": '"', "–": "-"})
 
 

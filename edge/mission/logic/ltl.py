@@ -21,12 +21,14 @@ from edge.errors import UserError
 from edge.text import one_line
 
 WORD = r"[A-Za-z_][A-Za-z0-9_]*"
+"""Regular expression for a proposition or an operator without quotes."""
 UNARY = ("!", "X", "WX", "F", "G")
 # Binding strength, weakest first; U W R M share one level.
 STRENGTH = {"<->": 1, "->": 2, "|": 3, "&": 4, "U": 5, "W": 5, "R": 5, "M": 5}
 STRENGTH |= dict.fromkeys(UNARY, 6)
+# Words that are no propositions, unless in quotes.
 KEYWORDS = frozenset({"X", "WX", "F", "G", "U", "W", "R", "M", "true", "false"})
-_ATOM_STRENGTH = 7
+_ATOM_STRENGTH = 7  # of a proposition or a constant: no parentheses
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -75,6 +75,7 @@ class Planner(Protocol):
         ...
 
 
+# The plans if the formula is fulfilled, and if it can no longer be fulfilled.
 ACCEPTED = TargetPlan(None, (), 0.0, True, (), "done: the formula is satisfied", ())
 DEAD = TargetPlan(
     None, (), float("inf"), False, (), "the formula can no longer be satisfied, whatever is "
