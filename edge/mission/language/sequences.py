@@ -105,31 +105,31 @@ def _flat_goals(step: ClauseMeaning) -> list[Goal]:
 
 def _unwrap(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
     """Return the only goal of nested sets with one goal, and the rules of these sets."""
-    inner_rules: tuple[Formula, ...] = ()
+    outer_rules: tuple[Formula, ...] = ()
     while isinstance(goal, AllOf) and len(goal.goals) == 1:
-        inner_rules, goal = (*inner_rules, *goal.rules), goal.goals[0]
-    return goal, inner_rules
+        outer_rules, goal = (*outer_rules, *goal.rules), goal.goals[0]
+    return goal, outer_rules
 
 
 def order_before_return(goal: Goal, meaning: ClauseMeaning) -> Goal:
     """Return the goal with a before b, for a return to a: `go to a. go to b. return to a.`."""
     asked_names = frozenset(meaning.things.names)
-    inner, inner_rules = _unwrap(goal)
+    inner, outer_rules = _unwrap(goal)
     parts = inner.goals if isinstance(inner, AllOf) else ()
     start = tuple(part for part in parts if names_in(part) & asked_names)
     rest = tuple(part for part in parts if not names_in(part) & asked_names)
     if not (isinstance(inner, AllOf) and start and rest):
         return goal
-    return AllOf((steps([AllOf(start), AllOf(rest)]),), (*inner_rules, *inner.rules))
+    return AllOf((steps([AllOf(start), AllOf(rest)]),), (*outer_rules, *inner.rules))
 
 
 def remove_last_goals(goal: Goal, meaning: ClauseMeaning) -> Goal:
     """Return the goal without its last clause: `visit a and b. b comes last.`."""
     asked_names = frozenset(meaning.things.names)
-    inner, inner_rules = _unwrap(goal)
+    inner, outer_rules = _unwrap(goal)
     parts = inner.goals if isinstance(inner, AllOf) else ()
     rest = tuple(part for part in parts if not names_in(part) <= asked_names)
-    return AllOf(rest, (*inner_rules, *inner.rules)) if isinstance(inner, AllOf) and rest else goal
+    return AllOf(rest, (*outer_rules, *inner.rules)) if isinstance(inner, AllOf) and rest else goal
 
 
 def split_return(meaning: ClauseMeaning, sequence: list[ClauseMeaning]) -> None:
@@ -144,11 +144,11 @@ def split_return(meaning: ClauseMeaning, sequence: list[ClauseMeaning]) -> None:
 
 def insert_detour(goal: Goal, passed: Goal, token: Token, reader: TokenReader) -> Goal:
     """Put a detour to b before the last step: `go to a. on the way, go to b`."""
-    goal, inner_rules = _unwrap(goal)
+    goal, outer_rules = _unwrap(goal)
     parts = goal.goals if isinstance(goal, InSequence) else (goal,)
     if not isinstance(parts[-1], Visit):
         reader.refuse("unclear where to; say 'on the way to …'", token)
-    return AllOf((steps([*parts[:-1], passed, parts[-1]]),), inner_rules)
+    return AllOf((steps([*parts[:-1], passed, parts[-1]]),), outer_rules)
 
 
 def repeat_visit(

@@ -1,6 +1,6 @@
 """Removal of what speech adds to an order: hesitations, politeness, self-corrections, reasons.
 
-`tidy_up` is the first step with an utterance; the module `said` then classifies the rest.
+`tidy_up` is the first step with an utterance; the module `utterance` then classifies the rest.
 """
 
 from __future__ import annotations
@@ -99,8 +99,8 @@ class TidySpeech:
         return text
 
 
-def tidy_up(said: str) -> TidySpeech:
-    """Return the utterance in plain words.
+def tidy_up(utterance: str) -> TidySpeech:
+    """Return the utterance in plain words; for the steps see the module.
 
     Raises:
         TranslationError: the text is too long, or a self-correction in it is unclear.
@@ -109,16 +109,16 @@ def tidy_up(said: str) -> TidySpeech:
         >>> tidy_up("Um, could you go to the kitchen, no sorry, the bathroom, please.").text
         'go to the bathroom.'
     """
-    if len(said) > MAX_CHARS:
+    if len(utterance) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"
-        raise not_understood(said[MAX_CHARS:], MAX_CHARS + 1, hint)
+        raise not_understood(utterance[MAX_CHARS:], MAX_CHARS + 1, hint)
     quoted: list[str] = []
 
     def hide(found: re.Match[str]) -> str:
         quoted.append(found[0])
         return chr(_FIRST_MARK + len(quoted) - 1)
 
-    text = " ".join(_QUOTED.sub(hide, said.translate(STRAIGHT)).split())
+    text = " ".join(_QUOTED.sub(hide, utterance.translate(STRAIGHT)).split())
     text = _APOSTROPHE_IS.sub(" is ", WORD.sub(_expand, text))
     text = " ".join(_HESITATION.sub(_keep_if_it_corrects, text).split())
     text = _ADDRESS.sub(",", text)
@@ -126,12 +126,12 @@ def tidy_up(said: str) -> TidySpeech:
     text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
-    once = _REPEATED.sub(r"\1\2", text)
-    uncorrected = strip_politeness(_LIKE.sub("", once))
+    unrepeated = _REPEATED.sub(r"\1\2", text)
+    uncorrected = strip_politeness(_LIKE.sub("", unrepeated))
     corrected = _apply_corrections(uncorrected)
     kept, reasons = split_off_reasons(corrected)
     kept = re.sub(r"[ ,;:]+([.!?])", r"\1", strip_politeness(kept))
-    repaired = once != text or corrected != uncorrected
+    repaired = unrepeated != text or corrected != uncorrected
     return TidySpeech(kept, reasons, repaired, tuple(quoted))
 
 
