@@ -209,7 +209,7 @@ def _slots_fit(slots: Mapping[str, str], sites: Collection[str]) -> bool:
 
     Args:
         slots: slot -> its text.
-        sites: names that are allowed in the slot `room` besides kinds of rooms.
+        sites: names that are allowed in the slot `room`, in addition to kinds of rooms.
     """
     room = bare(slots.get("room", ""))
     if room and not is_room(room) and room not in sites:

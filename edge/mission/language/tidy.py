@@ -1,6 +1,6 @@
 """Removal of what speech adds to an order: hesitations, politeness, self-corrections, reasons.
 
-`tidy_up` is the first step with an utterance; the module `utterance` then classifies the rest.
+`tidy_up` is the first step with an utterance; the module `said` then classifies the rest.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class TidySpeech:
 
 
 def tidy_up(utterance: str) -> TidySpeech:
-    """Return the utterance in plain words; for the steps see the module.
+    """Return the utterance in plain words, step by step.
 
     Raises:
         TranslationError: the text is too long, or a self-correction in it is unclear.
