@@ -143,7 +143,7 @@ class DegradationLevel(Section):
     pause: Literal["similarity", "choice"] | None = None
 
     @model_validator(mode="after")
-    def _one_thing(self) -> DegradationLevel:
+    def _check_one_choice(self) -> DegradationLevel:
         if (self.model is None) == (self.pause is None):
             raise ValueError("set exactly one: model (a cheaper detector), or pause (a scorer)")
         return self
@@ -314,7 +314,7 @@ class PerceptionConfig(Section):
     reject_radius_m: NonNegative = 0.6
 
     @model_validator(mode="after")
-    def _isolable(self) -> PerceptionConfig:
+    def _check_isolation(self) -> PerceptionConfig:
         if self.isolation == "process" and self.detector.kind != "onnx":
             raise ValueError(
                 f"isolation: process needs perception.detector.kind: onnx; the detector "
@@ -323,7 +323,7 @@ class PerceptionConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _has_what_load_shedding_drops(self) -> PerceptionConfig:
+    def _check_load_shedding(self) -> PerceptionConfig:
         for i, level in enumerate(self.load_shedding.levels):
             key = f"load_shedding: levels: {i}"
             if level.model is not None and self.detector.kind != "onnx":

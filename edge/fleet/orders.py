@@ -281,7 +281,7 @@ def _assign(
             part,
             name,
             f"{part.id}{AGAIN}{n_duplicates}" if n_duplicates else part.id,
-            _why(part, reply),
+            _reason_to_give(part, reply),
         )
         left.remove(part)
         free.remove(name)
@@ -303,7 +303,7 @@ def _known_distances(part: MissionPart, reply: StatusReply) -> dict[str, float]:
     return found
 
 
-def _why(part: MissionPart, reply: StatusReply) -> str:
+def _reason_to_give(part: MissionPart, reply: StatusReply) -> str:
     distances = _known_distances(part, reply)
     if not distances:
         return "it is free"

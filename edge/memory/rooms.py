@@ -229,7 +229,7 @@ class RoomMemory:
 
     def on_pose(self, x_m: float, y_m: float) -> None:
         """Mark the room as visited that the robot is in."""
-        if (room := self.entered(x_m, y_m)) and room not in self._visited:
+        if (room := self.entered_room(x_m, y_m)) and room not in self._visited:
             self._visited.add(room)
             self._is_due = True
 
@@ -286,7 +286,7 @@ class RoomMemory:
         room = self.room_at(x_m, y_m)
         return room is not None and any(other.id == room.id for other in self.matching(name))
 
-    def entered(self, x_m: float, y_m: float) -> int:
+    def entered_room(self, x_m: float, y_m: float) -> int:
         """Return the id of the room that a robot at a point is inside of; 0 if it is in none."""
         room_id, depth_m = self.survey.depth_at(x_m, y_m)
         shape = next((each for each in self.survey.shapes if each.id == room_id), None)

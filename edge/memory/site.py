@@ -276,14 +276,14 @@ def _feature(
 # -- reading GeoJSON, which is untrusted ----------------------------------------------------------
 
 
-def _checked_name(text: str) -> str:
+def _check_name(text: str) -> str:
     name = name_of(text)
     if not name or any(not (c.isalnum() or c in " -_'.") for c in name):
         raise ValueError("expected letters, digits, spaces and - _ ' .")
     return name
 
 
-Name = Annotated[str, Field(max_length=MAX_NAME_CHARS), AfterValidator(_checked_name)]
+Name = Annotated[str, Field(max_length=MAX_NAME_CHARS), AfterValidator(_check_name)]
 Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
 Position = Annotated[list[Metres], Field(min_length=2, max_length=3)]
 

@@ -54,7 +54,7 @@ def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
     text = "; and ".join(chains) + (", in any order" if len(chains) > 1 else "")
     for ban in bans:
         away = "out of" if isinstance(destinations.get(_ban_of(ban)), RoomTarget) else "away from"
-        text += f". Stay {away} {_the(_ban_of(ban))}"
+        text += f". Stay {away} {_with_article(_ban_of(ban))}"
     return f"{text[:1].upper()}{text[1:]}."
 
 
@@ -72,7 +72,7 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
     """Return the order to reach one proposition."""
     destination = destinations.get(name)
     if destination is None:
-        return f"look for {_the(name)}"
+        return f"look for {_with_article(name)}"
     if isinstance(destination, ExploreTarget):
         time = "" if destination.limit_s is None else f" for {shown_s(destination.limit_s)}"
         return f"explore {f'the {destination.room}' if destination.room else 'everything'}{time}"
@@ -87,9 +87,9 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
         return "come to the caller"
     if isinstance(destination, RoomTarget) and destination.which != "called":
         return f"go to {describe_destination(name, destination)}"
-    return f"go to {_the(name)}"
+    return f"go to {_with_article(name)}"
 
 
-def _the(name: str) -> str:
+def _with_article(name: str) -> str:
     """Return a name with an article, if it has no number: "the kitchen", "room 12"."""
     return name if _NUMBERED.fullmatch(name) else f"the {name}"

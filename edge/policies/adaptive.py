@@ -48,7 +48,7 @@ class AdaptivePolicy:
         away_m = np.hypot(xy_m[:n, 0] - pose.x_m, xy_m[:n, 1] - pose.y_m)
         reachable = np.isfinite(path_m) & ~candidates.blocked[:n]
         reachable &= away_m > self.config.delta_reached_m
-        stops = self._promising(np.flatnonzero(reachable & ~np.isnan(value[:n])))
+        stops = self._promising_frontiers(np.flatnonzero(reachable & ~np.isnan(value[:n])))
         if len(stops) > 0:
             stops = stops[np.argsort(path_m[stops], kind="stable")][:MAX_STOPS]
             order = shortest_tour(path_m[stops].astype(np.float64), xy_m[stops])
@@ -73,7 +73,7 @@ class AdaptivePolicy:
             context.prior.likelihood_ratio(context.target, context.candidates.xy_m, n, value)
             value[:n] /= 1.0 + value[:n]
 
-    def _promising(self, scored: np.ndarray) -> np.ndarray:
+    def _promising_frontiers(self, scored: np.ndarray) -> np.ndarray:
         """Return the scored frontiers for the tour; none if geometry decides."""
         config, value = self.config, self._value[scored]
         if len(scored) < 2 or value.std() <= LEAST_SPREAD:

@@ -335,9 +335,9 @@ class RoomPursuit(Pursuit[RoomTarget]):
             return goals.choose(context, grid, scores, images)
         if room is not None:
             points_m, old, rooms = self._points_m(room), goals.goal, self._map.rooms
-            keep = old is not None and rooms.entered(old.pose.x_m, old.pose.y_m) == room.id
+            keep = old is not None and rooms.entered_room(old.pose.x_m, old.pose.y_m) == room.id
             pose = context.pose
-            if goals.arrived and rooms.entered(pose.x_m, pose.y_m) != room.id:
+            if goals.arrived and rooms.entered_room(pose.x_m, pose.y_m) != room.id:
                 keep = False
                 away_m = np.hypot(*(points_m - np.array((pose.x_m, pose.y_m), np.float32)).T)
                 points_m = points_m[away_m >= min(_DEEPER_M, float(away_m.max()))]
@@ -358,7 +358,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         reached only when it is explored, at a point near the objects that it was recognised by,
         and if the next surveys agree. The goal is such a point, as long as it stays.
         """
-        inside = self._map.rooms.entered(context.pose.x_m, context.pose.y_m) == room.id
+        inside = self._map.rooms.entered_room(context.pose.x_m, context.pose.y_m) == room.id
         if not inside or not self._by_kind(room):
             return inside
         goal = self._goals.goal

@@ -159,7 +159,7 @@ class Discourse:
         if self.goal is None and self.elsewhere:
             reader.refuse("say what is to be reached", self.elsewhere)
         if not self.asks:
-            parts += self._asked_after_all()
+            parts += self._goals_of_rules()
         parts += self._rules_for_all(AllOf(tuple(part for part in parts if names_in(part))))
         formula = formula_of(AllOf(tuple(parts)))
         if _tree_size(formula) > MAX_NODES:
@@ -169,7 +169,7 @@ class Discourse:
             reader.refuse(hint, reader.tokens[0])
         return formula
 
-    def _asked_after_all(self) -> list[Goal]:
+    def _goals_of_rules(self) -> list[Goal]:
         """Return the goals that an instruction with rules only may ask for.
 
         `Do not go to b until a` may ask for nothing, for a, or for both.

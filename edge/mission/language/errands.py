@@ -315,11 +315,11 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         (_EXPLORES_HERE, _rewrite_exploration_here),
         ([_ROOM_WITH, _RELATED], _quote_related),
         ([_WHICH_ROOM], _quote_which_room),
-        ([_GOES_ROOM], _put_to),
+        ([_GOES_ROOM], _insert_to),
         ([_GOES_TO], lambda found: f"{found['lead']}go to {_with_article(found['name'])}"),
         (_IN_TURN, _rewrite_list_in_turn),
         ([_FINDS], lambda found: f"{found['lead']}find {found['name']}"),
-        ([_THERE_AND], _put_then),
+        ([_THERE_AND], _insert_then),
         ([_COMPOUND], _quote_compound),
         (_STARTS, lambda found: _go_to(START, found)),
         (_BACK_TO, _rewrite_back_to),
@@ -577,13 +577,13 @@ def _quote_which_room(found: re.Match[str]) -> str:
     return f' "{which} room"'
 
 
-def _put_then(found: re.Match[str]) -> str | None:
+def _insert_then(found: re.Match[str]) -> str | None:
     """Insert "then" between "go to the kitchen" or "find the mug" and the work there."""
     in_order = is_room(bare(found["room"])) if found["room"] else not found["finds"]
     return f"{found['go']}, then" if in_order else None
 
 
-def _put_to(found: re.Match[str]) -> str | None:
+def _insert_to(found: re.Match[str]) -> str | None:
     """Insert the "to" that children and learners of English leave out: "go kitchen"."""
     name = bare(found["name"])
     first = name.split()[:-1]

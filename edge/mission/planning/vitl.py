@@ -102,7 +102,7 @@ class VitlPlanner:
         options = tuple((names[c], self._as_weight(cost[c])) for c in ranked)
         first = best = ranked[0]
         if cost[best] >= kernels.FAILED:
-            return self._blocked(self._follow(best, state), knowledge, options)
+            return self._blocked_plan(self._follow(best, state), knowledge, options)
         if self._by_distance and names[best] != current:
             first = self._letter_to_pursue(ranked, cost, current)
         path = self._follow(first, state)
@@ -116,7 +116,7 @@ class VitlPlanner:
             path[0] or None, path, self._as_weight(cost[first]), True, (), reason, options
         )
 
-    def _blocked(
+    def _blocked_plan(
         self,
         path: tuple[str, ...],
         knowledge: MissionKnowledge,
@@ -162,7 +162,9 @@ class VitlPlanner:
         if self.known_reached:
             known = known | knowledge.reached
         if self._by_distance:
-            metres = _metres(knowledge.distance_m, [x in known for x in letters], self._explore_m)
+            metres = _weights_m(
+                knowledge.distance_m, [x in known for x in letters], self._explore_m
+            )
             weight[:-1] = np.minimum(np.rint(metres.T * kernels.SCALE), self._heaviest)
         else:
             near, far = (min(max(round(w * kernels.SCALE), 1), self._heaviest)
@@ -174,7 +176,7 @@ class VitlPlanner:
         weight[-1] = round(W_NOTHING * kernels.SCALE)
 
 
-def _metres(distance_m: np.ndarray | None, known: list[bool], explore_m: float) -> np.ndarray:
+def _weights_m(distance_m: np.ndarray | None, known: list[bool], explore_m: float) -> np.ndarray:
     """Return the weight in metres of each letter from each place; see `VitlPlanner`.
 
     Args:
