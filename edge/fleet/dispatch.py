@@ -201,7 +201,7 @@ class Dispatcher:
         outcomes = {k: o for k, o in orders.outcomes.items() if k not in provisional}
         orders = replace(orders, outcomes=outcomes, lost=orders.lost.difference(provisional))
         self._report(orders, robots, provisional)
-        self._roster.each(
+        self._roster.run_all(
             [*(partial(self._give_part, g) for g in orders.give),
              *(partial(self._cancel_duplicate, c) for c in orders.cancel)]
         )  # fmt: skip

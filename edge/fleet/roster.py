@@ -181,7 +181,7 @@ class Roster:
         """Send the same request to each robot; return the robots with their replies, in order."""
         return dict(self._pool.map(lambda name: (name, self._ask(name, request, timeout_s)), names))
 
-    def each(self, calls: Iterable[Callable[[], None]]) -> None:
+    def run_all(self, calls: Iterable[Callable[[], None]]) -> None:
         """Run the calls in parallel and wait for all."""
         for done in [self._pool.submit(call) for call in calls]:
             done.result()
