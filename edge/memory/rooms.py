@@ -210,7 +210,7 @@ class RoomMemory:
         self._table, self._chance = table, kind_model.object_given_room(table)
         self._kind_log_ratio = np.log(self._chance / (kind_model.room_prior(table) @ self._chance))
         self._index = SeenObjectIndex(words)
-        self._confidence = np.zeros((1, len(table.things)), np.float32)
+        # (regions + 1, kinds), P(kind of room | objects seen) of each region at the last update.
         self._belief = kind_model.room_prior(table)[None]
         self._objects = SeenObjects(
             np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32)
@@ -244,7 +244,7 @@ class RoomMemory:
         self._is_due, self._generation, self._updated_ns = False, sightings.generation, now_ns
         self.version += 1
         regions, objects = self.survey.regions, self._index.of(sightings)
-        held = self._confidence = objects_by_region(regions, objects, len(self._table.things))
+        held = objects_by_region(regions, objects, len(self._table.things))
         self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
         self._belief = kinds_by_region(self._table, self._chance, regions.border, held)
         shapes, named = self.survey.shapes, self._names_by_room()
