@@ -52,7 +52,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def make_plan(config: Config) -> dict[str, Any]:
-    """Return the node's plan as JSON types (see `edge.ros2_adapter.node`).
+    """Return the node's plan as JSON types.
+
+    Returns:
+        `version`: version of eclipse-zenoh here. `zenoh`: settings of the node's session. `node`:
+        name of the node. `max_bytes`: largest message. `heard`, `said`: topics from ROS and to ROS.
+        `action`: the action for goals, or None. A topic has its ROS name (`ros`), its Zenoh key,
+        its type, and `reliable`, `latched` and `depth` (its queue); the action has the first three.
 
     Raises:
         ConfigError: the service would not receive the messages.
