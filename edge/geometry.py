@@ -349,7 +349,7 @@ def overlaps(a_xyxy: np.ndarray, b_xyxy: np.ndarray) -> tuple[np.ndarray, np.nda
 
     Returns:
         Two (n, m) arrays: intersection over union, and intersection over the area of the first
-        box. Both are 0 if the area is empty.
+        box. A ratio is 0 if its divisor is 0.
     """
     low = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
     high = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])

@@ -118,7 +118,8 @@ class ModelProcessConfig(Section):
 class SwapConfig(Section):
     """Conditions for a model that replaces another one in the running service.
 
-    It is tried on the last images. Its output must be valid and its median time within the budget.
+    The new model is tried on the last images. Its output must be valid, and its median time within
+    the budget.
     If both are of one family, it must find half of the old model's boxes above `tau_det`. The old
     model stays loaded until the new one has passed the probation.
 

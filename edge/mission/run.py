@@ -372,7 +372,8 @@ class MissionRun:
     def cancel(self, reason: str, now_ns: int) -> None:
         """End the mission because a person says so.
 
-        It fails, unless it repeats without an end of its own: for that, this is its regular end.
+        The mission then fails. One that repeats without an end is fulfilled: this is its regular
+        end.
         """
         repeat = self.spec.translation.repeat
         if repeat is not None and repeat.endless:

@@ -235,7 +235,7 @@ def _is_letter(pieces: list[_Piece], at: int, letters_are_names: bool) -> bool:
 def _has_letter_names(pieces: list[_Piece]) -> bool:
     """Return True if letters are names in this text, so that `a` may be one too.
 
-    They are if another letter occurs, or if the text has no other name.
+    Letters are names if one other than a, i and s occurs, or if the text has no other name.
     """
     if any(p.text not in "ais" and len(p.text) == 1 and p.text.isalpha() for p in pieces):
         return True
