@@ -272,6 +272,7 @@ _UNCLEAR = (
     ),
 )
 """Pattern of a text that is still unclear after all rules, and the hint of its refusal."""
+# The mark or word before a clause.
 _CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
 _GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", re.I)
@@ -301,6 +302,8 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     text = f" {marked}"
     for pattern, plain in _FIRST_REWRITES:
         text = pattern.sub(plain, text)
+    # Patterns and the function that replaces a match. The order matters: each rule sees the text of
+    # the rules before it, and none changes what is in quotes already.
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
         ([_INTRODUCED], _rewrite_introduced),
         ([_HINTED], _rewrite_hinted),
