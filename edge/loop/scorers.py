@@ -275,13 +275,13 @@ class Scorers:
             self._set_similarity(answer, question.range_profile, values)
         choice = None if self._choice is None else self._choice.poll()
         if choice is not None:
-            question, chosen = choice
+            choice_question, chosen = choice
             self.answers = replace(self.answers, choice=chosen)
-            if question.range_profile is not None:
-                index = {mark.id: i for i, mark in enumerate(question.view.marks)}
-                xy_m = question.xy_m[[index[i] for i in chosen.ids]]
+            if choice_question.range_profile is not None:
+                index = {mark.id: i for i, mark in enumerate(choice_question.view.marks)}
+                xy_m = choice_question.xy_m[[index[i] for i in chosen.ids]]
                 values.write_directions(
-                    question.range_profile, chosen.target, xy_m, chosen.p, chosen.scene
+                    choice_question.range_profile, chosen.target, xy_m, chosen.p, chosen.scene
                 )
 
     def _set_similarity(

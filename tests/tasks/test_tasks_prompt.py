@@ -18,8 +18,8 @@ from edge.tasks.prompt import (
     annotated_jpeg,
     describe,
     messages,
+    prompt_version,
     system_prompt,
-    version,
 )
 
 LIMITS = TrajectoryLimits()
@@ -35,7 +35,7 @@ def test_an_empty_scene_is_told_as_one():
 
 def test_the_prompt_has_a_version_and_five_parts_in_order():
     """OpenNav III-A1."""
-    assert version().isdecimal()
+    assert prompt_version().isdecimal()
     parts = ("1. Functions", "2. Surroundings", "3. Collisions", "4. Plan first", "5. Script")
     places = [system_prompt().index(f"\n{part}") for part in parts]
     assert all(a < b for a, b in pairwise(places))
