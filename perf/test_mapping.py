@@ -65,7 +65,7 @@ def frames() -> list[tuple[np.ndarray, np.ndarray, SE2]]:
 def explored_map(cells: int) -> grid.RollingMap:
     """Return a fully explored map: free, with obstacles and unknown specks."""
     m = grid.RollingMap(MAPPING.model_copy(update={"extent_m": cells * MAPPING.resolution_m}))
-    m._follow(0, 0)
+    m._move_window(0, 0)
     rng = np.random.default_rng(0)
     n = m.window.n
     inner = m._layers

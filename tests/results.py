@@ -10,7 +10,7 @@ from simulated import simulated
 
 from edge.geometry import Grid
 from edge.loop.latency import LatencyRing
-from edge.loop.result import MissionFacts, TickResult, mission_facts, scored
+from edge.loop.result import MissionFacts, TickResult, mission_facts, scored_candidates
 from edge.mapping.zones import ZonePolygons
 from edge.memory import Site
 from edge.mission.run import MissionRun
@@ -49,7 +49,7 @@ def result(now_ns: int = 0, **fields: Any) -> TickResult:
         "task": lambda: None,
         "instances": list, "objects": list, "rooms": (), "site": Site(), "zones": ZonePolygons(),
         "frontiers": lambda: np.zeros((0, 2), np.float32),
-        "candidates": lambda: scored(Candidates(0), np.zeros(0, np.float32)),
+        "candidates": lambda: scored_candidates(Candidates(0), np.zeros(0, np.float32)),
         "path": lambda: np.zeros((0, 2), np.float32), "choice": None, "layers": dict,
         "known_m2": lambda: 0.0,
         "snapshot": lambda inflated=100: Grid(CELLS, (-1.0, 2.0), 0.05),

@@ -342,4 +342,4 @@ def occupy(grid: RollingMap, x: int, y: int) -> None:
 
 def move_to(grid: RollingMap, x: int, y: int) -> None:
     """Put the window around a cell."""
-    grid._follow(x, y)
+    grid._move_window(x, y)
