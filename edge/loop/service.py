@@ -55,6 +55,9 @@ NOTHING_CHANGED = (0, 0, 0, 0)
 _MAX_PAST_MISSIONS = 32
 _EXIT_M = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Radii of the search for a free cell outside a zone that the robot is in, tried in this order."""
+_BEYOND_M, _BEYOND_RADIUS_M = 0.35, 0.15
+"""Distance of the goal behind that cell, and radius of the search for a free cell there. A goal at
+the edge would count as reached while the robot is still in the zone."""
 
 
 class Service:
@@ -381,10 +384,12 @@ class Service:
             return None
         for radius_m in _EXIT_M:
             if (cell := grid.travel_cost.nearest(pose.x_m, pose.y_m, radius_m)) is not None:
-                x_m, y_m, _ = cell
-                yaw_rad = math.atan2(y_m - pose.y_m, x_m - pose.x_m)
+                yaw_rad = math.atan2(cell[1] - pose.y_m, cell[0] - pose.x_m)
+                beyond_m = SE2(*cell[:2], yaw_rad).ahead(_BEYOND_M)
+                x_m, y_m, _ = grid.travel_cost.nearest(*beyond_m, _BEYOND_RADIUS_M) or cell
                 exit_pose = SE2(x_m, y_m, yaw_rad)
-                return self.goals.override(exit_pose, self.mission, context.now_ns, _EXIT_M[0])
+                apart_m = 0.0 if self.goals.arrived else _EXIT_M[0]
+                return self.goals.override(exit_pose, self.mission, context.now_ns, apart_m)
         return None
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 from simulated import simulated
+from small_house import HOUSE, small_house
 
 from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
 from edge.lab.eval.closed_loop import ClosedLoop
+from edge.loop.behaviours.room_targets import is_closed
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.requests import handle_mission
 from edge.loop.site_requests import SITE_VERBS, handle_site
@@ -20,14 +23,18 @@ LIVING, KITCHEN = (1.6, 1.4), (8.5, 2.0)
 KITCHEN_X_M, KITCHEN_Y_M = (6.0, 11.0), (0.0, 4.0)  # of the built-in house
 
 
-def driven(instruction: str, *items, seconds: float = 90.0) -> ClosedLoop:
+def driven(
+    instruction: str, *items, seconds: float = 90.0, folder: Path | None = None
+) -> ClosedLoop:
+    """Drive a mission in the built-in house, or in the small one, written to a folder."""
     sections = {
         "loop": {"lockstep": True},
         "sim": {"lockstep": True, "step_s": 0.2},
         "mission": {"instruction": instruction, "translator": {"kind": "grammar"}},
         "sensors": {"camera": {"width_px": 160, "height_px": 128}},  # sees enough
     }
-    return ClosedLoop(simulated(sections), colour=False, site=Site(items)).run(seconds)
+    config = simulated(sections) if folder is None else small_house(folder, **sections)
+    return ClosedLoop(config, colour=False, site=Site(items)).run(seconds)
 
 
 def ask(loop: ClosedLoop, verbs=SITE_VERBS, handle=handle_site, **request) -> dict:
@@ -60,7 +67,7 @@ def test_the_robot_finds_a_room_of_a_kind_and_goes_inside(in_kitchen):
     assert loop.service.status.phase == "reached", loop.notes.events
     assert is_in_kitchen(loop)
     assert loop.service.status.reason.startswith("inside the kitchen, room 2: refrigerator and")
-    assert loop.service.map.rooms.entered(*loop.drive.motion.pose.matrix()[:2, 3]) == 2
+    assert loop.service.map.rooms.entered_room(*loop.drive.motion.pose.matrix()[:2, 3]) == 2
 
 
 def test_rooms_are_listed_named_and_closed(in_kitchen):
@@ -151,6 +158,35 @@ def test_a_mission_to_a_closed_room_that_is_not_known_yet_fails_with_the_reason(
     assert loop.service.status.phase == "failed", loop.notes.events
     assert loop.service.status.reason == "a zone closes the canteen, room 2"
     assert not is_in_kitchen(loop)
+
+
+@pytest.mark.parametrize(
+    ("x_m", "closed", "closed_to_a_kitchen"),
+    [
+        ((20.0, 21.0), False, False),  # elsewhere
+        ((6.0, 6.6), False, False),  # a part without the refrigerator
+        ((8.8, 12.0), False, True),  # the part with the refrigerator
+        ((6.0, 12.0), True, True),
+    ],
+)
+def test_a_room_is_no_kitchen_to_go_to_if_zones_close_what_shows_it(
+    in_kitchen, x_m, closed, closed_to_a_kitchen
+):
+    service, (low, high) = in_kitchen.service, x_m
+    zone = Zone("zone", "keep_out", ((low, -1.0), (high, -1.0), (high, 5.0), (low, 5.0)))
+    (kitchen,) = service.map.rooms.find("kitchen")
+    service.change_site(Site((zone,)), 0)
+    found = is_closed(kitchen, service.map), is_closed(kitchen, service.map, "kitchen")
+    service.change_site(Site(), 0)
+    assert found == (closed, closed_to_a_kitchen)
+    assert not is_closed(kitchen, service.map, "kitchen")
+
+
+def test_an_empty_room_is_no_guess(tmp_path, monkeypatch):
+    monkeypatch.setitem(HOUSE, "objects", HOUSE["objects"][:1])  # the sofa: the other room is empty
+    loop = driven("go to the kitchen", seconds=120.0, folder=tmp_path)
+    assert loop.service.status.phase == "failed", loop.notes.events
+    assert "found no kitchen" in loop.service.status.reason
 
 
 def test_the_next_room_is_one_that_was_not_visited():

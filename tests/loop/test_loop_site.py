@@ -112,8 +112,11 @@ def test_it_drives_around_a_zone_and_the_way_is_longer():
     assert path_m(zone) > path_m() + 0.05
 
 
-def test_it_leaves_a_zone_that_it_is_in_and_says_so():
-    loop = driven("go to the dock", FAR, Zone("rug", "keep_out", square(*START, 0.8)))
+@pytest.mark.parametrize(
+    "at_m", [START, (START[0] + 1.07, START[1])], ids=["in the middle", "at the edge"]
+)
+def test_it_leaves_a_zone_that_it_is_in_and_says_so(at_m):
+    loop = driven("go to the dock", FAR, Zone("rug", "keep_out", square(*at_m, 0.8)))
     assert "inside a zone: leaving it by the shortest way" in loop.notes.events
     assert "left the zone" in loop.notes.events
     assert loop.service.status.phase == "reached"

@@ -78,7 +78,7 @@ def test_nothing_is_known_at_first():
     rooms = memory()
     assert rooms.rooms == ()
     assert rooms.room_at(0.0, 0.0) is None
-    assert rooms.entered(0.0, 0.0) == 0
+    assert rooms.entered_room(0.0, 0.0) == 0
     assert rooms.find("kitchen") == []
     assert rooms.kind_ratio("kitchen", np.zeros((2, 2), np.float32)).tolist() == [1, 1]
     assert survey_rooms(NO_REGIONS, NO_SURVEY).shapes == ()
@@ -159,6 +159,13 @@ OPEN_PLAN = seen(
 )
 
 
+def test_nothing_speaks_for_the_kind_of_an_empty_room():
+    rooms = memory(cut(LEFT))
+    xy_m, weights = rooms.evidence(rooms.rooms[0], "kitchen")
+    assert (xy_m.shape, weights.shape) == ((0, 2), (0,))
+    assert not rooms.votes(rooms.rooms[0], "kitchen").any()
+
+
 @pytest.mark.parametrize(("kind", "x_m"), [("kitchen", (0, 2)), ("living room", (5, 7))])
 def test_in_an_open_plan_room_a_kind_is_where_its_objects_are(kind, x_m):
     (room,) = (rooms := memory(cut((0, 0, 70, 40)), things=OPEN_PLAN)).rooms
@@ -167,6 +174,8 @@ def test_in_an_open_plan_room_a_kind_is_where_its_objects_are(kind, x_m):
     assert votes.shape == (len(room.points_m),)
     assert x_m[0] < room.points_m[votes.argmax(), 0] < x_m[1]
     assert votes.max() > 0.0
+    xy_m, weights = rooms.evidence(room, kind)
+    assert ((x_m[0] < xy_m[:, 0]) & (xy_m[:, 0] < x_m[1])).tolist() == (weights > 0.0).tolist()
 
 
 @pytest.mark.parametrize(
@@ -199,8 +208,8 @@ def test_a_name_by_a_person_is_certain():
 
 def test_a_robot_is_inside_away_from_the_border():
     rooms = memory(cut(LEFT, RIGHT))
-    assert rooms.entered(1.5, 2.0) == 1
-    assert rooms.entered(0.3, 2.0) == rooms.entered(-5.0, 2.0) == 0
+    assert rooms.entered_room(1.5, 2.0) == 1
+    assert rooms.entered_room(0.3, 2.0) == rooms.entered_room(-5.0, 2.0) == 0
     rooms.on_pose(1.5, 2.0)
     rooms.update(seen(), 0)
     assert [room.is_visited for room in rooms.rooms] == [True, False]

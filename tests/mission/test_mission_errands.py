@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from edge.mission.language.errands import spell_out
 from edge.mission.language.everyday_words import bare, is_room
-from edge.mission.language.spans import SPAN, seconds_of
+from edge.mission.language.spans import DURATION, seconds_of
 from edge.mission.language.tokens import TranslationError, UnclearError
 
 PLACES = ["dock", "loading bay 2"]
@@ -186,7 +186,7 @@ def test_any_text_is_spelled_out_or_refused(text):
      ("twenty-five minutes", 1500), ("an hour and a half", 5400), ("about a minute", 60)],
 )  # fmt: skip
 def test_a_length_of_time(span, seconds):
-    assert re.fullmatch(SPAN, span)
+    assert re.fullmatch(DURATION, span)
     assert seconds_of(span) == seconds
 
 

@@ -20,7 +20,7 @@ from edge.mission.language.said import (
     SiteOrder,
     understand,
 )
-from edge.mission.language.tidy import tidied
+from edge.mission.language.tidy import tidy_up
 from edge.mission.language.tokens import TranslationError
 from edge.mission.spec import prepare, translate
 
@@ -187,7 +187,7 @@ def test_several_things_at_once_are_refused(said):
     ],
 )  # fmt: skip
 def test_speech_is_tidied(said, text, reasons):
-    speech = tidied(said)
+    speech = tidy_up(said)
     assert (speech.restored(speech.text), speech.reasons) == (text, reasons)
 
 
@@ -202,7 +202,7 @@ def test_speech_is_tidied(said, text, reasons):
 )  # fmt: skip
 def test_a_clause_that_may_direct_the_robot_is_no_remark(clause):
     assert not is_remark(clause)
-    assert tidied(f"Go to the bed and the sink, {clause}").reasons == ()
+    assert tidy_up(f"Go to the bed and the sink, {clause}").reasons == ()
 
 
 @pytest.mark.parametrize("remark", ["I heard the dog", "the hall is wet", "there is a mess"])
@@ -228,7 +228,7 @@ def test_a_remark_about_a_target_is_asked_about():
 
 def test_a_correction_of_nothing_is_refused():
     with pytest.raises(TranslationError, match="unclear what this corrects"):
-        tidied("explore, sorry, bathroom")
+        tidy_up("explore, sorry, bathroom")
 
 
 def test_a_reason_that_is_left_out_is_told():

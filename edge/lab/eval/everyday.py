@@ -33,7 +33,7 @@ from edge.host.files import open_regular
 from edge.lab.eval.equivalence import distinguishing_trace
 from edge.memory import Place, Site
 from edge.mission.language.said import Control, MemoryQuestion, NoMissionError, SiteOrder
-from edge.mission.language.spans import SPAN, seconds_of
+from edge.mission.language.spans import DURATION, seconds_of
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import (
     Formula,
@@ -180,10 +180,10 @@ def _same_mission(case: dict[str, Any], got: Formula, patrol_s: float | None) ->
         patrol_s: time of a patrol; 0.0 for none, None if it has no end.
     """
     expected = parse(case["formula"])
-    spans = [m[0] for name in propositions(got) for m in re.finditer(SPAN, name)]
+    spans = [m[0] for name in propositions(got) for m in re.finditer(DURATION, name)]
     if sum(map(seconds_of, spans)) + (patrol_s or 0.0) != _seconds(case):
         return False
-    timeless = renamed(got, lambda name: _normalise(re.sub(rf" (?:for )?{SPAN}$", "", name)))
+    timeless = renamed(got, lambda name: _normalise(re.sub(rf" (?:for )?{DURATION}$", "", name)))
     plain = renamed(expected, _normalise)
     if "wait" in propositions(timeless) and "wait" not in propositions(plain):
         timeless = _without_waits(timeless)

@@ -82,6 +82,7 @@ class Controller:
         self._progress = ProgressMonitor(6 * settings.motion.stuck_s)
         self._radius_m = settings.robot.radius_m
         self._trail = BacktrackPath()
+        self._held_at: SE2 | None = None  # where the last recovery did not move the robot
         self._now_ns: int | None = None
         self._last = STOP
         self._goal: SE2 | None = None
@@ -214,6 +215,7 @@ class Controller:
                 return command
             if self._recovery.is_held(pose):
                 self._blocked = pose.ahead(-self._radius_m)
+            self._held_at = None if self._recovery.has_moved(pose) else pose
             self._recovery = None
             self._contact.reset()
             self._drop_path()
@@ -359,8 +361,10 @@ class Controller:
             self._finish("failed", "stuck")
             return STOP
         log.info("robot stuck at (%.2f, %.2f) m: backing up or turning", pose.x_m, pose.y_m)
-        self._recovered_at = pose
-        self._recovery = Recovery(pose, self._map, self._trail, self._limits, now_ns)
+        self._recovered_at, held = pose, self._held_at
+        held_here = held is not None and pose.distance_to(held.x_m, held.y_m) < AGAIN_CONTACT_M
+        trail = None if held_here else self._trail
+        self._recovery = Recovery(pose, self._map, trail, self._limits, now_ns)
         return STOP
 
     def _finish(self, state: str, reason: str = "") -> None:

@@ -1,9 +1,14 @@
-"""Recovery of a robot that does not move: drive back the way it came, else back up, else turn."""
+"""Recovery of a robot that does not move: drive back the way it came, else back up, else turn.
+
+If that does not move it, the next attempt drives away from the closed cells around it.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+
+import numpy as np
 
 from edge.geometry import SE2, wrap_angle
 from edge.trajectory.costmap import CostMap
@@ -11,6 +16,7 @@ from edge.trajectory.pursuit import TURN_GAIN, MotionLimits, VelocityCommand, tu
 
 BACK_MPS = 0.12  # speed on the way back
 BACK_M = 0.3  # length of the way back
+AWAY_M = 0.15  # length of the way from the closed cells within `BACK_M`
 HELD_M = 0.05  # a robot that moved less was held
 TURN_RAD = 0.6  # angle to turn, if there is no way back
 TIME_NS = 5_000_000_000  # longest time of an attempt
@@ -61,13 +67,14 @@ class BacktrackPath:
 class Recovery:
     """One recovery attempt, at most `TIME_NS` long.
 
-    The robot drives back along its trail, in reverse if this needs less turning. Without a trail it
-    backs up straight if the map is free there, else it turns.
+    The robot drives back along its trail, in reverse if this needs less turning. If it has not been
+    `BACK_M` away, it backs up straight if the map is free there, else it turns.
 
     Args:
         pose: pose at which the robot is held up.
-        costmap: map to check the straight way back on.
-        trail: places it drove before.
+        costmap: map to check the straight way on.
+        trail: places it drove before. None: the way back did not move the robot. It then drives
+            away from the closed cells around it, if the map is free there, else it turns.
         limits: speed limits.
         now_ns: start of the attempt.
     """
@@ -76,21 +83,25 @@ class Recovery:
         self,
         pose: SE2,
         costmap: CostMap | None,
-        trail: BacktrackPath,
+        trail: BacktrackPath | None,
         limits: MotionLimits,
         now_ns: int,
     ) -> None:
         self._start, self._since_ns, self._limits = pose, now_ns, limits
-        self._way = trail.back_from(pose)
-        behind = pose.ahead(-BACK_M)
-        if not self._way and costmap is not None and costmap.is_free(*behind):
-            self._way = [behind]
+        self._way = [] if trail is None else trail.back_from(pose)
+        if not self._way and costmap is not None:
+            place = _away_from_closed(costmap, pose) if trail is None else pose.ahead(-BACK_M)
+            self._way = [place] if costmap.is_free(*place) else []
         self._turns = not self._way
         self._drove_back = False  # in reverse
 
     def is_held(self, pose: SE2) -> bool:
         """Return True if the attempt drove in reverse and the robot has not moved."""
-        return self._drove_back and pose.distance_to(self._start.x_m, self._start.y_m) < HELD_M
+        return self._drove_back and not self.has_moved(pose)
+
+    def has_moved(self, pose: SE2) -> bool:
+        """Return True if the attempt has moved the robot."""
+        return pose.distance_to(self._start.x_m, self._start.y_m) >= HELD_M
 
     def step(self, pose: SE2, now_ns: int) -> VelocityCommand | None:
         """Return the command for now; None if the attempt is over."""
@@ -111,3 +122,20 @@ class Recovery:
             return turn_by(error, self._limits)
         self._drove_back = reverse
         return self._limits.clip(-BACK_MPS if reverse else BACK_MPS, TURN_GAIN * error)
+
+
+def _away_from_closed(costmap: CostMap, pose: SE2) -> tuple[float, float]:
+    """Return the place `AWAY_M` from the robot, away from the closed cells within `BACK_M`.
+
+    Near cells count most: each pushes with the inverse of its distance. Without a closed cell, the
+    place is behind the robot.
+    """
+    rows, columns = np.nonzero(costmap.weight == 0)
+    xy_m = costmap.metres_of(np.stack((columns, rows), axis=1) + 0.5)
+    from_m = np.array((pose.x_m, pose.y_m)) - xy_m
+    distance_m = np.hypot(*from_m.T)
+    near = (distance_m > 0.0) & (distance_m <= BACK_M)
+    x, y = (from_m[near] / np.square(distance_m[near, None])).sum(axis=0).tolist()
+    if math.hypot(x, y) < 1e-9:
+        return pose.ahead(-AWAY_M)
+    return SE2(pose.x_m, pose.y_m, math.atan2(y, x)).ahead(AWAY_M)

@@ -23,9 +23,9 @@ from edge.memory import (
     RECOGNISED_KINDS,
     MappedRoom,
     RoomSurvey,
+    describe_location,
     kind_of_room,
     known_objects,
-    where_is,
 )
 from edge.mission.destinations import (
     CheckTarget,
@@ -40,7 +40,7 @@ from edge.mission.destinations import (
 from edge.mission.run import MissionRun
 from edge.policies.base import FRONTIER, PolicyInput
 from edge.policies.search import SearchPolicy
-from edge.policies.select import ranked
+from edge.policies.select import rank_candidates
 from edge.text import one_line
 from edge.types import Goal, Instance
 
@@ -232,7 +232,7 @@ class CheckAnswer:
         found = known_objects(shown, context.observation.stamp_ns, least, self.label)[:1]
         if not found:
             return ""
-        return where_is(self.label, found, context.pose, True, self._map.rooms.room_phrase)
+        return describe_location(self.label, found, context.pose, True, self._map.rooms.room_phrase)
 
     def time_is_over(self, now_ns: int) -> bool:
         """Answer no and return True if the search limit is over."""
@@ -328,11 +328,12 @@ class RoomPursuit(Pursuit[RoomTarget]):
             pass  # this room was chosen before, and there is no path to it
         elif self._destination.which == "largest":
             room = max(self._map.rooms.rooms, key=lambda one: one.area_m2, default=None)
+        elif self._closed_room is not None:
+            room = self._closed_room  # no other is likelier
         elif kind is not None:
             room = self._most_likely(kind)
-        if self._closed_room is not None and (room is None or is_closed(room, self._map)):
-            reason = f"a zone closes {self._closed_room.phrase}, room {self._closed_room.id}"
-            self._mission.abandon_target(reason, now_ns)
+        if room is not None and is_closed(room, self._map, kind):
+            self._mission.abandon_target(f"a zone closes {room.phrase}, room {room.id}", now_ns)
         elif room is None or self._chosen_id == room.id:
             super().finish(now_ns)
         else:  # a last chance: go to this room
@@ -340,11 +341,12 @@ class RoomPursuit(Pursuit[RoomTarget]):
 
     def _most_likely(self, kind: str) -> MappedRoom | None:
         """Return the room to try when none is certain; None if nothing speaks for any."""
-        rooms = [room for room in self._map.rooms.rooms if not is_closed(room, self._map)]
+        known = self._map.rooms
+        rooms = [room for room in known.rooms if (known.evidence(room, kind)[1] > 0.0).any()]
         likely = max(rooms, key=lambda room: room.chance[kind], default=None)
         if likely is None or likely.chance[kind] >= _LAST_CHANCE:
             return likely
-        votes = [float(self._map.rooms.votes(room, kind).max()) for room in rooms]
+        votes = [float(known.votes(room, kind).max()) for room in rooms]
         return rooms[int(np.argmax(votes))] if max(votes) > 0.0 else None
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
@@ -359,10 +361,10 @@ class RoomPursuit(Pursuit[RoomTarget]):
             return goals.choose(context, grid, scores, images)
         if room is not None:
             points_m, old, rooms = self._stopping_points_m(room), goals.goal, self._map.rooms
-            keep = old is not None and rooms.entered(old.pose.x_m, old.pose.y_m) == room.id
+            keep = old is not None and rooms.entered_room(old.pose.x_m, old.pose.y_m) == room.id
             pose = context.pose
             # The controller has arrived, but the map says that the robot is not inside: go deeper.
-            if goals.arrived and rooms.entered(pose.x_m, pose.y_m) != room.id:
+            if goals.arrived and rooms.entered_room(pose.x_m, pose.y_m) != room.id:
                 keep = False
                 away_m = np.hypot(*(points_m - np.array((pose.x_m, pose.y_m), np.float32)).T)
                 points_m = points_m[away_m >= min(_DEEPER_M, float(away_m.max()))]
@@ -383,7 +385,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         reached only when it is explored, at a point near the objects that it was recognised by,
         and if the next surveys agree. The goal is such a point, as long as it stays.
         """
-        inside = self._map.rooms.entered(context.pose.x_m, context.pose.y_m) == room.id
+        inside = self._map.rooms.entered_room(context.pose.x_m, context.pose.y_m) == room.id
         if not inside or not self._is_found_by_kind(room):
             return inside
         goal = self._goals.goal
@@ -410,7 +412,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         self._block_outside(room)
         c, delta_m = self._map.pool.candidates, self._map.config.policy.delta_reached_m
         c.blocked[: c.n] |= np.hypot(*(c.xy_m[: c.n] - self._arrived_m).T) > _AROUND_M
-        left = ranked(c, c.path_m[: c.n], context.pose, delta_m)
+        left = rank_candidates(c, c.path_m[: c.n], context.pose, delta_m)
         if np.isfinite(c.path_m[left]).any():
             return True
         self._exploring_id, self._explored_id = 0, room.id
@@ -444,7 +446,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         if kept and (room := rooms.room(self._chosen_id)) is not None:
             return room
         known = rooms_of(self._destination, self._map)
-        found = [room for room in known if not is_closed(room, self._map)]
+        found = [room for room in known if not is_closed(room, self._map, self._kind)]
         self._closed_room = known[0] if known and not found else None
         if which == "next":
             current = rooms.room_at(context.pose.x_m, context.pose.y_m)

@@ -49,9 +49,30 @@ def rooms_of(target: RoomTarget, semantic_map: SemanticMap) -> list[MappedRoom]:
     return []  # `largest`
 
 
-def is_closed(room: MappedRoom, semantic_map: SemanticMap) -> bool:
-    """Return True if zones, or the mission itself, close all of a room."""
-    return all(semantic_map.grid.zones.contains(x_m, y_m) for x_m, y_m in room.points_m.tolist())
+def is_closed(room: MappedRoom, semantic_map: SemanticMap, kind: str | None = None) -> bool:
+    """Return True if zones, or the mission itself, close all of a room.
+
+    If only its objects show that it is of `kind`, it is closed, too, if most of these objects are
+    in a zone. So neither the open part of an open-plan kitchen nor the room from which a closed
+    kitchen is visible is a kitchen to go to.
+
+    Args:
+        room: The room.
+        semantic_map: The semantic map.
+        kind: The wanted kind of room; None if the room is wanted for another reason.
+    """
+    zones = semantic_map.grid.zones
+    if not zones.any:
+        return False
+    if all(zones.contains(x_m, y_m) for x_m, y_m in room.points_m.tolist()):
+        return True
+    if kind is None or room.is_named:
+        return False
+    xy_m, weights = semantic_map.rooms.evidence(room, kind)
+    shows_it = weights > 0.0
+    closed = [zones.contains(x_m, y_m) for x_m, y_m in xy_m[shows_it].tolist()]
+    weights = weights[shows_it]
+    return bool(weights @ np.array(closed, np.float64) > 0.5 * weights.sum())
 
 
 def refuse_closed(spec: MissionSpec, site: Site, semantic_map: SemanticMap) -> None:

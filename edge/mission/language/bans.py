@@ -1,4 +1,4 @@
-"""The bans of an instruction that the grammar finds, to check a model's formula."""
+"""Bans that the grammar finds in an instruction; a model's formula is checked against them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MAX_STATES, _MAX_STEPS = 500, 300_000  # limits of one compilation, see `compil
 _SENTENCE = re.compile(r"[,.;:!?]|\b(?:but|then)\b", re.IGNORECASE)
 _CLAUSE = re.compile(r"\b(?:and|or)\b|\b(?=without\b|while\b)", re.IGNORECASE)
 _ASIDE = re.compile(r"(?:without|while)\b", re.IGNORECASE)
-_ANYTHING = 'visit "anything"'
+_ANYTHING = 'visit "anything"'  # goes before an aside, which the grammar does not read alone
 
 
 def bans_in(instruction: str) -> tuple[Formula, ...]:

@@ -1,4 +1,4 @@
-"""Parts of the templates of errands; for the notation see `templates`."""
+"""Parts that several templates of the module `errands` share; for the notation see `templates`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Everyday words for errands, as quoted propositions: checking, exploring, patrols, waiting.
+"""Rewriting of everyday errands into plain orders with quoted propositions.
 
-Each proposition is the canonical text of a destination, which LTL can name as well: "explored
-kitchen", "wait 30 s", "check stove", "mug in the kitchen". The translators read the rest.
+Checks, explorations, patrols, waits and related objects become `go to "check stove"`, `go to
+"explored kitchen"`, `go to "wait 30 s"`, `find "mug in the kitchen"`. Each quoted proposition is
+the canonical text of a destination (see `edge.mission.destinations`). `spell_out` applies the
+rules in a fixed order; the translators read its result.
 """
 
 from __future__ import annotations
@@ -19,10 +21,10 @@ from edge.mission.language.everyday_words import (
     NAME,
     NOWHERE,
     PLAIN_NAME,
-    any_of,
     bare,
     is_room,
     is_vague,
+    phrase_of,
 )
 from edge.mission.language.impossible import refuse_impossible
 from edge.mission.language.lexicon import TABLE
@@ -35,15 +37,18 @@ from edge.mission.language.places import (
     restore_places,
 )  # fmt: skip
 from edge.mission.language.spans import number_of, seconds_of
-from edge.mission.language.templates import END, STOP, compiled
+from edge.mission.language.templates import END, STOP, compile_templates
 from edge.mission.language.tokens import UnclearError
 from edge.mission.language.unsupported import BEYOND_NAMES
 
-WAIT, CHECK, CALLER = "wait", "check", "caller"
-"""Beginnings of propositions, and the pose of the person; see also `places`."""
+WAIT, CHECK = "wait", "check"
+"""First words of propositions; see also `places`."""
+CALLER = "caller"
+"""Name of the pose of the person who gives the order."""
 MAX_ROUNDS = 10
+"""Largest number of rounds of a patrol that becomes one sequence of stops."""
 
-_CHECKS = compiled(
+_CHECKS = compile_templates(
     """
     {then} {drive} {over} (in|into|to|inside|down|along|through) <into> and [then] {check}
             ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
@@ -61,7 +66,7 @@ _CHECKS = compiled(
     """,
     PARTS,
 )
-_SEARCHES = compiled(
+_SEARCHES = compile_templates(
     """
     (search|scan|look|(have|take) a [good|quick|little|proper|close]* look)
             [around|round|in|at|inside|through]* <room> for <thing>
@@ -69,7 +74,7 @@ _SEARCHES = compiled(
     """,
     PARTS,
 )
-_EXPLORES = compiled(
+_EXPLORES = compile_templates(
     """
     {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
             [everything] {time}
@@ -85,7 +90,7 @@ _EXPLORES = compiled(
     """,
     PARTS,
 )
-_EXPLORES_HERE = compiled(
+_EXPLORES_HERE = compile_templates(
     """
     {then} {goes} (explore|exploring|look around|look round|scan|survey|wander|wander around|
             have a look around|take a look around|roam around|drive around|go exploring|map|
@@ -93,7 +98,7 @@ _EXPLORES_HERE = compiled(
     """,
     PARTS,
 )
-_PATROLS = compiled(
+_PATROLS = compile_templates(
     """
     {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
     {patrol} <stops> , <often>
@@ -105,15 +110,17 @@ _PATROLS = compiled(
     """,
     PARTS,
 )
-_ROUNDS_FIRST = compiled("<count> {rounds} [of|between|around|through|from|in]* , <stops>", PARTS)
-_ERRAND_AND_BACK = compiled(
+_ROUNDS_FIRST = compile_templates(
+    "<count> {rounds} [of|between|around|through|from|in]* , <stops>", PARTS
+)
+_ERRAND_AND_BACK = compile_templates(
     """
     {drive} {over} to <thing> , {back} , <often>
     {drive} {over} to <thing> , {back} , [for] <count> {rounds}
     """,
     PARTS,
 )
-_STARTS = compiled(
+_STARTS = compile_templates(
     """
     {then} ((come|go|get|drive|head|run|return|move) [back|home]*|back) to {home}
     {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
@@ -121,18 +128,18 @@ _STARTS = compiled(
     """,
     PARTS,
 )
-_BACK_TO = compiled(
+_BACK_TO = compile_templates(
     "{then} (return|[come|go|get|drive|head|run|move|be] [straight|right] back) to <thing>",
     PARTS,
 )
-_CALLS = compiled(
+_CALLS = compile_templates(
     "[over here [mate|robot|to me|to us] ,] (come|drive|get|move|roll) [over|right|up|here]* "
     "(here|to me|to us|to (where|wherever) (i am|we are)) "
     "[[for] (a|one) (minute|moment|second|sec|bit)]",
     PARTS,
 )
-_BACKS = compiled("{then} {back}", PARTS)
-_WAITS = compiled(
+_BACKS = compile_templates("{then} {back}", PARTS)
+_WAITS = compile_templates(
     """
     {then} {hold} [for] <span> {where} <thing>
     {then} {hold} {there} [for] <span> [there|here]
@@ -143,32 +150,36 @@ _WAITS = compiled(
     """,
     PARTS,
 )
+# "the mug on the desk", "the chair between the bed and the sofa", "the sofa or by the bed"
 _RELATED = re.compile(
-    rf" (?P<thing>{NAME})(?: {any_of('standing')})? (?P<relation>{any_of('relation')})"
+    rf" (?P<thing>{NAME})(?: {phrase_of('standing')})? (?P<relation>{phrase_of('relation')})"
     rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?: and (?P<other>(?:the|a) {NAME})"
-    rf"| or (?:(?P<again>{any_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
+    rf"| or (?:(?P<again>{phrase_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
     re.I,
 )
+# "we need the mug. Please find it."
 _INTRODUCED = re.compile(
     r"^ (?:there (?:is|are)|(?:we|i) (?:need|want|am looking for|can not find|"
     r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten))) "
-    rf"(?P<thing>{NAME})(?: {any_of('standing')})?(?: (?P<relation>{any_of('relation')}) "
+    rf"(?P<thing>{NAME})(?: {phrase_of('standing')})?(?: (?P<relation>{phrase_of('relation')}) "
     rf"(?P<anchor>{NAME}))?(?: (?:somewhere|anywhere|again))?"
     r"(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
     r"(?:so |please |and |(?:can|could|would|will) you )*"
     r"(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
     re.I,
 )
-_FIND = rf"(?:{any_of('find')}|find|get to|go to|locate)"
+_FIND = rf"(?:{phrase_of('find')}|find|get to|go to|locate)"
+# "find the mug, it should be on the desk"
 _HINTED = re.compile(
     rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
     rf" (?:is|are|(?:should|must|will) be)|i (?:have )?(?:left|put) (?:it|them))"
-    rf"(?: {any_of('standing')})? (?P<relation>"
-    rf"{any_of('relation')}) (?P<anchor>{NAME})(?: i think)?{END}",
+    rf"(?: {phrase_of('standing')})? (?P<relation>"
+    rf"{phrase_of('relation')}) (?P<anchor>{NAME})(?: i think)?{END}",
     re.I,
 )
+# "I need the mug to be found"
 _WANTED_FOUND = re.compile(
-    rf"^ (?:i|we) (?:need|want|would like) (?P<thing>{NAME}(?: {any_of('relation')} {NAME})?)"
+    rf"^ (?:i|we) (?:need|want|would like) (?P<thing>{NAME}(?: {phrase_of('relation')} {NAME})?)"
     r" (?:to be )?found(?=[.!]*$)",
     re.I,
 )
@@ -180,6 +191,7 @@ _NEAREST = re.compile(
 _ROOM_WITH = re.compile(
     rf" (?P<thing>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
 )
+# "so you can go into the kitchen again"
 _PERMITS = re.compile(
     r"(?:so |and )?(?:you|the robot) (?:now )?(?:can|may|are (?:allowed|free|welcome) to) (?:now )?"
     rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
@@ -189,6 +201,7 @@ _RELATIONS = {
     "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
     "beside of": "beside", "behind of": "behind",
 }  # fmt: skip
+# A word after which a name without an article may come.
 _LEADS_TO_NAME = re.compile(
     r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I
 )
@@ -200,10 +213,10 @@ _NUMBERED = re.compile(
     r"\d+\w?)+)\b(?! (?:times|rounds|min|sec|hour))",
     re.I,
 )
-_PLAINER = (
+_FIRST_REWRITES = (
     (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
     (re.compile(r",? (?:and )?(?:(?:after|afterwards|then) (?:in|into)|at the end (?:in|into|to))"
-                rf" (?={ARTICLE} |{any_of('room')}\b|{MARK})", re.I), ", then to "),
+                rf" (?={ARTICLE} |{phrase_of('room')}\b|{MARK})", re.I), ", then to "),
     (re.compile(r",?(?: and)? (?:keep (?:going|on|at it|driving|doing (?:it|that))|carry on|"
                 r"go on|repeat (?:it|that|this)|over and over(?: again)?|again and again)"
                 r"(?=,? (?:until|forever)\b)", re.I), ""),
@@ -219,10 +232,10 @@ _PLAINER = (
     (re.compile(r"\bpass(ing)? (?:near|close)(?: to| by)?\b", re.I), r"pass\1 by"),
     (re.compile(r",? (?:and|then|and then) stop (?:right )?there(?=[.!]*$)", re.I), ""),
 )  # fmt: skip
-"""Changes before all others: lists of numbered rooms, and other words for known ones."""
+"""Replacements before all others: lists of numbered rooms, and other words for known ones."""
 _THERE_AND = re.compile(
     rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})|find {NAME}),? and"
-    rf"(?= (?:(?P<finds>find|look for)|look at|inspect|examine|{any_of('work')}) )",
+    rf"(?= (?:(?P<finds>find|look for)|look at|inspect|examine|{phrase_of('work')}) )",
     re.I,
 )
 _UNCLEAR = (
@@ -230,8 +243,9 @@ _UNCLEAR = (
         re.compile(
             rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*"(?:,| and then| and| or| then)+ '
             rf'(?:{ARTICLE} |")'
-            rf'|"[^"]* [^"]*" (?:and|or) {any_of("relation")} '
-            rf'|"[^"]* {any_of("relation")} [^"]*" (?:and|or) (?:{ARTICLE}|{any_of("room")}) ',
+            rf'|"[^"]* [^"]*" (?:and|or) {phrase_of("relation")} '
+            rf'|"[^"]* {phrase_of("relation")} [^"]*" (?:and|or) '
+            rf"(?:{ARTICLE}|{phrase_of('room')}) ",
             re.I,
         ),
         "unclear what to do with the second thing; name it in a sentence of its own",
@@ -257,12 +271,13 @@ _UNCLEAR = (
         "stove is in the kitchen'",
     ),
 )
-"""Patterns of what is still unclear when all is spelled out, and the reason of each."""
-_LEAD = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
-_GOES_TO = re.compile(rf"{_LEAD}{any_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
-_GOES_ROOM = re.compile(rf"{_LEAD}(?:go|drive|come) (?P<name>{NAME})", re.I)
-_IN_TURN = compiled("go to <stops>", {})
-_FINDS = re.compile(rf"{_LEAD}{any_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
+"""Pattern of a text that is still unclear after all rules, and the hint of its refusal."""
+# The mark or word before a clause.
+_CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
+_GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
+_GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", re.I)
+_IN_TURN = compile_templates("go to <stops>", {})
+_FINDS = re.compile(rf"{_CLAUSE_START}{phrase_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _COMPOUND = re.compile(rf" (?P<name>{NAME})(?= {AFTER_A_NAME}\b|[,.;!?]|$)", re.I)
 
 
@@ -271,10 +286,10 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
 
     Args:
         text: the errand; see `tidy`.
-        places: names of places, which come before those of things.
+        places: names of places; the rules treat each of them as one word.
 
     Raises:
-        UnclearError: it asks for what no wheels, camera and text can do.
+        UnclearError: a part is unclear, or the robot cannot do it with wheels, a camera and text.
 
     Example:
         >>> spell_out("go and check whether the kettle is in the kitchen, then come back")
@@ -285,37 +300,39 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         raise UnclearError(f"instruction: {permits[0]!r}: {hint}", permits[0])
     marked, known = mark_places(text, places)
     text = f" {marked}"
-    for pattern, plain in _PLAINER:
+    for pattern, plain in _FIRST_REWRITES:
         text = pattern.sub(plain, text)
+    # Patterns and the function that replaces a match. The order matters: each rule sees the text of
+    # the rules before it, and none changes what is in quotes already.
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
-        ([_INTRODUCED], _introduced),
-        ([_HINTED], _hinted),
+        ([_INTRODUCED], _rewrite_introduced),
+        ([_HINTED], _rewrite_hinted),
         ([_WANTED_FOUND], lambda found: f" find {found['thing']}"),
         ([_NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
-        (_SEARCHES, _searched),
-        (_PATROLS, _rounds),
-        (_ROUNDS_FIRST, lambda found: None if found.start() else _rounds(found)),
-        (_ERRAND_AND_BACK, _errands_and_back),
-        (_CHECKS, _checked),
-        (_EXPLORES, _explored),
-        (_EXPLORES_HERE, _explored_here),
-        ([_ROOM_WITH, _RELATED], _related),
-        ([_WHICH_ROOM], _which_room),
-        ([_GOES_ROOM], _goes_room),
-        ([_GOES_TO], lambda found: f"{found['lead']}go to {_the(found['name'])}"),
-        (_IN_TURN, _in_turn),
+        (_SEARCHES, _rewrite_search),
+        (_PATROLS, _rewrite_patrol),
+        (_ROUNDS_FIRST, lambda found: None if found.start() else _rewrite_patrol(found)),
+        (_ERRAND_AND_BACK, _rewrite_errand_and_back),
+        (_CHECKS, _rewrite_check),
+        (_EXPLORES, _rewrite_exploration),
+        (_EXPLORES_HERE, _rewrite_exploration_here),
+        ([_ROOM_WITH, _RELATED], _quote_related),
+        ([_WHICH_ROOM], _quote_which_room),
+        ([_GOES_ROOM], _insert_to),
+        ([_GOES_TO], lambda found: f"{found['lead']}go to {_with_article(found['name'])}"),
+        (_IN_TURN, _rewrite_list_in_turn),
         ([_FINDS], lambda found: f"{found['lead']}find {found['name']}"),
-        ([_THERE_AND], _there_and),
-        ([_COMPOUND], _compound),
+        ([_THERE_AND], _insert_then),
+        ([_COMPOUND], _quote_compound),
         (_STARTS, lambda found: _go_to(START, found)),
-        (_BACK_TO, _back_to),
-        (_BACKS, _back),
+        (_BACK_TO, _rewrite_back_to),
+        (_BACKS, _rewrite_back),
         (_CALLS, lambda found: f' go to "{CALLER}"' if not found.start() else None),
-        (_WAITS, _waits),
+        (_WAITS, _rewrite_wait),
     )
     for patterns, change in rules:
         for pattern in patterns:
-            text = _outside_quotes(pattern, change, text)
+            text = _rewrite_outside_quotes(pattern, change, text)
     text = _EXPLORED_TWICE.sub(r"\1", text)
     text = restore_places(text, known)
     text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
@@ -327,49 +344,57 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     return text.strip()
 
 
-def _outside_quotes(
+def _rewrite_outside_quotes(
     pattern: re.Pattern[str], change: Callable[[re.Match[str]], str | None], text: str
 ) -> str:
-    """Change what a pattern finds outside quotes; the function returns None to leave it."""
+    """Replace the matches of a pattern outside quotes.
 
-    def changed(found: re.Match[str]) -> str:
+    Args:
+        pattern: the pattern.
+        change: returns the replacement of a match; None keeps the match.
+        text: the text.
+    """
+
+    def replace(found: re.Match[str]) -> str:
         if text.count('"', 0, found.start()) % 2 or found[0].count('"') % 2:
             return found[0]
         new = change(found)
         return found[0] if new is None else new
 
-    return pattern.sub(changed, text)
+    return pattern.sub(replace, text)
 
 
 def _go_to(proposition: str, found: re.Match[str] | None = None) -> str:
-    """Return the order to go there; after a match that does not begin the text it comes next."""
+    """Return `go to "proposition"`; with "then" if the match is not at the start of the text."""
     later = found is not None and found.start() > 0
     return f'{", then" if later else ""} go to "{proposition}"'
 
 
-def _introduced(found: re.Match[str]) -> str | None:
+def _rewrite_introduced(found: re.Match[str]) -> str | None:
     """Put the thing that the first clause names in place of the second clause's pronoun."""
-    where = _where(found["relation"], found["anchor"])
+    where = _relation_text(found["relation"], found["anchor"])
     return None if where is None else f" {found['order']} the {bare(found['thing'])}{where}"
 
 
-def _hinted(found: re.Match[str]) -> str | None:
+def _rewrite_hinted(found: re.Match[str]) -> str | None:
     """Return "find the mug, it should be on the desk" as the order to find the mug on the desk."""
-    thing, where = bare(found["thing"]), _where(found["relation"], found["anchor"])
+    thing, where = bare(found["thing"]), _relation_text(found["relation"], found["anchor"])
     if where is None or is_room(thing) or is_marked(thing) or is_vague(thing):
         return None
     return f"{found['order']} the {thing}{where}"
 
 
-def _searched(found: re.Match[str]) -> str | None:
+def _rewrite_search(found: re.Match[str]) -> str | None:
+    """Return "search the kitchen for a mug" as the order to find the mug in the kitchen."""
     room = found.groupdict().get("room") or ""
     if (room and not is_room(bare(room))) or is_vague(found["thing"]):
         return None
-    where = _where("in", room)
+    where = _relation_text("in", room)
     return None if where is None else f' find "{bare(found["thing"])}{where}"'
 
 
-def _checked(found: re.Match[str]) -> str | None:
+def _rewrite_check(found: re.Match[str]) -> str | None:
+    """Return "see if the mug is on the desk" as `go to "check mug on the desk"`."""
     slots = found.groupdict()
     thing = bare(found["thing"])
     if is_vague(thing) or thing in ("it", "them"):
@@ -383,20 +408,28 @@ def _checked(found: re.Match[str]) -> str | None:
     if slots.get("into") and not is_room(bare(slots["into"])):
         return None
     if slots.get("room") or slots.get("into"):
-        where = _where("in", slots.get("room") or slots["into"])
+        where = _relation_text("in", slots.get("room") or slots["into"])
     else:
-        where = _where(slots.get("relation"), slots.get("anchor"))
+        where = _relation_text(slots.get("relation"), slots.get("anchor"))
     if slots.get("within"):
         if where is None or not is_room(bare(slots["within"])):
             return None
-        where += _where("in", slots["within"]) or ""
+        where += _relation_text("in", slots["within"]) or ""
     if re.match(r" (?!and |then |but |when |while |in order )\w", found.string[found.end() :]):
         return None  # "check if the heater is on"
     return None if where is None else _go_to(f"{CHECK} {thing}{where}", found)
 
 
-def _where(relation: str | None, anchor: str | None, other: str | None = None) -> str | None:
-    """Return " next to the desk"; "" without a relation, None if the anchor is no object."""
+def _relation_text(
+    relation: str | None, anchor: str | None, other: str | None = None
+) -> str | None:
+    """Return " next to the desk"; "" without a relation, None if the anchor is no object.
+
+    Args:
+        relation: words such as "next to".
+        anchor: name of the object to which the relation refers.
+        other: name of the second object of "between".
+    """
     if not relation or not anchor:
         return ""
     name = bare(anchor)
@@ -417,9 +450,14 @@ def _where(relation: str | None, anchor: str | None, other: str | None = None) -
     return f" {relation} {the}{name}{more}"
 
 
-def _explored(found: re.Match[str]) -> str | None:
+def _rewrite_exploration(found: re.Match[str]) -> str | None:
+    """Return "explore the kitchen and the hall" as orders to go to `explored …`.
+
+    Raises:
+        UnclearError: a room is vague.
+    """
     slots = found.groupdict()
-    time = _for(slots.get("span"))
+    time = _for_duration(slots.get("span"))
     joints = re.findall(_JOINT, slots.get("stops") or "")
     rooms = [bare(stop) for stop in re.split(_JOINT, slots.get("stops") or slots.get("room") or "")]
     rooms = ["" if re.fullmatch(r"(?:every|each|all) rooms?", room) else room for room in rooms]
@@ -433,32 +471,38 @@ def _explored(found: re.Match[str]) -> str | None:
     )
 
 
-def _explored_here(found: re.Match[str]) -> str | None:
-    """Return the order to explore; after going to a room, that room."""
+def _rewrite_exploration_here(found: re.Match[str]) -> str | None:
+    """Return the order to explore the whole site, or the room that the text before goes to.
+
+    Raises:
+        UnclearError: the text before goes to no room.
+    """
     room, before = "", found.string[: found.start()]
     if before:
         last = re.search(rf"(?:to|in|into) (?P<name>{NAME}),?$", before, re.I)
         if last is None or not is_room(bare(last["name"])):
             raise UnclearError(f"instruction: {found[0].strip()!r}: unclear where; name the room")
         room = f" {bare(last['name'])}"
-    return _go_to(f"{EXPLORED}{room}{_for(found['span'])}", found)
+    return _go_to(f"{EXPLORED}{room}{_for_duration(found['span'])}", found)
 
 
 _JOINT = r",? (?:and then|and|then|or) |, "
 
 
-def _for(span: str | None) -> str:
-    return f" for {_length(seconds_of(span))}" if span else ""
+def _for_duration(span: str | None) -> str:
+    return f" for {_duration_text(seconds_of(span))}" if span else ""
 
 
-def _length(seconds: float) -> str:
-    """Return a time as propositions have it: `90 s`, `10 min`."""
+def _duration_text(seconds: float) -> str:
+    """Return a length of time [s] in the format of propositions: `90 s`, `10 min`."""
     minutes, rest = divmod(seconds, 60)
     return f"{minutes:.0f} min" if minutes and not rest else f"{seconds:.0f} s"
 
 
-def _rounds(found: re.Match[str]) -> str | None:
-    """Return a patrol as the stops of all its rounds, or of one that repeats; None for no patrol.
+def _rewrite_patrol(found: re.Match[str]) -> str | None:
+    """Return a patrol as the stops of all its rounds, or as one round with "repeat …".
+
+    Return None if it is no patrol.
 
     Raises:
         UnclearError: a patrol that repeats is not the whole instruction.
@@ -474,7 +518,7 @@ def _rounds(found: re.Match[str]) -> str | None:
     if often and rounds is None:
         return None
     if rounds is not None and 1 <= rounds <= MAX_ROUNDS:
-        return _in_order(stops * rounds)
+        return _go_to_each(stops * rounds)
     if found.start() or found.string[found.end() :].strip(" .!?"):
         order = "send what comes before it first" if found.start() else "send the rest afterwards"
         raise UnclearError(
@@ -482,19 +526,21 @@ def _rounds(found: re.Match[str]) -> str | None:
             f"{MAX_ROUNDS} rounds, must be the whole instruction; {order}"
         )
     end = f"{rounds} times" if rounds is not None else "until told"
-    end = f"for {_length(seconds_of(slots['span']))}" if slots.get("span") else end
-    return f"{_in_order(stops)}; repeat {end}"
+    end = f"for {_duration_text(seconds_of(slots['span']))}" if slots.get("span") else end
+    return f"{_go_to_each(stops)}; repeat {end}"
 
 
-def _errands_and_back(found: re.Match[str]) -> str | None:
+def _rewrite_errand_and_back(found: re.Match[str]) -> str | None:
+    """Return "go to the door and back, three times" as a sequence of stops."""
     slots = found.groupdict()
     times = number_of((slots.get("count") or slots.get("often") or "").lower())
     if times is None or not 1 <= times <= MAX_ROUNDS:
         return None
-    return _in_order([bare(found["thing"]), f'"{HERE}"'] * times)
+    return _go_to_each([bare(found["thing"]), f'"{HERE}"'] * times)
 
 
-def _related(found: re.Match[str]) -> str | None:
+def _quote_related(found: re.Match[str]) -> str | None:
+    """Quote a thing with its relation: the mug on the desk becomes "mug on the desk"."""
     slots = found.groupdict()
     thing = found["thing"]
     words = thing.split()
@@ -515,61 +561,61 @@ def _related(found: re.Match[str]) -> str | None:
     if slots.get("relation") and TABLE.get((words[-1].lower(),)) in ("verb", "do"):
         return None
     other = slots.get("other") if relation == "between" else None
-    where = _where(relation, found["anchor"], other)
+    where = _relation_text(relation, found["anchor"], other)
     within = slots.get("within")
     if where is None or (within and not is_room(bare(within.split(" ", 2)[2]))):
         return None
-    where += _where("in", within.split(" ", 2)[2]) or "" if within else ""
+    where += _relation_text("in", within.split(" ", 2)[2]) or "" if within else ""
     rest = f" and {slots['other']}" if slots.get("other") and not other else ""
     name = bare(" ".join(words))
     if slots.get("else"):
         rest = f" or {slots['else']}"
         if slots["again"] or (is_room(bare(slots["else"])) and is_room(bare(found["anchor"]))):
-            rest = f' or "{name}{_where(slots["again"] or relation, slots["else"])}"'
+            rest = f' or "{name}{_relation_text(slots["again"] or relation, slots["else"])}"'
     return f' {before}"{name}{where}"{rest}'
 
 
-def _which_room(found: re.Match[str]) -> str:
+def _quote_which_room(found: re.Match[str]) -> str:
     which = {"biggest": "largest"}.get(found["which"].lower(), found["which"].lower())
     return f' "{which} room"'
 
 
-def _there_and(found: re.Match[str]) -> str | None:
-    """Put "then" between going to a room, or finding a thing, and what is to be done there."""
+def _insert_then(found: re.Match[str]) -> str | None:
+    """Insert "then" between "go to the kitchen" or "find the mug" and the work there."""
     in_order = is_room(bare(found["room"])) if found["room"] else not found["finds"]
     return f"{found['go']}, then" if in_order else None
 
 
-def _goes_room(found: re.Match[str]) -> str | None:
-    """Put in the "to" that children and learners of English leave out: "go kitchen"."""
+def _insert_to(found: re.Match[str]) -> str | None:
+    """Insert the "to" that children and learners of English leave out: "go kitchen"."""
     name = bare(found["name"])
     first = name.split()[:-1]
     known = is_marked(name) or (is_room(name) and all(map(_modifies, first)))
     return f"{found['lead']}go to {found['name']}" if known else None
 
 
-def _in_turn(found: re.Match[str]) -> str | None:
+def _rewrite_list_in_turn(found: re.Match[str]) -> str | None:
     """Return a list of stops that comes back to one as a sequence: "kitchen, hall, kitchen"."""
     stops = [bare(stop) for stop in re.split(STOP, found["stops"])]
     if len(set(stops)) == len(stops) or re.search(r"\bor\b", found["stops"]):
         return None
-    return _in_order(stops)
+    return _go_to_each(stops)
 
 
-def _in_order(stops: Sequence[str]) -> str:
-    """Return the order to go to each of the stops, one after the other."""
+def _go_to_each(stops: Sequence[str]) -> str:
+    """Return the order to go to each of the stops in sequence."""
     names = (stop if is_marked(stop) or stop[0] == '"' else f"the {stop}" for stop in stops)
     return " " + ", then ".join(f"go to {name}" for name in names)
 
 
-def _the(name: str) -> str:
-    """Return a name with an article; `to kitchen` is said by people who learn English."""
+def _with_article(name: str) -> str:
+    """Return the name of a room with an article, which learners leave out: "go to kitchen"."""
     articled = name.startswith('"') or bare(name) != name.lower() or is_marked(name)
     return name if articled or not is_room(name) or name[-1].isdigit() else f"the {name}"
 
 
-def _compound(found: re.Match[str]) -> str | None:
-    """Quote a compound of known words, or of words that are no slips: "the tape gun"."""
+def _quote_compound(found: re.Match[str]) -> str | None:
+    """Quote a name of several words that is in no list, if no word is a typing error."""
     name = found["name"]
     words = bare(name).split()
     articled = bare(name) != name.lower()
@@ -587,7 +633,7 @@ def _compound(found: re.Match[str]) -> str | None:
 
 def _modifies(word: str) -> bool:
     """Return True if a word may stand before a noun, and is no slip of a known word."""
-    if re.fullmatch(any_of("room of"), word):
+    if re.fullmatch(phrase_of("room of"), word):
         return True
     kind = TABLE.get((word,))
     if word in BEYOND_NAMES or word in nouns.ORDINALS or word in ("whole", "entire"):
@@ -596,17 +642,19 @@ def _modifies(word: str) -> bool:
         return False
     if kind == "verb" and not word.endswith("ing") and not nouns.is_noun(word):
         return False
-    return word.strip("'").isalpha() and nouns.meant(word) is None
+    return word.strip("'").isalpha() and nouns.suggest_word(word) is None
 
 
-def _back_to(found: re.Match[str]) -> str | None:
+def _rewrite_back_to(found: re.Match[str]) -> str | None:
+    """Return "back to the kitchen" as an order; None if it names no room or place."""
     thing = found["thing"]
     if not (is_marked(thing) or is_room(bare(thing))):
         return None
-    return f"{', then' * bool(found.start())} go to {_the(thing)}"
+    return f"{', then' * bool(found.start())} go to {_with_article(thing)}"
 
 
-def _back(found: re.Match[str]) -> str | None:
+def _rewrite_back(found: re.Match[str]) -> str | None:
+    """Return "come back" as the order to go where the mission began; None before a destination."""
     after = found.string[found.end() :]
     if re.match(r" ?(?:to|\"|into|and forth)", after) or re.match(
         r" +(?!then|and|when|once)\w", after
@@ -615,9 +663,10 @@ def _back(found: re.Match[str]) -> str | None:
     return _go_to(HERE, found)
 
 
-def _waits(found: re.Match[str]) -> str | None:
+def _rewrite_wait(found: re.Match[str]) -> str | None:
+    """Return "wait for ten minutes at the door" as orders with `wait 10 min`."""
     slots = found.groupdict()
-    wait = f"{WAIT} {_length(seconds_of(slots['span']))}" if slots.get("span") else WAIT
+    wait = f"{WAIT} {_duration_text(seconds_of(slots['span']))}" if slots.get("span") else WAIT
     if slots.get("thing"):
         return f'{", then" * bool(found.start())} go to {slots["thing"]}, then go to "{wait}"'
     return _go_to(wait, found) if found.start() or slots.get("span") else None

@@ -1,6 +1,7 @@
-"""Words of everyday speech to a robot, by kind: openings, room kinds, questions, orders to learn.
+"""Phrases of everyday speech to a robot, by kind, and regular expressions for names.
 
-The format is the lexicon's: phrases are separated by `;`, and "(a|b) c" is both "a c" and "b c".
+The modules that read utterances before the grammar (`tidy`, `said`, `errands`, …) use them. The
+format is the lexicon's: phrases are separated by `;`, and "(a|b) c" is both "a c" and "b c".
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import re
 from edge import names
 from edge.memory import kind_of_room
 from edge.mission.language import nouns
-from edge.mission.language.lexicon import spelled_out
+from edge.mission.language.lexicon import expand_choices
 from edge.mission.language.places import is_marked
 
 _ROWS: dict[str, str] = {
@@ -134,8 +135,8 @@ _ROWS: dict[str, str] = {
         find us; see if you can find; see if you can spot; keep an eye out for; i am looking for;
         we are looking for; i need you to find; i can not find; where could we find; look for
     """,
-    # What a robot with wheels, a camera and text cannot do: the beginning of a clause.
-    # Verbs of carrying and handing, which are no order to drive to the thing.
+    # Beginnings of clauses that ask for what a robot with wheels, a camera and text cannot do.
+    # Verbs of carrying and handing: they are no order to drive to the thing.
     "carry": """
         bring; fetch; carry; grab; lift; hold; hand; open; close; shut; lock; unlock; give; pass
         (me|us|him|her|it|them); pick; take;
@@ -177,10 +178,11 @@ _ROWS: dict[str, str] = {
 }  # fmt: skip
 
 UNITS_S = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600}
-"""Unit of time → its seconds."""
+"""Unit of time → its length [s]."""
+# Regular expression for an article or another determiner.
 ARTICLE = r"(?:the|an?|my|our|your|his|her|their|this|that|those|these|some|any)"
 
-_ENDS_A_NAME = """
+_NOT_IN_NAMES = """
     and or then but to for from in into on at by near with of under behind beside next inside while
     until till before after unless if when because it them i we you he she they there here is are
     was were has have had will not do does did please now again also too first afterwards anymore
@@ -193,14 +195,14 @@ _ENDS_A_NAME = """
     gone exactly been ever always forever
     """
 AFTER_A_NAME = (
-    f"(?:{'|'.join(_ENDS_A_NAME.split())}|left(?= (?:on|in|under|at|by|near|next|behind|inside) ))"
+    f"(?:{'|'.join(_NOT_IN_NAMES.split())}|left(?= (?:on|in|under|at|by|near|next|behind|inside) ))"
 )
-"""Regular expression for a word that no name has."""
+"""Regular expression for a word that cannot be part of a name, so that a name ends before it."""
 
 
-def any_of(kind: str) -> str:
+def phrase_of(kind: str) -> str:
     """Return a regular expression for one of the phrases of a kind, the longest first."""
-    phrases = sorted(spelled_out(_ROWS[kind]), key=len, reverse=True)
+    phrases = sorted(expand_choices(_ROWS[kind]), key=len, reverse=True)
     return f"(?:{'|'.join(map(re.escape, phrases))})".replace(r"\ ", " ")
 
 
@@ -211,12 +213,13 @@ _WORD = (
     rf"|(?!{AFTER_A_NAME}\b)\w[\w'.-]*(?<![.]))"
 )
 MARK = "[\ue000-\uf8ff]"
-"""Regular expression for a private character, which stands for a whole name."""
+"""Regular expression for a private Unicode character: it stands for a whole name, see `places`."""
 PLAIN_NAME = rf"(?:{MARK}|{_WORD}(?: {_WORD}){{0,4}})"
-"""One name without an article, up to five words."""
+"""Regular expression for one name without an article, up to five words."""
 NAME = rf"(?:(?:all )?(?:{ARTICLE} )?(?:(?:pair|kind|sort|bit|piece) of )?{PLAIN_NAME})"
+"""Regular expression for one name, with or without an article or "a pair of"."""
 _ROOM_HEAD = re.compile(
-    rf"(?:.* )?{any_of('room')}"
+    rf"(?:.* )?{phrase_of('room')}"
     rf"(?: (?:number )?(?:\d+\w?|[a-z]|{'|'.join(names.SMALL_NUMBERS)}))?"
     "|toilet",
     re.I,
@@ -225,7 +228,7 @@ _ARTICLED = re.compile(rf"^(?:all )?(?:{ARTICLE} )?(?:(?:pair|kind|sort|bit|piec
 
 
 def is_room(name: str) -> bool:
-    """Return True if a name without an article is the name of a kind of room, or of one room.
+    """Return True if a name without an article names a room, a kind of rooms, or a known place.
 
     >>> is_room("living room"), is_room("room 12"), is_room("kitchen table")
     (True, True, False)
@@ -244,16 +247,17 @@ def bare(name: str) -> str:
     return "person" if plain in ("somebody", "someone", "anybody", "anyone") else plain
 
 
-_STATES = nouns.listed(
+_STATES = nouns.split_entries(
     """clear open closed locked unlocked free busy ready broken full empty clean dirty safe
     dangerous far near close alone warm cold hot dry wet missing awake asleep charged running
     working okay ok"""
 )
-NOWHERE = nouns.listed(
+NOWHERE = nouns.split_entries(
     """way foot own order point least most floor floors last path road route place places spot area
     position location side one ones bit moment while"""
 )
-"""Words that name no object in "at some point", "on the way", "a place near the door"."""
+"""Last words of phrases that name no object: "at some point", "on the way"."""
+# Words with which a name means no certain object.
 _UNNAMED = {
     "no", "other", "another", "same", "every", "each", "all", "both", "anything", "something",
     "very", "really", "quite",
@@ -261,8 +265,8 @@ _UNNAMED = {
 
 
 def is_vague(name: str) -> bool:
-    """Return True if a name says too little: "the other side", or how something is."""
+    """Return True if a name says too little ("the other side") or is a state ("open")."""
     words = bare(name).split()
     quality = words[-1] in nouns.QUALITIES - nouns.NOUNS and len(words) > 1  # "sofa red"
-    plain = quality or words[-1] in nouns.PLAIN_WORDS | _STATES or words == ["room"]
-    return plain or bool(_UNNAMED & set(words))
+    no_object = quality or words[-1] in nouns.PLAIN_WORDS | _STATES or words == ["room"]
+    return no_object or bool(_UNNAMED & set(words))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from edge.mission.language.everyday_words import ARTICLE, PLAIN_NAME, any_of, bare, is_room
+from edge.mission.language.everyday_words import ARTICLE, PLAIN_NAME, bare, is_room, phrase_of
 from edge.mission.language.tokens import UnclearError
 
 _OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just |now )?"
@@ -15,11 +15,15 @@ _DRIVES = (
     r"(?:(?:the|a|any) )?(?:way|route|path|road|street|bridge|hall|hallway|corridor|aisle|tunnel|"
     r"passage|alley))\b)"
 )
-"""Words after which a verb of handling is one of driving: "move to", "take a look"."""
+"""Refuses a match before words with which a verb of handling means driving: "move to"."""
+# Pattern of what the robot cannot do, and the hint of the refusal.
 _CANNOT = (
-    (rf"{_OPENS_CLAUSE}{any_of('follow')}\b", "the robot cannot follow or lead; say where to go"),
     (
-        rf"{_OPENS_CLAUSE}(?:{any_of('carry')}\b{_DRIVES}"
+        rf"{_OPENS_CLAUSE}{phrase_of('follow')}\b",
+        "the robot cannot follow or lead; say where to go",
+    ),
+    (
+        rf"{_OPENS_CLAUSE}(?:{phrase_of('carry')}\b{_DRIVES}"
         rf"|(?:bring|fetch|carry|hand|take) (?:over|up|in|out|down|back) {ARTICLE}\b)",
         "the robot has no arms; it can drive to things, so say for example 'find the mug'",
     ),
@@ -28,14 +32,20 @@ _CANNOT = (
         r"hallway|corridor|passage)\b)",
         "the robot cannot drive along a thing; say where to go",
     ),
-    (rf"{_OPENS_CLAUSE}{any_of('talk')}\b", "the robot answers here in text, and does no more"),
-    (rf"\b{any_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),
     (
-        rf"\b{any_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
+        rf"{_OPENS_CLAUSE}{phrase_of('talk')}\b",
+        "the robot answers here in text, and does no more",
+    ),
+    (
+        rf"\b{phrase_of('climb')}\b",
+        "the robot cannot change floors; say where to go on this one",
+    ),
+    (
+        rf"\b{phrase_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
         "the robot knows no times of day; say what to do now",
     ),
 )
-_WORK = re.compile(rf"{_OPENS_CLAUSE}{any_of('work')}\b", re.I)
+_WORK = re.compile(rf"{_OPENS_CLAUSE}{phrase_of('work')}\b", re.I)
 _OWNED = re.compile(rf"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>{PLAIN_NAME})")
 
 

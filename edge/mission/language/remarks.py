@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from edge.mission.language.everyday_words import ARTICLE, any_of
+from edge.mission.language.everyday_words import ARTICLE, phrase_of
 from edge.mission.language.lexicon import PAST, TABLE
-from edge.mission.language.templates import compiled, first_match
+from edge.mission.language.templates import compile_templates, first_match
 from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
 
-_DIRECTS = re.compile(
+_MAY_DIRECT = re.compile(
     r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! just)|"
     r"except|unless|if|until|"
     r"before|after|instead|but|first|second|third|next|last|then|avoid|never|allow|allowed|"
@@ -23,12 +23,13 @@ _DIRECTS = re.compile(
     r"limits|bounds|closed|taboo|private|go|stay|keep|you|"
     r"no|none|nobody|nothing|without)\b|"
     r"(?<!do )(?<!did )(?<!can )(?<!could )(?<!have )(?<!has )\bnot\b|"
-    rf"\b(?:it|them)\b(?=.* {any_of('relation')} )|"
-    rf"^(?:he|she|they) (?:is|are|was|were|will be)(?: \w+ly)? {any_of('relation')} ",
+    rf"\b(?:it|them)\b(?=.* {phrase_of('relation')} )|"
+    rf"^(?:he|she|they) (?:is|are|was|were|will be)(?: \w+ly)? {phrase_of('relation')} ",
     re.I,
 )
 """Words that may change an order, so a clause with one of them is no mere remark."""
-_NO_VERB_AFTER = re.compile(
+# A word before the base form of a verb that makes it no verb: "a walk".
+_BEFORE_NO_VERB = re.compile(
     rf"(?:{ARTICLE}|is|are|was|were|am|been|being|still|so|very|too|all|quite|really)$", re.I
 )
 SUBORDINATE = (
@@ -45,13 +46,13 @@ def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:
     """Return True for a clause that gives no order: "I heard a noise".
 
     Args:
-        clause: no other text.
-        states: True if "the isolation is over" is one, too.
-        first: True if the clause begins the text, where "all clear" is one, too.
+        clause: one clause, without the marks around it.
+        states: True if a clause about a state ("the isolation is over") also counts.
+        first: True if the clause begins the text; then an assent ("all clear") also counts.
     """
     if first_match(_templates(IDIOMS + ASSENTS * first), clause) is not None:
         return True
-    if _DIRECTS.search(clause) or _has_order(clause.lower().split()):
+    if _MAY_DIRECT.search(clause) or _has_order(clause.lower().split()):
         return False
     return first_match(_templates(REMARKS + STATES * states), clause) is not None
 
@@ -62,11 +63,11 @@ def _has_order(words: list[str]) -> bool:
         TABLE.get((word,)) in ("verb", "avoid")
         and word not in PAST
         and not word.endswith(("ed", "ing"))
-        and not _NO_VERB_AFTER.match(before)
+        and not _BEFORE_NO_VERB.match(before)
         for before, word in zip(["", *words], words, strict=False)
     )
 
 
 @lru_cache(maxsize=8)
-def _templates(rows: str) -> list[re.Pattern[str]]:
-    return compiled(rows, {})
+def _templates(templates: str) -> list[re.Pattern[str]]:
+    return compile_templates(templates, {})

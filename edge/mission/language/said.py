@@ -1,7 +1,8 @@
-"""Classification of what a person says: a mission, a question, an order to learn, or control.
+"""Classification of an utterance: a mission, a question, an order to learn, or control.
 
-Each kind but the mission has templates (`utterances`). What fits none of them is a mission, and the
-translators read it.
+`understand` is the entry for all that a person writes. Each kind except the mission has sentence
+templates (module `utterances`). An utterance that fits none of them is a mission for the
+translators.
 """
 
 from __future__ import annotations
@@ -12,11 +13,18 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, Union
 
-from edge.mission.language.everyday_words import NAME, NOWHERE, any_of, bare, is_room, is_vague
+from edge.mission.language.everyday_words import (
+    NAME,
+    NOWHERE,
+    bare,
+    is_room,
+    is_vague,
+    phrase_of,
+)
 from edge.mission.language.remarks import is_remark
 from edge.mission.language.spans import seconds_of
-from edge.mission.language.templates import compiled, first_match
-from edge.mission.language.tidy import TidySpeech, stripped, tidied
+from edge.mission.language.templates import compile_templates, first_match
+from edge.mission.language.tidy import TidySpeech, strip_politeness, tidy_up
 from edge.mission.language.tokens import UnclearError
 from edge.mission.language.utterances import CONTROL, ORDERS, PARTS, QUESTIONS
 
@@ -26,7 +34,11 @@ Learnt = Literal["place", "room", "forget", "keep_out", "stay_inside", "open"]
 
 @dataclass(frozen=True, slots=True)
 class MissionOrder:
-    """An errand, in plain words for the translators."""
+    """An order that becomes a mission.
+
+    Attributes:
+        speech: the utterance in plain words, for the translators.
+    """
 
     speech: TidySpeech
 
@@ -75,14 +87,14 @@ class Control:
     seconds: float | None = None
 
 
-Said = Union[MissionOrder, MemoryQuestion, SiteOrder, Control]
+UtteranceKind = Union[MissionOrder, MemoryQuestion, SiteOrder, Control]
 
 
 class NoMissionError(UnclearError):
     """An utterance that is a question, an order to learn, or about the present mission.
 
     Attributes:
-        said: its parts.
+        said: the kind of the utterance, with its parts.
     """
 
     def __init__(self, said: MemoryQuestion | SiteOrder | Control) -> None:
@@ -95,41 +107,41 @@ class NoMissionError(UnclearError):
         self.said = said
 
 
-_IN_A_MISSION = ("keep_out", "stay_inside", "pause")
-_NAMES = ("thing", "name", "anchor", "room")
-_ZONES = ("keep_out", "stay_inside", "open")
-_AS_QUESTIONS = (
+_IN_A_MISSION = ("keep_out", "stay_inside", "pause")  # `do` of orders that a mission may contain
+_OBJECT_SLOTS = ("thing", "name", "anchor", "room")  # slots whose text must not be vague
+_ZONE_KINDS = ("keep_out", "stay_inside", "open")  # `do` of orders whose room may also be a site
+_QUESTION_REWRITES = (
     (re.compile(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", re.I), r"\1 there"),
     (re.compile(r"^it (is|was) there (?=[^.;:!]*\?$)", re.I), r"\1 there "),
     (re.compile(rf"^({NAME}),? (is|are|was|were) (?:it|they)(?= )", re.I), r"\2 \1"),
     (re.compile(rf"^((?:in|on|under|at) {NAME}),? (?:there (is|are)|(is|are) there)"
                 rf" ({NAME})(?=\?$)", re.I), r"\2\3 there \4 \1"),
-    (re.compile(rf"^({NAME}) (is|are|was|were)(?=(?: still| really)* {any_of('relation')} "
+    (re.compile(rf"^({NAME}) (is|are|was|were)(?=(?: still| really)* {phrase_of('relation')} "
                 r"[^.;:!]*\?$)", re.I), r"\2 \1"),
 )  # fmt: skip
-"""Questions in the order of words of statements, as questions."""
-_LOOK = re.compile(
+"""Pattern of a question with the word order of a statement, and its replacement."""
+_GO_AND_LOOK = re.compile(
     r"(?:go |drive |run )?(?:over |there )*(?:and )?(?:check|see|look|find out|have a look|"
     r"take a look)(?: there| for me)*",
     re.I,
 )
-"""The order after a question to go and look for the answer."""
-_ONE_BY_ONE = "instruction: say one thing at a time: an errand, a question, or what to remember"
+"""The order, after a question, to go and look for the answer."""
+_SEVERAL_KINDS = "instruction: say one thing at a time: an errand, a question, or what to remember"
 
 
 @lru_cache(maxsize=1)
 def _templates() -> dict[str, list[re.Pattern[str]]]:
-    """Return the patterns of each kind in the order in which they are tried."""
-    rows = {**QUESTIONS, **CONTROL, **ORDERS}
-    return {kind: compiled(lines, PARTS) for kind, lines in rows.items()}
+    """Return the patterns of each kind, in the order in which they are tried."""
+    templates = {**QUESTIONS, **CONTROL, **ORDERS}
+    return {kind: compile_templates(lines, PARTS) for kind, lines in templates.items()}
 
 
-def understand(said: str, sites: Collection[str] = ()) -> Said:
+def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
     """Return the kind of an utterance with its parts.
 
     Args:
         said: the person's words.
-        sites: names of places, rooms and zones, which may be kept out of as rooms are.
+        sites: names of places, rooms and zones; the robot can keep out of them as out of rooms.
 
     Raises:
         TranslationError: a self-correction is unclear, or several kinds are mixed.
@@ -140,59 +152,65 @@ def understand(said: str, sites: Collection[str] = ()) -> Said:
         >>> understand("Please stay out of the bathroom.").do
         'keep_out'
     """
-    speech = tidied(said)
-    whole = _plain(speech.text)
-    if (found := _classified(whole, sites)) is not None:
-        return found
+    speech = tidy_up(said)
+    if (kind := _classify(_without_punctuation(speech.text), sites)) is not None:
+        return kind
     question, _, order = speech.text.partition("?")
-    if _LOOK.fullmatch(stripped(order)):
-        asked_for = _classified(_plain(f"{question}?"), sites)
-        if isinstance(asked_for, MemoryQuestion) and asked_for.topic == "exists":
-            thing, room = asked_for.about, asked_for.room
+    if _GO_AND_LOOK.fullmatch(strip_politeness(order)):
+        asked = _classify(_without_punctuation(f"{question}?"), sites)
+        if isinstance(asked, MemoryQuestion) and asked.topic == "exists":
+            thing, room = asked.about, asked.room
             check = f"check if there is a {thing}{f' in the {room}' * bool(room)}"
             return MissionOrder(replace(speech, text=check))
-    pieces = [stripped(piece) for piece in re.split(r"[.!?;,]+(?: |$)", speech.text)]
+    pieces = [strip_politeness(piece) for piece in re.split(r"[.!?;,]+(?: |$)", speech.text)]
     pieces = [piece for piece in pieces if piece and not is_remark(piece, states=True)]
-    kinds = [_classified(_plain(piece), sites) for piece in pieces]
-    orders = [kind for kind in kinds if kind is not None]
-    if not orders or (None in kinds and all(_may_be_in_a_mission(one) for one in orders)):
+    kinds = [_classify(_without_punctuation(piece), sites) for piece in pieces]
+    known = [kind for kind in kinds if kind is not None]
+    if not known or (None in kinds and all(_may_be_in_a_mission(kind) for kind in known)):
         return MissionOrder(speech)
-    if None not in kinds and all(one == orders[0] for one in orders):
-        return orders[0]
-    asked = [one for one in orders if isinstance(one, MemoryQuestion)]
-    if len(asked) == len(kinds) == 2 and asked[1].about in ("", "it", "them"):
-        return asked[0]
-    raise UnclearError(_ONE_BY_ONE)
+    if None not in kinds and all(kind == known[0] for kind in known):
+        return known[0]
+    questions = [kind for kind in known if isinstance(kind, MemoryQuestion)]
+    if len(questions) == len(kinds) == 2 and questions[1].about in ("", "it", "them"):
+        return questions[0]  # "Did you see the mug? Where is it?"
+    raise UnclearError(_SEVERAL_KINDS)
 
 
-def _may_be_in_a_mission(one: Said) -> bool:
-    return isinstance(one, (SiteOrder, Control)) and one.do in _IN_A_MISSION
+def _may_be_in_a_mission(kind: UtteranceKind) -> bool:
+    return isinstance(kind, (SiteOrder, Control)) and kind.do in _IN_A_MISSION
 
 
-def _plain(text: str) -> str:
-    """Return the text without commas; a stop within it is a word of its own, which no slot has.
+def _without_punctuation(text: str) -> str:
+    """Return the text without commas and without its final mark.
 
-    "There is a mug?" becomes "is there a mug": without its question mark, it is no question. "My
-    keys, are they on the desk?" becomes "are My keys on the desk".
+    A full stop within the text becomes a separate word ".", so that no slot extends over it.
+    First, questions get the word order of questions, because without its question mark "There is a
+    mug?" would be a statement: "is there a mug". "My keys, are they on the desk?" becomes "are My
+    keys on the desk".
     """
-    for stated, asked in _AS_QUESTIONS:
+    for stated, asked in _QUESTION_REWRITES:
         text = stated.sub(asked, text)
     text = re.sub(r"[.;:!?]+(?= )", " .", re.sub(r"[.,;:!?]+$|,(?= )", "", text))
     return " ".join(text.split())
 
 
-def _classified(text: str, sites: Collection[str]) -> Said | None:
-    """Return the first kind whose template fits the whole text; None for an errand."""
+def _classify(text: str, sites: Collection[str]) -> UtteranceKind | None:
+    """Return the first kind whose template fits the whole text; None for a mission."""
     for kind, patterns in _templates().items():
         for pattern in patterns:
             slots = first_match([pattern], text)
-            if slots is not None and _fits(slots, sites if kind in _ZONES else ()):
-                return _made(kind, slots)
+            if slots is not None and _slots_fit(slots, sites if kind in _ZONE_KINDS else ()):
+                return _make_kind(kind, slots)
     return None
 
 
-def _fits(slots: Mapping[str, str], sites: Collection[str]) -> bool:
-    """Return True if each slot has a name of its kind."""
+def _slots_fit(slots: Mapping[str, str], sites: Collection[str]) -> bool:
+    """Return True if each slot has a name of its kind.
+
+    Args:
+        slots: slot -> its text.
+        sites: names that are allowed in the slot `room`, in addition to kinds of rooms.
+    """
     room = bare(slots.get("room", ""))
     if room and not is_room(room) and room not in sites:
         return False
@@ -200,10 +218,16 @@ def _fits(slots: Mapping[str, str], sites: Collection[str]) -> bool:
         return False
     if bare(slots.get("anchor", "x")).split()[-1] in NOWHERE:
         return False
-    return not any(is_vague(name) for slot, name in slots.items() if slot in _NAMES)
+    return not any(is_vague(name) for slot, name in slots.items() if slot in _OBJECT_SLOTS)
 
 
-def _made(kind: str, slots: Mapping[str, str]) -> Said:
+def _make_kind(kind: str, slots: Mapping[str, str]) -> UtteranceKind:
+    """Return a matched utterance.
+
+    Args:
+        kind: its topic or its `do`.
+        slots: slot -> its text.
+    """
     room = bare(slots.get("room", ""))
     if kind in QUESTIONS:
         about, relation = bare(slots.get("thing", "")), slots.get("relation", "").lower()

@@ -6,8 +6,9 @@ import re
 
 from edge import names
 
+# Unit, by its first letters → seconds; words before a unit → their value.
 _UNITS_S = {"s": 1, "min": 60, "h": 3600}
-_SIZES = {
+_WORD_VALUES = {
     "a": 1.0, "an": 1.0, "one": 1.0, "half a": 0.5, "half an": 0.5, "half": 0.5,
     "a couple of": 2.0, "a couple": 2.0, "couple of": 2.0, "a quarter of an": 0.25,
     "quarter of an": 0.25, "quarter": 0.25, "a good": 1.0,
@@ -16,13 +17,15 @@ _TENS = rf"(?:{'|'.join(names.TENS)})(?:[ -](?:{'|'.join(names.SMALL_NUMBERS[1:1
 _NUMBER = rf"(?:\d+(?:\.\d+)?|{_TENS}|{'|'.join(sorted(names.SMALL_NUMBERS, key=len)[::-1])})"
 COUNT = rf"(?:a couple of|a couple|{_NUMBER}|a)"
 """Regular expression for a whole number."""
-_SIZE = rf"(?:{'|'.join(sorted(_SIZES, key=len)[::-1])}|{_NUMBER})"
-SPAN = (
+_SIZE = rf"(?:{'|'.join(sorted(_WORD_VALUES, key=len)[::-1])}|{_NUMBER})"
+DURATION = (
     rf"(?:(?:about|around|like|exactly|roughly|maybe|another|the next|just|only|at least) )*{_SIZE}"
     r"[ -]?(?:seconds?|secs?|minutes?|mins?|hours?|s|min|h)\b(?: and a half)?"
 )
 """Regular expression for a length of time."""
-_PARTS = re.compile(rf"(?P<size>{_SIZE})[ -]?(?P<unit>s|min|h)[a-z]*(?P<more> and a half)?$", re.I)
+_DURATION_PARTS = re.compile(
+    rf"(?P<size>{_SIZE})[ -]?(?P<unit>s|min|h)[a-z]*(?P<more> and a half)?$", re.I
+)
 
 
 def number_of(word: str) -> int | None:
@@ -38,16 +41,19 @@ def number_of(word: str) -> int | None:
 
 
 def seconds_of(span: str) -> float:
-    """Return the seconds of a text that `SPAN` matches.
+    """Return the length [s] of a text that `DURATION` matches.
+
+    Raises:
+        ValueError: the text is no length of time.
 
     >>> seconds_of("half an hour"), seconds_of("about two minutes"), seconds_of("90 s")
     (1800.0, 120.0, 90.0)
     """
-    found = _PARTS.search(span.strip())
+    found = _DURATION_PARTS.search(span.strip())
     if found is None:
         raise ValueError(f"not a length of time: {span!r}; expected one such as '90 s'")
     size = found["size"].lower()
-    value = _SIZES.get(size)
+    value = _WORD_VALUES.get(size)
     if value is None:
         value = float(size) if size[0].isdigit() else float(number_of(size) or 0)
     return (value + 0.5 * bool(found["more"])) * _UNITS_S[found["unit"].lower()]

@@ -1,8 +1,11 @@
 """Sentence templates: patterns of everyday sentences, written as text.
 
+The modules `said`, `errands` and `remarks` compile them to regular expressions. An example:
+
     where (is|are) <thing> [now|exactly]*
 
-- `(a|b)` is a choice, `[a|b]` may be left out, and `*` after either repeats it any number of times.
+- `(a|b)` is a choice, `[a|b]` may be left out, and `*` after one of these repeats it any number of
+  times.
 - `<thing>` is a name of up to five words, with or without an article.
 - `<stops>` is a list of names, `<count>` a number, `<often>` once or twice, `<relation>` a word
   such as "behind", `<done>` a form such as "mopped", and `<span>` a length of time, such as "ten
@@ -16,18 +19,18 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from edge.mission.language.everyday_words import MARK, NAME, any_of
-from edge.mission.language.spans import COUNT, SPAN
+from edge.mission.language.everyday_words import MARK, NAME, phrase_of
+from edge.mission.language.spans import COUNT, DURATION
 
 _TOKEN = re.compile(r"<(?P<slot>\w+)>|\{(?P<part>\w+)\}|(?P<rest>\.\.\.)|(?P<mark>[()\[\]|*,])"
                     r"|(?P<word>[^\s()\[\]|*,<{]+)")  # fmt: skip
 STOP = rf"(?:,? (?:and then|and|then|to|or) |, | (?={MARK}|the ))"
 """Regular expression for what separates the names of a list."""
 _SLOTS = {
-    "span": SPAN,
+    "span": DURATION,
     "count": COUNT,
     "often": r"(?:once|twice|thrice)",
-    "relation": any_of("relation"),
+    "relation": phrase_of("relation"),
     "done": r"\w+(?:ed|ing)",
     "stops": rf"{NAME}(?:{STOP}{NAME})+",
 }
@@ -44,7 +47,7 @@ _REST = (
     r"(?: (?!(?:then|and|or|but|find|instead|first|never|avoid|without|except|\.)(?: |$))"
     rf"(?:(?!{_ORDER})|{_HAS_SUBJECT})[^\s,;]+)*"
 )
-"""Any rest that begins no order: "because I go out", not "until I call, go to the bed"."""
+"""The words for `...`: any rest that begins no order, as in "because I go out"."""
 END = r"(?=[ ,.;!?]|$)"
 """End of a word."""
 
@@ -54,34 +57,39 @@ def pattern(template: str, parts: Mapping[str, str]) -> str:
 
     Args:
         template: see the module.
-        parts: templates that `{name}` stands for.
+        parts: name -> template, for `{name}`.
 
     Example:
         >>> re.fullmatch(pattern("stop [now]*", {}), " stop now now") is not None
         True
     """
-    done = []
+    pieces = []
     for token in _TOKEN.finditer(template):
         if slot := token["slot"]:
-            done.append(f" (?P<{slot}>{_SLOTS.get(slot, NAME)})")
+            pieces.append(f" (?P<{slot}>{_SLOTS.get(slot, NAME)})")
         elif token["part"]:
-            done.append(f"(?:{pattern(parts[token['part']], parts)})")
+            pieces.append(f"(?:{pattern(parts[token['part']], parts)})")
         elif token["rest"]:
-            done.append(_REST)
+            pieces.append(_REST)
         elif token["mark"]:
-            done.append(_MARKS[token["mark"]])
+            pieces.append(_MARKS[token["mark"]])
         else:
-            done.append(f" {re.escape(token['word'])}")
-    return re.sub(r"\)\?\*", ")*", "".join(done))
+            pieces.append(f" {re.escape(token['word'])}")
+    return re.sub(r"\)\?\*", ")*", "".join(pieces))  # "[a]*" gave "(?: a)?*"
 
 
-def compiled(rows: str, parts: Mapping[str, str]) -> list[re.Pattern[str]]:
-    """Return the patterns of several templates, one a line; a line that is indented more goes on.
+def compile_templates(templates: str, parts: Mapping[str, str]) -> list[re.Pattern[str]]:
+    """Return the patterns of several templates, in their order.
 
     A pattern matches at a space before its first word, up to the end of a word.
+
+    Args:
+        templates: one template for each line; a line with 12 spaces or more before it continues the
+            line before it.
+        parts: see `pattern`.
     """
     lines: list[str] = []
-    for line in filter(str.strip, rows.splitlines()):
+    for line in filter(str.strip, templates.splitlines()):
         if line.startswith(" " * 12) and lines:
             lines[-1] += f" {line.strip()}"
         else:
@@ -91,7 +99,7 @@ def compiled(rows: str, parts: Mapping[str, str]) -> list[re.Pattern[str]]:
 
 def first_match(patterns: list[re.Pattern[str]], text: str) -> dict[str, str] | None:
     """Return the slots of the first pattern that fits the whole text; None if none does."""
-    for one in patterns:
-        if found := one.fullmatch(f" {text}"):
+    for candidate in patterns:
+        if found := candidate.fullmatch(f" {text}"):
             return {slot: name for slot, name in found.groupdict().items() if name is not None}
     return None

@@ -1,4 +1,7 @@
-"""Removal of what speech adds to an order: hesitations, politeness, self-corrections, reasons."""
+"""Removal of what speech adds to an order: hesitations, politeness, self-corrections, reasons.
+
+`tidy_up` is the first step with an utterance; the module `said` then classifies the rest.
+"""
 
 from __future__ import annotations
 
@@ -6,32 +9,36 @@ import re
 from dataclasses import dataclass
 
 from edge import names
-from edge.mission.language.everyday_words import ARTICLE, NAME, any_of
-from edge.mission.language.lexicon import TABLE, WORD, expanded
+from edge.mission.language.everyday_words import ARTICLE, NAME, phrase_of
+from edge.mission.language.lexicon import TABLE, WORD, expand_word
 from edge.mission.language.remarks import SUBORDINATE, is_remark
 from edge.mission.language.spans import number_of
 from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
+# Spelling of speech → full words.
 _SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is"}
-_IS = re.compile(
+_APOSTROPHE_IS = re.compile(
     r"(?<=\d)'s (?=\w+ed\b)|"
     r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|"
     r"fine|enough|good|"
     r"asleep|here|wet|dirty|sick|hot|cold|dark|\w+ing|"
     r"finished|done|coming|going|backing|blocked|busy)\b|"
-    rf"{any_of('relation')} )",
+    rf"{phrase_of('relation')} )",
     re.I,
 )
+"""An `'s` that means "is": "the kitchen's closed"."""
 _HESITATION = re.compile(
-    rf"(?:(?P<comma>, )|(?<![\w'])){any_of('hesitation')}(?![\w'-]),?(?= |$)", re.I
+    rf"(?:(?P<comma>, )|(?<![\w'])){phrase_of('hesitation')}(?![\w'-]),?(?= |$)", re.I
 )
+# Words that a speaker may say twice: "the the".
 _SMALL = (
     "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|are|was|were|there|this|"
     "that|here|for|then|with|where|what|can|could|would|do|did|have|please|go|come|find|look|stop|"
     "wait|no|not|never|me|from|ever)"
 )
+# First words of a clause that a speaker may begin twice: "go to go to".
 _BEGINS = (
     "(?:where|what|go|come|is|are|was|did|do|have|can|could|find|look|stop|wait|check|explore|visit|"
     "patrol|drive|get|show|tell|return|search)"
@@ -41,26 +48,31 @@ _REPEATED = re.compile(
     rf"|({_BEGINS}(?: (?!(?:and|or|then)\b)[\w']+){{0,3}})(?: the| an?| my)?(?:,? \2(?![\w'-]))+)",
     re.I,
 )
-"""One to four words that a speaker says again: "where is the where is the"."""
+"""One to four words that a speaker says twice: "where is the where is the"."""
 _LIKE = re.compile(
     r"\b(?:(?<!would )like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )(?<!so )(?<!that )you know),? "
     rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})",
     re.I,
 )
-_MARK = rf"[ ,.]*\b{any_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
-_CORRECTS = re.compile(_MARK, re.I)
+"""The filler of "go to, like, the bed", and not that of "I would like the bed"."""
+_CORRECTION = (
+    rf"[ ,.]*\b{phrase_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
+)
+_CORRECTS = re.compile(_CORRECTION, re.I)
 _OPENING = re.compile(
-    rf"(?:(?!let us play\b)(?:{any_of('opening')}\b(?!(?<=you) see\b)|"
+    rf"(?:(?!let us play\b)(?:{phrase_of('opening')}\b(?!(?<=you) see\b)|"
     r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
     r"you (?!got|may|can|are|will|must|should|have|could|were)|"
     r"do (?=(?:go|come|find|check|look|have|please|you mind|stop|wait)\b))[ ,.!]*)+",
     re.I,
 )
-_CLOSING = re.compile(rf"(?:[ ,.!?]*\b{any_of('closing')})+[ .!?]*$", re.I)
+_CLOSING = re.compile(rf"(?:[ ,.!?]*\b{phrase_of('closing')})+[ .!?]*$", re.I)
 _ADDRESS = re.compile(r", (?:my )?(?:dear|love|darling|mate|buddy|friend|robot),", re.I)
 _PLEASE = re.compile(r" ?\b(?:pretty )?please(?: to(?! the\b))?\b(?P<comma>,?) ?", re.I)
-_NO_END = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
-_ENDS = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
+# No closing phrase is removed after such an end: "the robot" stays whole.
+_ENDS_IN_ARTICLE = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
+_CLAUSE_END = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
+# Words that may refer to a name in another clause.
 _REFERS = re.compile(r"\b(?:it|they|them|he|she|him|her|ones?|there|in again|enter again)\b", re.I)
 
 
@@ -69,10 +81,10 @@ class TidySpeech:
     """An utterance without what speech adds to it.
 
     Attributes:
-        text: what is left, in one line.
-        reasons: clauses that were left out because they only say why.
-        corrected: True if it corrected itself or said words again.
-        quoted: the quotations, which the text shows as private characters; see `restored`.
+        text: the rest, in one line. Each quotation is one private Unicode character in it.
+        reasons: clauses that were left out because they only give a reason.
+        corrected: True if the speaker corrected or repeated words.
+        quoted: the quotations, in the order of their characters; see `restored`.
     """
 
     text: str
@@ -87,47 +99,48 @@ class TidySpeech:
         return text
 
 
-def tidied(said: str) -> TidySpeech:
-    """Return the utterance in plain words.
+def tidy_up(utterance: str) -> TidySpeech:
+    """Return the utterance in plain words, step by step.
 
     Raises:
-        TranslationError: it corrects itself, and which words it replaces is not clear.
+        TranslationError: the text is too long, or a self-correction in it is unclear.
 
     Example:
-        >>> tidied("Um, could you go to the kitchen, no sorry, the bathroom, please.").text
+        >>> tidy_up("Um, could you go to the kitchen, no sorry, the bathroom, please.").text
         'go to the bathroom.'
     """
-    if len(said) > MAX_CHARS:
+    if len(utterance) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"
-        raise not_understood(said[MAX_CHARS:], MAX_CHARS + 1, hint)
+        raise not_understood(utterance[MAX_CHARS:], MAX_CHARS + 1, hint)
     quoted: list[str] = []
 
     def hide(found: re.Match[str]) -> str:
         quoted.append(found[0])
         return chr(_FIRST_MARK + len(quoted) - 1)
 
-    text = " ".join(_QUOTED.sub(hide, said.translate(STRAIGHT)).split())
-    text = _IS.sub(" is ", WORD.sub(_expanded, text))
-    text = " ".join(_HESITATION.sub(_unless_it_corrects, text).split())
+    text = " ".join(_QUOTED.sub(hide, utterance.translate(STRAIGHT)).split())
+    text = _APOSTROPHE_IS.sub(" is ", WORD.sub(_expand, text))
+    text = " ".join(_HESITATION.sub(_keep_if_it_corrects, text).split())
     text = _ADDRESS.sub(",", text)
     text = _PLEASE.sub(_comma_if_within, text).strip() or text
     text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
-    once = _REPEATED.sub(r"\1\2", text)
-    said_first = stripped(_LIKE.sub("", once))
-    corrected = _corrected(said_first)
-    kept, reasons = without_reasons(corrected)
-    kept = re.sub(r"[ ,;:]+([.!?])", r"\1", stripped(kept))
-    repaired = once != text or corrected != said_first
+    unrepeated = _REPEATED.sub(r"\1\2", text)
+    uncorrected = strip_politeness(_LIKE.sub("", unrepeated))
+    corrected = _apply_corrections(uncorrected)
+    kept, reasons = split_off_reasons(corrected)
+    kept = re.sub(r"[ ,;:]+([.!?])", r"\1", strip_politeness(kept))
+    repaired = unrepeated != text or corrected != uncorrected
     return TidySpeech(kept, reasons, repaired, tuple(quoted))
 
 
-def _expanded(found: re.Match[str]) -> str:
+def _expand(found: re.Match[str]) -> str:
+    """Return the words of a contraction; other words stay as they are."""
     word = found[0]
     if plain := _SPOKEN.get(word.lower()):
         return plain
-    parts = expanded(word.lower())
+    parts = expand_word(word.lower())
     return " ".join(parts) if len(parts) > 1 else word
 
 
@@ -143,15 +156,15 @@ def _base_form(found: re.Match[str]) -> str:
     return next((form for form in forms if TABLE.get((form.lower(),)) == "verb"), found[0])
 
 
-def _unless_it_corrects(found: re.Match[str]) -> str:
+def _keep_if_it_corrects(found: re.Match[str]) -> str:
     """Keep the hesitation of "the bed, er, the sofa", which may replace the bed."""
     rest, before = found.string[found.end() :], found.string[: found.start()]
-    again = found["comma"] and re.match(rf" {ARTICLE}\b", rest, re.I)
-    kept = again and not re.search(r"\b(?:and|or|then|to|the|with)$", before, re.I)
-    return found[0] if kept else (found["comma"] or " ")
+    named_again = found["comma"] and re.match(rf" {ARTICLE}\b", rest, re.I)
+    corrects = named_again and not re.search(r"\b(?:and|or|then|to|the|with)$", before, re.I)
+    return found[0] if corrects else (found["comma"] or " ")
 
 
-def stripped(text: str) -> str:
+def strip_politeness(text: str) -> str:
     """Remove politeness and names of the robot at both ends."""
     before = None
     while before != text:
@@ -159,17 +172,21 @@ def stripped(text: str) -> str:
         opened = _OPENING.match(text)
         text = text[opened.end() :] if opened and opened.end() < len(text) else text
         closed = _CLOSING.sub("", text)
-        text = text if not closed or _NO_END.search(closed) else closed
+        text = text if not closed or _ENDS_IN_ARTICLE.search(closed) else closed
     return text.strip(" ,")
 
 
-def _corrected(text: str) -> str:
-    """Return the text with each self-correction carried out: "the bed, sorry, the sofa"."""
+def _apply_corrections(text: str) -> str:
+    """Return the text with each self-correction carried out: "the bed, sorry, the sofa".
+
+    Raises:
+        TranslationError: it is unclear which words a correction replaces.
+    """
     while found := _CORRECTS.search(text):
         before, after = text[: found.start()].rstrip(" ,"), text[found.end() :].lstrip(" ,")
         if not before or not after:
             return text
-        begin = _replaced_from(before, after)
+        begin = _find_replaced(before, after)
         if begin is None:
             hint = "unclear what this corrects; say the whole sentence again"
             raise not_understood(text[found.start() :].strip(), found.start() + 1, hint)
@@ -177,16 +194,21 @@ def _corrected(text: str) -> str:
     return text
 
 
-def _replaced_from(before: str, after: str) -> int | None:
-    """Return where the words begin that `after` replaces: at its first word, or at a name."""
+def _find_replaced(before: str, after: str) -> int | None:
+    """Return the offset in `before` at which the words begin that `after` replaces.
+
+    The replaced words begin with the first word of `after`, with a number if `after` does, or
+    with the last name. None if no such word comes.
+    """
     first = re.escape(after.split()[0].strip(",."))
-    same = [one.start() for one in re.finditer(rf"\b{first}(?![\w'-])", before, re.I)]
+    same = [found.start() for found in re.finditer(rf"\b{first}(?![\w'-])", before, re.I)]
     if same:
         return same[-1]
     if number_of(after.split()[0]) is not None:
-        numbers = [one for one in re.finditer(r"[\w-]+", before) if number_of(one[0]) is not None]
-        return numbers[-1].start() if numbers else None
-    name = re.match(rf"{NAME}$", _ENDS.split(after)[0].strip(), re.I)
+        words = re.finditer(r"[\w-]+", before)
+        numbers = [word.start() for word in words if number_of(word[0]) is not None]
+        return numbers[-1] if numbers else None
+    name = re.match(rf"{NAME}$", _CLAUSE_END.split(after)[0].strip(), re.I)
     articles = list(re.finditer(rf"\b{ARTICLE} ", before, re.I))
     if name and articles and re.fullmatch(NAME, before[articles[-1].start() :], re.I):
         return (
@@ -197,16 +219,21 @@ def _replaced_from(before: str, after: str) -> int | None:
     return None
 
 
-def without_reasons(text: str) -> tuple[str, tuple[str, ...]]:
+def split_off_reasons(text: str) -> tuple[str, tuple[str, ...]]:
     """Split off the clauses that give no order: "I heard a noise", "so you know your way".
 
-    At least one other clause must be left, and none that refers to what a remark names.
+    Nothing is split off if no other clause would be left, or if a later clause may refer to a name
+    in a remark ("the mug is dirty, find it").
+
+    Returns:
+        The other clauses as one text, and the remarks.
     """
+    # Clauses are at even indices, the marks between them at odd ones.
     pieces = re.split(rf"([.!?;,]+ |{SUBORDINATE})", text, flags=re.I)
     kept, reasons, refers = [], [], False
     for at in range(0, len(pieces), 2):
-        said = pieces[at].strip(" .!?;")
-        piece = said if is_remark(said, first=not at) else stripped(said)
+        clause = pieces[at].strip(" .!?;")
+        piece = clause if is_remark(clause, first=not at) else strip_politeness(clause)
         if is_remark(piece, first=not at) and len(pieces) > 1:
             reasons.append(piece)
         else:

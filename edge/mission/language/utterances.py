@@ -1,7 +1,11 @@
-"""Templates of what people say to a robot that is no errand; for the notation see `templates`."""
+"""Templates of utterances that are no errand: questions, orders to learn, control, remarks.
+
+The module `said` classifies utterances with them. For the notation see `templates`.
+"""
 
 from __future__ import annotations
 
+# Name → template, for `{name}` in another template.
 PARTS = {
     # Questions.
     "last": """

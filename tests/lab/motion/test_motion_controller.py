@@ -305,6 +305,28 @@ def test_a_held_robot_recovers_once_and_then_fails():
     assert walk.answers[-1] == GoalStatus(1, "failed", "stuck")  # told once
 
 
+def test_a_robot_in_contact_at_its_side_gets_free():
+    """Neither the path nor the way back leads off the corner on its left."""
+    walk, start, goal = Walk(SE2(1.0, 2.0, 0.25)), SE2(1.0, 2.0, 0.25), SE2(5.0, 3.0, 0.0)
+    cells, corner_rad = room(6.0, 4.0), 0.25 + 0.5 * math.pi
+    x, y = SE2(1.0, 2.0, corner_rad).ahead(0.25)
+    cv2.circle(cells, (int(x / RES_M), int(y / RES_M)), 2, 100, -1)
+    for stamp_ns in (1, 2):
+        walk.controller.on_map(Grid(cells, (0.0, 0.0), RES_M))
+        walk.goal(stamp_ns, goal)
+        while walk.answers[-1].state == "accepted":
+            along = math.cos(walk.pose.yaw_rad - corner_rad)
+            in_contact = walk.pose.distance_to(start.x_m, start.y_m) < 0.05
+            blocked = in_contact and (along if walk.v >= 0.0 else -along) > -0.6
+            walk.v = 0.0 if blocked else walk.v
+            before = walk.pose
+            walk.step()
+            if blocked:
+                walk.v, walk.pose = 0.0, SE2(before.x_m, before.y_m, walk.pose.yaw_rad)
+    assert (1, "failed") in walk.states
+    assert walk.states[-1] == (2, "reached")
+
+
 def test_a_held_robot_that_is_told_to_turn_was_blocked_nowhere():
     walk = Walk(SE2(1.0, 2.0, 0.0), held=True)
     walk.goal(1, SE2(1.0, 2.0, 3.0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edge.config import RobotConfig
-from edge.geometry import SE2, Grid
+from edge.geometry import SE2, Grid, wrap_angle
 from edge.lab.motion.progress import DETOURS, ContactDetector, ProgressMonitor
 from edge.lab.motion.recovery import BACK_M, STEP_M, TIME_NS, BacktrackPath, Recovery
 from edge.trajectory.costmap import from_weights
@@ -79,6 +79,35 @@ def test_recovery_turns_where_it_is_closed_behind():
     assert command.w_radps > 0
     assert recovery.step(SE2(HERE.x_m, HERE.y_m, math.pi / 2), S) is None
     assert not recovery.is_held(HERE)
+
+
+@pytest.mark.parametrize(
+    ("closed", "away_rad"),
+    [
+        ([], math.pi),  # back
+        ([(20, 9)], 0.0),  # row and column of a closed cell: behind
+        ([(20, 12), (21, 12)], math.pi),  # ahead
+        ([(22, 10)], -math.pi / 2),  # on the left
+        ([(22, 10), (18, 10)], math.pi),  # on both sides
+        ([(20, 9), (20, 11), (21, 10), (19, 10)], None),  # all around: turn
+        ([(20, 9), (24, 10)], 0.0),  # the far cell does not count
+    ],
+)
+def test_recovery_drives_away_from_closed_cells_where_the_way_back_did_not_help(closed, away_rad):
+    weights = np.ones((40, 40), np.uint8)
+    for cell in closed:
+        weights[cell] = 0
+    costmap = from_weights(Grid(weights, (-0.05, -0.05), 0.1))
+    recovery, pose = Recovery(HERE, costmap, None, MotionLimits.of(RobotConfig()), 0), HERE
+    for k in range(80):
+        command = recovery.step(pose, k * S // 20)
+        if command is None:
+            break
+        x, y = pose.ahead(command.v_mps / 20)
+        pose = SE2(x, y, pose.yaw_rad + command.w_radps / 20)
+    assert recovery.has_moved(pose) == (away_rad is not None)
+    if away_rad is not None:
+        assert abs(wrap_angle(HERE.bearing_to(pose.x_m, pose.y_m) - away_rad)) < 0.3
 
 
 @pytest.mark.parametrize("now_ns", [TIME_NS, -1])
