@@ -17,6 +17,7 @@ from edge.host.interruptible import start_detached_thread
 from edge.text import one_line
 
 PROBE_S = 0.5
+"""Longest wait in seconds for the TCP connection."""
 _NAME_S = 1.0  # to resolve a host name; the resolver's own timeout is longer
 
 _CLIENT_KEYS = "root_ca_certificate", "connect_certificate", "connect_private_key"
@@ -37,7 +38,8 @@ _ALERTS = {
     "ACCESS_DENIED": "the server rejects our certificate",
 }
 _OUT_OF_DATE = (9, 10)  # X509_V_ERR_CERT_NOT_YET_VALID, …_HAS_EXPIRED
-_NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
+# OpenSSL's reasons if the other side answers the handshake with something that is not TLS.
+_NO_TLS_REASONS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
 _REFUSED_TCP = (
     "a server is there but refuses the session: it asks for a user and a password, or {file} has "
     "wrong ones (transport/auth/usrpwd), or it is full, or it speaks TLS, or it is no Zenoh"
@@ -69,8 +71,8 @@ def diagnose_refusal(endpoint: str, found: zenoh.Config, file: str) -> str | Non
     Raises:
         UnknownHostError: the endpoint's host name cannot be resolved.
     """
-    if (lacks := unreadable_file(found, listens=False)) is not None:
-        return lacks
+    if (unreadable := unreadable_file(found, listens=False)) is not None:
+        return unreadable
     if protocol(endpoint) not in ("tcp", "tls") or not host_and_port(endpoint)[1]:
         return None
     answers: list[str | UnknownHostError | None] = []
@@ -104,17 +106,18 @@ def _probe(
     except (socket.gaierror, UnicodeError) as error:  # UnicodeError: not a valid host name
         why = getattr(error, "strerror", None) or "not a valid host name"
         return UnknownHostError(f"no address is known for {one_line(host)!r} ({one_line(why)})")
-    except OSError:
+    except OSError:  # nothing listens there
         return None
 
 
 def _tls_refusal(
     plain: socket.socket, host: str, endpoint: str, found: zenoh.Config, file: str
 ) -> str:
+    """Try a TLS handshake over an open TCP connection; return why the server refuses."""
     if _INLINE in endpoint or any(get(found, f"{TLS}/{key}{_INLINE}") for key in _CLIENT_KEYS):
         return _REFUSED_UNCHECKED_TLS.format(file=file)
     try:
-        context = _context(endpoint, found)
+        context = _tls_context(endpoint, found)
     except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
         return f"the certificates of {file} cannot be used: {one_line(error)}"
     try:
@@ -134,7 +137,7 @@ def _tls_refusal(
         for alert, text in _ALERTS.items():
             if reason.endswith(alert):
                 return text.format(file=file)
-        if reason in _NO_TLS:
+        if reason in _NO_TLS_REASONS:
             return "the server does not speak TLS: give its endpoint as tcp/…"
         return f"client and server agree on no kind of TLS ({one_line(reason or error)})"
     except OSError:  # no answer yet, as from a Zenoh that waits for us, or connection closed
@@ -142,8 +145,8 @@ def _tls_refusal(
     return _REFUSED_AFTER_TLS.format(file=file)
 
 
-def _context(endpoint: str, found: zenoh.Config) -> ssl.SSLContext:
-    """Return the TLS context Zenoh would use. The endpoint's own parameters override the file."""
+def _tls_context(endpoint: str, found: zenoh.Config) -> ssl.SSLContext:
+    """Return Zenoh's TLS context. The endpoint's own parameters override the file."""
     overrides = parameters(endpoint)
 
     def setting(key: str, parameter: str) -> object:

@@ -37,8 +37,11 @@ TLS = "transport/link/tls"
 # for 10 s each, so 120 idle clients lock out everybody. Here are more places, freed sooner. Pending
 # connections and sessions together stay below 1024, the usual limit of file descriptors.
 PENDING = 512
+"""Largest number of pending connections."""
 HANDSHAKE_MS = 2000
+"""Longest time of a connection until its session is open."""
 SESSIONS = 128
+"""Largest number of sessions."""
 
 DEFAULTS: dict[str, Any] = {
     "scouting/multicast/enabled": False,
@@ -48,26 +51,28 @@ DEFAULTS: dict[str, Any] = {
     "transport/unicast/accept_timeout": HANDSHAKE_MS,
     "transport/unicast/max_sessions": SESSIONS,
 }
+"""Values for keys that the file does not change."""
 
-_BY_HOST = ("tcp", "tls", "udp", "quic", "ws")  # their addresses are HOST:PORT
-_BY_OTHER = ("serial", "unixsock-stream", "unixpipe", "vsock")
+_HOST_PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")  # their addresses are HOST:PORT
+_OTHER_PROTOCOLS = ("serial", "unixsock-stream", "unixpipe", "vsock")
 _HOST_PORT = re.compile(r"(\[[^][\s/]+\]|[^][\s/:]+):(?P<port>[0-9]{1,5})")
 _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
 _MAX_MESSAGE_BYTES = "transport/link/rx/max_message_size"
 _SHARED_MEMORY = "transport/shared_memory/enabled"
 _TLS_HANDSHAKE = "tls_handshake_timeout_ms"
 _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
-_ATTEMPT_MS = 500
+_ATTEMPT_MS = 500  # length of one attempt to connect
 _USERS = "transport/auth/usrpwd/dictionary_file"
 _SECRETS = (f"{TLS}/listen_private_key", f"{TLS}/connect_private_key", _USERS)
 # If one of these keys is set, the configuration file itself is secret.
-_SECRET_WORDS = (
+_INLINE_SECRETS = (
     "transport/auth/usrpwd/password",
     f"{TLS}/listen_private_key_base64",
     f"{TLS}/connect_private_key_base64",
 )
-_WITH_CERTIFICATES = ("tls", "quic")
-_ON_THIS_MACHINE = ("unixsock-stream", "unixpipe", "serial", "vsock")
+_TLS_PROTOCOLS = ("tls", "quic")
+# Only processes of this computer can connect with these.
+_LOCAL_PROTOCOLS = ("unixsock-stream", "unixpipe", "serial", "vsock")
 
 
 def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
@@ -83,20 +88,20 @@ def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
     """
     if name is None:
         return zenoh.Config()
-    path = credential_path(_own_name(key, name), name)
+    path = credential_path(_copy_name(key, name), name)
     if not path.is_file():
         raise ConfigError(f"{key}: {name}: no such file")
     try:
         found = zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
-        raise ConfigError(f"{key}: {name}: {_fault(str(error))}") from None
+        raise ConfigError(f"{key}: {name}: {_fault_without_values(str(error))}") from None
     for secret in _SECRETS:
         if (file := get(found, secret)) is not None:
             found.insert_json5(secret, json.dumps(str(credential_path(_last_word(secret), file))))
     return found
 
 
-def _own_name(key: str, name: str) -> str:
+def _copy_name(key: str, name: str) -> str:
     """Return the name of the service manager's copy; Zenoh knows the format by the suffix."""
     return key + os.path.splitext(name)[1]
 
@@ -128,15 +133,15 @@ def apply_settings(
     Raises:
         ConfigError: the file has another mode, or a private key in an endpoint.
     """
-    own = get(found, "mode")
-    if own not in (None, mode):
+    file_mode = get(found, "mode")
+    if file_mode not in (None, mode):
         raise ConfigError(
-            f"mode is {own!r}, but edge sets {mode!r} here: remove mode from this file "
+            f"mode is {file_mode!r}, but edge sets {mode!r} here: remove mode from this file "
             "(zenoh.mode in edge's configuration chooses)"
         )
-    listening = _all_of(found, "listen/endpoints", mode)
-    connecting = _all_of(found, "connect/endpoints", mode)
-    if any(KEY_IN_ENDPOINT in further for further in (*listening, *connecting)):
+    listening = _endpoints_of_file(found, "listen/endpoints", mode)
+    connecting = _endpoints_of_file(found, "connect/endpoints", mode)
+    if any(KEY_IN_ENDPOINT in other for other in (*listening, *connecting)):
         raise ConfigError(
             f"an endpoint has a private key ({KEY_IN_ENDPOINT}): move the key to {TLS} of this file"
         )
@@ -153,19 +158,21 @@ def apply_settings(
         _SHARED_MEMORY: shared_memory and get(found, _SHARED_MEMORY),
     }
     # Publishers that keep their last message for late subscribers (`edge.bus.ros2`) need stamps.
-    ours = DEFAULTS | {"timestamping/enabled": mode == "client"}
+    defaults = DEFAULTS | {"timestamping/enabled": mode == "client"}
     if not keep_zenoh_timeout:
-        ours[_WAIT_BEFORE_CLOSE] = int(1e6 * BLOCKED_S)
+        defaults[_WAIT_BEFORE_CLOSE] = int(1e6 * BLOCKED_S)
     if most_bytes is not None:
-        ours[_MAX_MESSAGE_BYTES] = most_bytes
-    plain = zenoh.Config()
-    values |= {key: value for key, value in ours.items() if get(found, key) == get(plain, key)}
+        defaults[_MAX_MESSAGE_BYTES] = most_bytes
+    zenoh_defaults = zenoh.Config()
+    unchanged = (key for key in defaults if get(found, key) == get(zenoh_defaults, key))
+    values |= {key: defaults[key] for key in unchanged}
     for key, value in values.items():
         found.insert_json5(key, json.dumps(value))
     return found
 
 
 def get(found: zenoh.Config, key: str) -> Any:
+    """Return the value of a key of Zenoh's configuration."""
     return json.loads(found.get_json(key))
 
 
@@ -181,9 +188,9 @@ def open_addresses(found: zenoh.Config) -> list[str]:
 
     def is_open(endpoint: str) -> bool:
         kind, host = protocol(endpoint), host_and_port(endpoint)[0]
-        asks = parameters(endpoint).get("enable_mtls", mutual) == "true"
-        certified = kind in _WITH_CERTIFICATES and asks
-        return not (kind in _ON_THIS_MACHINE or is_loopback(host) or certified)
+        is_mutual = parameters(endpoint).get("enable_mtls", mutual) == "true"
+        asks_for_certificate = kind in _TLS_PROTOCOLS and is_mutual
+        return not (kind in _LOCAL_PROTOCOLS or is_loopback(host) or asks_for_certificate)
 
     endpoints = get(found, "listen/endpoints")
     return [endpoint.partition("#")[0] for endpoint in endpoints if is_open(endpoint)]
@@ -205,15 +212,17 @@ def endpoint_fault(endpoint: str) -> str | None:
     address = re.split(r"[?#]", rest, maxsplit=1)[0]
     if not slash or not address:
         return "expected PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447"
-    if kind not in (*_BY_HOST, *_BY_OTHER):
-        return f"unknown protocol {one_line(kind, 40)!r} ({', '.join((*_BY_HOST, *_BY_OTHER))})"
+    if kind not in (*_HOST_PROTOCOLS, *_OTHER_PROTOCOLS):
+        known = ", ".join((*_HOST_PROTOCOLS, *_OTHER_PROTOCOLS))
+        return f"unknown protocol {one_line(kind, 40)!r} ({known})"
     found = _HOST_PORT.fullmatch(address)
-    if kind in _BY_HOST and (found is None or int(found["port"]) > MOST_PORT):
+    if kind in _HOST_PROTOCOLS and (found is None or int(found["port"]) > MOST_PORT):
         return f"expected HOST:PORT after {kind}/, the port from 0 to {MOST_PORT}"
     return None
 
 
 def protocol(endpoint: str) -> str:
+    """Return the protocol of an endpoint, such as `tls`."""
     return endpoint.partition("/")[0]
 
 
@@ -223,7 +232,7 @@ def parameters(endpoint: str) -> dict[str, str]:
     return {name: value for name, _, value in pairs}
 
 
-def _all_of(found: zenoh.Config, key: str, mode: str) -> list[str]:
+def _endpoints_of_file(found: zenoh.Config, key: str, mode: str) -> list[str]:
     """Return the endpoints of a mode that the file names, without Zenoh's defaults."""
     value = get(found, key)
     if value == get(zenoh.Config(), key):
@@ -279,9 +288,9 @@ def secrets(found: zenoh.Config, key: str, name: str | None) -> dict[str, str]:
         name: path of Zenoh's file, or None.
     """
     files = {_last_word(secret): get(found, secret) for secret in _SECRETS}
-    if name is not None and any(get(found, word) is not None for word in _SECRET_WORDS):
-        own = _own_name(key, name)
-        files[own] = str(credential_path(own, name))
+    if name is not None and any(get(found, word) is not None for word in _INLINE_SECRETS):
+        copy = _copy_name(key, name)
+        files[copy] = str(credential_path(copy, name))
     return {name: path for name, path in files.items() if path is not None}
 
 
@@ -295,27 +304,27 @@ def denies_prefix(found: zenoh.Config, prefix: str) -> bool:
     control = get(found, "access_control")
     if not control["enabled"] or control["default_permission"] == "allow":
         return False
-    ours = zenoh.KeyExpr(f"{prefix}/**")
+    below_prefix = zenoh.KeyExpr(f"{prefix}/**")
     allowed = (rule for rule in control["rules"] or () if rule["permission"] == "allow")
-    return not any(ours.intersects(key) for rule in allowed for key in rule["key_exprs"])
+    return not any(below_prefix.intersects(key) for rule in allowed for key in rule["key_exprs"])
 
 
 _LINE_COLUMN = re.compile(r"line: (\d+), column: (\d+)|--> (\d+):(\d+)")
 _QUOTED_MESSAGE = re.compile(r'msg: "((?:[^"\\]|\\.)*)"', re.DOTALL)
-_VALUE = re.compile(
+_QUOTED_VALUE = re.compile(
     r'(invalid (?:type|value): [a-z -]+?|unknown variant) (?:`.*?`|\\".*\\")', re.DOTALL
 )
 _EXPECTED = re.compile(r"= (expected .*)")
 
 
-def _fault(error: str) -> str:
+def _fault_without_values(error: str) -> str:
     """Return Zenoh's error about a file with line and column, but without the file's values."""
     place = _LINE_COLUMN.search(error)
     if place is None:
         return one_line(error.split(" at /")[0])
     line, column = (number for number in place.groups() if number is not None)
     if quoted := _QUOTED_MESSAGE.search(error):
-        what = _VALUE.sub(r"\1", quoted[1]).partition('\\"')[0]
+        what = _QUOTED_VALUE.sub(r"\1", quoted[1]).partition('\\"')[0]
     else:
         expected = _EXPECTED.search(error)
         what = expected[1].split(" at /")[0] if expected else "not JSON5"

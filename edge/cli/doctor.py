@@ -167,7 +167,7 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
 
 def check_access(config: Config) -> Iterator[Finding]:
     """Check who can connect to the service, and who can read the files with secrets."""
-    from edge.bus.session import OPEN_WARNING, SHUT_WARNING, session_config, zenoh_file_of
+    from edge.bus.session import DENIED_WARNING, OPEN_WARNING, session_config, zenoh_file_of
     from edge.bus.zenoh_file import denies_prefix, exposed_secrets, open_addresses
     from edge.host.credentials import is_open_to_others, read_token
 
@@ -178,7 +178,7 @@ def check_access(config: Config) -> Iterator[Finding]:
         yield Finding("warn", OPEN_WARNING.format(address), todo)
     if denies_prefix(served, settings.prefix):
         todo = "correct the keys under access_control in zenoh.file (docs/security.md)"
-        yield Finding("warn", SHUT_WARNING.format(settings.prefix), todo)
+        yield Finding("warn", DENIED_WARNING.format(settings.prefix), todo)
     paths = [
         path
         for role in ("listen", "connect")

@@ -14,7 +14,7 @@ from typing import Any
 
 from edge.bus import topics
 from edge.bus.request_queue import RequestQueue
-from edge.bus.verbs import error_of
+from edge.bus.verbs import error_payload
 from edge.config import Config
 from edge.geometry import Grid
 from edge.host.web_server import GetRoutes, HttpResponse, PostRoutes
@@ -183,14 +183,14 @@ class LiveView:
         if key not in self._queues:
             state = self._health.state
             return HttpResponse(
-                error_of(f"the service is {state}"), _JSON, HTTPStatus.SERVICE_UNAVAILABLE
+                error_payload(f"the service is {state}"), _JSON, HTTPStatus.SERVICE_UNAVAILABLE
             )
         answers: queue.SimpleQueue[tuple[bytes, bool]] = queue.SimpleQueue()
         self._queues[key].accept(body, lambda reply, is_error: answers.put((reply, is_error)))
         try:
             reply, is_error = answers.get(timeout=ANSWER_S)
         except queue.Empty:
-            reply, is_error = error_of(f"no answer within {ANSWER_S:g} s"), True
+            reply, is_error = error_payload(f"no answer within {ANSWER_S:g} s"), True
         return HttpResponse(reply, _JSON, HTTPStatus.CONFLICT if is_error else HTTPStatus.OK)
 
 

@@ -253,7 +253,7 @@ def _cloud(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
     if (m := array_messages.get(channels.CLOUD.topic)) is None:
         return None
     out = np.empty((len(m.payload) // 12, 3), np.float32)
-    return out[: messages.decode_point_cloud_into(m.payload, out, whole=True)].copy()
+    return out[: messages.decode_point_cloud_into(m.payload, out, keep_invalid=True)].copy()
 
 
 def _picture(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
