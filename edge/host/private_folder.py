@@ -29,7 +29,7 @@ def private_folder(prefix: str, parent: str | None = None) -> Iterator[Path]:
     """
     parent = parent or tempfile.gettempdir()
     _remove_stale(prefix, parent)
-    folder, fd = _make(prefix, parent)
+    folder, fd = _make_locked(prefix, parent)
     try:
         yield folder
     finally:
@@ -37,7 +37,7 @@ def private_folder(prefix: str, parent: str | None = None) -> Iterator[Path]:
         os.close(fd)
 
 
-def _make(prefix: str, parent: str) -> tuple[Path, int]:
+def _make_locked(prefix: str, parent: str) -> tuple[Path, int]:
     """Return a new folder, and the descriptor that holds its lock."""
     while True:
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))

@@ -104,8 +104,8 @@ class McapSink:
         self._failed, self._problem = 0, ""
         self._batch: list[_Item] = []
         self._worker: Worker[list[_Item], None] = Worker(
-            "mcap-sink", self._write, inline=self._lockstep, drop=self._drop, finishes=True,
-            beat=self._files.sync,
+            "mcap-sink", self._write, inline=self._lockstep, drop=self._drop, finish_on_close=True,
+            periodic=self._files.sync,
         )  # fmt: skip
 
     # -- on the loop's thread -------------------------------------------------------------------

@@ -73,7 +73,7 @@ class Ros2Sink:
         self._driving = False
         self._trajectory: RefinedTrajectory | None = None
         self._pace = RateLimiter(map=config.report.map_hz, drawings=DRAWN_HZ, zones=DRAWN_HZ)
-        self._worker = Worker("ros2-sink", self._deliver, finishes=True, beat=self._beat)
+        self._worker = Worker("ros2-sink", self._deliver, finish_on_close=True, periodic=self._beat)
 
     def _publisher(self, name: str) -> Ros2Publisher:
         return self._node.publisher(self._settings.topic(name), PUBLISHED[name], name in LATCHED)

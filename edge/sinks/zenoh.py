@@ -87,7 +87,9 @@ class ZenohSink:
         )
         self._mission: tuple[str, str, str] | None = None
         self._trajectory: RefinedTrajectory | None = None
-        self._worker = Worker("zenoh-sink", self._deliver, finishes=True, beat=self._repeat)
+        self._worker = Worker(
+            "zenoh-sink", self._deliver, finish_on_close=True, periodic=self._repeat
+        )
 
     # -- on the loop's thread -------------------------------------------------------------------
 

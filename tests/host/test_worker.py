@@ -94,7 +94,7 @@ def test_the_newest_item_and_the_newest_result_win_and_the_others_are_dropped(ga
 
 
 def test_the_newest_of_a_key_wins_and_queued_items_all_leave_in_order(gate):
-    worker = stuck(gate, finishes=True)
+    worker = stuck(gate, finish_on_close=True)
     worker.submit("map 1", key="map")
     worker.enqueue("tick 1")
     worker.submit("status 1", key="status")
@@ -108,7 +108,7 @@ def test_the_newest_of_a_key_wins_and_queued_items_all_leave_in_order(gate):
 def test_the_queue_is_bounded_and_the_newest_stay(gate, monkeypatch):
     monkeypatch.setattr(host, "MOST_QUEUED", 3)
     dropped: list = []
-    worker = stuck(gate, finishes=True, drop=dropped.append)
+    worker = stuck(gate, finish_on_close=True, drop=dropped.append)
     worker.submit("map", key="map")
     for n in range(5):
         worker.enqueue(n)
@@ -212,7 +212,7 @@ def test_a_beat_comes_while_nothing_else_does_and_may_fail(caplog):
         beats.release()
         raise ValueError("no beat")
 
-    worker = Worker("test", print, beat=beat)
+    worker = Worker("test", print, periodic=beat)
     for _ in range(3):
         assert beats.acquire(timeout=PATIENCE_S)
     assert worker.close(PATIENCE_S)

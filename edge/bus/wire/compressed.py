@@ -16,7 +16,7 @@ import numpy as np
 
 from edge.bus.wire.cdr import U32, CdrReader, CdrWriter, DecodeError
 from edge.bus.wire.images import ImageHeader, integers_into
-from edge.host.c_stderr import silenced
+from edge.host.c_stderr import silence_c_stderr
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _IHDR = struct.Struct(">4sIIB")  # name, width, height, bits
@@ -194,7 +194,7 @@ def decode_compressed_into(
         )
     data = np.frombuffer(payload, np.uint8, header.end - header.begin, header.begin)
     try:
-        with silenced():
+        with silence_c_stderr():
             picture = cv2.imdecode(data, _COLOUR_UNROTATED if colour else cv2.IMREAD_UNCHANGED)
     except cv2.error:
         picture = None
