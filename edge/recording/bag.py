@@ -193,15 +193,15 @@ class Bag:
         if note not in self.notes:
             self.notes.append(note)
 
-    def by_time(self, topics: Collection[str], sorted_nearly: bool) -> Iterator[RecordedMessage]:
+    def by_time(self, topics: Collection[str], nearly_sorted: bool) -> Iterator[RecordedMessage]:
         """Yield the messages of some topics in the order of their log times.
 
         Args:
             topics: their names.
-            sorted_nearly: True if all messages are within `WINDOW_NS` of their place. If not, the
+            nearly_sorted: True if all messages are within `WINDOW_NS` of their place. If not, the
                 file is read once per topic, because it may hold one topic after the other.
         """
-        if sorted_nearly:
+        if nearly_sorted:
             return in_order(m for m in self if m.topic in topics)
         most_bytes = _MAX_WAITING_BYTES // max(1, len(topics))
         each = (in_order(self._of_topic(topic), most_bytes) for topic in sorted(topics))

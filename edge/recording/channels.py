@@ -31,7 +31,7 @@ class Channel:
     schema_text: str
 
 
-def of_ros(topic: str, type_name: str) -> Channel:
+def ros_channel(topic: str, type_name: str) -> Channel:
     """Return a channel of a ROS 2 message."""
     text = schemas.schema_text(type_name)
     return Channel(topic, "cdr", schemas.full_name(type_name), "ros2msg", text)
@@ -44,11 +44,11 @@ def of_json(topic: str, name: str, schema: dict[str, Any] | None = None) -> Chan
 
 
 @cache
-def of_topic(topic: Topic) -> Channel:
+def topic_channel(topic: Topic) -> Channel:
     """Return the channel of a bus topic, with its own format."""
     if topic.type == "json":
         return of_json(f"/{topic.key}", topic.key)
-    return of_ros(f"/{topic.key}", topic.type)
+    return ros_channel(f"/{topic.key}", topic.type)
 
 
 def _object(title: str, **properties: dict[str, Any]) -> dict[str, Any]:
@@ -89,23 +89,23 @@ _JOURNAL = {
     "description": "docs/recording.md",
 }
 
-PICTURE = of_ros("/camera/rgb/compressed", "sensor_msgs/CompressedImage")
-DEPTH = of_topic(topics.DEPTH)
-CAMERA_INFO = of_topic(topics.CAMERA_INFO)
-CLOUD = of_topic(topics.CLOUD)
-ODOMETRY = of_topic(topics.ODOMETRY)
-TF = of_ros("/tf", "tf2_msgs/TFMessage")
+PICTURE = ros_channel("/camera/rgb/compressed", "sensor_msgs/CompressedImage")
+DEPTH = topic_channel(topics.DEPTH)
+CAMERA_INFO = topic_channel(topics.CAMERA_INFO)
+CLOUD = topic_channel(topics.CLOUD)
+ODOMETRY = topic_channel(topics.ODOMETRY)
+TF = ros_channel("/tf", "tf2_msgs/TFMessage")
 BOXES = of_json("/detections", "foxglove.ImageAnnotations", _ANNOTATIONS)
 EVENTS = of_json("/events", "foxglove.Log", _LOG)
 GOAL, MAP, STATUS, LATENCY, MISSION, TRAJECTORY, GOAL_STATUS = map(
-    of_topic,
+    topic_channel,
     (
         topics.GOAL, topics.MAP, topics.STATUS, topics.LATENCY, topics.MISSION, topics.TRAJECTORY,
         topics.GOAL_STATUS,
     ),
 )  # fmt: skip
-PATH = of_ros("/path", "nav_msgs/Path")
-MARKERS = of_ros("/markers", "visualization_msgs/MarkerArray")
+PATH = ros_channel("/path", "nav_msgs/Path")
+MARKERS = ros_channel("/markers", "visualization_msgs/MarkerArray")
 SPANS = of_json("/spans", "edge.Spans")
 VISUAL = (
     PICTURE, DEPTH, CAMERA_INFO, CLOUD, ODOMETRY, TF, BOXES, EVENTS, GOAL, MAP, STATUS, LATENCY,

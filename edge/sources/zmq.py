@@ -32,7 +32,7 @@ from edge.bus.wire import images, messages
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
 from edge.host.interruptible import start_detached_thread
-from edge.recording.channels import Channel, of_topic
+from edge.recording.channels import Channel, topic_channel
 from edge.sources.messages import CameraInfo, DepthImage, Image, SensorFrame, WrongSizeError
 from edge.sources.streams import KEPT
 from edge.sources.zenoh import ZenohSource
@@ -287,12 +287,12 @@ def _bus_messages(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]]
     image, topic = header.image, _FRAMES[header.topic].topic
     if header.camera is not None:
         info = messages.encode_camera_info(image.stamp_ns, _FRAME_ID, header.camera)
-        yield of_topic(topics.CAMERA_INFO), info
+        yield topic_channel(topics.CAMERA_INFO), info
     shape, is_depth = (image.height, image.width), topic == topics.DEPTH.key
     out = np.empty(shape if is_depth else (*shape, 3), np.float32 if is_depth else np.uint8)
     images.decode_image_into(pixels, image, out)
     yield (
-        of_topic(topics.DEPTH if is_depth else topics.RGB),
+        topic_channel(topics.DEPTH if is_depth else topics.RGB),
         messages.encode_image(image.stamp_ns, _FRAME_ID, out),
     )
 

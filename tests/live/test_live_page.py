@@ -334,7 +334,7 @@ def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
     inputs = TimeSynchronizer(house.closed.config, lambda: 0).inputs
     for name in ("camera/rgb", "camera/info", "odom"):
         inputs.on_message(name)
-    inputs.dropped("odom", "malformed", "<b>no odometry</b>")
+    inputs.on_dropped("odom", "malformed", "<b>no odometry</b>")
     house.service.inputs = house.service._health._inputs = inputs.rows
     house.robot.blind = True
     page.says(

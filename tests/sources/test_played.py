@@ -71,7 +71,7 @@ def play(path: Path, config: Config = CONFIG, rate: float | None = None) -> Seen
                 seen.append(replace(observation, rgb=None, depth_m=None))
                 observation.release()
         source.close()
-        lines = [*playback.opening(), *playback.outcome()]
+        lines = [*playback.describe_contents(), *playback.describe_outcome()]
     return Seen(
         observations=seen, stamps=[o.stamp_ns for o in seen], matched=playback.matched,
         lines="\n".join(lines), counters=source.counters, notes=playback.bag.notes,

@@ -51,7 +51,7 @@ class Head:
         for at_ms, name, stamp_ms in self._arrivals:
             self.now_ns = BEGIN_NS + at_ms * MS
             self._send(name, BEGIN_NS + stamp_ms * MS)
-            self.decoder.settle()
+            self.decoder.convert_waiting_poses()
             if (observation := self.synchronizer.poll()) is not None:
                 observation.release()
                 seen.append(observation)
