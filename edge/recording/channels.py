@@ -1,4 +1,7 @@
-"""Channels of a recording, with the schemas of Foxglove and ROS 2."""
+"""Channels of a recording, with the schemas of Foxglove and ROS 2.
+
+The sinks write them; the replay reads the journal and the channels with arrays.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ def ros_channel(topic: str, type_name: str) -> Channel:
     return Channel(topic, "cdr", schemas.full_name(type_name), "ros2msg", text)
 
 
-def of_json(topic: str, name: str, schema: dict[str, Any] | None = None) -> Channel:
+def json_channel(topic: str, name: str, schema: dict[str, Any] | None = None) -> Channel:
     """Return a channel of JSON objects; without a schema, of any objects."""
     text = json.dumps({"type": "object"} if schema is None else schema)
     return Channel(topic, "json", name, "jsonschema", text)
@@ -47,7 +50,7 @@ def of_json(topic: str, name: str, schema: dict[str, Any] | None = None) -> Chan
 def topic_channel(topic: Topic) -> Channel:
     """Return the channel of a bus topic, with its own format."""
     if topic.type == "json":
-        return of_json(f"/{topic.key}", topic.key)
+        return json_channel(f"/{topic.key}", topic.key)
     return ros_channel(f"/{topic.key}", topic.type)
 
 
@@ -59,6 +62,7 @@ def _list(items: dict[str, Any]) -> dict[str, Any]:
     return {"type": "array", "items": items}
 
 
+# JSON schemas of the messages.
 _INTEGER, _NUMBER, _TEXT = {"type": "integer"}, {"type": "number"}, {"type": "string"}
 _TIME = _object("time", sec=_INTEGER, nsec=_INTEGER)
 _POINT = _object("foxglove.Point2", x=_NUMBER, y=_NUMBER)
@@ -71,13 +75,13 @@ _OUTLINE = _object(
     "foxglove.PointsAnnotation", timestamp=_TIME, type=_INTEGER, points=_list(_POINT),
     outline_color=_COLOUR, outline_colors=_list(_COLOUR), fill_color=_COLOUR, thickness=_NUMBER,
 )  # fmt: skip
-_WORDS = _object(
+_LABEL = _object(
     "foxglove.TextAnnotation", timestamp=_TIME, position=_POINT, text=_TEXT, font_size=_NUMBER,
     text_color=_COLOUR, background_color=_COLOUR,
 )  # fmt: skip
 _ANNOTATIONS = _object(
     "foxglove.ImageAnnotations", circles=_list({"type": "object"}), points=_list(_OUTLINE),
-    texts=_list(_WORDS),
+    texts=_list(_LABEL),
 )  # fmt: skip
 _JOURNAL = {
     **_object(
@@ -95,8 +99,8 @@ CAMERA_INFO = topic_channel(topics.CAMERA_INFO)
 CLOUD = topic_channel(topics.CLOUD)
 ODOMETRY = topic_channel(topics.ODOMETRY)
 TF = ros_channel("/tf", "tf2_msgs/TFMessage")
-BOXES = of_json("/detections", "foxglove.ImageAnnotations", _ANNOTATIONS)
-EVENTS = of_json("/events", "foxglove.Log", _LOG)
+BOXES = json_channel("/detections", "foxglove.ImageAnnotations", _ANNOTATIONS)
+EVENTS = json_channel("/events", "foxglove.Log", _LOG)
 GOAL, MAP, STATUS, LATENCY, MISSION, TRAJECTORY, GOAL_STATUS = map(
     topic_channel,
     (
@@ -106,11 +110,11 @@ GOAL, MAP, STATUS, LATENCY, MISSION, TRAJECTORY, GOAL_STATUS = map(
 )  # fmt: skip
 PATH = ros_channel("/path", "nav_msgs/Path")
 MARKERS = ros_channel("/markers", "visualization_msgs/MarkerArray")
-SPANS = of_json("/spans", "edge.Spans")
+SPANS = json_channel("/spans", "edge.Spans")
 VISUAL = (
     PICTURE, DEPTH, CAMERA_INFO, CLOUD, ODOMETRY, TF, BOXES, EVENTS, GOAL, MAP, STATUS, LATENCY,
     MISSION, TRAJECTORY, GOAL_STATUS, PATH, MARKERS, SPANS,
 )  # fmt: skip
 """All channels but the journal, which is for the replay only."""
 
-JOURNAL = of_json("/journal", "edge.Journal", _JOURNAL)
+JOURNAL = json_channel("/journal", "edge.Journal", _JOURNAL)

@@ -34,7 +34,7 @@ from edge.config import Config, ZenohConfig, load
 from edge.errors import FAILED, UnavailableError, UserError
 from edge.host.children import python_module
 from edge.host.signals import stop_on_signals
-from edge.recording.bag import in_order
+from edge.recording.bag import by_log_time
 from edge.recording.channels import Channel, ros_channel, topic_channel
 from edge.recording.file import McapReader, McapWriter, RecordingError, is_complete
 from edge.sources.contents import ODOMETRY, TF, TF_STATIC, missing_inputs
@@ -230,7 +230,7 @@ def read(path: str | os.PathLike[str]) -> Iterator[BusMessage]:
     """
     reader = McapReader(path)
     if is_complete(path):  # an incomplete file is not played at all
-        for message in in_order(reader):
+        for message in by_log_time(reader):
             topic = _TOPICS.get(message.topic)
             if topic is not None:
                 yield BusMessage(topic, message.log_ns, message.payload)
