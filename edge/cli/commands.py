@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("edge")
 
 _NO_LIMIT = 1e6
-"""A limit of time [s] or path [m] that no recording reaches."""
+"""A limit of time in s, or of path in m, that no recording reaches."""
 _MAX_PRINTED_OBJECTS = 20
 MissionArguments = tuple[str | None, str | None, str | None]
 """A mission of the command line: (instruction, formula, task); see `edge.launch.open_service`."""

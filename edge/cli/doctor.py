@@ -186,7 +186,8 @@ def check_access(config: Config) -> Iterator[Finding]:
     ]
     if http.token_file is not None:
         read_token("http.token_file", http.token_file)
-        paths += [http.token_file] * is_open_to_others(resources.expand(http.token_file))
+        if is_open_to_others(resources.expand(http.token_file)):
+            paths.append(http.token_file)
     for path in dict.fromkeys(paths):
         what = f"{path} holds a secret, but every user of this machine can read or write it"
         yield Finding("warn", what, f"chmod o= {path}")
@@ -195,7 +196,7 @@ def check_access(config: Config) -> Iterator[Finding]:
 # -- the detector -----------------------------------------------------------------------------
 
 
-def _installed(package: str) -> bool:
+def _is_installed(package: str) -> bool:
     try:
         metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -208,7 +209,7 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
     wanted = detector.providers if detector.kind == "onnx" else ()
     needed = any(name != TENSORRT for name in wanted)
     level_if_missing: Level = "fail" if needed else "warn"
-    if _installed("onnxruntime") and _installed("onnxruntime-gpu"):
+    if _is_installed("onnxruntime") and _is_installed("onnxruntime-gpu"):
         todo = "pip uninstall onnxruntime onnxruntime-gpu, then install only one of them"
         yield Finding("warn", "onnxruntime and onnxruntime-gpu are both installed", todo)
     probed = probe()

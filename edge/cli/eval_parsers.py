@@ -16,7 +16,7 @@ from edge.cli.options import (
 )
 
 
-def add(commands) -> None:  # type: ignore[no-untyped-def]
+def add_eval(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `eval` and its kinds."""
     evaluate = commands.add_parser(
         "eval", help="measure how well policies, planners, translators and trajectories do"

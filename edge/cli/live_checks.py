@@ -17,8 +17,8 @@ from edge.loop.source import InputStatus, Source, missing_inputs
 from edge.sources import find_source
 from edge.types import Observation
 
-_WAIT_S = 0.1
-_SLOW, _FAST = 0.7, 1.5  # tolerated share of the configured rate
+_WAIT_S = 0.1  # for one observation
+_SLOWEST, _FASTEST = 0.7, 1.5  # tolerated rates, as shares of the configured rate
 _DROPPED = 0.05  # tolerated share of dropped messages
 _OLD_S = 0.5  # tolerated age of a frame
 _AHEAD_S = 0.05  # tolerated time by which a stamp is in the future
@@ -153,7 +153,7 @@ def _check_input(row: InputStatus) -> Iterator[Finding]:
         yield Finding("fail", f"{rate}, {row.state}{row.why and f': {row.why}'}", todo)
         return
     expected = row.expected_hz
-    if expected and not _SLOW * expected <= row.hz <= _FAST * expected:
+    if expected and not _SLOWEST * expected <= row.hz <= _FASTEST * expected:
         todo = "correct the rate of the driver, or the rate under sensors in the configuration"
         yield Finding("warn", f"{rate}, configured: {expected:g} Hz", todo)
     else:

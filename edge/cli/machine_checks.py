@@ -23,6 +23,7 @@ from edge.host.files import make_writable
 from edge.perception.runtime.sessions import TENSORRT
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
+"""Versions of Python that are supported: from the first, below the second."""
 MIN_CORES = 2
 MIN_SHM_MB = 64
 """Least size of the shared memory."""

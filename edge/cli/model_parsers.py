@@ -10,7 +10,7 @@ from edge.cli.options import CONFIG, dispatch_on_option, lazy_handler, positive
 _CARD = "name of a model card, as `edge models list` shows it"
 
 
-def add(commands) -> None:  # type: ignore[no-untyped-def]
+def add_models(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge models` and its actions."""
     models = commands.add_parser(
         "models", help="list, check, download, export or switch neural models"
@@ -71,8 +71,8 @@ def _export(action: argparse.ArgumentParser) -> None:
         help="make the model from its FP32 file by quantization (needs edge-vln[quantize])",
     )  # fmt: skip
     option(
-        "--precision", nargs="+", metavar="P", help="precisions to make: of CLIP or SigLIP "
-        "(default: fp32), or with --quantize of a vision-language model (default: q4)",
+        "--precision", nargs="+", metavar="P", help="precisions of CLIP or SigLIP to make "
+        "(default: fp32); with --quantize: those of a vision-language model (default: q4)",
     )  # fmt: skip
     option("--family", help="with a folder as --weights: family of the new cards (default: NAME)")
     option(

@@ -21,17 +21,18 @@ MAX_POINTS = 400
 """Largest number of points of a path that is drawn."""
 MAX_STEPS = 60  # of the mission log
 MAX_LAYERS = 16
-MAX_PROMPT, MAX_CODE, MAX_WORDS, MAX_LINE = 100_000, 20_000, 4_000, 1_000  # characters
+# Characters of a prompt, of a script, of another text, and of one line of a list.
+MAX_PROMPT, MAX_CODE, MAX_WORDS, MAX_LINE = 100_000, 20_000, 4_000, 1_000
 MAX_LINES = 50  # entries of a list, such as notes
 _KINDS = {FRONTIER: "frontier", INSTANCE: "instance"}
-_NS = 1e-9
+_NS_S = 1e-9  # seconds in a nanosecond
 
 
 def snapshot_json(snapshot: LiveSnapshot) -> dict[str, Any]:
     """Return the data that change all the time: pose, goal, candidates, objects."""
     result, status, pose = snapshot.result, snapshot.result.status, snapshot.result.pose
     return {
-        "t_s": result.now_ns * _NS,
+        "t_s": result.now_ns * _NS_S,
         "beat_hz": round(snapshot.beat_hz, 1),
         "pose": None if pose is None else _numbers((pose.x_m, pose.y_m, pose.yaw_rad)),
         "instruction": status.instruction,
@@ -163,13 +164,18 @@ def log_json(snapshot: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
         "mission": {**mission_of(mission), "warnings": list(mission.spec.warnings)},
         "automaton": automaton_json(mission),
         "steps": [
-            {"t_s": step.stamp_ns * _NS, "kind": step.kind, "label": step.label, "text": step.text}
+            {
+                "t_s": step.stamp_ns * _NS_S,
+                "kind": step.kind,
+                "label": step.label,
+                "text": step.text,
+            }
             for step in mission.log[-MAX_STEPS:]
         ],
         "trail": points(snapshot.trail[:, :2]),
         "layers": list(snapshot.layers)[:MAX_LAYERS],
         "latency": latency.as_dict(),
-        "events": [{"t_s": e.now_ns * _NS, "text": e.text} for e in snapshot.events],
+        "events": [{"t_s": e.now_ns * _NS_S, "text": e.text} for e in snapshot.events],
         "n_events": snapshot.n_events,
         "health": snapshot.health,
     }
@@ -188,8 +194,9 @@ def automaton_json(mission: MissionFacts) -> dict[str, Any]:
 
 
 def points(xy_m: np.ndarray) -> list[list[float]]:
-    """Return (n, 2) points as JSON, subsampled to `MAX_POINTS` including the last."""
-    stride = -(-len(xy_m) // MAX_POINTS) or 1
+    """Return (n, 2) points as JSON: every few points if there are over `MAX_POINTS`."""
+    stride = max(1, math.ceil(len(xy_m) / MAX_POINTS))
+    # Counted from the end, so that the last point is kept.
     return np.round(xy_m[::-1][::stride][::-1].astype(np.float64), 2).tolist()
 
 

@@ -35,7 +35,7 @@ ANSWER_S = 120.0
 _LATENCY_TICKS = 300  # newest ticks in the table of latencies
 _TOO_CLOSE = 50  # map value of cells near obstacles, which the page draws differently
 _FOLDER = Path(__file__).parent / "page"
-_KINDS = {
+_MEDIA_TYPES = {
     ".html": "text/html",
     ".css": "text/css",
     ".js": "text/javascript",
@@ -44,7 +44,7 @@ _KINDS = {
 _FILES = {
     "/" if path.name == "index.html" else f"/live/{path.name}": path
     for path in sorted(_FOLDER.iterdir())
-    if path.suffix in _KINDS
+    if path.suffix in _MEDIA_TYPES
 }
 PUBLIC = tuple(_FILES)
 """Pages without a token: they have no data of the robot."""
@@ -156,8 +156,8 @@ class LiveView:
         self.sink.mark_watched()
         return self.sink.snapshot
 
-    def _grid(self, name: str, take: Callable[[], Grid]) -> HttpResponse:
-        grid = take()
+    def _grid(self, name: str, copy_grid: Callable[[], Grid]) -> HttpResponse:
+        grid = copy_grid()
         digest = blake2b(grid.cells, digest_size=8)
         digest.update(f"{grid.origin_xy_m} {grid.resolution_m} {grid.cells.shape}".encode())
         tag = digest.hexdigest()
@@ -180,6 +180,7 @@ class LiveView:
     # -- requests ------------------------------------------------------------------------------
 
     def _request(self, key: str, body: bytes) -> HttpResponse:
+        """Pass a request to the loop, and wait for its answer."""
         if key not in self._queues:
             state = self._health.state
             return HttpResponse(
@@ -203,4 +204,4 @@ def _json(data: Any, etag: str = "") -> HttpResponse:
 
 
 def _file(path: Path) -> HttpResponse:
-    return HttpResponse(path.read_bytes(), f"{_KINDS[path.suffix]}; charset=utf-8")
+    return HttpResponse(path.read_bytes(), f"{_MEDIA_TYPES[path.suffix]}; charset=utf-8")

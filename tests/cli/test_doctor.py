@@ -263,7 +263,7 @@ def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
     ],
 )
 def test_onnxruntime(monkeypatch, installed, probed, settings, expected):
-    monkeypatch.setattr(doctor, "_installed", lambda package: package in installed)
+    monkeypatch.setattr(doctor, "_is_installed", lambda package: package in installed)
     monkeypatch.setattr(doctor, "probe", lambda: probed)
     findings = list(doctor.check_onnxruntime(settings))
     assert [finding.level for finding in findings] == expected
