@@ -25,14 +25,14 @@ MAX_LAYERS = 16
 MAX_PROMPT, MAX_CODE, MAX_WORDS, MAX_LINE = 100_000, 20_000, 4_000, 1_000
 MAX_LINES = 50  # entries of a list, such as notes
 _KINDS = {FRONTIER: "frontier", INSTANCE: "instance"}
-_NS_S = 1e-9  # seconds in a nanosecond
+_NS = 1e-9  # seconds in a nanosecond
 
 
 def snapshot_json(snapshot: LiveSnapshot) -> dict[str, Any]:
     """Return the data that change all the time: pose, goal, candidates, objects."""
     result, status, pose = snapshot.result, snapshot.result.status, snapshot.result.pose
     return {
-        "t_s": result.now_ns * _NS_S,
+        "t_s": result.now_ns * _NS,
         "beat_hz": round(snapshot.beat_hz, 1),
         "pose": None if pose is None else _numbers((pose.x_m, pose.y_m, pose.yaw_rad)),
         "instruction": status.instruction,
@@ -165,7 +165,7 @@ def log_json(snapshot: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
         "automaton": automaton_json(mission),
         "steps": [
             {
-                "t_s": step.stamp_ns * _NS_S,
+                "t_s": step.stamp_ns * _NS,
                 "kind": step.kind,
                 "label": step.label,
                 "text": step.text,
@@ -175,7 +175,7 @@ def log_json(snapshot: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
         "trail": points(snapshot.trail[:, :2]),
         "layers": list(snapshot.layers)[:MAX_LAYERS],
         "latency": latency.as_dict(),
-        "events": [{"t_s": e.now_ns * _NS_S, "text": e.text} for e in snapshot.events],
+        "events": [{"t_s": e.now_ns * _NS, "text": e.text} for e in snapshot.events],
         "n_events": snapshot.n_events,
         "health": snapshot.health,
     }
