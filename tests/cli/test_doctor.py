@@ -225,7 +225,7 @@ def test_who_may_come_in(tmp_path):
     assert levels(doctor.check_access, shut) == []
 
 
-def test_rules_that_are_for_another_prefix_are_told():
+def test_rules_for_another_prefix_give_a_warning():
     rules = str(resources.data_dir("config") / "secure" / "password-service.json5")
     for prefix, expected in {"edge": [], "robots/a": ["warn"]}.items():
         settings = simulated({"zenoh": {"file": rules, "prefix": prefix}})

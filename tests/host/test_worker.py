@@ -130,7 +130,7 @@ def test_closing_drops_what_waits_and_waits_no_longer_than_it_may(gate):
     assert worker.poll() is None
 
 
-def test_a_failure_is_one_bounded_line_told_once_a_kind_and_outlived(caplog):
+def test_the_worker_survives_a_failure_and_logs_each_kind_once_in_one_line(caplog):
     done: list = []
 
     def work(item):

@@ -196,7 +196,7 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
         assert (one.dtype, one.tobytes()) == (other.dtype, other.tobytes())
 
 
-def test_where_the_sensors_are_is_told_when_it_changes():
+def test_the_mounts_are_written_only_when_they_change():
     camera = CameraModel(40, 30, 30.0, 31.0, 20.0, 15.0)
     written: dict = {}
     read: dict = {}

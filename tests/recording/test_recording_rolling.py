@@ -98,7 +98,7 @@ def test_the_oldest_files_make_room_but_never_one_that_is_written(tmp_path, cloc
     other.close()
 
 
-def test_what_cannot_be_written_is_told_once_and_goes_on_when_it_can(tmp_path, clock, caplog):
+def test_a_write_error_is_logged_once_and_recording_continues_later(tmp_path, clock, caplog):
     folder = tmp_path / "folder"
     folder.write_bytes(b"in the way")
     files = rolling(folder, clock)

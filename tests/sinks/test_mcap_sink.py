@@ -180,7 +180,7 @@ def test_a_disk_that_hangs_costs_pictures_but_no_memory(make, tmp_path):
     assert written == [*range(1, 22), 31]
 
 
-def test_moments_between_observations_are_told_together(make, tmp_path):
+def test_ticks_between_observations_share_a_page(make, tmp_path):
     sink = make()
     for k in range(100):
         sink.tick(result(k * 10**7))

@@ -139,7 +139,7 @@ def test_without_tokens_routing_tells_who_is_there(port, session, dialect):
     node.close()
 
 
-def test_a_flood_of_tokens_is_bounded_and_told(session, port, monkeypatch, caplog):
+def test_a_flood_of_tokens_is_bounded_and_logs_a_warning(session, port, monkeypatch, caplog):
     monkeypatch.setattr(graph, "_MAX_TOKENS", 4)
     seen = graph.Graph(session, 0)
     with ours(port) as other:
