@@ -7,7 +7,7 @@ const MARGIN_M = 0.6;
 const NEAR_PX = 16;
 const NAMED_PX = 45; // px per metre from which objects have names
 const SAME_PX = 6;
-const TOLD = 6; // number of best frontiers that are shown with scores
+const N_SCORES = 6; // number of best frontiers that are shown with scores
 const [LEAST, MOST] = [4, 400]; // px per metre
 // Viridis, from low to high.
 const RAMP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
@@ -156,7 +156,7 @@ function paint() {
   const open = now.candidates.filter((c) => c.kind !== "instance");
   open.sort((a, b) => (a.score ?? -1) - (b.score ?? -1)); // the best on top
   const best = Math.max(open.at(-1)?.score ?? 0, 1e-9);
-  open.forEach((c, i) => frontier(context, c, best, i >= open.length - TOLD));
+  open.forEach((c, i) => frontier(context, c, best, i >= open.length - N_SCORES));
   for (const thing of now.instances) instance(context, thing);
   if (now.goal) goal(context, now.goal);
   if (now.pose) robot(context, now.pose);
@@ -210,7 +210,7 @@ function line(context, places, ink, width, dash = []) {
   context.setLineDash([]);
 }
 
-function frontier(context, c, best, told) {
+function frontier(context, c, best, showScore) {
   const [x, y] = toScreen(c.xy_m);
   const share = Math.max(c.score ?? 0, 0) / best;
   context.globalAlpha = c.blocked ? 0.35 : 0.45 + 0.55 * share;
@@ -220,7 +220,7 @@ function frontier(context, c, best, told) {
   context.fill();
   context.globalAlpha = 1;
   if (c.letter) disc(context, c.letter, x, y - 15, 9);
-  else if (told && c.score > 0) label(context, c.score.toPrecision(2), x + 10, y, colour("frontier"));
+  else if (showScore && c.score > 0) label(context, c.score.toPrecision(2), x + 10, y, colour("frontier"));
 }
 
 function instance(context, thing) {
