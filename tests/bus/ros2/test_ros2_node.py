@@ -112,7 +112,7 @@ def test_a_service_of_a_peer_answers(port, node):
 
     server = sdk.ROS2ServiceServer(
         "/nav/cancel", name, answer, dependencies(request), "int8 return_code", router_port=port,
-        type_hash=names.known_hash(name),
+        type_hash=names.hash_from_table(name),
     )  # fmt: skip
     store = server.session_mgr.store
     client = node.client("/nav/cancel", name, PATIENCE_S)
@@ -124,7 +124,7 @@ def test_a_service_of_a_peer_answers(port, node):
     server.close()
 
 
-@pytest.mark.parametrize("dialect", [names.BRIDGE, names.plain("edge/ros2/")])
+@pytest.mark.parametrize("dialect", [names.BRIDGE, names.plain_dialect("edge/ros2/")])
 def test_without_tokens_routing_tells_who_is_there(port, session, dialect):
     node = Ros2Node(session, 0, "edge_test", dialect)
     mine, client = node.publisher("/goal_pose", POSE), node.client("/nav/cancel", POSE, 5.0)
