@@ -104,6 +104,7 @@ class RequestServer:
                 self._replies.put(None)
 
     def _take_queries(self, most: int) -> Iterator[zenoh.Query]:
+        """Yield at most `most` queries that have arrived."""
         for _ in range(most):
             if not self._polled:
                 self._polled.extend(self._ring.take())
@@ -112,6 +113,7 @@ class RequestServer:
             yield self._polled.popleft()
 
     def _receive(self, query: zenoh.Query) -> None:
+        """Pass a query to the queue, or refuse it."""
         reply = partial(self._reply, query)
         try:
             payload = _payload(query)

@@ -100,6 +100,7 @@ def as_json(findings: list[Finding]) -> str:
 
 
 def check_zenoh(config: Config) -> Iterator[Finding]:
+    """Check that Zenoh can send a message on this machine."""
     version = metadata.version("eclipse-zenoh")
     took_ms = loopback_ms(LOOPBACK_S)
     if took_ms is not None:
@@ -205,6 +206,7 @@ def _is_installed(package: str) -> bool:
 
 
 def check_onnxruntime(config: Config) -> Iterator[Finding]:
+    """Check that onnxruntime works and has the configured execution providers."""
     detector = config.perception.detector
     wanted = detector.providers if detector.kind == "onnx" else ()
     needed = any(name != TENSORRT for name in wanted)
@@ -454,6 +456,7 @@ def check_tasks(config: Config) -> Iterator[Finding]:
 
 
 def check_worlds(config: Config) -> Iterator[Finding]:
+    """Check the packages for simulated worlds with textures."""
     wanted = ("trimesh", "PIL", "embreex")
     missing = [name for name in wanted if util.find_spec(name) is None]
     if not missing:

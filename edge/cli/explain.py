@@ -86,6 +86,7 @@ def _default_reading(implied: int | None) -> str:
 
 
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:
+    """Draw the automaton to a file; the suffix chooses the format."""
     from edge.host.files import save
     from edge.lab.report import canvas, dot
     from edge.lab.report.automaton_graph import draw

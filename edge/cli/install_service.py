@@ -213,6 +213,7 @@ def _check_checkpoint(config: Config, at: Path) -> None:
 
 
 def _user_lines(user: str | None) -> list[str]:
+    """Return the lines of the unit that set user and groups."""
     lines = ["DynamicUser=yes"] if user is None else [f"User={user}"]
     # A group that this machine does not have would make the start fail.
     known = {group.gr_name for group in grp.getgrall()}

@@ -110,6 +110,7 @@ class _SensorMeasurements:
             yield Finding(level, found.what, found.todo)
 
     def _check_mounts(self, observation: Observation) -> Iterator[Finding]:
+        """Yield size, mount and valid depth of the sensors; nothing is judged here."""
         if observation.camera is not None:
             camera = observation.camera
             mount = _describe_mount(observation.T_base_camera, observation.T_base_camera[:3, 2])
@@ -124,6 +125,7 @@ class _SensorMeasurements:
             yield Finding("ok", f"depth: {valid:.0%} of the pixels have a value")
 
     def _check_floor(self) -> Iterator[Finding]:
+        """Check that the floor is measured at the height of the base frame."""
         if not self._lowest_m:
             yield Finding("ok", "floor: not checked, because no sensor looks down at the floor")
             return
@@ -167,6 +169,7 @@ def _check_input(row: InputStatus) -> Iterator[Finding]:
 
 
 def _check_stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
+    """Check that frames are neither old nor in the future."""
     what = f"stamps: frames are {age_s:.2f} s old when the service gets them"
     if -_AHEAD_S <= age_s <= _OLD_S:
         yield Finding("ok", what)

@@ -161,6 +161,7 @@ class CheckpointFormat(Generic[State]):
         return Checkpoint(self._read_state(about[3]), arrays, about[1].decode(), int(about[2]))
 
     def _read_state(self, text: bytes) -> State:
+        """Parse and check a state; raise ValueError with one line."""
         try:
             state = self._adapter.validate_json(text)
         except ValidationError as error:
@@ -258,6 +259,7 @@ def check_arrays(
 
 
 def _check_names(name: str, words: np.ndarray) -> None:
+    """Raise ValueError if a text in the array is no valid name."""
     try:
         for word in set(words.tolist()):
             names.normalise(word)
@@ -371,6 +373,7 @@ class CheckpointWriter(Generic[State]):
         return self._worker.close(timeout_s)
 
     def _write(self, make: Callable[[], Checkpoint[State]]) -> None:
+        """Save a checkpoint; log the first failure of a series, and its end."""
         try:
             save(self.path, make(), self._form)
         except (OSError, ValueError) as error:

@@ -65,6 +65,7 @@ class NonBlockingStream(io.TextIOBase):
         self._thread.join(_END_S)
 
     def _write_texts(self) -> None:
+        """Write queued text until `drain` was called and nothing is left."""
         while True:
             with self._changed:
                 while not (self._waiting or self._is_draining):

@@ -50,6 +50,7 @@ def _make_locked(prefix: str, parent: str) -> tuple[Path, int]:
 
 
 def _remove_stale(prefix: str, parent: str) -> None:
+    """Remove folders of this prefix and user that no process holds."""
     for folder in Path(parent).glob(f"{prefix}*"):
         # Not a folder, already gone, or in use (BlockingIOError is an OSError).
         with contextlib.suppress(OSError):
@@ -60,6 +61,7 @@ def _remove_stale(prefix: str, parent: str) -> None:
 
 
 def _lock(folder: Path, operation: int) -> int:
+    """Lock a folder and return its descriptor; raise OSError if that fails."""
     fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(fd, operation)

@@ -93,6 +93,7 @@ def _running() -> Iterator[Process]:
 
 
 def _read_process(pid: int) -> Process | None:
+    """Return a process; None if it has ended."""
     try:
         fields = _read_stat(pid)
         command = (_PROC / str(pid) / "cmdline").read_bytes()

@@ -133,6 +133,7 @@ def _wake_main_thread(has_handled: Callable[[], bool]) -> None:
 
 
 def _show_stacks(_signum: int) -> None:
+    """Write the stacks of all threads to stderr."""
     # Not with `faulthandler`, which reads the frames of running threads and has crashed.
     names = {thread.ident: thread.name for thread in threading.enumerate()}
     parts = []

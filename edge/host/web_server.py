@@ -199,6 +199,7 @@ class _Server(ThreadingMixIn, HTTPServer):
             raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
+        """Make room for a connection if needed, then handle it on a thread."""
         with self._lock:
             if len(self._open) >= MOST_OPEN:
                 # The first of equal connections is the oldest.
@@ -271,6 +272,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.mark(self.connection, _KNOWN)
 
     def do_GET(self) -> None:
+        """Send a page if the client may read it, else its bare status or a refusal."""
         served, path = self.server.served, self.path.partition("?")[0]
         try:
             self._body_length(most=0)
@@ -291,6 +293,7 @@ class _Handler(BaseHTTPRequestHandler):
     do_HEAD = do_GET  # noqa: N815 - the name that http.server calls
 
     def do_POST(self) -> None:
+        """Pass the body to the handler of the path, if the client may change things."""
         path = self.path.partition("?")[0]
         try:
             handle = self._find_form(path)
@@ -381,6 +384,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send_response(_text_page(str(refused), refused.status))
 
     def _send_response(self, page: HttpResponse) -> None:
+        """Send a page, or 304 if the client has this version of it."""
         if page.etag and self.headers.get("If-None-Match") == f'"{page.etag}"':
             page = replace(page, body=b"", status=HTTPStatus.NOT_MODIFIED)
         self.send_response(page.status)

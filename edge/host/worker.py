@@ -202,6 +202,7 @@ class Worker(Generic[Item, Result]):
         return self._thread is None or not self._thread.is_alive()
 
     def _process_inline(self, item: Item) -> None:
+        """Process an item in the caller's thread, or drop it after a failure."""
         if self._closed or self._n_to_drop > 0:
             self._n_to_drop -= 1
             self._drop(item)
@@ -212,6 +213,7 @@ class Worker(Generic[Item, Result]):
             self._n_to_drop = 2 ** min(self.stats.in_a_row, MAX_DOUBLINGS)
 
     def _run(self) -> None:
+        """Process items until the worker is closed."""
         while not self._closed or self._waiting:
             for item in self._take():  # at most one
                 self._wait_s(self._rest_s if self._process(item) else self._pause_length_s())
@@ -242,6 +244,7 @@ class Worker(Generic[Item, Result]):
         return True
 
     def _record_result(self, result: Result | None, took_ns: int) -> None:
+        """Keep a result for `poll`; drop the one it replaces, or itself if not wanted."""
         stats, unread = self.stats, result
         with self._changed:
             stats.done += 1

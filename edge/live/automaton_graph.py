@@ -194,6 +194,7 @@ def _arrows_among(automaton: Automaton, states: Sequence[int]) -> int:
 def _node(
     automaton: Automaton, state: int, current: bool, fatal: Sequence[str], hidden: int
 ) -> StateNode:
+    """Return the node of a state, with its caption and description."""
     accepting, left = bool(automaton.accepting[state]), int(automaton.steps_left[state])
     parts = [f"state {state}"]
     parts += ["the robot is here"] if current else []
@@ -216,6 +217,7 @@ def _arrow(
     index: Mapping[int, int],
     roles: Mapping[tuple[int, int], tuple[Role, str]],
 ) -> StateArrow:
+    """Return the arrow between two states, labelled with its letters."""
     role, taken = roles.get(ends, ("other", ""))
     title = f"{ends[0]} to {ends[1]}: {', '.join(map(_letter_text, letters))}"
     if taken in letters and role != "other":  # name the letter that was taken first
@@ -226,6 +228,7 @@ def _arrow(
 
 
 def _note(automaton: Automaton, shown: Collection[int], nodes: Sequence[StateNode]) -> str:
+    """Return the legend for what is drawn."""
     parts = []
     left_out = set(np.flatnonzero(automaton.steps_left >= 0).tolist()) - set(shown)
     if left_out:

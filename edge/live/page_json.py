@@ -138,6 +138,7 @@ def _goal(goal: Goal, answer: GoalStatus | None) -> dict[str, Any]:
 
 
 def _candidates(snapshot: LiveSnapshot) -> list[dict[str, Any]]:
+    """Return the candidates of the tick, one object for each."""
     rows = []
     for kind, i, xy_m, score, path_m, blocked in zip(*snapshot.candidates, strict=True):
         letter, p = snapshot.mark_letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)

@@ -179,6 +179,7 @@ class LiveSink:
         """Do nothing; see `edge.loop.result.Sink`."""
 
     def _make_snapshot(self, result: TickResult, now_s: float) -> LiveSnapshot:
+        """Collect the state of the service; the lists of objects only once a second."""
         choice, task = result.choice, result.task()
         self._n_tasks += not same_text(task, self._task)
         self._task = task

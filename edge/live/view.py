@@ -94,6 +94,7 @@ class LiveView:
     # -- data ----------------------------------------------------------------------------------
 
     def _now(self) -> HttpResponse:
+        """Return the data that change all the time."""
         now_s = self.sink.mark_watched()
         snapshot, shot, ticked_s = self.sink.snapshot, self.sink.shot, self.sink.ticked_s
         why = self._health.problems()
@@ -157,6 +158,7 @@ class LiveView:
         return self.sink.snapshot
 
     def _grid(self, name: str, copy_grid: Callable[[], Grid]) -> HttpResponse:
+        """Return a grid, with a tag by which a browser sees that it has not changed."""
         grid = copy_grid()
         digest = blake2b(grid.cells, digest_size=8)
         digest.update(f"{grid.origin_xy_m} {grid.resolution_m} {grid.cells.shape}".encode())

@@ -106,6 +106,7 @@ class Db3Reader:
     def _messages(
         self, db: sqlite3.Connection, topics: dict[Any, tuple[str, str, str]]
     ) -> Iterator[RecordedMessage]:
+        """Yield the messages of all rows; stop at the first damaged row."""
         rows = db.execute(
             "SELECT topic_id, timestamp, CASE WHEN length(data) <= ? THEN data END "
             "FROM messages ORDER BY rowid",
@@ -172,6 +173,7 @@ class Bag:
                 yield from self._messages(path)
 
     def _messages(self, path: Path) -> Iterator[RecordedMessage]:
+        """Yield the messages of a file, decompressed; note if the file is damaged."""
         reader = Db3Reader(path) if _begins_with(path, _SQLITE) else McapReader(path)
         for message in reader:
             payload = _decompressed(message.payload)

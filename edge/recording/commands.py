@@ -76,6 +76,7 @@ def format_result(session: RecordedRun, o: ReplayResult) -> str:
 def _differing(
     then: dict[str, Any] | None, now: dict[str, Any] | None
 ) -> Iterator[tuple[str, str, str]]:
+    """Yield (name, recorded, replayed) of each decision that differs."""
     for key in ("target", "phase", "goal", "sent"):
         a, b = (None if decisions is None else decisions[key] for decisions in (then, now))
         if a != b:
@@ -83,6 +84,7 @@ def _differing(
 
 
 def _text_of(value: Any) -> str:
+    """Return a decision as text: a goal, a list of goals, or a word."""
     if isinstance(value, list):
         return "; ".join(map(_text_of, value)) or "-"
     if not isinstance(value, dict):

@@ -162,7 +162,17 @@ class McapWriter:
 
 
 class RecordedMessage(NamedTuple):
-    """One message of a file; `schema` is the name of its schema."""
+    """One message of a file.
+
+    Attributes:
+        topic: name of its channel.
+        schema: name of its schema; "" if it has none.
+        encoding: `cdr`, `json`, or another.
+        log_ns: time at which it was recorded.
+        stamp_ns: time of its data.
+        sequence: number of the message in its channel.
+        payload: content.
+    """
 
     topic: str
     schema: str

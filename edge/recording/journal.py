@@ -141,6 +141,7 @@ def _goal(goal: Goal) -> dict[str, Any]:
 def _observation(
     kept: Observation, original: Observation | None, rig: dict[str, Any]
 ) -> dict[str, Any]:
+    """Encode an observation; camera and mounts only if they changed."""
     rgb = None if original is None else original.rgb
     stored = {
         "seq": kept.seq,
@@ -232,6 +233,7 @@ def _translation_of(stored: dict[str, Any]) -> Translation:
 
 
 def _start(fields: dict[str, Any]) -> dict[str, Any]:
+    """Encode the start of a service, with its checkpoints as base64."""
     saved, known = fields["mission_checkpoint"], fields["map_checkpoint"]
     files = {
         "mission_checkpoint": None if saved is None else MISSION.encode(Checkpoint(saved)),

@@ -52,7 +52,15 @@ class DamagedError(ValueError):
 
 
 class Message(NamedTuple):
-    """A message of a channel; its times are in nanoseconds."""
+    """A message of a channel.
+
+    Attributes:
+        channel_id: id of the channel in this file.
+        sequence: number of the message in its channel.
+        log_time: time at which it was recorded, in ns.
+        publish_time: time of its data, in ns.
+        data: content.
+    """
 
     channel_id: int
     sequence: int
@@ -170,6 +178,7 @@ def _decompress(chunk: Chunk) -> bytes:
 
 
 def _parse_record(opcode: int, body: bytes, kept: _KeptRecords) -> Record:
+    """Parse a message, or a record that is kept."""
     if opcode != Opcode.MESSAGE:
         record = _parse(_KEPT[Opcode(opcode)], body)
         kept.add(opcode, record, len(body))

@@ -184,6 +184,7 @@ class _ReplayedService:
         site: Site,
         task: Any = None,
     ) -> None:
+        """Start the service as it was started when the run was recorded."""
         config = self.config
         spec = restore_spec(config.mission, translation, task)
         checkpoint = self._checkpoint(mission_checkpoint, map_checkpoint)
@@ -278,6 +279,7 @@ class _ReplayedService:
         now_ns: int,
         task: Any = None,
     ) -> None:
+        """Begin a recorded mission."""
         self.service.begin(restore_spec(self.config.mission, translation, task), now_ns, id)
 
     def _reconfigure(self, observation: Observation | None, config: Config) -> None:

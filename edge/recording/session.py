@@ -240,6 +240,7 @@ def _check_pixels(height: int, width: int) -> None:
 
 
 def _parse_latency(payload: bytes) -> dict[str, Any]:
+    """Parse a latency report whose numbers will be printed."""
     report = read_json(payload, journal.MAX_VALUES)
     for row in (report["tick"], *report["stages"].values()):
         for name in ("p50_ms", "p95_ms"):
@@ -248,6 +249,7 @@ def _parse_latency(payload: bytes) -> dict[str, Any]:
 
 
 def _decode_depth(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
+    """Return the recorded depth in metres, (h, w) float32; None if there is none."""
     if (m := array_messages.get(channels.DEPTH.topic)) is None:
         return None
     header = messages.decode_image_header(m.payload)
@@ -266,6 +268,7 @@ def _decode_cloud(array_messages: dict[str, RecordedMessage]) -> np.ndarray | No
 
 
 def _decode_picture(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
+    """Return the recorded image, (h, w, 3) uint8 RGB; None if there is none."""
     if (m := array_messages.get(channels.PICTURE.topic)) is None:
         return None
     header = compressed.decode_compressed_header(m.payload)

@@ -217,6 +217,7 @@ class McapSink:
             self._failed += 1
 
     def _metadata(self, part: int) -> dict[str, dict[str, str]]:
+        """Return the metadata of the file of this number."""
         config = json.dumps(journal.config_text(self._config))
         fields = {
             "version": str(journal.VERSION), "edge": __version__, "session": self._session,
@@ -234,6 +235,7 @@ def _check_values(
     compression: str,
     pending_mb: float,
 ) -> None:
+    """Raise ConfigError for a number or name that is out of range."""
     numbers = {"max_mb": max_mb, "max_s": max_s, "sync_s": sync_s, "pending_mb": pending_mb}
     for name, value in numbers.items():
         if not value > 0:

@@ -151,6 +151,7 @@ class NavigateToPoseClient:
     # -- one step a stage -------------------------------------------------------------------------
 
     def _step_waiting(self, active: _ActiveGoal) -> None:
+        """Send the goal when the action server is there."""
         now_s = time.monotonic()
         if not self._send.has_server():
             if now_s - active.since_s > PATIENCE_S and not self._waiting_logged:
@@ -189,6 +190,7 @@ class NavigateToPoseClient:
         return navigation.decode_result(payload)
 
     def _step_sent(self, active: _ActiveGoal) -> None:
+        """Handle the answer to the goal: accepted, refused, or none in time."""
         payload = active.reply.poll()
         if payload is None:
             if active.reply.done:
@@ -208,6 +210,7 @@ class NavigateToPoseClient:
         self._step_driving(active)
 
     def _step_driving(self, active: _ActiveGoal) -> None:
+        """Handle the result of the goal, or ask for it again."""
         payload = active.reply.poll()
         if payload is not None:
             self._report_result(active, self._decode_result(payload))
@@ -217,6 +220,7 @@ class NavigateToPoseClient:
             self._request_result(active)
 
     def _request_result(self, active: _ActiveGoal) -> None:
+        """Ask for the result; the goal fails if the action is gone for `GONE_S`."""
         now_s = time.monotonic()
         if self._result.has_server():
             active.due_s, active.lost_s = now_s + RETRY_S, 0.0
@@ -229,6 +233,7 @@ class NavigateToPoseClient:
     # -- messages from Nav2 -----------------------------------------------------------------------
 
     def _on_feedback(self, payload: bytes) -> None:
+        """Report a new recovery of the present goal."""
         feedback, active = navigation.decode_feedback(payload), self._active
         if active is None or active.stage != "driving" or feedback.goal_id != active.goal_id:
             return
@@ -238,6 +243,7 @@ class NavigateToPoseClient:
             self._report(GoalStatus(active.goal.stamp_ns, "accepted", reason))
 
     def _on_status_message(self, payload: bytes) -> None:
+        """Note which goals have ended, for results that are lost."""
         active = self._active
         for goal_id, status in navigation.decode_goal_statuses(payload):
             ours = active is not None and goal_id == active.goal_id
@@ -247,6 +253,7 @@ class NavigateToPoseClient:
                 self._replaced.remove(goal_id)
 
     def _report_result(self, active: _ActiveGoal, result: navigation.Result) -> None:
+        """Report the end of the goal."""
         if result.status == SUCCEEDED:
             self._finish(active, "reached", "")
         elif result.status in SETTLED:

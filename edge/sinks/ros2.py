@@ -133,6 +133,7 @@ class Ros2Sink:
     # -- on the worker's thread ------------------------------------------------------------------
 
     def _deliver(self, message: tuple[str, Any]) -> None:
+        """Publish one queued item."""
         name, item = message
         if name == "goal":
             self._drive(item)

@@ -152,6 +152,7 @@ class ZenohSink:
     # -- on the worker's thread ------------------------------------------------------------------
 
     def _deliver(self, message: tuple[str, Any]) -> None:
+        """Publish one queued item, and keep it if it is repeated."""
         name, item = message
         if name == "answered":
             self._slow_down(*item)

@@ -156,6 +156,7 @@ class CdrDecoder:
                 self._synchronizer.offer(Odometry(sample.stamp_ns, placed.T, placed.age_ns))
 
     def _offer_frame(self, topic: Topic, payload: bytes, type_name: str) -> None:
+        """Pass a frame to the synchronizer, which decodes it only if it is used."""
         kind, into = KINDS[topic], _DECODERS[type_name]
         stamp_ns, frame_id = messages.peek_header(payload)
         # Depth is registered to the colour image: it uses that mount, whatever its frame_id is.

@@ -200,6 +200,7 @@ class InputTable:
 
 
 def _make_status(row: _Input, state: InputState, now_ns: int) -> InputStatus:
+    """Return the row of the table for an input."""
     came_ns, hz = row.came_ns, row.hz
     if not hz and came_ns is not None and came_ns > row.since_ns:  # still in the first window
         hz = (row.in_window - 1) * 1e9 / (came_ns - row.since_ns)

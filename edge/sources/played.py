@@ -139,6 +139,7 @@ class PlayedSource(PolledSource):
         return one_line(self._matched.topics.get(topic.key, _ABSENT), 80)
 
     def _drain(self) -> int:
+        """Process the messages up to the present log time; return their number."""
         now_ns, n = self.clock(), 0
         while self._next is not None and self._next.log_ns <= now_ns and n < _MAX_BATCH:
             self._advance()
@@ -167,6 +168,7 @@ class PlayedSource(PolledSource):
                 log.info("skipping %.0f s without messages in the recording", gap_ns * 1e-9)
 
     def _process(self, message: RecordedMessage) -> None:
+        """Pass one recorded message to the decoder, or to tf."""
         name = self._names[message.topic]
         self._decoder.convert_waiting_poses()
         if name not in (TF, TF_STATIC):
@@ -228,6 +230,7 @@ class _ReadAhead:
         self._thread.join()
 
     def _run(self, messages: Iterator[RecordedMessage]) -> None:
+        """Read messages until the limit of bytes, then whenever there is room."""
         try:
             for message in messages:
                 with self._changed:
@@ -364,6 +367,7 @@ class Playback:
         return list(missing_inputs(self._config, [*self.matched.topics, *poses]))
 
     def _no_observation_error(self, rows: tuple[InputStatus, ...] = ()) -> RecordingError:
+        """Return the error of a recording that gives no observation."""
         missing = ", ".join(self._missing_inputs())
         dropped = [
             f"{row.name} ({row.where}): {_describe_drops(row)}" for row in rows if row.dropped

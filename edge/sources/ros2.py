@@ -68,6 +68,7 @@ class Ros2Source(PolledSource):
     def _offer(
         self, topic: Topic, subscription: Ros2Subscription, type_name: str, payload: zenoh.ZBytes
     ) -> None:
+        """Pass a message to the decoder, or count it if its type is wrong."""
         if self._is_too_large(topic.key, payload):
             return
         if type_name not in subscription.types:

@@ -246,6 +246,7 @@ class TimeSynchronizer:
             self.count(message.topic, reason)
 
     def _use_camera_info(self, message: CameraInfo) -> None:
+        """Use new camera info: plan the rectification, and allocate frames again."""
         camera = message.camera
         if message == self._info:
             if self._camera is not None:
@@ -464,6 +465,7 @@ class TimeSynchronizer:
         return fields
 
     def _acquire_slot(self) -> PoolSlot | None:
+        """Return a free slot; allocate the pool at the first call."""
         if self._pool is None:
             camera = self._camera
             self._pool = FramePool(

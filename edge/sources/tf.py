@@ -23,6 +23,10 @@ class _Edge:
 
     A transform holds until the next one if that comes more than `rarely_ns` later; a single
     transform holds for all time. Such a frame moves in steps, or never, so no lookup waits.
+
+    Attributes:
+        parent: name of the parent frame.
+        T: the newest transform, (4, 4).
     """
 
     __slots__ = ("T", "_guard", "_history", "_rarely_ns", "parent")
@@ -35,6 +39,7 @@ class _Edge:
         self._history: StampedPoses | None = None
 
     def push(self, transform: Transform) -> None:
+        """Add a later transform of the frame."""
         first_ns = self._guard.newest_ns
         verdict = self._guard.check(transform.stamp_ns)
         if verdict == "backward":
@@ -43,6 +48,7 @@ class _Edge:
             self._history = None
         elif verdict == "ok":
             if self._history is None:
+                # So a full history covers at least four times `rarely_ns` (see `StampedPoses`).
                 self._history = StampedPoses(_HISTORY, 8 * self._rarely_ns // _HISTORY)
                 self._history.push(first_ns, self.T)
             self._history.push(transform.stamp_ns, transform.T)

@@ -121,6 +121,7 @@ def _parse_intrinsics(intrinsics: object, width: int, height: int) -> CameraMode
 def _decode_checked(
     unit_m: float | None, buffer: memoryview, header: images.ImageHeader, out: np.ndarray
 ) -> int:
+    """Decode pixels into `out`; raise WrongSizeError if the image has another size."""
     if (header.height, header.width) != out.shape[:2]:
         height, width = out.shape[:2]
         says = f"the intrinsics are of {width}x{height}"
@@ -198,6 +199,7 @@ class ZmqSource(ZenohSource):
         return KEPT
 
     def _offer(self, parts: list[zmq.Frame]) -> None:
+        """Pass a camera message to the synchronizer, or count it as malformed."""
         topic = one_line(self._address)
         try:
             if len(parts) != 2:
@@ -298,6 +300,7 @@ def _bus_messages(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]]
 
 
 def _open_socket(config: Config, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:
+    """Return the module zmq, a context, and a socket that is not connected yet."""
     try:
         import zmq
     except ImportError:
@@ -326,6 +329,7 @@ def _warn_unresolved(address: str) -> None:
 
 
 def _connect(config: Config, camera: zmq.Socket, address: str) -> None:
+    """Connect the socket; raise ConfigError for an invalid address."""
     try:
         camera.connect(address)
     except Exception as error:  # ZMQError, or others for an address of the wrong type

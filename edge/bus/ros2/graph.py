@@ -46,6 +46,7 @@ class Graph:
         return True
 
     def _apply(self, key: str, is_gone: bool) -> None:
+        """Add or remove the endpoint of a token."""
         if is_gone:
             self._by_id.pop(key, None)
         elif len(self._by_id) < _MAX_TOKENS:

@@ -70,6 +70,7 @@ class Ros2RequestServer:
         self._node.close()
 
     def _receive(self, payload: zenoh.ZBytes) -> None:
+        """Pass a message to the queue of its requests, or answer with an error."""
         label: dict[str, Any] = {}
         reply = partial(self._reply, label)
         try:

@@ -112,11 +112,20 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, keep_invalid: boo
 class LaserScan:
     """sensor_msgs/LaserScan; beam i points at angle_min + i * angle_increment, left positive.
 
-    `ranges_m` (n,) float32 is a read-only view of the payload. Values (REP 117):
+    Values of `ranges_m` (REP 117):
 
     - from range_min to below range_max: a hit.
     - range_max and more, or +inf: no obstacle within range_max.
     - less than range_min, -inf or NaN: no measurement.
+
+    Attributes:
+        stamp_ns: stamp of the message.
+        frame_id: frame of the sensor.
+        angle_min_rad: angle of beam 0.
+        angle_increment_rad: angle from beam to beam.
+        range_min_m: see above.
+        range_max_m: see above.
+        ranges_m: (n,) float32, a read-only view of the payload.
     """
 
     stamp_ns: int
