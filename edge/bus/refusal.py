@@ -58,20 +58,20 @@ class UnknownHostError(Exception):
     """The host name of an endpoint cannot be resolved; the message has the name and the reason."""
 
 
-def diagnose_refusal(endpoint: str, found: zenoh.Config, file: str) -> str | None:
+def diagnose_refusal(endpoint: str, native: zenoh.Config, file: str) -> str | None:
     """Return why the server at an endpoint refuses a session; None if no server is there.
 
     Waits for at most `_NAME_S` + 2 `PROBE_S`.
 
     Args:
         endpoint: such as `tls/robot.local:7447`.
-        found: the configuration of the failed session.
+        native: Zenoh's configuration of the failed session.
         file: the file or configuration key that the user should check, for the message.
 
     Raises:
         UnknownHostError: the endpoint's host name cannot be resolved.
     """
-    if (unreadable := unreadable_file(found, listens=False)) is not None:
+    if (unreadable := unreadable_file(native, listens=False)) is not None:
         return unreadable
     if protocol(endpoint) not in ("tcp", "tls") or not host_and_port(endpoint)[1]:
         return None
@@ -79,7 +79,7 @@ def diagnose_refusal(endpoint: str, found: zenoh.Config, file: str) -> str | Non
     # The resolver may search for an unknown name for half a minute.
     resolved = threading.Event()
     probe = start_detached_thread(
-        "probe", lambda: answers.append(_probe(endpoint, found, file, resolved))
+        "probe", lambda: answers.append(_probe(endpoint, native, file, resolved))
     )
     probe.join(_NAME_S + 2 * PROBE_S)
     answer = answers[0] if answers else None
@@ -92,7 +92,7 @@ def diagnose_refusal(endpoint: str, found: zenoh.Config, file: str) -> str | Non
 
 
 def _probe(
-    endpoint: str, found: zenoh.Config, file: str, resolved: threading.Event
+    endpoint: str, native: zenoh.Config, file: str, resolved: threading.Event
 ) -> str | UnknownHostError | None:
     """Try the endpoint; set `resolved` once its host has an address."""
     host, port = host_and_port(endpoint)
@@ -102,7 +102,7 @@ def _probe(
         with socket.create_connection((host, port), PROBE_S) as plain:
             if protocol(endpoint) == "tcp":
                 return _REFUSED_TCP.format(file=file)
-            return _tls_refusal(plain, host, endpoint, found, file)
+            return _tls_refusal(plain, host, endpoint, native, file)
     except (socket.gaierror, UnicodeError) as error:  # UnicodeError: not a valid host name
         why = getattr(error, "strerror", None) or "not a valid host name"
         return UnknownHostError(f"no address is known for {one_line(host)!r} ({one_line(why)})")
@@ -111,13 +111,13 @@ def _probe(
 
 
 def _tls_refusal(
-    plain: socket.socket, host: str, endpoint: str, found: zenoh.Config, file: str
+    plain: socket.socket, host: str, endpoint: str, native: zenoh.Config, file: str
 ) -> str:
     """Try a TLS handshake over an open TCP connection; return why the server refuses."""
-    if _INLINE in endpoint or any(get(found, f"{TLS}/{key}{_INLINE}") for key in _CLIENT_KEYS):
+    if _INLINE in endpoint or any(get(native, f"{TLS}/{key}{_INLINE}") for key in _CLIENT_KEYS):
         return _REFUSED_UNCHECKED_TLS.format(file=file)
     try:
-        context = _tls_context(endpoint, found)
+        context = _tls_context(endpoint, native)
     except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
         return f"the certificates of {file} cannot be used: {one_line(error)}"
     try:
@@ -145,12 +145,12 @@ def _tls_refusal(
     return _REFUSED_AFTER_TLS.format(file=file)
 
 
-def _tls_context(endpoint: str, found: zenoh.Config) -> ssl.SSLContext:
+def _tls_context(endpoint: str, native: zenoh.Config) -> ssl.SSLContext:
     """Return Zenoh's TLS context. The endpoint's own parameters override the file."""
     overrides = parameters(endpoint)
 
     def setting(key: str, parameter: str) -> object:
-        return overrides.get(parameter, get(found, f"{TLS}/{key}"))
+        return overrides.get(parameter, get(native, f"{TLS}/{key}"))
 
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = setting("verify_name_on_connect", "verify_name_on_connect") not in (

@@ -131,10 +131,10 @@ def session_config(
     key, name = zenoh_file_of(settings, role)
     listens = role == "route" or (role == "listen" and settings.mode == "peer")
     mode = "router" if role == "route" else "peer" if listens else "client"
-    found = read_zenoh_file(key, name)
+    native = read_zenoh_file(key, name)
     try:
         return apply_settings(
-            found,
+            native,
             mode,
             settings.endpoint,
             listens,
@@ -155,8 +155,8 @@ def check_settings(settings: config.ZenohConfig, role: Role) -> None:
         ConfigError: see `session_config`.
         BusError: see `session_config`; or a file with a certificate or password cannot be read.
     """
-    found = session_config(settings, role)
-    unreadable = unreadable_file(found, listens=bool(get(found, "listen/endpoints")))
+    native = session_config(settings, role)
+    unreadable = unreadable_file(native, listens=bool(get(native, "listen/endpoints")))
     if unreadable is not None:
         raise BusError(_explain(settings.address, role, unreadable))
 
@@ -230,27 +230,27 @@ def open_session(
     """
     _init_zenoh_log()
     stop = stop or threading.Event()
-    found = session_config(settings, role, keep_zenoh_timeout, most_bytes)
+    native = session_config(settings, role, keep_zenoh_timeout, most_bytes)
     key, name = zenoh_file_of(settings, role)
-    for address in open_addresses(found):
+    for address in open_addresses(native):
         log.warning("zenoh.endpoint: %s", OPEN_WARNING.format(address))
-    if role != "route" and denies_prefix(found, settings.prefix):
+    if role != "route" and denies_prefix(native, settings.prefix):
         log.warning("%s: %s", key, DENIED_WARNING.format(settings.prefix))
     logged: set[str | None] = set()
     last_reason: str | None = None
     resolved_s = time.monotonic()  # when the host name was last resolved
     while True:
         try:
-            return zenoh.open(found)
+            return zenoh.open(native)
         except zenoh.ZError as error:
             if _NO_SERVER_TEXT not in str(error):
-                unreadable = unreadable_file(found, listens=bool(get(found, "listen/endpoints")))
+                unreadable = unreadable_file(native, listens=bool(get(native, "listen/endpoints")))
                 cause = str(error) if unreadable is None else unreadable
                 raise BusError(_explain(settings.address, role, cause)) from None
         # Here no server answered: find out why, then wait and try again.
         refused = unknown = None
         try:
-            refused = diagnose_refusal(settings.endpoint, found, name or key)
+            refused = diagnose_refusal(settings.endpoint, native, name or key)
             resolved_s = time.monotonic()
         except UnknownHostError as error:
             unknown = str(error)

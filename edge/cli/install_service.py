@@ -179,11 +179,11 @@ def _files_to_read(config: Config, at: Path) -> tuple[list[Path], dict[str, Path
     key, name = "zenoh.file", config.zenoh.file
     if name is not None:
         name = str(at / resources.expand(name))
-    found = read_zenoh_file(key, name)
-    secret_files = secrets(found, key, name)
+    native = read_zenoh_file(key, name)
+    secret_files = secrets(native, key, name)
     if config.http.token_file is not None:
         secret_files["http.token_file"] = config.http.token_file
-    public_files = certificates(found)
+    public_files = certificates(native)
     if name is not None and name not in secret_files.values():
         public_files.append(name)
     return (

@@ -158,7 +158,7 @@ def _choose_states(
     one.
     """
     current = 0 if state is None else state
-    hopeful = np.flatnonzero(automaton.steps_left >= 0).tolist()
+    hopeful = np.flatnonzero(automaton.steps_left >= 0).tolist()  # success is possible from here
     wanted = list(dict.fromkeys((current, *planned, *reversed(visited))))
     complete = list(dict.fromkeys((0, *wanted, *hopeful)))
     if len(hopeful) <= MAX_WHOLE and _arrows_among(automaton, complete) <= MAX_ARROWS:

@@ -240,6 +240,7 @@ class TimeSynchronizer:
             reason = stream.offer(message)
             if message.field == Image.field:
                 self._camera_frame = message.frame_id
+            # A frame of another sensor that no leading frame needed is no drop.
             if reason == "superseded" and message.field != self._leader:
                 return
         if reason:

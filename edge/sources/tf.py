@@ -48,7 +48,7 @@ class _Edge:
             self._history = None
         elif verdict == "ok":
             if self._history is None:
-                # So a full history covers at least four times `rarely_ns` (see `StampedPoses`).
+                # A full history covers at least four times `rarely_ns` (see `StampedPoses`).
                 self._history = StampedPoses(_HISTORY, 8 * self._rarely_ns // _HISTORY)
                 self._history.push(first_ns, self.T)
             self._history.push(transform.stamp_ns, transform.T)
@@ -70,6 +70,7 @@ class _Edge:
         before_ns = history.stamp(n)
         if before_ns == stamp_ns:
             return history.pose(n).copy(), 0
+        # The step around the instant; after all transforms (n is 0), the last step.
         later = max(n, 1) - 1
         is_step = history.stamp(later) - history.stamp(later + 1) > self._rarely_ns
         if n == 0:
