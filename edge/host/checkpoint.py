@@ -118,15 +118,15 @@ class CheckpointFormat(Generic[State]):
             ValueError: `decode` would refuse the content; one line.
         """
         state = self._adapter.dump_json(checkpoint.state)
-        self._read_state(state)
+        self._read_state(state)  # raises ValueError for a state that `decode` would refuse
         if any(array.dtype.hasobject for array in checkpoint.arrays.values()):
             raise ValueError("an array holds Python objects; only numbers and text can be saved")
         archive = io.BytesIO()
         np.savez(archive, **checkpoint.arrays)  # type: ignore[arg-type]
-        about = b'"config":"%s","written_ns":%d,"state":%s}\n' % (
+        rest = b'"config":"%s","written_ns":%d,"state":%s}\n' % (
             checkpoint.config.encode(), checkpoint.written_ns, state
         )  # fmt: skip
-        body = about + archive.getvalue()
+        body = rest + archive.getvalue()
         content = self.begins + b'"version":%d,"sha256":"%s",' % (VERSION, _sha256(body)) + body
         if len(content) > self.max_bytes:
             raise ValueError(
@@ -152,13 +152,13 @@ class CheckpointFormat(Generic[State]):
             )
         if _sha256(memoryview(content)[head.end() :]) != head[2]:
             raise ValueError("damaged: the checksum does not match")
-        about = re.compile(_REST_PATTERN).match(content, head.end(), head.end() + MAX_STATE_BYTES)
-        if about is None:
+        rest = re.compile(_REST_PATTERN).match(content, head.end(), head.end() + MAX_STATE_BYTES)
+        if rest is None:
             raise ValueError(f"not a complete {self.title}")
-        arrays = _read_archive(content[about.end() :])
+        arrays = _read_archive(content[rest.end() :])
         if version < VERSION:
             arrays = {self._renamed.get(name, name): array for name, array in arrays.items()}
-        return Checkpoint(self._read_state(about[3]), arrays, about[1].decode(), int(about[2]))
+        return Checkpoint(self._read_state(rest[3]), arrays, rest[1].decode(), int(rest[2]))
 
     def _read_state(self, text: bytes) -> State:
         """Parse and check a state; raise ValueError with one line."""

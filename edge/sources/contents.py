@@ -333,7 +333,7 @@ class _TopicChooser:
             for topic, facts in self._contents.topics.items()
             if facts.encoding == "cdr" and facts.type in accepted_types(name, topic)
         }
-        topic, how = self._by_name(name, present)
+        topic, how = self._find_by_name(name, present)
         if not topic:
             scores = {
                 t: self._score(name, t, facts)
@@ -349,7 +349,7 @@ class _TopicChooser:
             how = f"{facts.count} {facts.type}, {how}" if how else f"{facts.count} {facts.type}"
         self.how[name] = how
 
-    def _by_name(self, name: str, present: dict[str, TopicFacts]) -> tuple[str, str]:
+    def _find_by_name(self, name: str, present: dict[str, TopicFacts]) -> tuple[str, str]:
         """Return the topic with the configured, our own or the usual name, and a description."""
         configured = self._config.ros2.topics.get(name)
         if configured is not None:
@@ -447,7 +447,7 @@ class _FrameMatcher:
             return
         ros2, odom = config.ros2, contents.topics.get(found.get(ODOMETRY, ""))
         sensors = [contents.topics[found[n]].frame_id for n in (RGB, CLOUD, SCAN) if n in found]
-        base = self._base(ros2.base_frame, odom, sensors)
+        base = self._find_base(ros2.base_frame, odom, sensors)
         if odom is not None and self._odometry_is_apart(odom, base):
             self.lines.append(
                 f"odom: tf does not connect {one_line(odom.frame_id)} with {ros2.map_frame}, but "
@@ -456,7 +456,7 @@ class _FrameMatcher:
             self.drops_odometry, odom = True, None
         if odom is None:
             self.moving_frame = contents.moving_frame(base)
-        world = self._map(ros2.map_frame, base, odom)
+        world = self._find_map(ros2.map_frame, base, odom)
         frames = {"base_frame": base, "map_frame": world}
         if ros2.mounts == "tf" and not any(contents.connected(base, name) for name in sensors):
             frames["mounts"] = "config"
@@ -473,7 +473,7 @@ class _FrameMatcher:
         has_base = connected(base, world) and bool(self._contents.moving_frame(base))
         return has_base and bool(odom.frame_id) and not connected(odom.frame_id, world)
 
-    def _base(self, configured: str, odom: TopicFacts | None, sensors: list[str]) -> str:
+    def _find_base(self, configured: str, odom: TopicFacts | None, sensors: list[str]) -> str:
         """Return the base frame: the configured one, or a frame that moves."""
         base = configured
         if odom is not None:
@@ -489,7 +489,7 @@ class _FrameMatcher:
             self.lines.append(f"base: {one_line(base)} instead of ros2.base_frame ({configured})")
         return base
 
-    def _map(self, configured: str, base: str, odom: TopicFacts | None) -> str:
+    def _find_map(self, configured: str, base: str, odom: TopicFacts | None) -> str:
         """Return the map frame: the configured one, or the frame of the poses."""
         frame = self._contents.root(base) if odom is None else odom.frame_id
         if self._contents.connected(configured, frame) or not frame:
