@@ -183,7 +183,7 @@ def test_after_a_failure_it_takes_nothing_up_for_a_bounded_while(gate):
     pauses = []
     for n in (0, 1, 2, 3, MAX_DOUBLINGS, 10**6):
         worker.stats.in_a_row = n
-        pauses.append(worker._pause())
+        pauses.append(worker._pause_length_s())
     assert pauses == [0.5, 0.5, 1.0, 2.0, 16.0, MAX_PAUSE_S]
     worker._pause_s = 1e9
     worker.submit(RuntimeError("no"))
