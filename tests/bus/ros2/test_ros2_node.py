@@ -56,7 +56,7 @@ def looked(node: Ros2Node, what):
     """Return the graph's answer once the node has been discovered."""
 
     def ask():
-        node._looked_s = 0.0
+        node._polled_s = 0.0
         node.update()
         return what()
 
