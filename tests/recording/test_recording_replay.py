@@ -141,9 +141,7 @@ def test_all_that_can_come_into_the_loop(tmp_path):
     service.idle(now_ns, None, broken)
     service.fail("cancelled", now_ns)
     recording.steps(2)
-    kinds = {
-        entry.kind for m in RecordedRun(recording.close()).steps() for entry in m.page.entries
-    }
+    kinds = {entry.kind for m in RecordedRun(recording.close()).steps() for entry in m.page.entries}
     assert kinds >= {
         "start",
         "tick",
